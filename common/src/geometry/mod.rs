@@ -1,0 +1,63 @@
+//! The area, where devices stand in it, and the bounded Voronoi diagram.
+
+mod layout;
+mod voronoi;
+
+use serde::{Deserialize, Serialize};
+
+pub use layout::{Layout, place};
+pub use voronoi::farthest_cell_vertex;
+
+/// A point of the area, in metres from its south-west corner.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Point {
+    /// Metres east, `0 ..= width`.
+    pub x: f64,
+    /// Metres north, `0 ..= height`.
+    pub y: f64,
+}
+
+impl Point {
+    /// The point (`x`, `y`).
+    pub const fn new(x: f64, y: f64) -> Self {
+        Self { x, y }
+    }
+
+    /// The Euclidean distance to `other`, metres.
+    pub fn distance(self, other: Self) -> f64 {
+        self.distance_squared(other).sqrt()
+    }
+
+    /// The squared distance to `other`, square metres.
+    pub fn distance_squared(self, other: Self) -> f64 {
+        let (dx, dy) = (self.x - other.x, self.y - other.y);
+        dx * dx + dy * dy
+    }
+}
+
+/// The rectangle ξ that the base station serves (Table II: 20 × 20 m).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Area {
+    /// East-west side, metres, > 0.
+    pub width: f64,
+    /// North-south side, metres, > 0.
+    pub height: f64,
+}
+
+impl Area {
+    /// The surface ξ, square metres.
+    pub fn surface(self) -> f64 {
+        self.width * self.height
+    }
+
+    /// The length of a diagonal, metres: no two points of the area are farther apart.
+    pub fn diagonal(self) -> f64 {
+        Point::default().distance(Point::new(self.width, self.height))
+    }
+
+    /// Whether `p` lies in the area or on its edge.
+    pub fn contains(self, p: Point) -> bool {
+        (0.0..=self.width).contains(&p.x) && (0.0..=self.height).contains(&p.y)
+    }
+}

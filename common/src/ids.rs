@@ -1,0 +1,85 @@
+//! Identifiers and model time.
+
+use std::fmt;
+use std::ops::{Add, Sub};
+
+use serde::{Deserialize, Serialize};
+
+/// A device's number, `0 .. N`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct DeviceId(pub u32);
+
+impl DeviceId {
+    /// The number as an index into per-device arrays.
+    pub const fn index(self) -> usize {
+        self.0 as usize
+    }
+}
+
+impl fmt::Display for DeviceId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+/// A host process's number within a run, in the order in which hosts joined.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct HostId(pub u32);
+
+impl HostId {
+    /// The number as an index into per-host arrays.
+    pub const fn index(self) -> usize {
+        self.0 as usize
+    }
+}
+
+impl fmt::Display for HostId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+/// An event's number, in the order of starts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct EventId(pub u64);
+
+/// A transmission time interval (TTI) `k`, `0 .. K`: the slot of model time in which devices sense, transmit and sleep.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Tti(pub u64);
+
+impl Tti {
+    /// The first TTI of a run.
+    pub const ZERO: Self = Self(0);
+    /// Later than every TTI of any run: "never".
+    pub const NEVER: Self = Self(u64::MAX);
+
+    /// This TTI `n` later, [`Tti::NEVER`] at the most.
+    #[must_use]
+    pub const fn saturating_add(self, n: u64) -> Self {
+        Self(self.0.saturating_add(n))
+    }
+}
+
+impl Add<u64> for Tti {
+    type Output = Self;
+    fn add(self, n: u64) -> Self {
+        Self(self.0 + n)
+    }
+}
+
+impl Sub for Tti {
+    type Output = u64;
+    fn sub(self, other: Self) -> u64 {
+        self.0 - other.0
+    }
+}
+
+impl fmt::Display for Tti {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}

@@ -1,0 +1,171 @@
+//! Named random streams.
+//!
+//! Every draw of a run belongs to a stream that is keyed by the scenario's seed, a [`Purpose`] and the device or event
+//! that it is for. No draw depends on which process makes it or on who drew first, so a run is the same however it is
+//! scheduled.
+
+use rand_xoshiro::Xoshiro256PlusPlus;
+use rand_xoshiro::rand_core::{Rng, SeedableRng};
+
+/// What a stream is for. The numbers are part of the digest's meaning: never renumber them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u64)]
+pub enum Purpose {
+    /// Positions of the devices (one stream a run).
+    Layout = 1,
+    /// Which device belongs to which class (one stream a run).
+    Classes = 2,
+    /// A device's energy arrivals.
+    Harvest = 3,
+    /// The gap before an event, in TTIs.
+    EventGap = 4,
+    /// An event's epicentre.
+    Epicentre = 5,
+    /// Whether a device detects an event (keyed by both).
+    Detection = 6,
+    /// A device's duty cycle under the `random` policy.
+    DutyCycle = 7,
+    /// The k-means++ start of the clusters (one stream a run).
+    Clusters = 8,
+}
+
+/// A stream of pseudo-random numbers (xoshiro256++), the same on every machine.
+#[derive(Clone, Debug)]
+pub struct Stream(Xoshiro256PlusPlus);
+
+impl Stream {
+    /// The stream of `purpose` for `id` (a device or event number; 0 where a run has only one such stream).
+    pub fn new(seed: u64, purpose: Purpose, id: u64) -> Self {
+        Self(Xoshiro256PlusPlus::seed_from_u64(key(seed, purpose, id)))
+    }
+
+    /// A number uniform on `[0, 1)`, with 53 random bits.
+    pub fn unit(&mut self) -> f64 {
+        to_unit(self.0.next_u64())
+    }
+
+    /// A whole number uniform on `0 .. n`. `n` is at least 1.
+    pub fn below(&mut self, n: u64) -> u64 {
+        assert!(n > 0, "an empty range has no element to draw");
+        let threshold = n.wrapping_neg() % n;
+        loop {
+            let wide = u128::from(self.0.next_u64()) * u128::from(n);
+            if wide as u64 >= threshold {
+                return (wide >> 64) as u64;
+            }
+        }
+    }
+
+    /// `items` in an order drawn at random (Fisher and Yates).
+    pub fn shuffle<T>(&mut self, items: &mut [T]) {
+        for i in (1..items.len()).rev() {
+            let j = self.below(i as u64 + 1) as usize;
+            items.swap(i, j);
+        }
+    }
+}
+
+/// One number uniform on `[0, 1)` for a pair of ids, without a stream: the draw of `purpose` for (`a`, `b`).
+pub fn unit_for_pair(seed: u64, purpose: Purpose, a: u64, b: u64) -> f64 {
+    to_unit(mix(key(seed, purpose, a) ^ mix(b ^ 0xD1B5_4A32_D192_ED03)))
+}
+
+/// The law of the gap between two successes of a Bernoulli trial made once per TTI.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Geometric {
+    inverse_log_failure: f64,
+}
+
+impl Geometric {
+    /// Gaps of a trial that succeeds with probability `p`, `0 ..= 1`. With `p = 0` no success ever comes.
+    pub fn new(p: f64) -> Self {
+        assert!(
+            (0.0..=1.0).contains(&p),
+            "a probability lies within 0 and 1, not at {p}"
+        );
+        Self {
+            inverse_log_failure: 1.0 / libm::log1p(-p),
+        }
+    }
+
+    /// A gap of 1, 2, … TTIs; `u64::MAX` for never.
+    pub fn draw(self, stream: &mut Stream) -> u64 {
+        let failures = libm::log1p(-stream.unit()) * self.inverse_log_failure;
+        if failures.is_nan() || failures >= 9e15 {
+            never_or_now(self)
+        } else {
+            failures as u64 + 1
+        }
+    }
+}
+
+/// The gap where the quotient of logarithms has no finite value: p = 0 or a gap beyond any run.
+fn never_or_now(law: Geometric) -> u64 {
+    if law.inverse_log_failure == 0.0 { 1 } else { u64::MAX }
+}
+
+fn key(seed: u64, purpose: Purpose, id: u64) -> u64 {
+    mix(mix(seed ^ (purpose as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15))
+        .wrapping_add(id.wrapping_mul(0xBF58_476D_1CE4_E5B9)))
+}
+
+/// The finaliser of `SplitMix64`: a bijection of 64 bits that spreads every input bit over the whole word.
+fn mix(mut z: u64) -> u64 {
+    z = z.wrapping_add(0x9E37_79B9_7F4A_7C15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    z ^ (z >> 31)
+}
+
+fn to_unit(bits: u64) -> f64 {
+    (bits >> 11) as f64 * (1.0 / (1u64 << 53) as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn geometric_gaps_have_the_mean_one_over_p() {
+        for p in [0.05, 0.2, 0.9] {
+            let (law, mut stream, n) = (Geometric::new(p), Stream::new(7, Purpose::EventGap, 3), 200_000);
+            let mean = (0..n).map(|_| law.draw(&mut stream) as f64).sum::<f64>() / f64::from(n);
+            let standard_error = ((1.0 - p) / (p * p) / f64::from(n)).sqrt();
+            assert!((mean - 1.0 / p).abs() < 4.0 * standard_error, "p {p}: mean {mean}");
+        }
+    }
+
+    #[test]
+    fn certain_and_impossible_successes() {
+        let mut stream = Stream::new(1, Purpose::Harvest, 0);
+        for _ in 0..1000 {
+            assert_eq!(Geometric::new(1.0).draw(&mut stream), 1);
+            assert_eq!(Geometric::new(0.0).draw(&mut stream), u64::MAX);
+        }
+    }
+
+    #[test]
+    fn neighbouring_streams_are_uncorrelated() {
+        let n = 20_000;
+        let first = |id: u64| Stream::new(5, Purpose::Epicentre, id).unit();
+        let mean = (0..n).map(first).sum::<f64>() / n as f64;
+        let lag = (0..n).map(|i| (first(i) - 0.5) * (first(i + 1) - 0.5)).sum::<f64>() / n as f64;
+        assert!((mean - 0.5).abs() < 0.01, "mean {mean}");
+        assert!(lag.abs() < 0.003, "covariance {lag}");
+        let pairs = (0..n)
+            .map(|i| unit_for_pair(5, Purpose::Detection, i, i ^ 1))
+            .sum::<f64>()
+            / n as f64;
+        assert!((pairs - 0.5).abs() < 0.01, "mean of pairs {pairs}");
+    }
+
+    #[test]
+    fn below_covers_its_range_evenly() {
+        let mut stream = Stream::new(2, Purpose::Layout, 0);
+        let mut counts = [0u32; 7];
+        for _ in 0..70_000 {
+            counts[stream.below(7) as usize] += 1;
+        }
+        assert!(counts.iter().all(|&c| (9_600..10_400).contains(&c)), "{counts:?}");
+    }
+}

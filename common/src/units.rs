@@ -1,0 +1,115 @@
+//! Energy in integer micro-units.
+//!
+//! The paper counts energy in "units" (Table II: a transmission costs 10). Batteries, costs and harvests are held as whole
+//! micro-units so that sums do not depend on the order in which they are taken.
+
+use std::fmt;
+use std::iter::Sum;
+use std::ops::{Add, AddAssign, Sub, SubAssign};
+
+use serde::{Deserialize, Serialize};
+
+/// Micro-units in one unit of energy.
+pub const MICRO_PER_UNIT: u64 = 1_000_000;
+
+/// The largest energy that a scenario may name, in units. It keeps every sum of a run of 10⁹ device-TTIs within 64 bits.
+pub const MAX_UNITS: f64 = 10_000.0;
+
+/// An amount of energy, in whole micro-units (1 unit = 1 000 000 micro-units), never negative.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Energy(u64);
+
+impl Energy {
+    /// No energy.
+    pub const ZERO: Self = Self(0);
+
+    /// `micro` micro-units.
+    pub const fn from_micro(micro: u64) -> Self {
+        Self(micro)
+    }
+
+    /// `units` units, rounded to the nearest micro-unit; `None` unless `units` is within `0 ..= `[`MAX_UNITS`].
+    pub fn from_units(units: f64) -> Option<Self> {
+        (0.0..=MAX_UNITS)
+            .contains(&units)
+            .then(|| Self((units * MICRO_PER_UNIT as f64).round() as u64))
+    }
+
+    /// The amount in micro-units.
+    pub const fn micro(self) -> u64 {
+        self.0
+    }
+
+    /// The amount in units, for display and for metrics.
+    pub fn units(self) -> f64 {
+        self.0 as f64 / MICRO_PER_UNIT as f64
+    }
+
+    /// `self - other`, or zero where `other` is larger.
+    #[must_use]
+    pub const fn saturating_sub(self, other: Self) -> Self {
+        Self(self.0.saturating_sub(other.0))
+    }
+
+    /// `self · n`.
+    #[must_use]
+    pub const fn times(self, n: u64) -> Self {
+        Self(self.0 * n)
+    }
+}
+
+impl Add for Energy {
+    type Output = Self;
+    fn add(self, other: Self) -> Self {
+        Self(self.0 + other.0)
+    }
+}
+
+impl AddAssign for Energy {
+    fn add_assign(&mut self, other: Self) {
+        self.0 += other.0;
+    }
+}
+
+impl Sub for Energy {
+    type Output = Self;
+    fn sub(self, other: Self) -> Self {
+        Self(self.0 - other.0)
+    }
+}
+
+impl SubAssign for Energy {
+    fn sub_assign(&mut self, other: Self) {
+        self.0 -= other.0;
+    }
+}
+
+impl Sum for Energy {
+    fn sum<I: Iterator<Item = Self>>(iter: I) -> Self {
+        iter.fold(Self::ZERO, Add::add)
+    }
+}
+
+impl fmt::Display for Energy {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} units", self.units())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_fourteenth_rounds_to_the_nearest_micro_unit() {
+        assert_eq!(Energy::from_units(1.0 / 14.0), Some(Energy::from_micro(71_429)));
+    }
+
+    #[test]
+    fn amounts_outside_the_range_are_refused() {
+        for bad in [-1e-9, MAX_UNITS + 1.0, f64::NAN, f64::INFINITY] {
+            assert_eq!(Energy::from_units(bad), None, "{bad}");
+        }
+    }
+}
