@@ -4,8 +4,16 @@
 //! [`harvest`], [`event`]), the scenario that configures it, the messages that cross the bus, and the one definition of
 //! every metric and of the run's digest.
 
+pub mod codec;
+pub mod deployment;
+pub mod digest;
+pub mod event;
 pub mod geometry;
+pub mod harvest;
 pub mod ids;
+pub mod message;
+pub mod metrics;
+pub mod plan;
 pub mod rng;
 pub mod scenario;
 pub mod sensing;

@@ -6,3 +6,5 @@ pub use model::{
     BsSettings, DeviceClass, EnergyModel, Events, Harvest, KnnSettings, PolicyConfig, Scenario, Trace, TraceColumns,
     TraceEnd,
 };
+mod classes;
+pub use classes::assign_classes;

@@ -1,0 +1,115 @@
+//! The wire form of every message: one version byte, then bincode with variable-length integers.
+//!
+//! bincode is unmaintained upstream. It is named in this file alone, so that another encoding replaces it here.
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+/// The version of the wire form. A host and a BS of different versions refuse each other.
+pub const WIRE_VERSION: u8 = 1;
+
+/// The longest payload that is decoded, in bytes.
+pub const MAX_PAYLOAD: usize = 64 << 20;
+
+const CONFIG: bincode::config::Configuration<
+    bincode::config::LittleEndian,
+    bincode::config::Varint,
+    bincode::config::Limit<MAX_PAYLOAD>,
+> = bincode::config::standard().with_limit::<MAX_PAYLOAD>();
+
+/// Why a payload is not a message.
+#[derive(Debug, thiserror::Error)]
+pub enum CodecError {
+    /// No byte at all.
+    #[error("the payload is empty")]
+    Empty,
+    /// Another version of Reveille sent it.
+    #[error(
+        "the payload has wire version {0}, this program speaks version {WIRE_VERSION}: use the same release of reveille on both sides"
+    )]
+    Version(u8),
+    /// The bytes are not a message of the expected kind.
+    #[error("the payload is malformed: {0}")]
+    Malformed(String),
+    /// Bytes follow the message.
+    #[error("{0} bytes follow the message")]
+    Trailing(usize),
+}
+
+/// The payload of `message`.
+///
+/// # Panics
+/// If `message` holds a type that has no wire form (maps of unknown length); the messages of this crate do not.
+pub fn encode<T: Serialize>(message: &T) -> Vec<u8> {
+    let mut payload = Vec::with_capacity(64);
+    payload.push(WIRE_VERSION);
+    bincode::serde::encode_into_std_write(message, &mut payload, CONFIG).expect("messages have a wire form");
+    payload
+}
+
+/// The message in `payload`.
+///
+/// # Errors
+/// If `payload` is of another version or not exactly one message of type `T`.
+pub fn decode<T: DeserializeOwned>(payload: &[u8]) -> Result<T, CodecError> {
+    match payload.split_first() {
+        None => Err(CodecError::Empty),
+        Some((&WIRE_VERSION, body)) => {
+            let (message, used) =
+                bincode::serde::decode_from_slice(body, CONFIG).map_err(|e| CodecError::Malformed(e.to_string()))?;
+            if used == body.len() {
+                Ok(message)
+            } else {
+                Err(CodecError::Trailing(body.len() - used))
+            }
+        }
+        Some((&version, _)) => Err(CodecError::Version(version)),
+    }
+}
+
+/// The length of [`encode`]'s payload in bytes, without making it.
+pub fn encoded_len<T: Serialize>(message: &T) -> u64 {
+    let mut counter = Counter(1);
+    bincode::serde::encode_into_std_write(message, &mut counter, CONFIG).expect("messages have a wire form");
+    counter.0
+}
+
+struct Counter(u64);
+
+impl std::io::Write for Counter {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0 += bytes.len() as u64;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ids::Tti;
+    use crate::message::WakeUp;
+
+    #[test]
+    fn a_message_comes_back_and_has_the_stated_length() {
+        for tti in [0, 250, 251, 70_000, u64::MAX] {
+            let wake = WakeUp { tti: Tti(tti) };
+            let payload = encode(&wake);
+            assert_eq!(decode::<WakeUp>(&payload).expect("valid"), wake);
+            assert_eq!(encoded_len(&wake), payload.len() as u64);
+        }
+    }
+
+    #[test]
+    fn other_payloads_are_refused() {
+        let good = encode(&WakeUp { tti: Tti(3) });
+        let longer = [&good[..], &[0]].concat();
+        assert!(matches!(decode::<WakeUp>(&[]), Err(CodecError::Empty)));
+        assert!(matches!(decode::<WakeUp>(&[9, 3]), Err(CodecError::Version(9))));
+        assert!(matches!(decode::<WakeUp>(&good[..1]), Err(CodecError::Malformed(_))));
+        assert!(matches!(decode::<WakeUp>(&longer), Err(CodecError::Trailing(1))));
+    }
+}

@@ -1,0 +1,97 @@
+//! A scenario put on the ground: which device stands where and carries what.
+
+use std::sync::Arc;
+
+use crate::geometry::{Point, place};
+use crate::harvest::HarvestSetup;
+use crate::ids::{DeviceId, HostId};
+use crate::message::{Assignment, DeviceSetup};
+use crate::scenario::{Harvest, Scenario, TraceColumns, assign_classes};
+use crate::units::Energy;
+
+/// The devices of a run. The same scenario and seed always give the same deployment.
+#[derive(Clone, Debug)]
+pub struct Deployment {
+    /// The devices, in the order of ids.
+    pub devices: Vec<DeviceSetup>,
+    /// Recorded energy per TTI by row, that the devices' sources refer to.
+    pub traces: Vec<Arc<Vec<Energy>>>,
+}
+
+impl Deployment {
+    /// The deployment of `scenario`.
+    pub fn new(scenario: &Scenario) -> Self {
+        let (traces, first_trace) = collect_traces(scenario);
+        let positions = place(&scenario.layout, scenario.area, scenario.devices, scenario.seed);
+        let mut of_class = vec![0u32; scenario.classes.len()];
+        let devices = positions
+            .into_iter()
+            .zip(assign_classes(scenario))
+            .zip(0..)
+            .map(|((position, class), id)| {
+                let class = usize::from(class);
+                let kind = &scenario.classes[class];
+                let trace = first_trace[class] + column_of(&kind.harvest, of_class[class]);
+                of_class[class] += 1;
+                let harvest = HarvestSetup::new(&kind.harvest, scenario.tau, trace);
+                DeviceSetup {
+                    id: DeviceId(id),
+                    position,
+                    energy: kind.energy,
+                    harvest,
+                }
+            })
+            .collect();
+        Self { devices, traces }
+    }
+
+    /// The positions, in the order of ids.
+    pub fn positions(&self) -> Vec<Point> {
+        self.devices.iter().map(|d| d.position).collect()
+    }
+
+    /// What `host` needs to carry the devices `first .. first + count`.
+    pub fn assignment(&self, scenario: &Scenario, host: HostId, first: u32, count: u32) -> Assignment {
+        let devices = self.devices[first as usize..(first + count) as usize].to_vec();
+        let traces = if devices.iter().any(|d| matches!(d.harvest, HarvestSetup::Trace { .. })) {
+            self.traces.clone()
+        } else {
+            Vec::new()
+        };
+        Assignment {
+            host,
+            seed: scenario.seed,
+            sensing: scenario.sensing.clone(),
+            devices,
+            traces,
+        }
+    }
+}
+
+/// All columns of all classes, and for each class the index of its first.
+fn collect_traces(scenario: &Scenario) -> (Vec<Arc<Vec<Energy>>>, Vec<u32>) {
+    let mut traces = Vec::new();
+    let first = scenario
+        .classes
+        .iter()
+        .map(|class| {
+            let first = traces.len() as u32;
+            if let Harvest::Trace(trace) = &class.harvest {
+                traces.extend(trace.values.iter().cloned().map(Arc::new));
+            }
+            first
+        })
+        .collect();
+    (traces, first)
+}
+
+/// The column that the `nth` device of a class reads, counted from the class's first.
+fn column_of(harvest: &Harvest, nth: u32) -> u32 {
+    match harvest {
+        Harvest::Trace(trace) => match &trace.columns {
+            TraceColumns::Shared(_) => 0,
+            TraceColumns::PerDevice(columns) => nth % columns.len() as u32,
+        },
+        Harvest::Eq5 { .. } | Harvest::ExpMinusLambda { .. } | Harvest::Mpp { .. } => 0,
+    }
+}

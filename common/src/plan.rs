@@ -1,0 +1,144 @@
+//! The δ plan: which devices sense in which TTI.
+
+use serde::{Deserialize, Serialize};
+
+use crate::ids::{DeviceId, Tti};
+
+/// The duty cycle of one device: δ_j(k) = 1 in the first `t_on` of every `t_drx` TTIs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DutyCycle {
+    /// TTIs in S1 per cycle, `0 ..= t_drx`.
+    pub t_on: u32,
+    /// Length of the cycle in TTIs, ≥ 1.
+    pub t_drx: u32,
+    /// TTIs into its cycle at which the device is at k = 0, `0 .. t_drx`.
+    pub offset: u32,
+}
+
+impl DutyCycle {
+    /// Always in S4.
+    pub const ASLEEP: Self = Self {
+        t_on: 0,
+        t_drx: 1,
+        offset: 0,
+    };
+    /// Always in S1.
+    pub const SENSING: Self = Self {
+        t_on: 1,
+        t_drx: 1,
+        offset: 0,
+    };
+
+    /// Whether the three numbers are within their ranges.
+    pub const fn is_valid(self) -> bool {
+        self.t_drx >= 1 && self.t_on <= self.t_drx && self.offset < self.t_drx
+    }
+
+    /// δ_j(k).
+    pub const fn is_on(self, k: Tti) -> bool {
+        self.phase(k) < self.t_on as u64
+    }
+
+    /// The first TTI with δ_j = 1 that is not before `from`, [`Tti::NEVER`] if there is none.
+    pub const fn next_on(self, from: Tti) -> Tti {
+        let phase = self.phase(from);
+        if self.t_on == 0 {
+            Tti::NEVER
+        } else if phase < self.t_on as u64 {
+            from
+        } else {
+            from.saturating_add(self.t_drx as u64 - phase)
+        }
+    }
+
+    /// Over the `n` TTIs from `from` on: how many have δ_j = 1, and the sum over those of the TTIs from it to the end of
+    /// the span, itself included. The second is what a cost paid in S1 takes off the battery, summed over the span.
+    pub fn on_count(self, from: Tti, n: u64) -> (u64, u64) {
+        let (cycle, phase) = (u64::from(self.t_drx), self.phase(from));
+        let (mut count, mut remaining) = (0, 0);
+        for slot in 0..u64::from(self.t_on) {
+            let first = (slot + cycle - phase) % cycle;
+            if first < n {
+                let m = (n - 1 - first) / cycle + 1;
+                count += m;
+                remaining += m * (n - first) - cycle * (m * (m - 1) / 2);
+            }
+        }
+        (count, remaining)
+    }
+
+    const fn phase(self, k: Tti) -> u64 {
+        (k.0 + self.offset as u64) % self.t_drx as u64
+    }
+}
+
+/// What the BS commands: δ for all devices, until the next plan.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Plan {
+    /// δ(k) as a set of N bits (device j is bit j mod 8 of byte j / 8), the same in every TTI until replaced.
+    Bits {
+        /// The bits.
+        bits: Vec<u8>,
+    },
+    /// A duty cycle for each device, in the order of ids.
+    Periodic(Vec<DutyCycle>),
+}
+
+impl Plan {
+    /// A plan of bits from δ_j for each device.
+    pub fn from_bits(delta: impl IntoIterator<Item = bool>) -> Self {
+        let mut bits = Vec::new();
+        for (j, on) in delta.into_iter().enumerate() {
+            if j % 8 == 0 {
+                bits.push(0);
+            }
+            bits[j / 8] |= u8::from(on) << (j % 8);
+        }
+        Self::Bits { bits }
+    }
+
+    /// The duty cycle of `device`; asleep where the plan does not reach it.
+    pub fn duty_cycle(&self, device: DeviceId) -> DutyCycle {
+        let j = device.index();
+        match self {
+            Self::Bits { bits } => match bits.get(j / 8) {
+                Some(byte) if byte >> (j % 8) & 1 == 1 => DutyCycle::SENSING,
+                Some(_) | None => DutyCycle::ASLEEP,
+            },
+            Self::Periodic(cycles) => cycles
+                .get(j)
+                .copied()
+                .filter(|c| c.is_valid())
+                .unwrap_or(DutyCycle::ASLEEP),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn bits_come_back() {
+        let delta = [true, false, false, true, true, false, true, false, false, true];
+        let plan = Plan::from_bits(delta);
+        for (j, on) in delta.into_iter().enumerate() {
+            assert_eq!(plan.duty_cycle(DeviceId(j as u32)).is_on(Tti(5)), on, "device {j}");
+        }
+        assert_eq!(plan.duty_cycle(DeviceId(10)), DutyCycle::ASLEEP);
+    }
+
+    proptest! {
+        #[test]
+        fn closed_forms_agree_with_counting(t_drx in 1u32..40, on in 0u32..40, off in 0u32..40, from in 0u64..200, n in 0u64..300) {
+            let cycle = DutyCycle { t_on: on.min(t_drx), t_drx, offset: off % t_drx };
+            let on_ttis: Vec<u64> = (0..n).filter(|i| cycle.is_on(Tti(from + i))).collect();
+            let remaining: u64 = on_ttis.iter().map(|i| n - i).sum();
+            prop_assert_eq!(cycle.on_count(Tti(from), n), (on_ttis.len() as u64, remaining));
+            let next = (from..from + 100).map(Tti).find(|&k| cycle.is_on(k)).unwrap_or(Tti::NEVER);
+            prop_assert_eq!(cycle.next_on(Tti(from)), next);
+        }
+    }
+}
