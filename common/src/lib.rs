@@ -4,6 +4,7 @@
 //! [`harvest`], [`event`]), the scenario that configures it, the messages that cross the bus, and the one definition of
 //! every metric and of the run's digest.
 
+pub mod bus;
 pub mod codec;
 pub mod deployment;
 pub mod digest;
@@ -11,6 +12,8 @@ pub mod event;
 pub mod geometry;
 pub mod harvest;
 pub mod ids;
+pub mod keys;
+pub mod logging;
 pub mod message;
 pub mod metrics;
 pub mod plan;

@@ -127,6 +127,21 @@ impl EventTotals {
     }
 }
 
+impl Sub for EventTotals {
+    type Output = Self;
+    fn sub(self, before: Self) -> Self {
+        Self {
+            events: self.events - before.events,
+            misdetected: self.misdetected - before.misdetected,
+            reports: self.reports - before.reports,
+            wake_ups: self.wake_ups - before.wake_ups,
+            information_pico: self.information_pico - before.information_pico,
+            wrong_activations: self.wrong_activations - before.wrong_activations,
+            wasted: self.wasted - before.wasted,
+        }
+    }
+}
+
 /// The control channel: δ, wake-ups and synchronisation, BS → devices.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ControlTotals {

@@ -1,1 +1,3 @@
-//! Placeholder.
+//! Runs of the Reveille machines in memory, without a bus.
+
+pub mod run;

@@ -1,0 +1,95 @@
+//! KNN-based duty cycling and wake-up (Sec. V-A, Algorithm 1): clusters by location, one member of each in S1 in turn, and
+//! after a report the members of the reporters' clusters, most correlated first, until Î ≥ I_min.
+
+use reveille_common::geometry::Point;
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::Report;
+use reveille_common::plan::{DutyCycle, Plan};
+use reveille_common::scenario::{KnnSettings, Scenario};
+
+use super::Policy;
+use crate::clusters::Clusters;
+use crate::observation::Observation;
+use crate::wakeup::{Ranking, i_min};
+
+/// The `knn` policy.
+pub struct Knn {
+    clusters: Clusters,
+    i_min: f64,
+    ranking: Ranking,
+}
+
+impl Knn {
+    /// Clusters devices at `positions` and finds I_min of the deployment.
+    pub fn new(scenario: &Scenario, settings: &KnnSettings, positions: &[Point]) -> Self {
+        let sensing = &scenario.sensing;
+        Self {
+            clusters: Clusters::form(positions, scenario.area, sensing.d_max, settings, scenario.seed),
+            i_min: i_min(positions, scenario.area, sensing),
+            ranking: Ranking::new(sensing),
+        }
+    }
+
+    /// The clusters.
+    pub const fn clusters(&self) -> &Clusters {
+        &self.clusters
+    }
+
+    /// The information I_min that wake-ups aim for (Sec. V-A, Eq. (E_Info3)).
+    pub const fn i_min(&self) -> f64 {
+        self.i_min
+    }
+
+    fn add_reporter(&mut self, seen: &Observation<'_>, report: &Report) {
+        if let Some(d) = seen.sensing.distance(report.information) {
+            self.ranking.add_reporter(seen.positions[report.device.index()], d);
+        }
+    }
+}
+
+impl Policy for Knn {
+    fn decide(&mut self, seen: &Observation<'_>) -> Plan {
+        let mut cycles = vec![DutyCycle::ASLEEP; seen.positions.len()];
+        for members in &self.clusters.members {
+            let t_drx = members.len() as u32;
+            for (turn, device) in (0..).zip(members) {
+                cycles[device.index()] = DutyCycle { t_on: 1, t_drx, offset: (t_drx - turn) % t_drx };
+            }
+        }
+        Plan::Periodic(cycles)
+    }
+
+    fn next_decision(&self, _: Tti) -> Tti {
+        Tti::NEVER
+    }
+
+    fn reported(&mut self, seen: &Observation<'_>, reports: &[Report]) {
+        self.ranking.clear();
+        if seen.information >= self.i_min {
+            return;
+        }
+        let mut clusters: Vec<u32> = reports.iter().map(|r| self.clusters.of[r.device.index()]).collect();
+        clusters.sort_unstable();
+        clusters.dedup();
+        for cluster in clusters {
+            for &device in &self.clusters.members[cluster as usize] {
+                if seen.is_asleep(device) {
+                    self.ranking.add_candidate(device, seen.positions[device.index()]);
+                }
+            }
+        }
+        for report in reports {
+            self.add_reporter(seen, report);
+        }
+    }
+
+    fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId> {
+        if seen.information >= self.i_min { None } else { self.ranking.pop() }
+    }
+
+    fn answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
+        if let Some(report) = report.filter(|_| seen.information < self.i_min) {
+            self.add_reporter(seen, report);
+        }
+    }
+}

@@ -1,0 +1,120 @@
+//! Who carries which devices.
+
+use reveille_common::ids::{DeviceId, HostId};
+
+/// The places that a host got.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Places {
+    /// The host.
+    pub host: HostId,
+    /// Its first device.
+    pub first: DeviceId,
+    /// How many, one after another.
+    pub count: u32,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Entry {
+    nonce: u64,
+    places: Places,
+    is_ready: bool,
+    is_lost: bool,
+}
+
+/// The hosts of a run and the devices that each carries.
+#[derive(Clone, Debug)]
+pub struct Registry {
+    devices: u32,
+    /// Free ranges (first, count).
+    free: Vec<(u32, u32)>,
+    hosts: Vec<Entry>,
+}
+
+impl Registry {
+    /// A run of `devices` devices that nobody carries yet.
+    pub fn new(devices: u32) -> Self {
+        Self { devices, free: vec![(0, devices)], hosts: Vec::new() }
+    }
+
+    /// Gives up to `count` places to the host process that drew `nonce`, the same ones if it asks again; `None` when all
+    /// devices are taken.
+    pub fn join(&mut self, nonce: u64, count: u32) -> Option<Places> {
+        if let Some(entry) = self.hosts.iter().find(|e| e.nonce == nonce && !e.is_lost) {
+            return Some(entry.places);
+        }
+        let (first, available) = self.free.pop()?;
+        let count = count.clamp(1, available);
+        if count < available {
+            self.free.push((first + count, available - count));
+        }
+        let places = Places { host: HostId(self.hosts.len() as u32), first: DeviceId(first), count };
+        self.hosts.push(Entry { nonce, places, is_ready: false, is_lost: false });
+        Some(places)
+    }
+
+    /// `host` has subscribed to everything. Whether there is such a host.
+    pub fn ready(&mut self, host: HostId) -> bool {
+        self.entry(host).map(|entry| entry.is_ready = true).is_some()
+    }
+
+    /// `host` has gone before the run began: its places are free again.
+    pub fn leave(&mut self, host: HostId) -> Option<Places> {
+        let entry = self.entry(host).filter(|entry| !entry.is_lost)?;
+        entry.is_lost = true;
+        let places = entry.places;
+        self.free.push((places.first.0, places.count));
+        Some(places)
+    }
+
+    /// The places of `host`.
+    pub fn places(&self, host: HostId) -> Option<Places> {
+        self.hosts.get(host.index()).map(|entry| entry.places)
+    }
+
+    /// Devices that have a place with a living host.
+    pub fn taken(&self) -> u32 {
+        self.devices - self.free.iter().map(|(_, count)| count).sum::<u32>()
+    }
+
+    /// The hosts of the run, once every device has one and all are ready.
+    pub fn complete(&self) -> Option<Vec<HostId>> {
+        let living = || self.hosts.iter().filter(|entry| !entry.is_lost);
+        (self.taken() == self.devices && living().all(|entry| entry.is_ready))
+            .then(|| living().map(|entry| entry.places.host).collect())
+    }
+
+    fn entry(&mut self, host: HostId) -> Option<&mut Entry> {
+        self.hosts.get_mut(host.index())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn places_are_given_once_and_again_to_the_same_asker() {
+        let mut registry = Registry::new(10);
+        let a = registry.join(1, 4).expect("free");
+        let b = registry.join(2, 100).expect("free");
+        assert_eq!((a.first, a.count, b.first, b.count), (DeviceId(0), 4, DeviceId(4), 6));
+        assert_eq!(registry.join(1, 4), Some(a));
+        assert_eq!(registry.join(3, 1), None);
+        assert_eq!(registry.complete(), None);
+        assert!(registry.ready(a.host) && registry.ready(b.host));
+        assert!(!registry.ready(HostId(9)));
+        assert_eq!(registry.complete(), Some(vec![a.host, b.host]));
+    }
+
+    #[test]
+    fn a_host_that_leaves_early_frees_its_places() {
+        let mut registry = Registry::new(10);
+        let a = registry.join(1, 6).expect("free");
+        registry.join(2, 4);
+        assert_eq!(registry.leave(a.host), Some(a));
+        assert_eq!(registry.leave(a.host), None);
+        assert_eq!(registry.taken(), 4);
+        let again = registry.join(3, 6).expect("free");
+        assert_eq!((again.first, again.count, again.host), (a.first, 6, HostId(2)));
+    }
+}

@@ -1,0 +1,37 @@
+//! Set-up of `tracing` for every process.
+
+use std::io::IsTerminal;
+
+use tracing_subscriber::EnvFilter;
+use tracing_subscriber::fmt::MakeWriter;
+
+/// The form of log lines.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum LogFormat {
+    /// For people.
+    #[default]
+    Text,
+    /// One JSON object a line.
+    Json,
+}
+
+/// Sends log lines to `writer`, standard error as a rule, never to standard output, where results go. `RUST_LOG` decides what is logged;
+/// without it `verbosity` does: 0 warnings, 1 information, 2 debugging, 3 and more everything, zenoh's own lines included.
+pub fn init<W>(verbosity: u8, format: LogFormat, writer: W)
+where
+    W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
+{
+    let default = match verbosity {
+        0 => "warn,zenoh=error,zenoh_transport=error,zenoh_link_tcp=error",
+        1 => "info,zenoh=warn",
+        2 => "debug,zenoh=info",
+        _ => "trace",
+    };
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default));
+    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(writer);
+    // A second call, as in tests, keeps the first subscriber.
+    let _already_set = match format {
+        LogFormat::Text => builder.with_ansi(std::io::stderr().is_terminal()).try_init().is_err(),
+        LogFormat::Json => builder.json().try_init().is_err(),
+    };
+}

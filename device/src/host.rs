@@ -1,0 +1,287 @@
+//! A host process: joins a run, carries its share of the devices, and answers the virtual clock for all of them.
+//!
+//! In a TTI without a stimulus the host answers at once: its devices catch up when they are next needed. With one it wakes
+//! the actors of the devices that have δ = 1, and the last of them to finish sends the answer.
+
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use reveille_common::bus::{Bus, BusError, Declared};
+use reveille_common::ids::{DeviceId, HostId, Tti};
+use reveille_common::keys::{Kind, last_number};
+use reveille_common::message::{Assignment, Clock, JoinReply, JoinRequest, PlanUpdate, Ready, Tick, WakeUp};
+use reveille_common::plan::DutyCycle;
+use tokio::sync::mpsc::{UnboundedSender, unbounded_channel};
+use tokio::sync::watch;
+
+use crate::actor::{Actor, Input};
+use crate::machine::{Machine, World};
+use crate::round::{Part, Question, Round};
+use crate::uplink::Uplink;
+
+/// How long a host that has lost its BS waits for it to come back.
+const BS_GRACE: Duration = Duration::from_secs(5);
+/// How long one try to join or to say ready may take.
+const ASK: Duration = Duration::from_secs(2);
+
+/// Why a host could not do its work.
+#[derive(Debug, thiserror::Error)]
+pub enum HostError {
+    /// The bus failed.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// The BS would not have it.
+    #[error("the base station refused: {0}")]
+    Refused(String),
+    /// The BS is gone.
+    #[error("lost the base station of run {run} after TTI {tti}: its process ended or the link broke")]
+    BsLost {
+        /// The run.
+        run: String,
+        /// The last TTI granted.
+        tti: Tti,
+    },
+}
+
+/// How far a host has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Progress {
+    Running,
+    BsMissing,
+    Dismissed,
+}
+
+/// What a host carries, shared by the callbacks of its subscriptions.
+struct Shared {
+    host: HostId,
+    first: DeviceId,
+    mailboxes: Vec<UnboundedSender<Input>>,
+    uplink: Arc<Uplink>,
+    state: Mutex<State>,
+    progress: watch::Sender<Progress>,
+}
+
+struct State {
+    duties: Vec<DutyCycle>,
+    tick: Option<Tick>,
+    round: Option<Arc<Round>>,
+}
+
+/// Joins the run of `bus` with up to `count` devices, carries them to the end of the run, and leaves.
+///
+/// # Errors
+/// If there is no such run within `patience`, the BS refuses, or it is lost on the way.
+pub async fn carry(bus: &Bus, count: u32, nonce: u64, patience: Duration) -> Result<(), HostError> {
+    let assignment = join(bus, count, nonce, patience).await?;
+    let host = assignment.host;
+    tracing::info!(%host, devices = assignment.devices.len(), "joined");
+    let shared = Arc::new(Shared::new(bus, assignment)?);
+    let _declared = shared.declare(bus)?;
+    let ready: Option<bool> = bus.ask(bus.keys().of(Kind::Ready), &Ready { host }, patience).await?;
+    if ready.is_none() {
+        return Err(bus.no_run().await.into());
+    }
+    shared.stay(bus).await
+}
+
+async fn join(bus: &Bus, count: u32, nonce: u64, patience: Duration) -> Result<Assignment, HostError> {
+    let request = JoinRequest {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        count,
+        nonce,
+    };
+    let tries = patience.as_millis().div_ceil(ASK.as_millis()).max(1);
+    for _ in 0..tries {
+        match bus.ask(bus.keys().of(Kind::Join), &request, ASK).await? {
+            Some(JoinReply::Welcome(assignment)) => return Ok(assignment),
+            Some(JoinReply::Refused(why)) => return Err(HostError::Refused(why)),
+            None => tokio::time::sleep(Duration::from_millis(200)).await,
+        }
+    }
+    Err(bus.no_run().await.into())
+}
+
+impl Shared {
+    fn new(bus: &Bus, assignment: Assignment) -> Result<Self, BusError> {
+        let Assignment {
+            host,
+            seed,
+            sensing,
+            devices,
+            traces,
+        } = assignment;
+        let first = devices.first().map_or(DeviceId(0), |d| d.id);
+        let uplink = Arc::new(Uplink::new(bus, host, first, devices.len() as u32)?);
+        let world = Arc::new(World { seed, sensing, traces });
+        let mailboxes = devices
+            .iter()
+            .map(|setup| {
+                let (mailbox, inputs) = unbounded_channel();
+                let actor = Actor::new(Machine::new(setup, &world), Arc::clone(&world), Arc::clone(&uplink));
+                tokio::spawn(actor.run(inputs));
+                mailbox
+            })
+            .collect();
+        let duties = vec![DutyCycle::ASLEEP; devices.len()];
+        let state = Mutex::new(State {
+            duties,
+            tick: None,
+            round: None,
+        });
+        Ok(Self {
+            host,
+            first,
+            mailboxes,
+            uplink,
+            state,
+            progress: watch::Sender::new(Progress::Running),
+        })
+    }
+
+    /// Subscribes to everything that concerns this host. The order matters: once the BS sees the token, all is in place.
+    fn declare(self: &Arc<Self>, bus: &Bus) -> Result<Vec<Declared>, BusError> {
+        let keys = bus.keys();
+        let mut declared = Vec::new();
+        let this = Arc::clone(self);
+        declared.push(bus.subscribe(keys.of(Kind::Plan), move |_, update: PlanUpdate| this.on_plan(&update))?);
+        for device in (self.first.0..).take(self.mailboxes.len()).map(DeviceId) {
+            let this = Arc::clone(self);
+            declared.push(bus.subscribe(keys.wake(device), move |key, wake: WakeUp| this.on_wake(key, wake))?);
+        }
+        let this = Arc::clone(self);
+        declared.push(bus.subscribe(keys.of(Kind::Clock), move |_, clock: Clock| this.on_clock(clock))?);
+        let this = Arc::clone(self);
+        declared.push(bus.watch_alive(keys.bs_alive(), move |_, alive| this.on_bs(alive))?);
+        declared.push(bus.declare_alive(keys.alive(self.host))?);
+        Ok(declared)
+    }
+
+    /// Waits until the BS dismisses the host or is lost.
+    async fn stay(&self, bus: &Bus) -> Result<(), HostError> {
+        let mut progress = self.progress.subscribe();
+        loop {
+            let now = *progress.borrow_and_update();
+            let changed = match now {
+                Progress::Dismissed => return Ok(()),
+                Progress::Running => progress.changed().await.is_ok(),
+                Progress::BsMissing => tokio::time::timeout(BS_GRACE, progress.changed()).await.is_ok(),
+            };
+            if !changed {
+                let tti = self.lock().tick.map_or(Tti::ZERO, |t| t.last);
+                return Err(HostError::BsLost {
+                    run: bus.keys().run().to_string(),
+                    tti,
+                });
+            }
+        }
+    }
+
+    fn on_bs(&self, alive: bool) {
+        self.progress.send_modify(|progress| match progress {
+            Progress::Dismissed => {}
+            Progress::Running | Progress::BsMissing => {
+                *progress = if alive { Progress::Running } else { Progress::BsMissing };
+            }
+        });
+    }
+
+    fn on_plan(&self, update: &PlanUpdate) {
+        let mut state = self.lock();
+        for (j, duty) in state.duties.iter_mut().enumerate() {
+            let new = update.plan.duty_cycle(DeviceId(self.first.0 + j as u32));
+            if *duty != new {
+                *duty = new;
+                self.send(j, Input::Duty(update.from, new));
+            }
+        }
+    }
+
+    fn on_wake(&self, key: &str, wake: WakeUp) {
+        let Some(j) = last_number(key).and_then(|j| j.checked_sub(self.first.0)) else {
+            return;
+        };
+        let stimulus = self
+            .lock()
+            .tick
+            .filter(|tick| tick.last == wake.tti)
+            .and_then(|tick| tick.stimulus);
+        match stimulus {
+            Some(stimulus) if (j as usize) < self.mailboxes.len() => {
+                self.send(j as usize, Input::Wake(wake.tti, stimulus));
+            }
+            Some(_) | None => tracing::warn!(key, tti = %wake.tti, "a wake-up outside its TTI"),
+        }
+    }
+
+    fn on_clock(&self, clock: Clock) {
+        match clock {
+            Clock::Grant(tick) => self.on_grant(tick),
+            Clock::Finish(end) => self.on_finish(end),
+            Clock::Dismiss => self.progress.send_modify(|progress| *progress = Progress::Dismissed),
+        }
+    }
+
+    fn on_grant(&self, tick: Tick) {
+        let mut state = self.lock();
+        if let Some(round) = state
+            .round
+            .as_ref()
+            .filter(|r| r.question() == Question::Grant(tick.last))
+        {
+            let round = Arc::clone(round);
+            drop(state);
+            return round.repeat(&self.uplink);
+        }
+        let listeners: Vec<usize> = match tick.stimulus {
+            Some(_) => (0..state.duties.len())
+                .filter(|&j| state.duties[j].is_on(tick.last))
+                .collect(),
+            None => Vec::new(),
+        };
+        let settling = if tick.account { self.mailboxes.len() } else { 0 };
+        let round = Arc::new(Round::new(
+            self.host,
+            Question::Grant(tick.last),
+            settling + listeners.len(),
+        ));
+        state.tick = Some(tick);
+        state.round = Some(Arc::clone(&round));
+        drop(state);
+        if tick.account {
+            for j in 0..self.mailboxes.len() {
+                self.send(j, Input::Settle(tick.first, Arc::clone(&round)));
+            }
+        }
+        if let Some(stimulus) = tick.stimulus {
+            for j in listeners {
+                self.send(j, Input::Sense(tick.last, stimulus, Arc::clone(&round)));
+            }
+        }
+        round.add(Part::Nothing, &self.uplink);
+    }
+
+    fn on_finish(&self, end: Tti) {
+        let mut state = self.lock();
+        if let Some(round) = state.round.as_ref().filter(|r| r.question() == Question::Ledgers) {
+            let round = Arc::clone(round);
+            drop(state);
+            return round.repeat(&self.uplink);
+        }
+        let round = Arc::new(Round::new(self.host, Question::Ledgers, self.mailboxes.len()));
+        state.round = Some(Arc::clone(&round));
+        drop(state);
+        for j in 0..self.mailboxes.len() {
+            self.send(j, Input::Settle(end, Arc::clone(&round)));
+        }
+        round.add(Part::Nothing, &self.uplink);
+    }
+
+    fn send(&self, j: usize, input: Input) {
+        // A mailbox closes only when the actor's task has panicked, which its process reports.
+        let _closed = self.mailboxes[j].send(input).is_err();
+    }
+
+    fn lock(&self) -> std::sync::MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

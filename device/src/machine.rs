@@ -1,0 +1,288 @@
+//! One device as a state machine without I/O.
+//!
+//! ```text
+//!            δ = 1, pays E_idle                detects the event
+//!      ┌───────────────────────────► S1 idle ────────────────────► S2 active
+//!      │                             │                              │    │
+//!   S4 sleep ◄───────────────────────┘ δ = 0                        │    │ pays E_Tx
+//!    │ ▲ ▲                                                          │    ▼
+//!    │ │ └──────────────────────────────────────────────────────────┘   S3 transmission
+//!    │ │       cannot pay E_Tx: the battery is emptied              ▲    │
+//!    │ └────────────────────────────────────────────────────────────│────┘ next TTI, δ = 0 (to S1 if δ = 1)
+//!    └──────────────────────────────────────────────────────────────┘
+//!            wake-up heard (WuR powered)
+//! ```
+//! A device that cannot pay for S1 or for its wake-up radio ends up with an empty battery, in S4, deaf until the next TTI.
+//!
+//! The machine is lazy: TTIs in which nothing but harvest and δ happens are caught up with, exactly and many at a time,
+//! when the device is next needed ([`Machine::settle`], [`Machine::begin`]).
+
+use std::sync::Arc;
+
+use reveille_common::event::Stimulus;
+use reveille_common::geometry::Point;
+use reveille_common::harvest::HarvestSource;
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::{DeviceSetup, Failure, Report, WakeOutcome};
+use reveille_common::metrics::DeviceTotals;
+use reveille_common::plan::DutyCycle;
+use reveille_common::scenario::EnergyModel;
+use reveille_common::sensing::Sensing;
+use reveille_common::units::Energy;
+
+use crate::battery::Battery;
+
+/// The state S^(j) of a device (paper Sec. II).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum State {
+    /// S1, "idle": sensing, waits for an event.
+    Idle,
+    /// S2, "active": has sensed an event or was woken, about to transmit. Left within the same TTI.
+    Active,
+    /// S3, "transmission": has sent its report in this TTI.
+    Transmission,
+    /// S4, "sleep": only the wake-up radio is on, if it has power.
+    Sleep {
+        /// Whether the wake-up radio has power and can hear.
+        powered: bool,
+    },
+}
+
+/// What an S1 device made of the stimulus.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Sensed {
+    /// Nothing: not in S1, out of range, or not detected.
+    Nothing,
+    /// S1 → S2 → S3.
+    Reported(Report),
+    /// S1 → S2 → S4.
+    Failed(Failure),
+}
+
+/// What all devices of a run share.
+#[derive(Clone, Debug)]
+pub struct World {
+    /// Seed of the run's streams.
+    pub seed: u64,
+    /// The sensing model.
+    pub sensing: Sensing,
+    /// Recorded energy per TTI by row.
+    pub traces: Vec<Arc<Vec<Energy>>>,
+}
+
+/// One device.
+#[derive(Clone, Debug)]
+pub struct Machine {
+    id: DeviceId,
+    position: Point,
+    costs: EnergyModel,
+    battery: Battery,
+    source: HarvestSource,
+    duty: DutyCycle,
+    state: State,
+    /// The first TTI whose harvest and δ have not been applied.
+    next: Tti,
+    /// Whether TTI `next - 1` still waits for its end, when the battery is accounted.
+    open: bool,
+    battery_sum: u128,
+    low_ttis: u64,
+}
+
+impl Machine {
+    /// The device of `setup` before TTI 0, asleep until a plan says otherwise.
+    pub fn new(setup: &DeviceSetup, world: &World) -> Self {
+        Self {
+            id: setup.id,
+            position: setup.position,
+            costs: setup.energy,
+            battery: Battery::new(&setup.energy),
+            source: HarvestSource::new(&setup.harvest, &world.traces, world.seed, setup.id),
+            duty: DutyCycle::ASLEEP,
+            state: State::Sleep { powered: true },
+            next: Tti::ZERO,
+            open: false,
+            battery_sum: 0,
+            low_ttis: 0,
+        }
+    }
+
+    /// Its number.
+    pub const fn id(&self) -> DeviceId {
+        self.id
+    }
+
+    /// Its state after the last step taken.
+    pub const fn state(&self) -> State {
+        self.state
+    }
+
+    /// Its battery level after the last step taken.
+    pub const fn battery(&self) -> Energy {
+        self.battery.level()
+    }
+
+    /// δ is `duty` from TTI `from` on.
+    pub fn set_duty(&mut self, from: Tti, duty: DutyCycle) {
+        self.settle(from);
+        self.duty = duty;
+    }
+
+    /// Ends all TTIs before `k`.
+    ///
+    /// # Panics
+    /// If TTI `k` or a later one has already begun.
+    pub fn settle(&mut self, k: Tti) {
+        assert!(
+            self.next <= k,
+            "device {}: TTI {k} has begun, the next is {}",
+            self.id,
+            self.next
+        );
+        self.end_open();
+        while self.next < k {
+            if self.source.next() == self.next {
+                self.battery.harvest(self.source.take());
+            }
+            let span_end = self.source.next().min(k);
+            self.quiet(span_end - self.next);
+        }
+    }
+
+    /// Steps 1 and 2 of TTI `k` (harvest, then δ), after ending all TTIs before it. Does nothing if `k` has begun.
+    pub fn begin(&mut self, k: Tti) {
+        if self.open && self.next == k + 1 {
+            return;
+        }
+        self.settle(k);
+        if self.source.next() == k {
+            self.battery.harvest(self.source.take());
+        }
+        let on = self.duty.is_on(k);
+        let cost = if on { self.costs.e_idle } else { self.costs.e_wur };
+        self.state = match (self.battery.pay(cost), on) {
+            (Ok(()), true) => State::Idle,
+            (Ok(()), false) => State::Sleep { powered: true },
+            (Err(_), _) => State::Sleep { powered: false },
+        };
+        self.next = k + 1;
+        self.open = true;
+    }
+
+    /// Steps 4 and 5 of TTI `k`: senses `stimulus` and transmits. TTI `k` is begun if it was not.
+    pub fn sense(&mut self, k: Tti, stimulus: &Stimulus, world: &World) -> Sensed {
+        self.begin(k);
+        match self.state {
+            State::Idle => {
+                let d = self.position.distance(stimulus.epicentre);
+                if world.sensing.detects(world.seed, stimulus.event, self.id, d) {
+                    self.transmit(k, d, world).map_or_else(Sensed::Failed, Sensed::Reported)
+                } else {
+                    Sensed::Nothing
+                }
+            }
+            State::Active | State::Transmission | State::Sleep { .. } => Sensed::Nothing,
+        }
+    }
+
+    /// Step 6 of TTI `k`: a wake-up sent to this device. `stimulus` is what the world shows. TTI `k` is begun if it was not.
+    pub fn wake(&mut self, k: Tti, stimulus: &Stimulus, world: &World) -> WakeOutcome {
+        self.begin(k);
+        match self.state {
+            State::Sleep { powered: true } => {
+                let d = self.position.distance(stimulus.epicentre);
+                self.transmit(k, d, world)
+                    .map_or_else(WakeOutcome::Failed, WakeOutcome::Reported)
+            }
+            State::Sleep { powered: false } | State::Idle | State::Active | State::Transmission => WakeOutcome::Unheard,
+        }
+    }
+
+    /// The device's totals over all TTIs that have ended.
+    pub fn totals(&self) -> DeviceTotals {
+        DeviceTotals {
+            battery_sum: self.battery_sum,
+            low_ttis: self.low_ttis,
+            ..self.battery.ledger()
+        }
+    }
+
+    /// S2, and from there to S3 with a report or to S4.
+    fn transmit(&mut self, k: Tti, d: f64, world: &World) -> Result<Report, Failure> {
+        self.state = State::Active;
+        match self.battery.pay(self.costs.e_tx) {
+            Ok(()) => {
+                self.state = State::Transmission;
+                let information = world.sensing.information(d);
+                Ok(Report {
+                    device: self.id,
+                    tti: k,
+                    information,
+                    battery: self.battery.level(),
+                })
+            }
+            Err(drained) => {
+                self.state = State::Sleep { powered: false };
+                Err(Failure {
+                    device: self.id,
+                    drained,
+                })
+            }
+        }
+    }
+
+    /// Step 7 of the TTI that has begun, if one has.
+    fn end_open(&mut self) {
+        if self.open {
+            self.open = false;
+            self.account(self.battery.level(), 1);
+        }
+    }
+
+    /// `n` ends of TTIs at which the battery held `level`.
+    fn account(&mut self, level: Energy, n: u64) {
+        self.battery_sum += u128::from(level.micro()) * u128::from(n);
+        self.low_ttis += if level < self.costs.e_tx { n } else { 0 };
+    }
+
+    /// `n` whole TTIs from `self.next` on without a harvest, event or wake-up.
+    fn quiet(&mut self, n: u64) {
+        let EnergyModel {
+            e_idle, e_wur, e_tx, ..
+        } = self.costs;
+        let level = self.battery.level();
+        let (on, on_remaining) = self.duty.on_count(self.next, n);
+        let cost = e_idle.times(on) + e_wur.times(n - on);
+        let first = if self.duty.is_on(self.next) { e_idle } else { e_wur };
+        let crosses_e_tx = level.saturating_sub(first) >= e_tx && level.saturating_sub(cost) < e_tx;
+        if level < cost || crosses_e_tx {
+            self.quiet_step_by_step(n);
+            return;
+        }
+        // Paid i TTIs before the end of the span, a cost lowers i of the span's end-of-TTI levels.
+        let all_remaining = u128::from(n) * u128::from(n + 1) / 2;
+        let off_remaining = all_remaining - u128::from(on_remaining);
+        let lowered = u128::from(e_idle.micro()) * u128::from(on_remaining) + u128::from(e_wur.micro()) * off_remaining;
+        self.battery_sum += u128::from(level.micro()) * u128::from(n) - lowered;
+        self.low_ttis += if level.saturating_sub(first) < e_tx { n } else { 0 };
+        let paid = self.battery.pay(cost);
+        debug_assert!(paid.is_ok(), "the level covers the cost of the span");
+        self.next = self.next + n;
+    }
+
+    /// The same, one TTI at a time: for spans in which the battery runs out or falls below E_Tx.
+    fn quiet_step_by_step(&mut self, n: u64) {
+        let EnergyModel { e_idle, e_wur, .. } = self.costs;
+        for done in 0..n {
+            if self.battery.level() == Energy::ZERO && e_idle > Energy::ZERO && e_wur > Energy::ZERO {
+                self.account(Energy::ZERO, n - done);
+                self.next = self.next + (n - done);
+                return;
+            }
+            let cost = if self.duty.is_on(self.next) { e_idle } else { e_wur };
+            // A failed action has emptied the battery, which is all that is left of it at the end of a quiet TTI.
+            let _failed = self.battery.pay(cost).is_err();
+            self.account(self.battery.level(), 1);
+            self.next = self.next + 1;
+        }
+    }
+}

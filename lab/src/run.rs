@@ -1,0 +1,146 @@
+//! One run in memory: the same device and BS machines as in the emulator, driven by a loop.
+
+use reveille_bs::cycle::{Cycle, Step};
+use reveille_bs::outcome::{Accounts, Outcome, Watcher};
+use reveille_bs::schedule::Schedule;
+use reveille_common::deployment::Deployment;
+use reveille_common::ids::Tti;
+use reveille_common::message::{Failure, Report};
+use reveille_common::metrics::DeviceTotals;
+use reveille_common::scenario::Scenario;
+use reveille_device::machine::{Machine, Sensed, World};
+
+/// How to run; none of it changes the outcome.
+#[derive(Clone, Copy, Debug)]
+pub struct Options {
+    /// Grant as many TTIs at a time as possible, or one.
+    pub lookahead: bool,
+    /// TTIs in a window of the per-window series; `u64::MAX` for none.
+    pub window: u64,
+    /// Whether to keep the per-event series.
+    pub keep_records: bool,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            lookahead: true,
+            window: u64::MAX,
+            keep_records: false,
+        }
+    }
+}
+
+/// A run under way.
+pub struct Run {
+    cycle: Cycle,
+    machines: Vec<Machine>,
+    world: World,
+    schedule: Schedule,
+    accounts: Accounts,
+    options: Options,
+    reports: Vec<Report>,
+    failures: Vec<Failure>,
+}
+
+impl Run {
+    /// A run of `scenario` before TTI 0.
+    pub fn new(scenario: &Scenario, options: Options) -> Self {
+        let deployment = Deployment::new(scenario);
+        let world = World {
+            seed: scenario.seed,
+            sensing: scenario.sensing.clone(),
+            traces: deployment.traces.clone(),
+        };
+        let schedule = Schedule::new(scenario, options.window);
+        Self {
+            cycle: Cycle::new(scenario, &deployment, options.keep_records),
+            machines: deployment
+                .devices
+                .iter()
+                .map(|setup| Machine::new(setup, &world))
+                .collect(),
+            accounts: Accounts::new(&deployment, schedule.warm_up_end()),
+            world,
+            schedule,
+            options,
+            reports: Vec::new(),
+            failures: Vec::new(),
+        }
+    }
+
+    /// The devices, in the order of ids.
+    pub fn machines(&self) -> &[Machine] {
+        &self.machines
+    }
+
+    /// The base station.
+    pub const fn cycle(&self) -> &Cycle {
+        &self.cycle
+    }
+
+    /// Runs to the end, or until `watcher` says stop.
+    pub fn finish(mut self, watcher: &mut impl Watcher) -> Outcome {
+        while self.cycle.next_tti() < self.schedule.end() {
+            self.grant();
+            let k = self.cycle.next_tti();
+            if self.schedule.is_boundary(k) && !self.reach(k, watcher) {
+                break;
+            }
+        }
+        let end = self.cycle.next_tti();
+        let ledgers: Vec<DeviceTotals> = self.machines.iter_mut().map(|machine| settled(machine, end)).collect();
+        self.cycle.finish(&ledgers, self.accounts.at_warm_up())
+    }
+
+    /// One grant of the clock: all its TTIs, with the reports and wake-ups of the last.
+    pub fn grant(&mut self) {
+        let k = self.cycle.next_tti();
+        if let Some(update) = self.cycle.announce() {
+            for machine in &mut self.machines {
+                machine.set_duty(update.from, update.plan.duty_cycle(machine.id()));
+            }
+        }
+        let horizon = if self.options.lookahead {
+            self.schedule.next_boundary(k)
+        } else {
+            k + 1
+        };
+        let grant = self.cycle.grant(horizon);
+        self.reports.clear();
+        self.failures.clear();
+        if let Some(stimulus) = &grant.stimulus {
+            for device in self.cycle.detectors() {
+                match self.machines[device.index()].sense(grant.last, stimulus, &self.world) {
+                    Sensed::Nothing => {}
+                    Sensed::Reported(report) => self.reports.push(report),
+                    Sensed::Failed(failure) => self.failures.push(failure),
+                }
+            }
+        }
+        let mut step = self.cycle.gathered(&mut self.reports, &self.failures);
+        while let Step::WakeUp(device) = step {
+            let stimulus = grant.stimulus.as_ref().expect("only an event makes the BS wake anyone");
+            let outcome = self.machines[device.index()].wake(grant.last, stimulus, &self.world);
+            step = self.cycle.woken(&outcome);
+        }
+    }
+
+    fn reach(&mut self, k: Tti, watcher: &mut impl Watcher) -> bool {
+        let energy = self.machines.iter_mut().map(|machine| settled(machine, k)).sum();
+        let window = self
+            .accounts
+            .reach(k, self.schedule.warm_up_end(), energy, *self.cycle.event_totals());
+        watcher.window(&window, &self.cycle.take_records())
+    }
+}
+
+fn settled(machine: &mut Machine, k: Tti) -> DeviceTotals {
+    machine.settle(k);
+    machine.totals()
+}
+
+/// Runs `scenario` from its first TTI to its last.
+pub fn run(scenario: &Scenario) -> Outcome {
+    Run::new(scenario, Options::default()).finish(&mut ())
+}
