@@ -1,1 +1,5 @@
 //! Placeholder.
+
+pub mod clusters;
+mod correlation;
+pub mod wakeup;
