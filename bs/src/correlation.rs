@@ -4,14 +4,19 @@ use std::f64::consts::PI;
 
 use reveille_common::sensing::Sensing;
 
-/// Points of the quadrature for η·`d_max` up to 1. Twice the decay needs about √2 times as many.
-const NODES: f64 = 16.0;
+/// Points of the quadrature for η·`d_max` up to [`DECAY`].
+const NODES: f64 = 18.0;
+
+/// Beyond this η·`d_max` the peak of the integrand is so narrow that more points are needed.
+const DECAY: f64 = 8.0;
 
 /// The wake-up correlation of Eq. (`cosine_rule2`), ready to be averaged over the unknown direction φ of the event.
 #[derive(Clone, Debug)]
 pub struct Correlation {
     sensing: Sensing,
-    /// 2 (1 - cos φ) and the weight of each Gauss-Legendre node φ on [0, π]; the weights add up to 1.
+    /// 2 (1 − cos φ) and the weight of each node φ on [0, π]; the weights add up to 1. The nodes are those of the
+    /// Gauss-Legendre rule in t ∈ [0, 1] with φ = πt³: where γ is close to d the integrand is all but a kink at φ = 0,
+    /// and the cube gathers nodes there. The plain rule needs three times as many for the same error.
     nodes: Vec<(f64, f64)>,
     threshold: f64,
 }
@@ -19,12 +24,16 @@ pub struct Correlation {
 impl Correlation {
     /// The correlation of devices that sense as `sensing` says.
     pub fn new(sensing: &Sensing) -> Self {
-        let decay = (sensing.eta * sensing.d_max).max(1.0);
-        let count = (NODES * decay.sqrt()).ceil().min(1024.0) as usize;
+        let narrower = (sensing.eta * sensing.d_max / DECAY).max(1.0);
+        let count = (NODES * narrower.sqrt()).ceil().min(1024.0) as usize;
         Self {
             sensing: sensing.clone(),
             nodes: gauss_legendre(count)
-                .map(|(t, weight)| (2.0 - 2.0 * libm::cos(0.5 * PI * (t + 1.0)), 0.5 * weight))
+                .map(|(t, weight)| {
+                    let t = 0.5 * (t + 1.0);
+                    let twice_versine = 2.0 - 2.0 * libm::cos(PI * t * t * t);
+                    (twice_versine, 0.5 * weight * 3.0 * t * t)
+                })
                 .collect(),
             threshold: sensing.p(sensing.d_max),
         }
@@ -169,7 +178,6 @@ mod tests {
             (1.5, 4.0),
         ] {
             let (error, d, gamma) = worst_error(eta, d_max);
-            println!("eta {eta} d_max {d_max}: {error:.2e} at d {d} gamma {gamma}");
             assert!(
                 error < 1e-6,
                 "eta {eta}, d_max {d_max}: {error} at d = {d}, gamma = {gamma}"
@@ -182,8 +190,8 @@ mod tests {
         let model = sensing(1.0, 4.0);
         let correlation = Correlation::new(&model);
         for distance in [0.0, 1e-9, 0.7, 4.0, 8.0] {
-            assert_eq!(correlation.p42(0.0, distance), model.p(distance));
-            assert_eq!(correlation.p42(distance, 0.0), model.p(distance));
+            assert!((correlation.p42(0.0, distance) - model.p(distance)).abs() < f64::EPSILON);
+            assert!((correlation.p42(distance, 0.0) - model.p(distance)).abs() < f64::EPSILON);
         }
         // The rule itself, right next to the special case.
         assert!((correlation.p42(1e-12, 2.0) - model.p(2.0)).abs() < 1e-11);
@@ -206,12 +214,12 @@ mod tests {
 
     #[test]
     fn the_quadrature_is_exact_for_polynomials() {
-        for count in [1, 2, 5, 16, 33] {
-            let rule: Vec<_> = gauss_legendre(count).collect();
+        for count in [1_u32, 2, 5, 16, 33] {
+            let rule: Vec<_> = gauss_legendre(count as usize).collect();
             for power in 0..2 * count {
-                let sum: f64 = rule.iter().map(|&(t, w)| w * t.powi(power as i32)).sum();
+                let sum: f64 = rule.iter().map(|&(t, w)| w * libm::pow(t, f64::from(power))).sum();
                 let exact = if power % 2 == 0 {
-                    2.0 / (power as f64 + 1.0)
+                    2.0 / f64::from(power + 1)
                 } else {
                     0.0
                 };

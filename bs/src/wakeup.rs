@@ -189,7 +189,7 @@ mod tests {
                 let may = |j: DeviceId| (u64::from(j.0) + case) % 5 != 0;
                 let (mut reporters, mut given) = (Vec::new(), Vec::new());
                 ranking.start();
-                for _report in 0..1 + stream.below(4) {
+                for _report in 0..=stream.below(4) {
                     let position = points[stream.below(points.len() as u64) as usize];
                     let d = [0.0, 1.0, 4.0, 4.0 * stream.unit()][stream.below(4) as usize];
                     reporters.push((position, d));

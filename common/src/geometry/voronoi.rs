@@ -190,6 +190,17 @@ mod tests {
                 .map(|_| Point::new(stream.below(5) as f64 * 5.0, stream.below(5) as f64 * 5.0))
                 .collect();
             check(&lattice, SQUARE, "lattice with duplicates");
+            let scale = [1e-15, 1e-12, 1e-9][case % 3];
+            let mut nudge = |t: f64| (t + scale * (stream.unit() - 0.5)).clamp(0.0, 20.0);
+            let nudged: Vec<_> = lattice.iter().map(|p| Point::new(nudge(p.x), nudge(p.y))).collect();
+            let (found, exact) = (
+                farthest_cell_vertex(&nudged, SQUARE),
+                from_every_crossing(&lattice, SQUARE),
+            );
+            assert!(
+                (found - exact).abs() < 1e-6,
+                "nudged: {found} against {exact} for {nudged:?}"
+            );
         }
     }
 
@@ -224,6 +235,6 @@ mod tests {
         }
         let same = vec![Point::new(0.0, 0.0); 50];
         assert!((farthest_cell_vertex(&same, SQUARE) - SQUARE.diagonal()).abs() < 1e-12);
-        assert_eq!(farthest_cell_vertex(&[], SQUARE), f64::INFINITY);
+        assert!(farthest_cell_vertex(&[], SQUARE).is_infinite());
     }
 }
