@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use super::{Area, Point};
+use crate::rng::{Purpose, Stream};
 
 /// How devices are placed in the area. Positions are known to the base station.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,7 +28,293 @@ pub enum Layout {
     },
 }
 
-/// The positions of `n` devices in `area`, the same for the same `seed`.
-pub fn place(_layout: &Layout, _area: Area, _n: u32, _seed: u64) -> Vec<Point> {
-    Vec::new()
+/// Darts that may miss one after the other before the disks of `PoissonDisk` shrink.
+const MISSES: u32 = 500;
+
+/// What a disk's radius shrinks to.
+const SHRINK: f64 = 0.98;
+
+/// The positions of `n` devices in `area`, the same for the same `seed`. A `File` gives as many as it has, at most `n`.
+pub fn place(layout: &Layout, area: Area, n: u32, seed: u64) -> Vec<Point> {
+    let mut stream = Stream::new(seed, Purpose::Layout, 0);
+    match layout {
+        Layout::Uniform => (0..n).map(|_| uniform(&mut stream, area)).collect(),
+        Layout::JitteredGrid => jittered_grid(&mut stream, area, n),
+        Layout::PoissonDisk => poisson_disk(&mut stream, area, n),
+        Layout::Grid => {
+            let per_height = f64::from(n) * area.height / area.width;
+            in_rows(area, n, per_height.sqrt(), [0.5, 0.5])
+        }
+        Layout::Hex => {
+            // Rows √3/2 of a pitch apart: N = (h / row pitch) · (w / pitch).
+            let per_height = f64::from(n) * area.height / area.width * 2.0 / 3.0_f64.sqrt();
+            in_rows(area, n, per_height.sqrt(), [0.25, 0.75])
+        }
+        Layout::File { points, .. } => points.iter().take(n as usize).copied().collect(),
+    }
+}
+
+fn uniform(stream: &mut Stream, area: Area) -> Point {
+    let x = stream.unit() * area.width;
+    Point::new(x, stream.unit() * area.height)
+}
+
+/// One device in each of `n` random cells of the smallest grid of s × s cells with at least `n`.
+fn jittered_grid(stream: &mut Stream, area: Area, n: u32) -> Vec<Point> {
+    let n = u64::from(n);
+    let floor = n.isqrt();
+    let side = if floor * floor < n { floor + 1 } else { floor };
+    let (width, height) = (area.width / side as f64, area.height / side as f64);
+    let mut cells: Vec<u64> = (0..side * side).collect();
+    (0..n)
+        .map(|device| {
+            let drawn = device + stream.below(side * side - device);
+            cells.swap(device as usize, drawn as usize);
+            let cell = cells[device as usize];
+            let x = ((cell % side) as f64 + stream.unit()) * width;
+            let y = ((cell / side) as f64 + stream.unit()) * height;
+            Point::new(x.min(area.width), y.min(area.height))
+        })
+        .collect()
+}
+
+/// About `rows` rows that share `n` devices as evenly as possible. `phases` are the positions within their share of the
+/// row, 0 ..= 1, of the devices of even and of odd rows.
+fn in_rows(area: Area, n: u32, rows: f64, phases: [f64; 2]) -> Vec<Point> {
+    let n = u64::from(n);
+    let rows = (rows.round() as u64).clamp(1, n.max(1));
+    let phases = if rows == 1 { [0.5, 0.5] } else { phases };
+    let mut points = Vec::with_capacity(n as usize);
+    for row in 0..rows {
+        let in_row = (row + 1) * n / rows - row * n / rows;
+        let y = (row as f64 + 0.5) * area.height / rows as f64;
+        let phase = phases[(row % 2) as usize];
+        points.extend((0..in_row).map(|i| Point::new((i as f64 + phase) * area.width / in_row as f64, y)));
+    }
+    points
+}
+
+/// Darts thrown until `n` have landed farther than a radius from all before them. The radius starts near the one of the
+/// densest packing, which random darts cannot reach, and shrinks while they keep missing.
+fn poisson_disk(stream: &mut Stream, area: Area, n: u32) -> Vec<Point> {
+    let densest = (2.0 * area.surface() / (3.0_f64.sqrt() * f64::from(n))).sqrt();
+    let in_line = area.width.max(area.height) / f64::from(n);
+    let mut radius = (0.9 * densest).max(in_line);
+    let mut darts = Darts::new(area, radius, n);
+    let mut missed = 0;
+    while darts.points.len() < n as usize {
+        let p = uniform(stream, area);
+        if darts.is_clear(p, radius) {
+            darts.push(p);
+            missed = 0;
+        } else {
+            missed += 1;
+            if missed == MISSES {
+                radius *= SHRINK;
+                missed = 0;
+            }
+        }
+    }
+    darts.points
+}
+
+/// The darts so far in a bucket grid whose cells are at least the first radius wide: a cell and the eight around it
+/// hold all darts that a new one can collide with.
+struct Darts {
+    points: Vec<Point>,
+    /// The last dart in each cell and, for each dart, the one in its cell before it; [`NONE`] for none.
+    last: Vec<u32>,
+    previous: Vec<u32>,
+    columns: usize,
+    rows: usize,
+    area: Area,
+}
+
+const NONE: u32 = u32::MAX;
+
+impl Darts {
+    fn new(area: Area, radius: f64, n: u32) -> Self {
+        let cells = |length: f64| ((length / radius) as usize).clamp(1, n.max(1) as usize);
+        let (columns, rows) = (cells(area.width), cells(area.height));
+        Self {
+            points: Vec::with_capacity(n as usize),
+            last: vec![NONE; columns * rows],
+            previous: Vec::with_capacity(n as usize),
+            columns,
+            rows,
+            area,
+        }
+    }
+
+    fn is_clear(&self, p: Point, radius: f64) -> bool {
+        let (column, row) = self.cell(p);
+        for near_row in row.saturating_sub(1)..=(row + 1).min(self.rows - 1) {
+            for near_column in column.saturating_sub(1)..=(column + 1).min(self.columns - 1) {
+                let mut dart = self.last[near_row * self.columns + near_column];
+                while dart != NONE {
+                    if self.points[dart as usize].distance_squared(p) < radius * radius {
+                        return false;
+                    }
+                    dart = self.previous[dart as usize];
+                }
+            }
+        }
+        true
+    }
+
+    fn push(&mut self, p: Point) {
+        let (column, row) = self.cell(p);
+        let last = &mut self.last[row * self.columns + column];
+        self.previous.push(std::mem::replace(last, self.points.len() as u32));
+        self.points.push(p);
+    }
+
+    fn cell(&self, p: Point) -> (usize, usize) {
+        let column = (p.x / self.area.width * self.columns as f64) as usize;
+        let row = (p.y / self.area.height * self.rows as f64) as usize;
+        (column.min(self.columns - 1), row.min(self.rows - 1))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SQUARE: Area = Area {
+        width: 20.0,
+        height: 20.0,
+    };
+    const FLAT: Area = Area {
+        width: 50.0,
+        height: 8.0,
+    };
+    const RANDOM: [Layout; 3] = [Layout::Uniform, Layout::JitteredGrid, Layout::PoissonDisk];
+    const REGULAR: [Layout; 2] = [Layout::Grid, Layout::Hex];
+
+    fn closest_pair(points: &[Point]) -> f64 {
+        let mut closest = f64::INFINITY;
+        for (i, a) in points.iter().enumerate() {
+            for b in &points[..i] {
+                closest = closest.min(a.distance(*b));
+            }
+        }
+        closest
+    }
+
+    #[test]
+    fn every_layout_places_n_devices_inside_the_area() {
+        for layout in RANDOM.iter().chain(&REGULAR) {
+            for area in [SQUARE, FLAT] {
+                for n in (0..60).chain([250, 1000]) {
+                    let points = place(layout, area, n, 5);
+                    assert_eq!(points.len(), n as usize, "{layout:?}");
+                    assert!(points.iter().all(|&p| area.contains(p)), "{layout:?} of {n}");
+                    assert_eq!(points, place(layout, area, n, 5), "{layout:?} of {n}");
+                    assert!(n < 2 || closest_pair(&points) > 0.0, "{layout:?} of {n}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_seed_matters_to_random_layouts_only() {
+        for layout in &RANDOM {
+            assert_ne!(place(layout, SQUARE, 30, 1), place(layout, SQUARE, 30, 2), "{layout:?}");
+        }
+        for layout in &REGULAR {
+            assert_eq!(place(layout, SQUARE, 30, 1), place(layout, SQUARE, 30, 2), "{layout:?}");
+        }
+    }
+
+    #[test]
+    fn uniform_positions_fill_the_area_evenly() {
+        let points = place(&Layout::Uniform, FLAT, 40_000, 9);
+        let mut counts = [0_u32; 8];
+        for p in &points {
+            counts[(p.x / 12.5) as usize + 4 * (p.y / 4.0) as usize] += 1;
+        }
+        assert!(counts.iter().all(|&c| (4_700..5_300).contains(&c)), "{counts:?}");
+    }
+
+    #[test]
+    fn a_cell_of_the_jittered_grid_holds_at_most_one_device() {
+        for area in [SQUARE, FLAT] {
+            for (n, side) in [(1, 1), (2, 2), (10, 4), (16, 4), (17, 5), (250, 16), (256, 16)] {
+                let mut taken = vec![0; side * side];
+                for p in place(&Layout::JitteredGrid, area, n, 3) {
+                    let column = (p.x / area.width * side as f64) as usize;
+                    let row = (p.y / area.height * side as f64) as usize;
+                    taken[row * side + column] += 1;
+                }
+                assert!(taken.iter().all(|&t| t <= 1), "N = {n}: {taken:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn jittered_cells_are_drawn_at_random() {
+        let mut first = [0_u32; 16];
+        for seed in 0..8000 {
+            let p = place(&Layout::JitteredGrid, SQUARE, 10, seed)[0];
+            first[(p.x / 5.0) as usize + 4 * (p.y / 5.0) as usize] += 1;
+        }
+        assert!(first.iter().all(|&c| (400..600).contains(&c)), "{first:?}");
+    }
+
+    #[test]
+    fn poisson_disks_keep_their_distance() {
+        for (area, n) in [(SQUARE, 10), (SQUARE, 250), (FLAT, 100), (SQUARE, 2000)] {
+            let densest = (2.0 * area.surface() / (3.0_f64.sqrt() * f64::from(n))).sqrt();
+            let closest = closest_pair(&place(&Layout::PoissonDisk, area, n, 8));
+            assert!(closest > 0.65 * densest, "N = {n}: {closest} of {densest}");
+        }
+        let strip = Area {
+            width: 1e6,
+            height: 1e-6,
+        };
+        assert!(closest_pair(&place(&Layout::PoissonDisk, strip, 100, 8)) > 5_000.0);
+    }
+
+    #[test]
+    fn a_hundred_thousand_poisson_disks_come_to_an_end() {
+        assert_eq!(place(&Layout::PoissonDisk, FLAT, 100_000, 1).len(), 100_000);
+    }
+
+    #[test]
+    fn a_square_number_makes_a_perfect_grid() {
+        let points = place(&Layout::Grid, SQUARE, 25, 0);
+        for (i, p) in points.iter().enumerate() {
+            let (column, row) = (i % 5, i / 5);
+            let centre = Point::new(column as f64 * 4.0 + 2.0, row as f64 * 4.0 + 2.0);
+            assert!(p.distance(centre) < 1e-12, "device {i} at {p:?}");
+        }
+    }
+
+    #[test]
+    fn hex_neighbours_are_about_equally_far() {
+        let points = place(&Layout::Hex, SQUARE, 17 * 14, 0);
+        let pitch = (2.0 * SQUARE.surface() / (3.0_f64.sqrt() * 17.0 * 14.0)).sqrt();
+        let inner = points
+            .iter()
+            .filter(|p| (4.0..16.0).contains(&p.x) && (4.0..16.0).contains(&p.y));
+        for p in inner {
+            let mut distances: Vec<_> = points.iter().map(|q| q.distance(*p)).collect();
+            distances.sort_by(f64::total_cmp);
+            assert!(
+                distances[1] > 0.95 * pitch && distances[6] < 1.05 * pitch,
+                "{:?}",
+                &distances[..8]
+            );
+        }
+    }
+
+    #[test]
+    fn a_file_gives_its_first_points() {
+        let points: Vec<_> = (0..9).map(|i| Point::new(f64::from(i), 1.0)).collect();
+        let layout = Layout::File {
+            path: "devices.csv".into(),
+            points: Arc::new(points.clone()),
+        };
+        assert_eq!(place(&layout, SQUARE, 4, 0), points[..4]);
+    }
 }

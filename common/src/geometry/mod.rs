@@ -1,10 +1,12 @@
 //! The area, where devices stand in it, and the bounded Voronoi diagram.
 
+mod buckets;
 mod layout;
 mod voronoi;
 
 use serde::{Deserialize, Serialize};
 
+pub use buckets::Buckets;
 pub use layout::{Layout, place};
 pub use voronoi::farthest_cell_vertex;
 

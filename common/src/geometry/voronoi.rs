@@ -2,7 +2,239 @@
 
 use super::{Area, Point};
 
-/// The distance d* of Eq. (E_Info3).
-pub fn farthest_cell_vertex(_points: &[Point], _area: Area) -> f64 {
-    0.0
+/// The distance d* of Eq. (`E_Info3`), metres: the largest distance from a device to a vertex of its Voronoi cell, the
+/// cells being clipped to `area`. No event of the area is farther than this from its closest device.
+///
+/// Devices at the same place share a cell. Without devices the distance is infinite.
+pub fn farthest_cell_vertex(points: &[Point], area: Area) -> f64 {
+    let sites = distinct(points);
+    if sites.is_empty() {
+        return f64::INFINITY;
+    }
+    let edges = delaunay_edges(&sites, area);
+    let (mut cell, mut spare) = (Vec::new(), Vec::new());
+    let mut farthest = 0.0_f64;
+    for around in edges.chunk_by(|a, b| a.0 == b.0) {
+        // The bisectors towards the far sites lie outside the area.
+        let Some(&site) = sites.get(around[0].0) else { continue };
+        cell.clear();
+        cell.extend([
+            Point::new(0.0, 0.0),
+            Point::new(area.width, 0.0),
+            Point::new(area.width, area.height),
+            Point::new(0.0, area.height),
+        ]);
+        for &other in around.iter().filter_map(|edge| sites.get(edge.1)) {
+            clip(&cell, site, other, &mut spare);
+            std::mem::swap(&mut cell, &mut spare);
+        }
+        farthest = cell.iter().map(|v| v.distance_squared(site)).fold(farthest, f64::max);
+    }
+    farthest.sqrt()
+}
+
+/// `points` in order of their coordinates, each place once.
+fn distinct(points: &[Point]) -> Vec<Point> {
+    // Adding zero turns -0 into 0.
+    let mut sites: Vec<_> = points.iter().map(|p| Point::new(p.x + 0.0, p.y + 0.0)).collect();
+    sites.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
+    sites.dedup();
+    sites
+}
+
+/// The edges of the Delaunay triangulation in both directions, sorted: pairs of sites that share a border in the area.
+///
+/// Four sites too far away to own a point of the area take part under the numbers that follow those of `sites`. They
+/// give every set of sites a triangulation, one that has a single site or only sites in a line too. Cells are clipped
+/// by bisectors, not read off as circumcentres, as those of needle-like triangles are badly conditioned.
+fn delaunay_edges(sites: &[Point], area: Area) -> Vec<(usize, usize)> {
+    let (x, y, far) = (0.5 * area.width, 0.5 * area.height, 4.0 * area.diagonal());
+    let around = [(x - far, y), (x + far, y), (x, y - far), (x, y + far)];
+    let all: Vec<_> = sites
+        .iter()
+        .map(|p| (p.x, p.y))
+        .chain(around)
+        .map(delaunator::Point::from)
+        .collect();
+    let triangles = delaunator::triangulate(&all).triangles;
+    let mut edges: Vec<_> = triangles
+        .chunks_exact(3)
+        .flat_map(|t| {
+            let [a, b, c] = [t[0], t[1], t[2]];
+            [(a, b), (b, c), (c, a), (b, a), (c, b), (a, c)]
+        })
+        .collect();
+    edges.sort_unstable();
+    edges.dedup();
+    edges
+}
+
+/// Writes to `kept` the part of the convex polygon `cell` that is no farther from `site` than from `other`.
+fn clip(cell: &[Point], site: Point, other: Point, kept: &mut Vec<Point>) {
+    let normal = Point::new(other.x - site.x, other.y - site.y);
+    let middle = Point::new(0.5 * (site.x + other.x), 0.5 * (site.y + other.y));
+    let beyond = |v: Point| (v.x - middle.x) * normal.x + (v.y - middle.y) * normal.y;
+    kept.clear();
+    for (i, &from) in cell.iter().enumerate() {
+        let to = cell[(i + 1) % cell.len()];
+        let (at_from, at_to) = (beyond(from), beyond(to));
+        if at_from <= 0.0 {
+            kept.push(from);
+        }
+        if (at_from < 0.0 && at_to > 0.0) || (at_from > 0.0 && at_to < 0.0) {
+            let t = at_from / (at_from - at_to);
+            kept.push(Point::new(from.x + t * (to.x - from.x), from.y + t * (to.y - from.y)));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Layout, place};
+    use crate::rng::{Purpose, Stream};
+
+    const SQUARE: Area = Area {
+        width: 20.0,
+        height: 20.0,
+    };
+
+    /// d* from first principles: candidate vertices are all crossings of two border lines (bisectors of any two sites
+    /// and the area's sides), of which those count that are in the area and have no closer site.
+    fn from_every_crossing(points: &[Point], area: Area) -> f64 {
+        let (w, h) = (area.width, area.height);
+        let mut farthest = 0.0_f64;
+        for (j, &site) in points.iter().enumerate() {
+            // a x + b y = c
+            let mut lines = vec![(1.0, 0.0, 0.0), (1.0, 0.0, w), (0.0, 1.0, 0.0), (0.0, 1.0, h)];
+            for (i, other) in points.iter().enumerate() {
+                if i != j && *other != site {
+                    let c = other.x * other.x + other.y * other.y - site.x * site.x - site.y * site.y;
+                    lines.push((2.0 * (other.x - site.x), 2.0 * (other.y - site.y), c));
+                }
+            }
+            for (k, &(a, b, c)) in lines.iter().enumerate() {
+                for &(d, e, f) in &lines[..k] {
+                    let det = a * e - b * d;
+                    let v = Point::new((c * e - b * f) / det, (a * f - c * d) / det);
+                    let inside = v.x >= -1e-9 && v.x <= w + 1e-9 && v.y >= -1e-9 && v.y <= h + 1e-9;
+                    let reach = v.distance(site);
+                    if det != 0.0 && inside && points.iter().all(|p| p.distance(v) >= reach - 1e-9) {
+                        farthest = farthest.max(reach);
+                    }
+                }
+            }
+        }
+        farthest
+    }
+
+    fn check(points: &[Point], area: Area, what: &str) {
+        let (fast, slow) = (farthest_cell_vertex(points, area), from_every_crossing(points, area));
+        assert!(
+            (fast - slow).abs() < 1e-6,
+            "{what}: {fast} against {slow} for {points:?}"
+        );
+    }
+
+    #[test]
+    fn a_perfect_grid_has_the_half_diagonal_of_its_cells() {
+        for side in [1_u32, 2, 3, 4, 5, 7, 10, 15, 16, 31, 100] {
+            let n = side * side;
+            let points = place(&Layout::Grid, SQUARE, n, 0);
+            let expected = (SQUARE.surface() / (2.0 * f64::from(n))).sqrt();
+            let found = farthest_cell_vertex(&points, SQUARE);
+            assert!((found - expected).abs() < 1e-9, "N = {n}: {found}, not {expected}");
+        }
+    }
+
+    #[test]
+    fn random_sites_agree_with_the_definition() {
+        let mut stream = Stream::new(11, Purpose::Layout, 9);
+        let flat = Area {
+            width: 30.0,
+            height: 4.0,
+        };
+        for case in 0..600 {
+            let (area, n) = ([SQUARE, flat][case % 2], 1 + case % 13);
+            let points: Vec<_> = (0..n)
+                .map(|_| Point::new(stream.unit() * area.width, stream.unit() * area.height))
+                .collect();
+            check(&points, area, "uniform");
+        }
+    }
+
+    #[test]
+    fn sites_in_a_line_on_edges_and_on_a_lattice_agree_with_the_definition() {
+        let mut stream = Stream::new(12, Purpose::Layout, 9);
+        for case in 0..300 {
+            let n = 1 + case % 9;
+            let (slope, offset) = (stream.unit(), stream.unit());
+            let line: Vec<_> = (0..n)
+                .map(|_| stream.unit() * 19.0)
+                .map(|x| Point::new(x, slope * x + offset))
+                .collect();
+            check(&line, SQUARE, "line");
+            let upright: Vec<_> = line.iter().map(|p| Point::new(7.0, p.x)).collect();
+            check(&upright, SQUARE, "upright line");
+            let edges: Vec<_> = (0..n)
+                .map(|_| (stream.below(4), stream.unit() * 20.0))
+                .map(|(side, t)| match side {
+                    0 => Point::new(t, 0.0),
+                    1 => Point::new(t, 20.0),
+                    2 => Point::new(0.0, t),
+                    _ => Point::new(20.0, t),
+                })
+                .collect();
+            check(&edges, SQUARE, "edges");
+            let lattice: Vec<_> = (0..n)
+                .map(|_| Point::new(stream.below(5) as f64 * 5.0, stream.below(5) as f64 * 5.0))
+                .collect();
+            check(&lattice, SQUARE, "lattice with duplicates");
+            let scale = [1e-15, 1e-12, 1e-9][case % 3];
+            let mut nudge = |t: f64| (t + scale * (stream.unit() - 0.5)).clamp(0.0, 20.0);
+            let nudged: Vec<_> = lattice.iter().map(|p| Point::new(nudge(p.x), nudge(p.y))).collect();
+            let (found, exact) = (
+                farthest_cell_vertex(&nudged, SQUARE),
+                from_every_crossing(&lattice, SQUARE),
+            );
+            assert!(
+                (found - exact).abs() < 1e-6,
+                "nudged: {found} against {exact} for {nudged:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn no_place_is_farther_from_its_closest_site() {
+        let mut stream = Stream::new(13, Purpose::Epicentre, 0);
+        for seed in 0..20 {
+            let points = place(&Layout::Uniform, SQUARE, 250, seed);
+            let bound = farthest_cell_vertex(&points, SQUARE);
+            let mut reached = 0.0_f64;
+            for _ in 0..20_000 {
+                let v = Point::new(stream.unit() * 20.0, stream.unit() * 20.0);
+                let closest = points.iter().map(|p| p.distance(v)).fold(f64::INFINITY, f64::min);
+                reached = reached.max(closest);
+            }
+            assert!(reached <= bound && reached > 0.93 * bound, "{reached} of {bound}");
+        }
+    }
+
+    #[test]
+    fn near_and_exact_duplicates_do_not_matter() {
+        let points = place(&Layout::JitteredGrid, SQUARE, 40, 3);
+        let alone = farthest_cell_vertex(&points, SQUARE);
+        for gap in [0.0, 1e-15, 1e-13, 1e-10, 1e-7] {
+            let twins = points.iter().map(|p| Point::new(p.x + gap, p.y - gap));
+            let both: Vec<_> = points.iter().copied().chain(twins).collect();
+            let found = farthest_cell_vertex(&both, SQUARE);
+            assert!(
+                (found - alone).abs() <= 2.0 * gap + 1e-9,
+                "gap {gap}: {found}, not {alone}"
+            );
+        }
+        let same = vec![Point::new(0.0, 0.0); 50];
+        assert!((farthest_cell_vertex(&same, SQUARE) - SQUARE.diagonal()).abs() < 1e-12);
+        assert!(farthest_cell_vertex(&[], SQUARE).is_infinite());
+    }
 }

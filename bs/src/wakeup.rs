@@ -1,0 +1,238 @@
+//! Which sleeping device the base station wakes next, and how much information it asks for (Sec. III and V-A).
+
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
+
+use reveille_common::geometry::{Area, Buckets, Point, farthest_cell_vertex};
+use reveille_common::ids::DeviceId;
+use reveille_common::sensing::Sensing;
+
+pub use crate::correlation::Correlation;
+
+/// The information per event that a deployment can give wherever the event is, `I_min` = p(d*), `[0, 1]`: the report of
+/// the closest device in the worst place, of which d* is the distance (Eq. (`E_Info3`); on a grid Eq. (`E_Info1`)).
+pub fn i_min(points: &[Point], area: Area, sensing: &Sensing) -> f64 {
+    sensing.p(farthest_cell_vertex(points, area))
+}
+
+/// The wake-up candidates of one event after another, each event's by falling `P_4,2` = max over its reporters h of
+/// Pr(`S_j` = S3 | `S_h` = S3), ties by device number.
+///
+/// An event begins with [`Ranking::start`]; every report goes to [`Ranking::add_reporter`]; the iterator gives the
+/// candidate to wake next. Reports may be added between two candidates.
+///
+/// Most integrals are never computed: a pair of reporter and candidate enters the queue with a cheap upper bound, and
+/// is evaluated only when no other candidate is known to be better than that bound.
+#[derive(Clone, Debug)]
+pub struct Ranking {
+    correlation: Correlation,
+    buckets: Buckets,
+    queue: BinaryHeap<Entry>,
+    /// The number of the last event for which each device was given out.
+    given_out: Vec<u64>,
+    event: u64,
+}
+
+impl Ranking {
+    /// A ranking of the devices at `points` in `area`.
+    pub fn new(points: &[Point], area: Area, correlation: Correlation) -> Self {
+        Self {
+            buckets: Buckets::new(points, area, correlation.range()),
+            correlation,
+            queue: BinaryHeap::new(),
+            given_out: vec![0; points.len()],
+            event: 0,
+        }
+    }
+
+    /// Begins an event: forgets all reporters and candidates.
+    pub fn start(&mut self) {
+        self.queue.clear();
+        self.event += 1;
+    }
+
+    /// Takes in the report of a device at `position` that is `d` metres, 0 ..= `d_max`, from the event. Its candidates
+    /// are the devices in reach for which `candidate` holds (those in S4 that the policy may wake), which is asked now
+    /// and once for each reporter; a device that was already given out for this event is not given out again.
+    pub fn add_reporter(&mut self, position: Point, d: f64, candidate: impl Fn(DeviceId) -> bool) {
+        let (queue, correlation) = (&mut self.queue, &self.correlation);
+        let (given_out, event) = (&self.given_out, self.event);
+        // p(γ − d) ≥ p(d_max) up to rounding, which the comparison of the bound decides.
+        let reach = (d + correlation.range()) * (1.0 + 1e-9);
+        self.buckets.within(position, reach, |index, gamma| {
+            let device = DeviceId(index as u32);
+            if given_out[index] == event || !candidate(device) {
+                return;
+            }
+            let bound = correlation.bound(d, gamma);
+            if bound >= correlation.threshold() {
+                let pair = Some((d, gamma));
+                queue.push(Entry {
+                    value: bound,
+                    device,
+                    pair,
+                });
+            }
+        });
+    }
+}
+
+impl Iterator for Ranking {
+    type Item = DeviceId;
+
+    /// Gives out the candidate with the largest `P_4,2`, if any has at least p(`d_max`).
+    fn next(&mut self) -> Option<DeviceId> {
+        while let Some(Entry { device, pair, .. }) = self.queue.pop() {
+            if self.given_out[device.index()] == self.event {
+                continue;
+            }
+            let Some((d, gamma)) = pair else {
+                self.given_out[device.index()] = self.event;
+                return Some(device);
+            };
+            let value = self.correlation.p42(d, gamma);
+            if value >= self.correlation.threshold() {
+                let pair = None;
+                self.queue.push(Entry { value, device, pair });
+            }
+        }
+        None
+    }
+}
+
+/// A candidate's probability under one reporter, or an upper bound on it.
+#[derive(Clone, Copy, Debug)]
+struct Entry {
+    value: f64,
+    device: DeviceId,
+    /// For a bound, the distances d and γ of the probability itself.
+    pair: Option<(f64, f64)>,
+}
+
+impl Ord for Entry {
+    /// The largest value comes first. At equal values bounds come before probabilities, as they may hide a device with
+    /// a lower number; then lower numbers come first.
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.value
+            .total_cmp(&other.value)
+            .then_with(|| self.pair.is_some().cmp(&other.pair.is_some()))
+            .then_with(|| other.device.cmp(&self.device))
+    }
+}
+
+impl PartialOrd for Entry {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl PartialEq for Entry {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other) == Ordering::Equal
+    }
+}
+
+impl Eq for Entry {}
+
+#[cfg(test)]
+mod tests {
+    use reveille_common::geometry::{Layout, place};
+    use reveille_common::rng::{Purpose, Stream};
+    use reveille_common::sensing::{DetectionKind, Fusion};
+
+    use super::*;
+
+    const AREA: Area = Area {
+        width: 20.0,
+        height: 20.0,
+    };
+
+    fn paper() -> Sensing {
+        Sensing {
+            kind: DetectionKind::Range,
+            d_max: 4.0,
+            eta: 1.0,
+            psi: 1.0,
+            g: Fusion::Max,
+        }
+    }
+
+    fn ranking(points: &[Point]) -> Ranking {
+        Ranking::new(points, AREA, Correlation::new(&paper()))
+    }
+
+    /// The definition: all candidates that may be woken with their largest probability, sorted.
+    fn sorted(points: &[Point], reporters: &[(Point, f64)], candidate: impl Fn(DeviceId) -> bool) -> Vec<DeviceId> {
+        let correlation = Correlation::new(&paper());
+        let mut ranked: Vec<_> = (0..points.len() as u32)
+            .map(DeviceId)
+            .filter(|&j| candidate(j))
+            .map(|j| {
+                let by = |&(h, d): &(Point, f64)| correlation.p42(d, h.distance(points[j.index()]));
+                (reporters.iter().map(by).fold(0.0, f64::max), j)
+            })
+            .filter(|&(probability, _)| probability >= paper().p(4.0))
+            .collect();
+        ranked.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        ranked.into_iter().map(|(_, j)| j).collect()
+    }
+
+    #[test]
+    fn gives_the_order_of_a_full_sort_also_between_reports() {
+        let mut stream = Stream::new(6, Purpose::Epicentre, 0);
+        for case in 0..400_u64 {
+            // A grid of devices that report from their own cell makes ties by the dozen.
+            let layout = [Layout::Uniform, Layout::Grid, Layout::Hex, Layout::JitteredGrid][case as usize % 4].clone();
+            let points = place(&layout, AREA, 1 + (case % 90) as u32, case);
+            let mut ranking = ranking(&points);
+            for _event in 0..3 {
+                let may = |j: DeviceId| (u64::from(j.0) + case) % 5 != 0;
+                let (mut reporters, mut given) = (Vec::new(), Vec::new());
+                ranking.start();
+                for _report in 0..=stream.below(4) {
+                    let position = points[stream.below(points.len() as u64) as usize];
+                    let d = [0.0, 1.0, 4.0, 4.0 * stream.unit()][stream.below(4) as usize];
+                    reporters.push((position, d));
+                    ranking.add_reporter(position, d, may);
+                    for _ in 0..stream.below(3) {
+                        let expected = sorted(&points, &reporters, |j| may(j) && !given.contains(&j));
+                        let next = ranking.next();
+                        assert_eq!(next, expected.first().copied(), "case {case}, {layout:?}");
+                        given.extend(next);
+                    }
+                }
+                let rest: Vec<_> = ranking.by_ref().collect();
+                assert_eq!(rest, sorted(&points, &reporters, |j| may(j) && !given.contains(&j)));
+            }
+        }
+    }
+
+    #[test]
+    fn ties_go_to_the_lower_number_and_the_range_is_closed() {
+        let at = |x: f64, y: f64| Point::new(10.0 + x, 10.0 + y);
+        let points = [
+            at(0.0, 4.0),
+            at(4.0, 0.0),
+            at(0.0, -1.0),
+            at(-1.0, 0.0),
+            at(4.001, 0.0),
+            at(1.0, 0.0),
+        ];
+        let mut ranking = ranking(&points);
+        ranking.start();
+        ranking.add_reporter(at(0.0, 0.0), 0.0, |_| true);
+        assert_eq!(ranking.by_ref().map(|j| j.0).collect::<Vec<_>>(), [2, 3, 5, 0, 1]);
+        ranking.start();
+        assert_eq!(ranking.next(), None);
+    }
+
+    #[test]
+    fn i_min_of_a_grid_is_the_papers() {
+        for side in [1_u32, 3, 10, 15] {
+            let n = side * side;
+            let points = place(&Layout::Grid, AREA, n, 0);
+            let expected = paper().p((AREA.surface() / (2.0 * f64::from(n))).sqrt());
+            assert!((i_min(&points, AREA, &paper()) - expected).abs() < 1e-9, "N = {n}");
+        }
+    }
+}

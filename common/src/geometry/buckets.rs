@@ -1,0 +1,144 @@
+//! A bucket grid: which points lie within a radius of a place.
+
+use super::{Area, Point};
+
+/// Points sorted into the cells of a grid, for range queries that touch only the cells nearby. It is built once for a
+/// deployment and never changes.
+#[derive(Clone, Debug)]
+pub struct Buckets {
+    columns: usize,
+    rows: usize,
+    /// Cells per metre east and north.
+    scale: Point,
+    /// Added to every query's reach, metres, so that rounding at a cell's border cannot hide a point.
+    slack: f64,
+    /// The points of cell c are `items[starts[c] .. starts[c + 1]]`.
+    starts: Vec<u32>,
+    items: Vec<(u32, Point)>,
+}
+
+impl Buckets {
+    /// A grid over `points` of `area` for queries of about `radius` metres, > 0. Queries of any other radius give right
+    /// answers too, only less quickly. There are at most about as many cells as points.
+    pub fn new(points: &[Point], area: Area, radius: f64) -> Self {
+        let spacing = (area.surface() / points.len().max(1) as f64).sqrt();
+        let side = radius.max(spacing);
+        let cells = |length: f64| ((length / side) as usize).clamp(1, points.len().max(1));
+        let (columns, rows) = (cells(area.width), cells(area.height));
+        let mut buckets = Self {
+            columns,
+            rows,
+            scale: Point::new(columns as f64 / area.width, rows as f64 / area.height),
+            slack: 1e-12 * (area.width + area.height),
+            starts: vec![0; columns * rows + 1],
+            items: vec![(0, Point::default()); points.len()],
+        };
+        for &p in points {
+            let cell = buckets.cell(p);
+            buckets.starts[cell + 1] += 1;
+        }
+        for cell in 0..columns * rows {
+            buckets.starts[cell + 1] += buckets.starts[cell];
+        }
+        let mut next = buckets.starts.clone();
+        for (index, &p) in (0..).zip(points) {
+            let cell = buckets.cell(p);
+            buckets.items[next[cell] as usize] = (index, p);
+            next[cell] += 1;
+        }
+        buckets
+    }
+
+    /// Calls `visit(index, distance)` for each point at most `radius` metres from `centre`, with its index in the slice
+    /// that the grid was built from and its distance in metres. The order is the same in every run but is not that of
+    /// the indices.
+    pub fn within(&self, centre: Point, radius: f64, mut visit: impl FnMut(usize, f64)) {
+        let reach = radius * (1.0 + 1e-12) + self.slack;
+        let (west, east) = (self.column(centre.x - reach), self.column(centre.x + reach));
+        let (south, north) = (self.row(centre.y - reach), self.row(centre.y + reach));
+        for row in south..=north {
+            let first = self.starts[row * self.columns + west] as usize;
+            let last = self.starts[row * self.columns + east + 1] as usize;
+            for &(index, p) in &self.items[first..last] {
+                let distance = centre.distance(p);
+                if distance <= radius {
+                    visit(index as usize, distance);
+                }
+            }
+        }
+    }
+
+    fn cell(&self, p: Point) -> usize {
+        self.row(p.y) * self.columns + self.column(p.x)
+    }
+
+    /// The conversion saturates, so places west of the area count to its first column.
+    fn column(&self, x: f64) -> usize {
+        ((x * self.scale.x) as usize).min(self.columns - 1)
+    }
+
+    fn row(&self, y: f64) -> usize {
+        ((y * self.scale.y) as usize).min(self.rows - 1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rng::{Purpose, Stream};
+
+    fn draw(stream: &mut Stream, area: Area) -> Point {
+        Point::new(stream.unit() * area.width, stream.unit() * area.height)
+    }
+
+    fn found(buckets: &Buckets, centre: Point, radius: f64) -> Vec<(usize, f64)> {
+        let mut found = Vec::new();
+        buckets.within(centre, radius, |index, distance| found.push((index, distance)));
+        found.sort_by_key(|&(index, _)| index);
+        found
+    }
+
+    fn expected(points: &[Point], centre: Point, radius: f64) -> Vec<(usize, f64)> {
+        let distances = points.iter().map(|p| centre.distance(*p)).enumerate();
+        distances.filter(|&(_, d)| d <= radius).collect()
+    }
+
+    #[test]
+    fn finds_what_a_full_scan_finds() {
+        let mut stream = Stream::new(1, Purpose::Epicentre, 0);
+        for (width, height) in [(20.0, 20.0), (100.0, 3.0), (0.5, 70.0), (1e6, 1e-6)] {
+            let area = Area { width, height };
+            for n in [0, 1, 2, 17, 400] {
+                let points: Vec<_> = (0..n).map(|_| draw(&mut stream, area)).collect();
+                for built_for in [1e-3, 4.0, 1000.0] {
+                    let buckets = Buckets::new(&points, area, built_for);
+                    for radius in [0.0, 0.3, 4.0, 25.0, 1e7] {
+                        let centre = draw(&mut stream, area);
+                        assert_eq!(
+                            found(&buckets, centre, radius),
+                            expected(&points, centre, radius),
+                            "{n} points on {width} x {height}, radius {radius}"
+                        );
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn points_at_exactly_the_radius_and_on_cell_borders_are_found() {
+        let area = Area {
+            width: 20.0,
+            height: 20.0,
+        };
+        let points: Vec<_> = (0..=20)
+            .flat_map(|x| (0..=20).map(move |y| Point::new(f64::from(x), f64::from(y))))
+            .collect();
+        let buckets = Buckets::new(&points, area, 4.0);
+        for &centre in &points {
+            for radius in [1.0, 4.0, 5.0] {
+                assert_eq!(found(&buckets, centre, radius), expected(&points, centre, radius));
+            }
+        }
+    }
+}
