@@ -21,9 +21,21 @@ pub struct Gathered {
 #[derive(Clone, Debug)]
 enum Stage {
     Nothing,
-    Grant { tti: Tti, waiting: Vec<HostId>, expected: usize, gathered: Gathered },
-    Wake { tti: Tti, device: DeviceId, outcome: Option<WakeOutcome> },
-    Finish { waiting: Vec<HostId>, ledgers: Vec<DeviceTotals> },
+    Grant {
+        tti: Tti,
+        waiting: Vec<HostId>,
+        expected: usize,
+        gathered: Gathered,
+    },
+    Wake {
+        tti: Tti,
+        device: DeviceId,
+        outcome: Option<WakeOutcome>,
+    },
+    Finish {
+        waiting: Vec<HostId>,
+        ledgers: Vec<DeviceTotals>,
+    },
 }
 
 /// The barrier at the end of each TTI.
@@ -37,7 +49,11 @@ pub struct Barrier {
 impl Barrier {
     /// A barrier that waits for nothing yet.
     pub const fn new() -> Self {
-        Self { hosts: Vec::new(), stage: Stage::Nothing, strays: 0 }
+        Self {
+            hosts: Vec::new(),
+            stage: Stage::Nothing,
+            strays: 0,
+        }
     }
 
     /// The hosts to wait for from now on.
@@ -47,18 +63,30 @@ impl Barrier {
 
     /// Waits for the answers to a grant that ends with `tti`.
     pub fn expect_grant(&mut self, tti: Tti) {
-        self.stage = Stage::Grant { tti, waiting: self.hosts.clone(), expected: 0, gathered: Gathered::default() };
+        self.stage = Stage::Grant {
+            tti,
+            waiting: self.hosts.clone(),
+            expected: 0,
+            gathered: Gathered::default(),
+        };
     }
 
     /// Waits for what comes of a wake-up.
     pub fn expect_wake(&mut self, tti: Tti, device: DeviceId) {
-        self.stage = Stage::Wake { tti, device, outcome: None };
+        self.stage = Stage::Wake {
+            tti,
+            device,
+            outcome: None,
+        };
     }
 
     /// Waits for the ledgers of all `devices` devices.
     pub fn expect_ledgers(&mut self, devices: u32) {
         let ledgers = vec![DeviceTotals::default(); devices as usize];
-        self.stage = Stage::Finish { waiting: self.hosts.clone(), ledgers };
+        self.stage = Stage::Finish {
+            waiting: self.hosts.clone(),
+            ledgers,
+        };
     }
 
     /// A report has come. Whether that was the last thing waited for.
@@ -81,17 +109,33 @@ impl Barrier {
     pub fn answer(&mut self, answer: Answer) -> bool {
         match (&mut self.stage, answer) {
             (
-                Stage::Grant { tti, waiting, expected, gathered },
-                Answer::Done { host, tti: answered, reports, failures, totals },
+                Stage::Grant {
+                    tti,
+                    waiting,
+                    expected,
+                    gathered,
+                },
+                Answer::Done {
+                    host,
+                    tti: answered,
+                    reports,
+                    failures,
+                    totals,
+                },
             ) if answered == *tti && waiting.contains(&host) => {
                 waiting.retain(|h| *h != host);
                 *expected += reports as usize;
                 gathered.failures.extend(failures);
                 gathered.totals += totals.unwrap_or_default();
             }
-            (Stage::Wake { tti, device, outcome }, Answer::NotWoken { device: who, tti: when, failure })
-                if when == *tti && who == *device =>
-            {
+            (
+                Stage::Wake { tti, device, outcome },
+                Answer::NotWoken {
+                    device: who,
+                    tti: when,
+                    failure,
+                },
+            ) if when == *tti && who == *device => {
                 *outcome = Some(failure.map_or(WakeOutcome::Unheard, WakeOutcome::Failed));
             }
             (Stage::Finish { waiting, ledgers: all }, Answer::Final { host, ledgers }) if waiting.contains(&host) => {
@@ -111,7 +155,12 @@ impl Barrier {
     pub fn is_complete(&self) -> bool {
         match &self.stage {
             Stage::Nothing => true,
-            Stage::Grant { waiting, expected, gathered, .. } => waiting.is_empty() && gathered.reports.len() >= *expected,
+            Stage::Grant {
+                waiting,
+                expected,
+                gathered,
+                ..
+            } => waiting.is_empty() && gathered.reports.len() >= *expected,
             Stage::Wake { outcome, .. } => outcome.is_some(),
             Stage::Finish { waiting, .. } => waiting.is_empty(),
         }
@@ -144,7 +193,9 @@ impl Barrier {
     /// If no wake-up is complete.
     pub fn take_outcome(&mut self) -> WakeOutcome {
         match std::mem::replace(&mut self.stage, Stage::Nothing) {
-            Stage::Wake { outcome: Some(outcome), .. } => outcome,
+            Stage::Wake {
+                outcome: Some(outcome), ..
+            } => outcome,
             Stage::Nothing | Stage::Grant { .. } | Stage::Wake { .. } | Stage::Finish { .. } => {
                 panic!("no wake-up is complete")
             }
@@ -183,11 +234,22 @@ mod tests {
     use super::*;
 
     fn done(host: u32, tti: u64, reports: u32) -> Answer {
-        Answer::Done { host: HostId(host), tti: Tti(tti), reports, failures: vec![], totals: None }
+        Answer::Done {
+            host: HostId(host),
+            tti: Tti(tti),
+            reports,
+            failures: vec![],
+            totals: None,
+        }
     }
 
     fn report(device: u32, tti: u64) -> Report {
-        Report { device: DeviceId(device), tti: Tti(tti), information: 0.5, battery: Energy::ZERO }
+        Report {
+            device: DeviceId(device),
+            tti: Tti(tti),
+            information: 0.5,
+            battery: Energy::ZERO,
+        }
     }
 
     fn barrier() -> Barrier {
@@ -219,8 +281,16 @@ mod tests {
         let mut b = barrier();
         b.expect_wake(Tti(5), DeviceId(3));
         assert!(!b.report(report(4, 5)));
-        assert!(!b.answer(Answer::NotWoken { device: DeviceId(3), tti: Tti(4), failure: None }));
-        assert!(b.answer(Answer::NotWoken { device: DeviceId(3), tti: Tti(5), failure: None }));
+        assert!(!b.answer(Answer::NotWoken {
+            device: DeviceId(3),
+            tti: Tti(4),
+            failure: None
+        }));
+        assert!(b.answer(Answer::NotWoken {
+            device: DeviceId(3),
+            tti: Tti(5),
+            failure: None
+        }));
         assert_eq!(b.take_outcome(), WakeOutcome::Unheard);
     }
 }

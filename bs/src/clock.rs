@@ -45,7 +45,12 @@ impl VirtualClock {
 
     /// What the clock says of itself.
     pub fn status(&self, next: Tti) -> ClockStatus {
-        ClockStatus { tti: next, ttis: self.end.0, paused: next >= self.until, until: self.until.min(self.end) }
+        ClockStatus {
+            tti: next,
+            ttis: self.end.0,
+            paused: next >= self.until,
+            until: self.until.min(self.end),
+        }
     }
 }
 
@@ -80,7 +85,10 @@ mod tests {
         clock.obey(ClockCommand::Pause, Tti(7));
         assert!(clock.status(Tti(7)).paused);
         clock.obey(ClockCommand::Step(3), Tti(7));
-        assert_eq!((clock.until(), clock.status(Tti(7)).paused, clock.status(Tti(10)).paused), (Tti(10), false, true));
+        assert_eq!(
+            (clock.until(), clock.status(Tti(7)).paused, clock.status(Tti(10)).paused),
+            (Tti(10), false, true)
+        );
         clock.obey(ClockCommand::RunTo(Tti(50)), Tti(10));
         clock.obey(ClockCommand::Status, Tti(20));
         assert_eq!(clock.until(), Tti(50));

@@ -17,7 +17,9 @@ use reveille_common::event::{ActiveEvent, EventProcess, Stimulus};
 use reveille_common::geometry::{Buckets, Point};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Failure, PlanUpdate, Report, WakeOutcome, WakeUp};
-use reveille_common::metrics::{ControlTotals, DeviceTotals, EventTally, EventTotals, Metrics, PICO_PER_INFORMATION, Totals};
+use reveille_common::metrics::{
+    ControlTotals, DeviceTotals, EventTally, EventTotals, Metrics, PICO_PER_INFORMATION, Totals,
+};
 use reveille_common::plan::Plan;
 use reveille_common::scenario::Scenario;
 use reveille_common::units::Energy;
@@ -160,7 +162,10 @@ impl Cycle {
         if !self.plan_is_new && !is_sync {
             return None;
         }
-        let update = PlanUpdate { from: k, plan: self.plan.clone() };
+        let update = PlanUpdate {
+            from: k,
+            plan: self.plan.clone(),
+        };
         if std::mem::take(&mut self.plan_is_new) {
             self.fingerprint.plan(&update);
         }
@@ -186,8 +191,14 @@ impl Cycle {
 
     /// The devices have done the grant; these are its reports, in any order, and the devices that failed to report.
     pub fn gathered(&mut self, reports: &mut [Report], failures: &[Failure]) -> Step {
-        let Phase::Gathering(tti) = self.phase else { panic!("no grant is out") };
-        let Some(current) = self.current.as_mut().filter(|_| !reports.is_empty() || !failures.is_empty()) else {
+        let Phase::Gathering(tti) = self.phase else {
+            panic!("no grant is out")
+        };
+        let Some(current) = self
+            .current
+            .as_mut()
+            .filter(|_| !reports.is_empty() || !failures.is_empty())
+        else {
             assert!(reports.is_empty() && failures.is_empty(), "a report without an event");
             return self.next_step(tti);
         };
@@ -202,21 +213,34 @@ impl Cycle {
             current.tally.wasted += failure.drained;
         }
         if let (PolicyEngine::Blind(policy), false) = (&mut self.policy, reports.is_empty()) {
-            policy.reported(&observe(tti, &self.positions, &self.scenario, &self.plan, current.information), reports);
+            policy.reported(
+                &observe(tti, &self.positions, &self.scenario, &self.plan, current.information),
+                reports,
+            );
         }
         self.next_step(tti)
     }
 
     /// What came of the wake-up that the last [`Step`] asked for.
     pub fn woken(&mut self, outcome: &WakeOutcome) -> Step {
-        let Phase::Waking(tti, device) = self.phase else { panic!("no wake-up is out") };
+        let Phase::Waking(tti, device) = self.phase else {
+            panic!("no wake-up is out")
+        };
         let current = self.current.as_mut().expect("only an event makes the BS wake anyone");
         self.fingerprint.wake_up(tti, device, outcome);
         let sensing = &self.scenario.sensing;
         let distance = self.positions[device.index()].distance(current.event.stimulus.epicentre);
         let is_far = distance > sensing.d_max;
         let (wrong, wasted, report) = match outcome {
-            WakeOutcome::Reported(report) => (is_far, if is_far { self.e_tx[device.index()] } else { Energy::ZERO }, Some(report)),
+            WakeOutcome::Reported(report) => (
+                is_far,
+                if is_far {
+                    self.e_tx[device.index()]
+                } else {
+                    Energy::ZERO
+                },
+                Some(report),
+            ),
             WakeOutcome::Failed(failure) => (true, failure.drained, None),
             WakeOutcome::Unheard => (false, Energy::ZERO, None),
         };
@@ -227,7 +251,10 @@ impl Cycle {
             current.information = sensing.fuse(current.information, report.information);
         }
         if let PolicyEngine::Blind(policy) = &mut self.policy {
-            policy.answered(&observe(tti, &self.positions, &self.scenario, &self.plan, current.information), report);
+            policy.answered(
+                &observe(tti, &self.positions, &self.scenario, &self.plan, current.information),
+                report,
+            );
         }
         self.next_step(tti)
     }
@@ -270,9 +297,15 @@ impl Cycle {
                 return Some(k);
             }
             let plan = &self.plan;
-            let reaction = current.audience.iter().map(|&j| plan.duty_cycle(j).next_on(k)).min().unwrap_or(Tti::NEVER);
+            let reaction = current
+                .audience
+                .iter()
+                .map(|&j| plan.duty_cycle(j).next_on(k))
+                .min()
+                .unwrap_or(Tti::NEVER);
             if reaction <= last && reaction < horizon {
-                self.detectors.extend(current.audience.iter().filter(|&&j| plan.duty_cycle(j).is_on(reaction)));
+                self.detectors
+                    .extend(current.audience.iter().filter(|&&j| plan.duty_cycle(j).is_on(reaction)));
                 return Some(reaction);
             }
             if last >= horizon || reaction <= last {
@@ -298,16 +331,28 @@ impl Cycle {
                 }
             }),
         }
-        self.current = Some(Current { event, tally: EventTally::default(), information: 0.0, audience, genies_choice });
+        self.current = Some(Current {
+            event,
+            tally: EventTally::default(),
+            information: 0.0,
+            audience,
+            genies_choice,
+        });
     }
 
     /// The policy's next wake-up in `tti`, or the end of it.
     fn next_step(&mut self, tti: Tti) -> Step {
-        let Some(current) = self.current.as_mut() else { return self.close(tti) };
+        let Some(current) = self.current.as_mut() else {
+            return self.close(tti);
+        };
         let wake = match &mut self.policy {
-            PolicyEngine::Blind(policy) if current.tally.reports > 0 => {
-                policy.next_wake_up(&observe(tti, &self.positions, &self.scenario, &self.plan, current.information))
-            }
+            PolicyEngine::Blind(policy) if current.tally.reports > 0 => policy.next_wake_up(&observe(
+                tti,
+                &self.positions,
+                &self.scenario,
+                &self.plan,
+                current.information,
+            )),
             PolicyEngine::Blind(_) => None,
             PolicyEngine::Genie(_) => current.genies_choice.take_if(|_| tti == current.event.start),
         };
@@ -319,7 +364,11 @@ impl Cycle {
     }
 
     fn close(&mut self, tti: Tti) -> Step {
-        if self.current.as_ref().is_some_and(|c| c.tally.reports > 0 || c.event.last == tti) {
+        if self
+            .current
+            .as_ref()
+            .is_some_and(|c| c.tally.reports > 0 || c.event.last == tti)
+        {
             self.end_event(tti);
         }
         self.phase = Phase::Between;
@@ -331,7 +380,10 @@ impl Cycle {
     fn end_event(&mut self, last: Tti) {
         let current = self.current.take().expect("an event is under way");
         let information_pico = (current.information * PICO_PER_INFORMATION).round() as u64;
-        let tally = EventTally { information_pico, ..current.tally };
+        let tally = EventTally {
+            information_pico,
+            ..current.tally
+        };
         self.fingerprint.event_ended(last, &tally);
         let ActiveEvent { stimulus, start, .. } = current.event;
         let counted = start >= self.scenario.warm_up_end();
@@ -340,7 +392,14 @@ impl Cycle {
         }
         if let Some(records) = &mut self.records {
             let Stimulus { event, epicentre } = stimulus;
-            records.push(EventRecord { event, epicentre, start, last, counted, tally });
+            records.push(EventRecord {
+                event,
+                epicentre,
+                start,
+                last,
+                counted,
+                tally,
+            });
         }
         self.world.end(last);
     }
@@ -353,6 +412,18 @@ impl Cycle {
     }
 }
 
-fn observe<'a>(now: Tti, positions: &'a [Point], scenario: &'a Scenario, plan: &'a Plan, information: f64) -> Observation<'a> {
-    Observation { now, positions, sensing: &scenario.sensing, plan, information }
+fn observe<'a>(
+    now: Tti,
+    positions: &'a [Point],
+    scenario: &'a Scenario,
+    plan: &'a Plan,
+    information: f64,
+) -> Observation<'a> {
+    Observation {
+        now,
+        positions,
+        sensing: &scenario.sensing,
+        plan,
+        information,
+    }
 }

@@ -65,9 +65,17 @@ impl Accounts {
     /// Accounts that start from the devices' initial batteries; a run without warm-up is measured from there.
     pub fn new(deployment: &Deployment, warm_up_end: Tti) -> Self {
         let initial: Energy = deployment.devices.iter().map(|d| d.energy.initial).sum();
-        let energy = DeviceTotals { initial, battery: initial, ..DeviceTotals::default() };
+        let energy = DeviceTotals {
+            initial,
+            battery: initial,
+            ..DeviceTotals::default()
+        };
         let at_warm_up = (warm_up_end == Tti::ZERO).then_some(energy);
-        Self { energy, at_warm_up, ..Self::default() }
+        Self {
+            energy,
+            at_warm_up,
+            ..Self::default()
+        }
     }
 
     /// The sums over all devices and counted events at boundary `k`, where all TTIs before `k` have ended.
@@ -75,8 +83,12 @@ impl Accounts {
         if k == warm_up_end {
             self.at_warm_up = Some(energy);
         }
-        let record =
-            WindowRecord { first: self.first, end: k, energy: energy - self.energy, events: events - self.events };
+        let record = WindowRecord {
+            first: self.first,
+            end: k,
+            energy: energy - self.energy,
+            events: events - self.events,
+        };
         (self.first, self.energy, self.events) = (k, energy, events);
         record
     }

@@ -33,7 +33,11 @@ pub struct Registry {
 impl Registry {
     /// A run of `devices` devices that nobody carries yet.
     pub fn new(devices: u32) -> Self {
-        Self { devices, free: vec![(0, devices)], hosts: Vec::new() }
+        Self {
+            devices,
+            free: vec![(0, devices)],
+            hosts: Vec::new(),
+        }
     }
 
     /// Gives up to `count` places to the host process that drew `nonce`, the same ones if it asks again; `None` when all
@@ -47,8 +51,17 @@ impl Registry {
         if count < available {
             self.free.push((first + count, available - count));
         }
-        let places = Places { host: HostId(self.hosts.len() as u32), first: DeviceId(first), count };
-        self.hosts.push(Entry { nonce, places, is_ready: false, is_lost: false });
+        let places = Places {
+            host: HostId(self.hosts.len() as u32),
+            first: DeviceId(first),
+            count,
+        };
+        self.hosts.push(Entry {
+            nonce,
+            places,
+            is_ready: false,
+            is_lost: false,
+        });
         Some(places)
     }
 

@@ -16,7 +16,11 @@ impl Schedule {
     /// The boundaries of `scenario` with windows of `window` TTIs; [`u64::MAX`] for none.
     pub fn new(scenario: &Scenario, window: u64) -> Self {
         assert!(window > 0, "a window holds at least one TTI");
-        Self { warm_up_end: scenario.warm_up_end(), end: Tti(scenario.ttis), window }
+        Self {
+            warm_up_end: scenario.warm_up_end(),
+            end: Tti(scenario.ttis),
+            window,
+        }
     }
 
     /// The end of the warm-up: the first measured TTI.
@@ -37,7 +41,11 @@ impl Schedule {
     /// The first boundary after `k`, or the end.
     pub fn next_boundary(&self, k: Tti) -> Tti {
         let window_end = (k.0 / self.window).saturating_add(1).saturating_mul(self.window);
-        let warm_up_end = if self.warm_up_end > k { self.warm_up_end.0 } else { u64::MAX };
+        let warm_up_end = if self.warm_up_end > k {
+            self.warm_up_end.0
+        } else {
+            u64::MAX
+        };
         Tti(window_end.min(warm_up_end).min(self.end.0))
     }
 }
@@ -48,7 +56,11 @@ mod tests {
 
     #[test]
     fn boundaries_are_found_one_after_another() {
-        let schedule = Schedule { warm_up_end: Tti(25), end: Tti(95), window: 20 };
+        let schedule = Schedule {
+            warm_up_end: Tti(25),
+            end: Tti(95),
+            window: 20,
+        };
         let mut found = vec![];
         let mut k = Tti::ZERO;
         while k < Tti(95) {
@@ -56,8 +68,18 @@ mod tests {
             found.push(k.0);
         }
         assert_eq!(found, [20, 25, 40, 60, 80, 95]);
-        assert!((0..96).map(Tti).filter(|&k| schedule.is_boundary(k)).map(|k| k.0).eq(found));
-        let whole = Schedule { window: u64::MAX, warm_up_end: Tti::ZERO, end: Tti(7) };
+        assert!(
+            (0..96)
+                .map(Tti)
+                .filter(|&k| schedule.is_boundary(k))
+                .map(|k| k.0)
+                .eq(found)
+        );
+        let whole = Schedule {
+            window: u64::MAX,
+            warm_up_end: Tti::ZERO,
+            end: Tti(7),
+        };
         assert_eq!(whole.next_boundary(Tti::ZERO), Tti(7));
     }
 }

@@ -17,7 +17,11 @@ impl Genie {
     /// The genie for devices at `positions`.
     pub fn new(scenario: &Scenario, positions: &[Point]) -> Self {
         let d_max = scenario.sensing.d_max;
-        Self { buckets: Buckets::new(positions, scenario.area, d_max), d_max, devices: scenario.devices }
+        Self {
+            buckets: Buckets::new(positions, scenario.area, d_max),
+            d_max,
+            devices: scenario.devices,
+        }
     }
 
     /// Everyone sleeps.

@@ -10,13 +10,15 @@ use reveille_common::scenario::{KnnSettings, Scenario};
 use super::Policy;
 use crate::clusters::Clusters;
 use crate::observation::Observation;
-use crate::wakeup::{Ranking, i_min};
+use crate::wakeup::{Correlation, Ranking, i_min};
 
 /// The `knn` policy.
 pub struct Knn {
     clusters: Clusters,
     i_min: f64,
     ranking: Ranking,
+    /// The clusters of this event's first reporters; whoever is woken later belongs to one of them.
+    asked: Vec<u32>,
 }
 
 impl Knn {
@@ -26,7 +28,8 @@ impl Knn {
         Self {
             clusters: Clusters::form(positions, scenario.area, sensing.d_max, settings, scenario.seed),
             i_min: i_min(positions, scenario.area, sensing),
-            ranking: Ranking::new(sensing),
+            ranking: Ranking::new(positions, scenario.area, Correlation::new(sensing)),
+            asked: Vec::new(),
         }
     }
 
@@ -42,7 +45,10 @@ impl Knn {
 
     fn add_reporter(&mut self, seen: &Observation<'_>, report: &Report) {
         if let Some(d) = seen.sensing.distance(report.information) {
-            self.ranking.add_reporter(seen.positions[report.device.index()], d);
+            let (of, asked) = (&self.clusters.of, &self.asked);
+            let is_candidate = |device: DeviceId| asked.contains(&of[device.index()]) && seen.is_asleep(device);
+            self.ranking
+                .add_reporter(seen.positions[report.device.index()], d, is_candidate);
         }
     }
 }
@@ -53,7 +59,11 @@ impl Policy for Knn {
         for members in &self.clusters.members {
             let t_drx = members.len() as u32;
             for (turn, device) in (0..).zip(members) {
-                cycles[device.index()] = DutyCycle { t_on: 1, t_drx, offset: (t_drx - turn) % t_drx };
+                cycles[device.index()] = DutyCycle {
+                    t_on: 1,
+                    t_drx,
+                    offset: (t_drx - turn) % t_drx,
+                };
             }
         }
         Plan::Periodic(cycles)
@@ -64,27 +74,24 @@ impl Policy for Knn {
     }
 
     fn reported(&mut self, seen: &Observation<'_>, reports: &[Report]) {
-        self.ranking.clear();
+        self.ranking.start();
         if seen.information >= self.i_min {
             return;
         }
-        let mut clusters: Vec<u32> = reports.iter().map(|r| self.clusters.of[r.device.index()]).collect();
-        clusters.sort_unstable();
-        clusters.dedup();
-        for cluster in clusters {
-            for &device in &self.clusters.members[cluster as usize] {
-                if seen.is_asleep(device) {
-                    self.ranking.add_candidate(device, seen.positions[device.index()]);
-                }
-            }
-        }
+        self.asked.clear();
+        self.asked
+            .extend(reports.iter().map(|r| self.clusters.of[r.device.index()]));
         for report in reports {
             self.add_reporter(seen, report);
         }
     }
 
     fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId> {
-        if seen.information >= self.i_min { None } else { self.ranking.pop() }
+        if seen.information >= self.i_min {
+            None
+        } else {
+            self.ranking.next()
+        }
     }
 
     fn answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {

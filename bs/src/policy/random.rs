@@ -27,9 +27,15 @@ impl Random {
             let mut stream = Stream::new(scenario.seed, Purpose::DutyCycle, u64::from(j));
             let t_on = T_ON[stream.below(T_ON.len() as u64) as usize];
             let t_drx = T_DRX[stream.below(T_DRX.len() as u64) as usize];
-            DutyCycle { t_on, t_drx, offset: stream.below(u64::from(t_drx)) as u32 }
+            DutyCycle {
+                t_on,
+                t_drx,
+                offset: stream.below(u64::from(t_drx)) as u32,
+            }
         };
-        Self { cycles: (0..scenario.devices).map(draw).collect() }
+        Self {
+            cycles: (0..scenario.devices).map(draw).collect(),
+        }
     }
 }
 

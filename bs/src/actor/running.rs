@@ -1,0 +1,291 @@
+//! From the first TTI to the last ledger.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use reveille_common::bus::{Bus, BusError, Topic};
+use reveille_common::deployment::Deployment;
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::keys::Kind;
+use reveille_common::message::{Clock, Tick, WakeUp};
+use reveille_common::metrics::{DeviceTotals, EventTotals};
+use reveille_common::scenario::Scenario;
+
+use super::shared::{Shared, State};
+use super::{BsError, OnLoss, Progress, Served, Settings};
+use crate::clock::{Lateness, Pace};
+use crate::cycle::{Cycle, Step};
+use crate::outcome::{Accounts, EventRecord, Watcher};
+use crate::schedule::Schedule;
+
+/// How long the BS waits for an answer before it asks once more.
+const REPEAT: Duration = Duration::from_secs(1);
+
+/// The BS's voice on the bus.
+struct Voice<'a> {
+    bus: &'a Bus,
+    clock: Topic,
+    plan: Topic,
+    wake: BTreeMap<DeviceId, Topic>,
+}
+
+impl Voice<'_> {
+    fn wake_up(&mut self, device: DeviceId, tti: Tti) -> Result<(), BusError> {
+        if !self.wake.contains_key(&device) {
+            self.wake
+                .insert(device, self.bus.publisher(self.bus.keys().wake(device))?);
+        }
+        self.wake[&device].put(&WakeUp { tti })
+    }
+}
+
+/// What the BS itself knows at an account boundary.
+struct Snapshot {
+    events: EventTotals,
+    records: Vec<EventRecord>,
+}
+
+/// The loop over TTIs.
+struct Loop<'a> {
+    voice: Voice<'a>,
+    shared: &'a Shared,
+    settings: &'a Settings,
+    progress: &'a Progress,
+    cycle: Cycle,
+    devices: u32,
+    schedule: Schedule,
+    accounts: Accounts,
+    grants: u64,
+    lateness: Lateness,
+    /// The moment at which a TTI was or will be due, under a real-time pace.
+    due: Option<(Tti, Instant)>,
+}
+
+#[expect(
+    clippy::too_many_arguments,
+    reason = "called once; the arguments are those of `serve`"
+)]
+pub(super) async fn run(
+    bus: &Bus,
+    scenario: &Scenario,
+    deployment: &Deployment,
+    settings: &Settings,
+    progress: &Progress,
+    watcher: &mut impl Watcher,
+    shared: &Shared,
+    joining: Duration,
+) -> Result<Served, BsError> {
+    let schedule = Schedule::new(scenario, settings.window);
+    let keys = bus.keys();
+    let (clock, plan) = (
+        bus.publisher(keys.of(Kind::Clock))?,
+        bus.publisher(keys.of(Kind::Plan))?,
+    );
+    let mut this = Loop {
+        voice: Voice {
+            bus,
+            clock,
+            plan,
+            wake: BTreeMap::new(),
+        },
+        shared,
+        settings,
+        progress,
+        cycle: Cycle::new(scenario, deployment, true),
+        devices: scenario.devices,
+        accounts: Accounts::new(deployment, schedule.warm_up_end()),
+        schedule,
+        grants: 0,
+        lateness: Lateness::default(),
+        due: None,
+    };
+    let started = now();
+    while this.cycle.next_tti() < schedule.end() && this.may_go_on().await? {
+        if !this.grant(watcher).await? {
+            break;
+        }
+    }
+    let ledgers = this.collect_ledgers().await?;
+    let running = started.elapsed();
+    let before = this.snapshot();
+    this.account(this.cycle.next_tti(), ledgers.iter().copied().sum(), &before, watcher);
+    this.voice.clock.put(&Clock::Dismiss)?;
+    Ok(Served {
+        outcome: this.cycle.finish(&ledgers, this.accounts.at_warm_up()),
+        joining,
+        running,
+        hosts: shared.lock().registry.complete().map_or(0, |hosts| hosts.len()),
+        grants: this.grants,
+        lateness: this.lateness,
+        malformed: bus.malformed(),
+    })
+}
+
+impl Loop<'_> {
+    /// Waits while the clock is paused. False when the run is to stop.
+    async fn may_go_on(&mut self) -> Result<bool, BsError> {
+        let next = self.cycle.next_tti();
+        self.shared.lock().next = next;
+        loop {
+            if self.progress.stop.load(Ordering::Relaxed) {
+                return Ok(false);
+            }
+            let until = self.shared.lock().clock.until();
+            if next < until {
+                return Ok(true);
+            }
+            self.due = None;
+            let _changed = tokio::time::timeout(Duration::from_millis(100), self.shared.rung()).await;
+            self.check(&mut self.shared.lock())?;
+        }
+    }
+
+    /// One grant with its reports and wake-ups. False when the watcher wants to stop.
+    async fn grant(&mut self, watcher: &mut impl Watcher) -> Result<bool, BsError> {
+        let first = self.cycle.next_tti();
+        self.keep_pace(first).await;
+        self.voice.bus.set_tti(first);
+        let account = self.schedule.is_boundary(first);
+        let before = account.then(|| self.snapshot());
+        if let Some(update) = self.cycle.announce() {
+            self.voice.plan.put(&update)?;
+        }
+        let grant = self.cycle.grant(self.horizon(first));
+        let tick = Clock::Grant(Tick {
+            first,
+            last: grant.last,
+            stimulus: grant.stimulus,
+            account,
+        });
+        self.shared.lock().barrier.expect_grant(grant.last);
+        self.voice.bus.set_tti(grant.last);
+        self.voice.clock.put(&tick)?;
+        self.grants += 1;
+        self.answered(|voice| voice.clock.put(&tick)).await?;
+        let mut gathered = self.shared.lock().barrier.take_gathered();
+        let mut step = self.cycle.gathered(&mut gathered.reports, &gathered.failures);
+        while let Step::WakeUp(device) = step {
+            self.shared.lock().barrier.expect_wake(grant.last, device);
+            self.voice.wake_up(device, grant.last)?;
+            self.answered(|voice| voice.wake_up(device, grant.last)).await?;
+            let outcome = self.shared.lock().barrier.take_outcome();
+            step = self.cycle.woken(&outcome);
+        }
+        self.show();
+        Ok(before.is_none_or(|before| self.account(first, gathered.totals, &before, watcher)))
+    }
+
+    /// The TTI before which the next grant must end.
+    fn horizon(&self, first: Tti) -> Tti {
+        let one_by_one = !self.settings.lookahead || self.settings.pace != Pace::Max;
+        let horizon = if one_by_one {
+            first + 1
+        } else {
+            self.schedule.next_boundary(first)
+        };
+        horizon.min(self.shared.lock().clock.until()).max(first + 1)
+    }
+
+    /// What the BS itself knows at a boundary; the devices' sums come with the answers to the next grant.
+    fn snapshot(&mut self) -> Snapshot {
+        Snapshot {
+            events: *self.cycle.event_totals(),
+            records: self.cycle.take_records(),
+        }
+    }
+
+    /// Takes in the sums at boundary `k`. False when the watcher wants to stop.
+    fn account(&mut self, k: Tti, energy: DeviceTotals, before: &Snapshot, watcher: &mut impl Watcher) -> bool {
+        let window = self
+            .accounts
+            .reach(k, self.schedule.warm_up_end(), energy, before.events);
+        let ttis = window.end - window.first;
+        if ttis > 0 {
+            let mean = window.energy.battery_sum / u128::from(ttis) / u128::from(self.devices.max(1));
+            self.progress.mean_battery.store(mean as u64, Ordering::Relaxed);
+        }
+        watcher.window(&window, &before.records)
+    }
+
+    fn show(&self) {
+        let events = self.cycle.event_totals();
+        self.progress.tti.store(self.cycle.next_tti().0, Ordering::Relaxed);
+        self.progress.events.store(events.events, Ordering::Relaxed);
+        self.progress.misdetected.store(events.misdetected, Ordering::Relaxed);
+    }
+
+    /// Waits until `first` is due, under a real-time pace.
+    async fn keep_pace(&mut self, first: Tti) {
+        let Pace::RealTime(duration) = self.settings.pace else {
+            return;
+        };
+        let now = now();
+        let due = match self.due {
+            Some((tti, moment)) => moment + duration * (first - tti) as u32,
+            None => now,
+        };
+        if due > now {
+            tokio::time::sleep_until(due.into()).await;
+        } else if due < now {
+            self.lateness.count(now - due);
+        }
+        self.due = Some((first, due));
+    }
+
+    /// Waits until the barrier is complete, asking again from time to time.
+    async fn answered(&mut self, mut ask: impl FnMut(&mut Voice<'_>) -> Result<(), BusError>) -> Result<(), BsError> {
+        loop {
+            {
+                let mut state = self.shared.lock();
+                if state.barrier.is_complete() {
+                    return Ok(());
+                }
+                self.check(&mut state)?;
+            }
+            let rung = tokio::time::timeout(REPEAT, self.shared.rung()).await.is_ok();
+            if !rung || std::mem::take(&mut self.shared.lock().returned) {
+                ask(&mut self.voice)?;
+            }
+        }
+    }
+
+    /// Whether the run can go on without those who are lost.
+    fn check(&self, state: &mut State) -> Result<(), BsError> {
+        let Some(&host) = state.lost.first() else { return Ok(()) };
+        let tti = self.cycle.next_tti();
+        if self.progress.stop.load(Ordering::Relaxed) {
+            return Err(BsError::Interrupted("while the clock was held for a lost host"));
+        }
+        let Some(places) = state.registry.places(host) else {
+            return Ok(());
+        };
+        let (first, last) = (places.first.0, places.first.0 + places.count - 1);
+        match self.settings.on_loss {
+            OnLoss::End => Err(BsError::HostLost { host, first, last, tti }),
+            OnLoss::Wait => {
+                if state.reported.insert(host) {
+                    tracing::warn!(%host, first, last, %tti, "lost a host; the clock is held until it is back");
+                }
+                Ok(())
+            }
+        }
+    }
+
+    /// Ends the devices' work before the next TTI and gathers their ledgers.
+    async fn collect_ledgers(&mut self) -> Result<Vec<DeviceTotals>, BsError> {
+        self.shared.lock().barrier.expect_ledgers(self.devices);
+        let finish = Clock::Finish(self.cycle.next_tti());
+        self.voice.clock.put(&finish)?;
+        self.answered(|voice| voice.clock.put(&finish)).await?;
+        Ok(self.shared.lock().barrier.take_ledgers())
+    }
+}
+
+#[expect(
+    clippy::disallowed_methods,
+    reason = "the shell keeps the pace and reports how long things took"
+)]
+fn now() -> Instant {
+    Instant::now()
+}
