@@ -11,6 +11,8 @@ use std::time::Duration;
 use reveille_common::bus::{Bus, BusError};
 use reveille_common::deployment::Deployment;
 use reveille_common::ids::{HostId, Tti};
+use reveille_common::keys::Kind;
+use reveille_common::message::Clock;
 use reveille_common::scenario::Scenario;
 
 use crate::clock::{Lateness, Pace};
@@ -133,4 +135,13 @@ pub async fn serve(
     joining::wait_for_all(&shared, scenario, settings, progress).await?;
     let joining = started.elapsed();
     running::run(bus, scenario, deployment, settings, progress, watcher, &shared, joining).await
+}
+
+/// Tells all hosts that the run is over and its results are written: they leave.
+///
+/// # Errors
+/// If the bus fails.
+pub fn dismiss(bus: &Bus) -> Result<(), BsError> {
+    bus.publisher(bus.keys().of(Kind::Clock))?.put(&Clock::Dismiss)?;
+    Ok(())
 }

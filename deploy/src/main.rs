@@ -1,2 +1,49 @@
-//! The reveille command.
-fn main() {}
+//! `reveille`: the command line of the emulator.
+
+mod bench;
+mod cli;
+mod commands;
+mod display;
+mod interrupt;
+mod launch;
+mod local;
+mod results;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+
+use cli::{Cli, Command};
+
+/// The exit code of a run that Ctrl-C cut short, as shells have it.
+const INTERRUPTED: u8 = 130;
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    reveille_common::logging::init(cli.verbose, cli.log_format.into(), display::LogWriter);
+    match run(cli) {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("reveille: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(cli: Cli) -> anyhow::Result<ExitCode> {
+    match cli.command {
+        Command::Scenario(command) => commands::scenario::run(&command),
+        Command::Run(args) => commands::run::run(&args),
+        Command::Up(args) => runtime(2)?.block_on(commands::up::run(&args)),
+        Command::Bs(args) => runtime(2)?.block_on(commands::bs::run(&args)),
+        Command::Device(args) => runtime(1)?.block_on(commands::device::run(&args)),
+        Command::Inspect(command) => runtime(1)?.block_on(commands::inspect::run(&command)),
+        Command::Clock(args) => runtime(1)?.block_on(commands::clock::run(&args)),
+        Command::Bench(command) => bench::run(&command),
+    }
+}
+
+/// zenoh needs a multi-thread runtime, even with one worker.
+fn runtime(workers: usize) -> std::io::Result<tokio::runtime::Runtime> {
+    tokio::runtime::Builder::new_multi_thread().worker_threads(workers).enable_all().build()
+}

@@ -110,7 +110,6 @@ pub(super) async fn run(
     let running = started.elapsed();
     let before = this.snapshot();
     this.account(this.cycle.next_tti(), ledgers.iter().copied().sum(), &before, watcher);
-    this.voice.clock.put(&Clock::Dismiss)?;
     Ok(Served {
         outcome: this.cycle.finish(&ledgers, this.accounts.at_warm_up()),
         joining,

@@ -1,0 +1,121 @@
+//! `reveille bs`: the base station, for devices started by hand. Also what `up` and `bs` share.
+
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use reveille_bs::actor::{self, Progress, Served, Settings};
+use reveille_common::bus::Bus;
+use reveille_common::deployment::Deployment;
+use reveille_common::keys::RunName;
+use reveille_common::scenario::Scenario;
+
+use super::{conclude, resolve, window};
+use crate::cli::{BsArgs, DriveArgs, OutputArgs};
+use crate::display::Bar;
+use crate::results::{RunFolder, Summary, Timing};
+use crate::{interrupt, local};
+
+/// Serves a run to devices that come from elsewhere.
+pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
+    let scenario = resolve(&args.scenario)?;
+    let bus = Bus::listen(&args.listen, args.run.clone()).await?;
+    let folder = RunFolder::create(&args.output, &scenario)?;
+    let settings = settings(&args.drive, window(&args.output, &scenario), args.join_timeout);
+    if !args.output.quiet {
+        eprintln!(
+            "waiting for {} devices: reveille device --connect {} --run {} --count …",
+            scenario.devices,
+            bus.endpoint(),
+            args.run
+        );
+    }
+    let progress = Arc::new(Progress::default());
+    serve(&Station { bus: &bus, run: &args.run, scenario: &scenario, settings, output: &args.output, progress }, folder, |_| Ok(()))
+        .await
+}
+
+/// A base station about to serve.
+pub struct Station<'a> {
+    /// Its session.
+    pub bus: &'a Bus,
+    /// The run's name.
+    pub run: &'a RunName,
+    /// The scenario.
+    pub scenario: &'a Scenario,
+    /// How it is driven.
+    pub settings: Settings,
+    /// How results are shown.
+    pub output: &'a OutputArgs,
+    /// How far it has come.
+    pub progress: Arc<Progress>,
+}
+
+/// The settings that the command line means.
+pub fn settings(drive: &DriveArgs, window: u64, join_patience: Option<Duration>) -> Settings {
+    Settings {
+        lookahead: !drive.no_lookahead,
+        pace: drive.pace,
+        on_loss: drive.on_loss.into(),
+        window,
+        join_patience,
+        paused: drive.paused,
+    }
+}
+
+/// Serves the run, writes the results, dismisses the hosts. `look` is called with the timing before anyone leaves.
+pub async fn serve(
+    station: &Station<'_>,
+    mut folder: RunFolder,
+    look: impl FnOnce(&mut Timing) -> anyhow::Result<()>,
+) -> anyhow::Result<ExitCode> {
+    let Station { bus, run, scenario, settings, output, progress } = station;
+    let _registered = local::register(run, bus.endpoint())?;
+    let stop = interrupt::watch()?;
+    let (watched, seen) = (Arc::clone(&stop), Arc::clone(progress));
+    let relay = tokio::spawn(async move {
+        while !watched.load(Ordering::Relaxed) {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+        seen.stop.store(true, Ordering::Relaxed);
+    });
+    let bar = Bar::start(progress, scenario, output.quiet);
+    let deployment = Deployment::new(scenario);
+    let served = actor::serve(bus, scenario, &deployment, settings, progress, &mut folder).await;
+    relay.abort();
+    drop(bar);
+    match served {
+        Ok(served) => {
+            let mut timing = timing(&served);
+            look(&mut timing)?;
+            let summary = Summary::new(scenario, &served.outcome, timing);
+            let path = folder.path().to_owned();
+            folder.finish(&summary)?;
+            actor::dismiss(bus)?;
+            conclude(output, &summary, &path)
+        }
+        Err(error) => {
+            let error = anyhow::Error::from(error);
+            folder.fail(&error);
+            actor::dismiss(bus)?;
+            Err(error)
+        }
+    }
+}
+
+fn timing(served: &Served) -> Timing {
+    let run_s = served.running.as_secs_f64();
+    Timing {
+        ready_s: served.joining.as_secs_f64(),
+        run_s,
+        ttis_per_s: served.outcome.ttis_done as f64 / run_s,
+        hosts: served.hosts,
+        grants: served.grants,
+        late_ttis: served.lateness.late,
+        max_late_ms: served.lateness.max.as_secs_f64() * 1e3,
+        malformed: served.malformed,
+        host_rss_mb: 0.0,
+        host_pss_mb: 0.0,
+    }
+}

@@ -1,0 +1,30 @@
+//! `reveille clock`: pause, step and resume a run.
+
+use std::process::ExitCode;
+use std::time::Duration;
+
+use reveille_common::bus::Bus;
+use reveille_common::keys::Kind;
+use reveille_common::message::{ClockCommand, ClockStatus};
+
+use crate::cli::ClockArgs;
+use crate::local;
+
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// Sends one command to a run's clock and prints where it is.
+pub async fn run(args: &ClockArgs) -> anyhow::Result<ExitCode> {
+    let (endpoint, run) = local::find(&args.target)?;
+    let bus = Bus::connect(&endpoint, run, PATIENCE).await?;
+    let command = ClockCommand::from(args.command);
+    let status: Option<ClockStatus> = bus.ask(bus.keys().of(Kind::Control), &command, PATIENCE).await?;
+    let Some(status) = status else { return Err(bus.no_run().await.into()) };
+    let ClockStatus { tti, ttis, paused, until } = status;
+    match (paused, until.0 < ttis) {
+        (true, _) => println!("paused before TTI {tti} of {ttis}"),
+        (false, true) => println!("running at TTI {tti} of {ttis}, to stop before TTI {until}"),
+        (false, false) => println!("running at TTI {tti} of {ttis}"),
+    }
+    bus.close().await;
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,45 @@
+//! `reveille device`: a process that carries devices.
+
+use std::process::ExitCode;
+
+use reveille_common::bus::Bus;
+use reveille_device::host;
+
+use crate::cli::DeviceArgs;
+use crate::launch;
+
+/// Carries devices to the end of a run.
+pub async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
+    if let Some(parent) = args.parent {
+        launch::die_with(parent)?;
+    }
+    let stop = stopped()?;
+    let work = async {
+        let bus = Bus::connect(&args.connect, args.run.clone(), args.patience).await?;
+        let carried = host::carry(&bus, args.count, nonce(), args.patience).await;
+        bus.close().await;
+        carried
+    };
+    tokio::select! {
+        carried = work => carried.map(|()| ExitCode::SUCCESS).map_err(Into::into),
+        () = stop => Ok(ExitCode::from(crate::INTERRUPTED)),
+    }
+}
+
+/// Ends at Ctrl-C or SIGTERM.
+fn stopped() -> std::io::Result<impl Future<Output = ()>> {
+    use tokio::signal::unix::{SignalKind, signal};
+    let (mut interrupt, mut terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
+    Ok(async move {
+        tokio::select! {
+            _ = interrupt.recv() => {}
+            _ = terminate.recv() => {}
+        }
+    })
+}
+
+/// A number that tells this process from others that join; nothing of the model depends on it.
+fn nonce() -> u64 {
+    use std::hash::{BuildHasher, Hasher};
+    std::collections::hash_map::RandomState::new().build_hasher().finish()
+}

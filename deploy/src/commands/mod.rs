@@ -1,0 +1,50 @@
+//! One file for each subcommand.
+
+pub mod bs;
+pub mod clock;
+pub mod device;
+pub mod inspect;
+pub mod run;
+pub mod scenario;
+pub mod up;
+
+use std::process::ExitCode;
+
+use reveille_common::scenario::{Override, Scenario, load};
+
+use crate::cli::{OutputArgs, ScenarioArgs};
+use crate::display;
+use crate::results::Summary;
+
+/// The scenario that the command line means.
+pub fn resolve(args: &ScenarioArgs) -> anyhow::Result<Scenario> {
+    let mut overrides = args.set.iter().map(|text| Override::parse(text)).collect::<Result<Vec<_>, _>>()?;
+    let flags = [
+        ("--devices", "devices", &args.devices),
+        ("--policy", "policy.name", &args.policy),
+        ("--ttis", "ttis", &args.ttis),
+        ("--seed", "seed", &args.seed),
+    ];
+    for (flag, field, value) in flags {
+        if let Some(value) = value {
+            overrides.push(Override::flag(flag, field, value)?);
+        }
+    }
+    Ok(load(&args.scenario, &overrides)?)
+}
+
+/// TTIs in a window of the per-window series.
+pub fn window(args: &OutputArgs, scenario: &Scenario) -> u64 {
+    args.window.unwrap_or_else(|| scenario.ttis.div_ceil(100))
+}
+
+/// Prints the summary as asked, and gives the exit code.
+pub fn conclude(args: &OutputArgs, summary: &Summary<'_>, folder: &std::path::Path) -> anyhow::Result<ExitCode> {
+    if args.json {
+        print!("{}", summary.to_json()?);
+    } else if !args.quiet {
+        print!("{}", display::table(summary));
+        println!("results in {}", folder.display());
+    }
+    Ok(if summary.status == "complete" { ExitCode::SUCCESS } else { ExitCode::from(crate::INTERRUPTED) })
+}

@@ -1,0 +1,132 @@
+//! `reveille up`: a base station and its device processes on this machine.
+
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use anyhow::Context;
+use reveille_bs::actor::Progress;
+use reveille_common::bus::Bus;
+use reveille_common::keys::RunName;
+use reveille_device::host;
+
+use super::bs::{Station, serve, settings};
+use super::{resolve, window};
+use crate::cli::UpArgs;
+use crate::launch::Children;
+use crate::results::{RunFolder, Timing};
+
+/// How long all device processes may take to join.
+const JOIN: Duration = Duration::from_secs(60);
+
+/// Runs everything on this machine.
+pub async fn run(args: &UpArgs) -> anyhow::Result<ExitCode> {
+    let scenario = resolve(&args.scenario)?;
+    anyhow::ensure!(
+        args.processes <= scenario.devices,
+        "--processes {}: there are only {} devices; 0 to {0} is allowed",
+        args.processes,
+        scenario.devices
+    );
+    let folder = RunFolder::create(&args.output, &scenario)?;
+    match start(args, &scenario, &folder).await {
+        Ok((bus, run)) => attend(args, &scenario, folder, &bus, &run).await,
+        Err(error) => {
+            folder.fail(&error);
+            Err(error)
+        }
+    }
+}
+
+async fn start(
+    args: &UpArgs,
+    _scenario: &reveille_common::scenario::Scenario,
+    folder: &RunFolder,
+) -> anyhow::Result<(Bus, RunName)> {
+    let run = match &args.run {
+        Some(run) => run.clone(),
+        None => folder.name().parse().context("the run folder's name")?,
+    };
+    let bus = Bus::listen(&args.listen, run.clone()).await?;
+    Ok((bus, run))
+}
+
+async fn attend(
+    args: &UpArgs,
+    scenario: &reveille_common::scenario::Scenario,
+    folder: RunFolder,
+    bus: &Bus,
+    run: &RunName,
+) -> anyhow::Result<ExitCode> {
+    let settings = settings(&args.drive, window(&args.output, scenario), Some(JOIN));
+    let progress = Arc::new(Progress::default());
+    let station =
+        Station { bus, run, scenario, settings, output: &args.output, progress: Arc::clone(&progress) };
+    if args.processes == 0 {
+        let (own, devices) = (bus.clone(), scenario.devices);
+        let carried = tokio::spawn(async move { host::carry(&own, devices, 0, JOIN).await });
+        let code = serve(&station, folder, |_| Ok(())).await;
+        carried.await.context("the devices' task")??;
+        return code;
+    }
+    let children = match Children::start(scenario.devices, args.processes, bus.endpoint(), &run.to_string(), 0) {
+        Ok(children) => children,
+        Err(error) => {
+            folder.fail(&error);
+            return Err(error);
+        }
+    };
+    let pids = children.pids();
+    let children = Arc::new(std::sync::Mutex::new(Some(children)));
+    let guard = tokio::spawn(watch(Arc::clone(&children), progress));
+    let code = serve(&station, folder, |timing| {
+        measure(&pids, timing);
+        Ok(())
+    })
+    .await;
+    guard.abort();
+    let failed = guard.await.ok().flatten();
+    if let Some(children) = children.lock().ok().and_then(|mut slot| slot.take()) {
+        if code.is_ok() {
+            children.wait();
+        }
+    }
+    match (code, failed) {
+        (Err(error), Some(why)) => Err(error.context(why)),
+        (code, _) => code,
+    }
+}
+
+/// Looks after the device processes until all have joined: one that fails before ends the wait.
+async fn watch(children: Arc<std::sync::Mutex<Option<Children>>>, progress: Arc<Progress>) -> Option<String> {
+    while progress.tti.load(Ordering::Relaxed) == 0 {
+        let failed = children.lock().ok().and_then(|mut slot| slot.as_mut().and_then(Children::failed));
+        if failed.is_some() {
+            progress.stop.store(true, Ordering::Relaxed);
+            return failed;
+        }
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+    None
+}
+
+/// The mean memory of the device processes while they live.
+fn measure(pids: &[u32], timing: &mut Timing) {
+    let field = |text: &str, name: &str| -> f64 {
+        let line = text.lines().find_map(|line| line.strip_prefix(name));
+        line.and_then(|rest| rest.split_whitespace().next()?.parse().ok()).unwrap_or(0.0)
+    };
+    let mut seen = 0.0;
+    for pid in pids {
+        if let Ok(text) = std::fs::read_to_string(format!("/proc/{pid}/smaps_rollup")) {
+            timing.host_rss_mb += field(&text, "Rss:") / 1024.0;
+            timing.host_pss_mb += field(&text, "Pss:") / 1024.0;
+            seen += 1.0;
+        }
+    }
+    if seen > 0.0 {
+        timing.host_rss_mb /= seen;
+        timing.host_pss_mb /= seen;
+    }
+}

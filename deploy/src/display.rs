@@ -1,0 +1,143 @@
+//! What a person sees: the progress bar and the closing table.
+
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use comfy_table::presets::UTF8_FULL_CONDENSED;
+use comfy_table::{CellAlignment, Table};
+use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
+use reveille_bs::actor::Progress;
+use reveille_common::scenario::Scenario;
+use reveille_common::units::MICRO_PER_UNIT;
+
+use crate::results::Summary;
+
+/// All bars of the process: log lines are written between them, not over them.
+static BARS: std::sync::LazyLock<MultiProgress> = std::sync::LazyLock::new(MultiProgress::new);
+
+/// Writes log lines to standard error without tearing a progress bar.
+#[derive(Clone, Copy)]
+pub struct LogWriter;
+
+impl io::Write for LogWriter {
+    fn write(&mut self, line: &[u8]) -> io::Result<usize> {
+        BARS.suspend(|| io::stderr().write(line))
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        io::stderr().flush()
+    }
+}
+
+impl<'a> tracing_subscriber::fmt::MakeWriter<'a> for LogWriter {
+    type Writer = Self;
+
+    fn make_writer(&'a self) -> Self {
+        *self
+    }
+}
+
+/// A progress bar with a thread that keeps it up to date; gone when dropped.
+pub struct Bar {
+    bar: ProgressBar,
+    done: Arc<std::sync::atomic::AtomicBool>,
+    thread: Option<std::thread::JoinHandle<()>>,
+}
+
+impl Bar {
+    /// Shows `progress` of a run of `scenario`, unless `hidden` or standard error is no terminal.
+    pub fn start(progress: &Arc<Progress>, scenario: &Scenario, hidden: bool) -> Self {
+        let bar = ProgressBar::with_draw_target(Some(scenario.ttis), ProgressDrawTarget::stderr());
+        if hidden {
+            bar.set_draw_target(ProgressDrawTarget::hidden());
+        }
+        let bar = BARS.add(bar);
+        let template = "{bar:30} TTI {pos}/{len}  {per_sec:>14}  {msg}  {eta}";
+        let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+        bar.set_style(style.progress_chars("━╸ "));
+        let done = Arc::new(std::sync::atomic::AtomicBool::new(false));
+        let (thread_bar, thread_done, progress) = (bar.clone(), Arc::clone(&done), Arc::clone(progress));
+        let devices = scenario.devices;
+        let thread = std::thread::spawn(move || {
+            let mut is_running = false;
+            while !thread_done.load(Ordering::Relaxed) {
+                is_running = update(&thread_bar, &progress, devices, is_running);
+                std::thread::park_timeout(Duration::from_millis(100));
+            }
+        });
+        Self { bar, done, thread: Some(thread) }
+    }
+}
+
+impl Drop for Bar {
+    fn drop(&mut self) {
+        self.done.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            thread.thread().unpark();
+            let _panicked = thread.join().is_err();
+        }
+        self.bar.finish_and_clear();
+    }
+}
+
+fn update(bar: &ProgressBar, progress: &Progress, devices: u32, was_running: bool) -> bool {
+    let get = |value: &std::sync::atomic::AtomicU64| value.load(Ordering::Relaxed);
+    let tti = get(&progress.tti);
+    if tti == 0 {
+        bar.set_message(format!("{}/{devices} devices joined", get(&progress.joined)));
+        return false;
+    }
+    if !was_running {
+        bar.reset_elapsed();
+        bar.reset_eta();
+    }
+    let (events, missed) = (get(&progress.events), get(&progress.misdetected));
+    let share = if events == 0 { 0.0 } else { 100.0 * missed as f64 / events as f64 };
+    let battery = get(&progress.mean_battery) as f64 / MICRO_PER_UNIT as f64;
+    bar.set_message(format!("events {events}  missed {share:.1} %  battery {battery:.1}"));
+    bar.set_position(tti);
+    true
+}
+
+/// The closing table.
+pub fn table(summary: &Summary<'_>) -> String {
+    let mut table = Table::new();
+    table.load_preset(UTF8_FULL_CONDENSED).set_header(["metric", "value", "unit"]);
+    for (name, value, unit) in summary.metrics.rows() {
+        table.add_row([name.to_owned(), number(value), unit.to_owned()]);
+    }
+    if let Some(column) = table.column_mut(1) {
+        column.set_cell_alignment(CellAlignment::Right);
+    }
+    let timing = &summary.timing;
+    let mut text = format!(
+        "{} · {} devices · {} of {} TTIs · preset {} · seed {}\n{table}\n",
+        summary.policy, summary.n, summary.ttis_done, summary.ttis, summary.preset, summary.seed
+    );
+    text += &format!("{:.0} TTIs/s", timing.ttis_per_s);
+    if timing.hosts > 0 {
+        text += &format!(" · {} processes ready in {:.2} s · {} barriers", timing.hosts, timing.ready_s, timing.grants);
+    }
+    if timing.host_rss_mb > 0.0 {
+        text += &format!(" · {:.1} MB ({:.1} MB unshared) a process", timing.host_rss_mb, timing.host_pss_mb);
+    }
+    if timing.late_ttis > 0 {
+        text += &format!("\n{} TTIs began late, by {:.1} ms at the most", timing.late_ttis, timing.max_late_ms);
+    }
+    if summary.status != "complete" {
+        text += "\ninterrupted: the figures are those of the TTIs that were run";
+    }
+    text + &format!("\ndigest {}\n", summary.digest)
+}
+
+fn number(value: f64) -> String {
+    if value.is_nan() {
+        "–".to_owned()
+    } else if value.fract() == 0.0 && value.abs() < 1e15 {
+        format!("{value:.0}")
+    } else {
+        format!("{value:.4}")
+    }
+}

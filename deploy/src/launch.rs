@@ -1,0 +1,120 @@
+//! Device processes as children of this one. None outlives it, however it ends.
+
+use std::os::unix::process::CommandExt;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use rustix::process::{Pid, Signal};
+
+/// What makes zenoh answer a tick with the fewest hand-overs between threads. Only for processes that carry devices.
+const LEAF_RUNTIME: &str =
+    "(rx:(handover:app),acc:(handover:app),tx:(handover:app),net:(handover:app),app:(worker_threads:1))";
+
+/// How long children get to leave by themselves.
+const LEAVE: Duration = Duration::from_secs(5);
+
+/// The device processes of a run.
+pub struct Children {
+    running: Vec<(usize, Child)>,
+}
+
+impl Children {
+    /// Starts `processes` processes that together carry `devices` devices.
+    ///
+    /// Call it from a thread that lives as long as the run: the kernel ends the children when the thread that started them
+    /// ends.
+    ///
+    /// # Errors
+    /// If a process cannot be started.
+    pub fn start(devices: u32, processes: u32, endpoint: &str, run: &str, verbosity: u8) -> anyhow::Result<Self> {
+        let program = std::env::current_exe().context("cannot find the reveille program itself")?;
+        let mut children = Self { running: Vec::new() };
+        for (number, count) in shares(devices, processes).enumerate() {
+            let mut command = Command::new(&program);
+            command
+                .args(["device", "--connect", endpoint, "--run", run])
+                .args(["--count", &count.to_string(), "--parent", &std::process::id().to_string()])
+                .args((0..verbosity).map(|_| "-v"))
+                .env("ZENOH_RUNTIME", LEAF_RUNTIME)
+                .stdin(Stdio::null())
+                .stdout(Stdio::null())
+                // Ctrl-C in the terminal is for the parent, which tells the children.
+                .process_group(0);
+            let child = command.spawn().with_context(|| format!("cannot start device process {number}"))?;
+            children.running.push((number, child));
+        }
+        Ok(children)
+    }
+
+    /// The processes' ids.
+    pub fn pids(&self) -> Vec<u32> {
+        self.running.iter().map(|(_, child)| child.id()).collect()
+    }
+
+    /// Looks for a process that has ended with an error.
+    pub fn failed(&mut self) -> Option<String> {
+        for (number, child) in &mut self.running {
+            if let Ok(Some(status)) = child.try_wait()
+                && !status.success()
+            {
+                return Some(format!("device process {number} (pid {}) ended with {status}", child.id()));
+            }
+        }
+        None
+    }
+
+    /// Waits for all to leave, and ends those that do not.
+    pub fn wait(mut self) {
+        #[expect(clippy::disallowed_methods, reason = "children get a while of real time to leave")]
+        let (now, started) = (Instant::now, Instant::now());
+        while now() - started < LEAVE {
+            self.running.retain_mut(|(_, child)| !matches!(child.try_wait(), Ok(Some(_))));
+            if self.running.is_empty() {
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        tracing::warn!(processes = self.running.len(), "device processes did not leave by themselves");
+    }
+}
+
+impl Drop for Children {
+    fn drop(&mut self) {
+        for (_, child) in &mut self.running {
+            // Already gone is as good.
+            let _gone = child.kill().is_err();
+            let _reaped = child.wait().is_err();
+        }
+    }
+}
+
+/// How many devices each of `processes` processes carries: as even as possible, never none.
+fn shares(devices: u32, processes: u32) -> impl Iterator<Item = u32> {
+    let processes = processes.clamp(1, devices.max(1));
+    (0..processes).map(move |i| devices / processes + u32::from(i < devices % processes))
+}
+
+/// Ties this process to the one that started it: when the `parent` ends, however that is, this one is killed.
+///
+/// # Errors
+/// If the parent has ended already, or the kernel refuses.
+pub fn die_with(parent: i32) -> anyhow::Result<()> {
+    rustix::process::set_parent_process_death_signal(Some(Signal::KILL)).context("cannot tie this process to its parent")?;
+    let is_ours = rustix::process::getppid().map(Pid::as_raw_pid) == Some(parent);
+    anyhow::ensure!(is_ours, "the process that started this one has ended");
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shares_are_even_and_complete() {
+        let all = |devices, processes| shares(devices, processes).collect::<Vec<_>>();
+        assert_eq!(all(50, 4), [13, 13, 12, 12]);
+        assert_eq!(all(3, 8), [1, 1, 1]);
+        assert_eq!(all(7, 1), [7]);
+    }
+}

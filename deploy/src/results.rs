@@ -1,0 +1,320 @@
+//! The run folder.
+//!
+//! | file | what |
+//! |---|---|
+//! | `scenario.toml` | the resolved scenario |
+//! | `events.csv` | a row per event |
+//! | `windows.csv` | a row per window of TTIs |
+//! | `summary.json` | metrics, digest, timing, versions |
+//! | `RUNNING` | there while the run goes; left behind, the run was killed |
+//! | `FAILED` | why a run ended without a summary |
+
+use std::fs::{self, File};
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use reveille_bs::outcome::{EventRecord, Outcome, Watcher, WindowRecord};
+use reveille_common::digest::Digest;
+use reveille_common::metrics::{Metrics, PICO_PER_INFORMATION, Totals};
+use reveille_common::scenario::Scenario;
+use reveille_common::units::MICRO_PER_UNIT;
+use serde::Serialize;
+
+use crate::cli::OutputArgs;
+
+const RUNNING: &str = "RUNNING";
+const FAILED: &str = "FAILED";
+const SUMMARY: &str = "summary.json";
+
+/// The form of `summary.json`; raised when a field changes its meaning.
+const SUMMARY_VERSION: u32 = 1;
+
+/// `summary.json`.
+#[derive(Debug, Serialize)]
+pub struct Summary<'a> {
+    /// The run's fingerprint.
+    pub digest: Digest,
+    /// Whether the run was `complete` or `interrupted`.
+    pub status: &'static str,
+    /// The policy's name.
+    pub policy: &'static str,
+    /// Number of devices N.
+    pub n: u32,
+    /// Length of the run K in TTIs.
+    pub ttis: u64,
+    /// TTIs that were run.
+    pub ttis_done: u64,
+    /// The seed.
+    pub seed: u64,
+    /// The preset that the scenario starts from.
+    pub preset: &'a str,
+    /// SHA-256 of the resolved scenario.
+    pub scenario_hash: String,
+    /// The metrics; those per event are null where no event was counted.
+    pub metrics: Metrics,
+    /// The exact totals behind them; energies in micro-units.
+    pub totals: Totals,
+    /// How long things took; the only part that differs between two runs of a scenario.
+    pub timing: Timing,
+    /// Versions of what wrote this.
+    pub versions: Versions,
+}
+
+/// How long things took.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct Timing {
+    /// Seconds until all devices had joined.
+    pub ready_s: f64,
+    /// Seconds from the first TTI to the last ledger.
+    pub run_s: f64,
+    /// TTIs per second over that time.
+    pub ttis_per_s: f64,
+    /// Device processes, or 0 for a run in memory.
+    pub hosts: usize,
+    /// Barriers over all hosts; fewer than TTIs where lookahead joined them.
+    pub grants: u64,
+    /// TTIs that began late under a real-time pace.
+    pub late_ttis: u64,
+    /// The largest delay, milliseconds.
+    pub max_late_ms: f64,
+    /// Payloads on the bus that were no messages and were dropped.
+    pub malformed: u64,
+    /// Mean resident memory of a device process in MB, 0 where there is none.
+    pub host_rss_mb: f64,
+    /// Mean proportional memory of a device process in MB (shared pages split), 0 where there is none.
+    pub host_pss_mb: f64,
+}
+
+/// Versions.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Versions {
+    /// Of reveille.
+    pub reveille: &'static str,
+    /// Of the wire form.
+    pub wire: u8,
+    /// Of this file.
+    pub summary: u32,
+}
+
+impl<'a> Summary<'a> {
+    /// The summary of a run of `scenario`.
+    pub fn new(scenario: &'a Scenario, outcome: &Outcome, timing: Timing) -> Self {
+        Self {
+            digest: outcome.digest,
+            status: if outcome.complete { "complete" } else { "interrupted" },
+            policy: scenario.policy.name(),
+            n: scenario.devices,
+            ttis: scenario.ttis,
+            ttis_done: outcome.ttis_done,
+            seed: scenario.seed,
+            preset: &scenario.preset,
+            scenario_hash: scenario.hash_hex(),
+            metrics: outcome.metrics,
+            totals: outcome.totals,
+            timing,
+            versions: Versions {
+                reveille: env!("CARGO_PKG_VERSION"),
+                wire: reveille_common::codec::WIRE_VERSION,
+                summary: SUMMARY_VERSION,
+            },
+        }
+    }
+
+    /// The summary as JSON text.
+    ///
+    /// # Errors
+    /// Never in practice.
+    pub fn to_json(&self) -> anyhow::Result<String> {
+        Ok(serde_json::to_string_pretty(self)? + "\n")
+    }
+}
+
+/// A run folder that is being filled.
+pub struct RunFolder {
+    path: PathBuf,
+    events: csv::Writer<BufWriter<File>>,
+    windows: csv::Writer<BufWriter<File>>,
+    devices: u32,
+    error: Option<csv::Error>,
+}
+
+impl RunFolder {
+    /// Makes the folder that `args` names, or the next free one under `runs/`, and marks it as running.
+    ///
+    /// # Errors
+    /// If the folder holds something already, or cannot be written.
+    pub fn create(args: &OutputArgs, scenario: &Scenario) -> anyhow::Result<Self> {
+        let path = match &args.out {
+            Some(path) => {
+                clear(path, args.force)?;
+                path.clone()
+            }
+            None => free_name(scenario)?,
+        };
+        let cannot = || format!("cannot write in the run folder {}", path.display());
+        fs::create_dir_all(&path).with_context(cannot)?;
+        fs::write(path.join(RUNNING), format!("pid {}\n", std::process::id())).with_context(cannot)?;
+        fs::write(path.join("scenario.toml"), scenario.to_toml()).with_context(cannot)?;
+        let open = |name: &str| File::create(path.join(name)).map(|file| csv::Writer::from_writer(BufWriter::new(file)));
+        let mut folder = Self {
+            events: open("events.csv").with_context(cannot)?,
+            windows: open("windows.csv").with_context(cannot)?,
+            devices: scenario.devices,
+            error: None,
+            path,
+        };
+        folder.headers()?;
+        Ok(folder)
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The last part of its path, as a name for the run.
+    pub fn name(&self) -> String {
+        let name = self.path.file_name().unwrap_or_default().to_string_lossy();
+        let fits = |c: char| if c.is_ascii_alphanumeric() || c == '-' || c == '_' { c } else { '-' };
+        let name: String = name.chars().map(fits).take(64).collect();
+        if name.is_empty() { "run".to_owned() } else { name }
+    }
+
+    /// Writes the summary and takes the running mark away.
+    ///
+    /// # Errors
+    /// If something cannot be written.
+    pub fn finish(mut self, summary: &Summary<'_>) -> anyhow::Result<()> {
+        let cannot = || format!("cannot write in the run folder {}", self.path.display());
+        if let Some(error) = self.error.take() {
+            return Err(error).with_context(cannot);
+        }
+        self.events.flush().with_context(cannot)?;
+        self.windows.flush().with_context(cannot)?;
+        let (part, whole) = (self.path.join("summary.json.part"), self.path.join(SUMMARY));
+        fs::write(&part, summary.to_json()?).with_context(cannot)?;
+        fs::rename(&part, &whole).with_context(cannot)?;
+        fs::remove_file(self.path.join(RUNNING)).with_context(cannot)
+    }
+
+    /// Marks the run as failed.
+    pub fn fail(mut self, why: &anyhow::Error) {
+        // The run has failed already; what cannot be written about it is not worth another error.
+        let _ = self.events.flush();
+        let _ = self.windows.flush();
+        let _ = fs::write(self.path.join(FAILED), format!("{why:#}\n"));
+        let _ = fs::remove_file(self.path.join(RUNNING));
+    }
+
+    fn headers(&mut self) -> anyhow::Result<()> {
+        self.events.write_record([
+            "event",
+            "start_tti",
+            "last_tti",
+            "x_m",
+            "y_m",
+            "counted",
+            "reports",
+            "wake_ups",
+            "information",
+            "wrong_activations",
+            "wasted_units",
+        ])?;
+        self.windows.write_record([
+            "first_tti",
+            "end_tti",
+            "mean_battery",
+            "low_energy_pct",
+            "energy_per_device_tti",
+            "harvested_per_device_tti",
+            "overflow_per_device_tti",
+            "events",
+            "misdetected",
+            "information",
+            "wake_ups",
+            "wrong_activations",
+        ])?;
+        Ok(())
+    }
+
+    fn write(&mut self, window: &WindowRecord, events: &[EventRecord]) -> Result<(), csv::Error> {
+        for event in events {
+            let tally = event.tally;
+            self.events.write_record([
+                event.event.0.to_string(),
+                event.start.to_string(),
+                event.last.to_string(),
+                event.epicentre.x.to_string(),
+                event.epicentre.y.to_string(),
+                u8::from(event.counted).to_string(),
+                tally.reports.to_string(),
+                tally.wake_ups.to_string(),
+                (tally.information_pico as f64 / PICO_PER_INFORMATION).to_string(),
+                tally.wrong_activations.to_string(),
+                tally.wasted.units().to_string(),
+            ])?;
+        }
+        let device_ttis = (window.end - window.first) as f64 * f64::from(self.devices);
+        let (energy, totals) = (window.energy, window.events);
+        self.windows.write_record([
+            window.first.to_string(),
+            window.end.to_string(),
+            (energy.battery_sum as f64 / MICRO_PER_UNIT as f64 / device_ttis).to_string(),
+            (100.0 * energy.low_ttis as f64 / device_ttis).to_string(),
+            (energy.spent.units() / device_ttis).to_string(),
+            (energy.harvested.units() / device_ttis).to_string(),
+            (energy.overflow.units() / device_ttis).to_string(),
+            totals.events.to_string(),
+            totals.misdetected.to_string(),
+            (totals.information_pico as f64 / PICO_PER_INFORMATION).to_string(),
+            totals.wake_ups.to_string(),
+            totals.wrong_activations.to_string(),
+        ])
+    }
+}
+
+impl Watcher for RunFolder {
+    fn window(&mut self, window: &WindowRecord, events: &[EventRecord]) -> bool {
+        if window.end > window.first && self.error.is_none() {
+            self.error = self.write(window, events).err();
+        }
+        self.error.is_none()
+    }
+}
+
+/// Empties a folder that held a run, if that is wanted.
+fn clear(path: &Path, force: bool) -> anyhow::Result<()> {
+    let Ok(mut files) = fs::read_dir(path) else { return Ok(()) };
+    if files.next().is_none() {
+        return Ok(());
+    }
+    let is_run = path.join("scenario.toml").exists();
+    if !force || !is_run {
+        let hint = if is_run { "choose another, or add --force to replace it" } else { "and it is not a run: choose another" };
+        bail!("--out {}: the folder is not empty; {hint}", path.display());
+    }
+    for name in [SUMMARY, RUNNING, FAILED, "scenario.toml", "events.csv", "windows.csv"] {
+        let file = path.join(name);
+        if file.exists() {
+            fs::remove_file(&file).with_context(|| format!("cannot replace {}", file.display()))?;
+        }
+    }
+    Ok(())
+}
+
+/// A folder under `runs/` that does not exist yet. It is made here, so that two runs never share one.
+fn free_name(scenario: &Scenario) -> anyhow::Result<PathBuf> {
+    fs::create_dir_all("runs").context("cannot create the folder runs here; name another with --out")?;
+    let stem = format!("{}-n{}-s{}", scenario.policy.name(), scenario.devices, scenario.seed);
+    for number in 1.. {
+        let name = if number == 1 { stem.clone() } else { format!("{stem}-{number}") };
+        let path = Path::new("runs").join(name);
+        match fs::create_dir(&path) {
+            Ok(()) => return Ok(path),
+            Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {}
+            Err(error) => return Err(error).with_context(|| format!("cannot create {}", path.display())),
+        }
+    }
+    bail!("no free name under runs/")
+}
