@@ -1,10 +1,34 @@
 //! Scenario files: presets, TOML, overrides, validation.
+//!
+//! A scenario is put together from layers: the preset `paper`, the preset that the file asks for, the file, and what the
+//! command line sets. [`load`] lays them over one another field by field, remembers where each value came from, and
+//! checks the whole once. What comes out is a [`Scenario`] without anything optional in it.
 
+mod check;
+mod classes;
+mod error;
+mod explain;
+mod hash;
+mod layers;
+mod load;
 mod model;
+mod overrides;
+#[cfg(feature = "parquet")]
+mod parquet;
+mod raw;
+mod table;
+#[cfg(test)]
+mod tests;
+mod trace;
+mod validate;
+mod write;
 
+pub use classes::assign_classes;
+pub use error::{Place, ScenarioError};
+pub use load::{PRESETS, load, parse};
 pub use model::{
     BsSettings, DeviceClass, EnergyModel, Events, Harvest, KnnSettings, PolicyConfig, Scenario, Trace, TraceColumns,
     TraceEnd,
 };
-mod classes;
-pub use classes::assign_classes;
+pub use overrides::Override;
+pub use validate::{MAX_CLASSES, MAX_DEVICES, MAX_TTIS};
