@@ -91,7 +91,7 @@ took=$(($(date +%s) - start))
 if [ "$code" -ne 0 ]; then
     compose ps -a >&2 || true
     [ "$code" -ne 124 ] || fail "no end after ${TESTBED_TIMEOUT:-600} s"
-    fail "the base station's exit code is $code after $took s"
+    fail "exit code $code after $took s (the base station's, unless compose itself failed)"
 fi
 
 summary=$(docker run --rm --network none --volume "${project}_results:/results:ro" \
