@@ -42,7 +42,7 @@ cp "$binary" "$context/reveille"
 chmod 0755 "$context/reveille"
 cp "$here/Dockerfile.prebuilt" "$context/Dockerfile"
 
-docker build --tag "$image" \
+docker build --force-rm --tag "$image" \
     --build-arg "RUNTIME_IMAGE=${RUNTIME_IMAGE:-debian:bookworm-slim}" \
     --build-arg "BINARY=reveille" \
     --build-arg "VERSION=${version:-unknown}" \

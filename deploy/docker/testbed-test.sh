@@ -76,7 +76,10 @@ if [ -z "${RUNTIME_IMAGE:-}" ]; then
 fi
 export RUNTIME_IMAGE
 say "packing $binary into $image"
-"$here/build-prebuilt.sh" "$image" "$binary" >/dev/null
+log=$("$here/build-prebuilt.sh" "$image" "$binary" 2>&1) || {
+    printf '%s\n' "$log" >&2
+    fail "the image could not be built"
+}
 
 say "running $REVEILLE_DEVICES devices, $REVEILLE_TTIS TTIs as project $project"
 start=$(date +%s)
