@@ -33,14 +33,18 @@ pub struct Cli {
 #[derive(Subcommand)]
 pub enum Command {
     /// Run a base station and its device processes on this machine, and sum up.
-    #[command(after_help = "Examples:\n  reveille up\n  reveille up --policy genie --devices 250 --processes 10\n  \
-        reveille up --scenario my.toml --set harvest.lambda=0.05 --json")]
+    #[command(
+        after_help = "Examples:\n  reveille up\n  reveille up --policy genie --devices 250 --processes 10\n  \
+        reveille up --scenario my.toml --set harvest.lambda=0.05 --json"
+    )]
     Up(UpArgs),
     /// Run in memory: the same run and the same digest as `up`, without processes or a network.
     Run(RunArgs),
     /// Start only the base station, and wait for devices to connect.
-    #[command(after_help = "Example, on two machines:\n  reveille bs --listen tcp/0.0.0.0:7447 --run demo --devices 50\n  \
-        reveille device --connect tcp/HOST:7447 --run demo --count 50")]
+    #[command(
+        after_help = "Example, on two machines:\n  reveille bs --listen tcp/0.0.0.0:7447 --run demo --devices 50\n  \
+        reveille device --connect tcp/HOST:7447 --run demo --count 50"
+    )]
     Bs(BsArgs),
     /// Start one process of devices, and connect it to a base station.
     Device(DeviceArgs),
@@ -422,13 +426,18 @@ fn parse_pace(text: &str) -> Result<reveille_bs::clock::Pace, String> {
     if text == "max" {
         return Ok(reveille_bs::clock::Pace::Max);
     }
-    parse_duration(text).map(reveille_bs::clock::Pace::RealTime).map_err(|e| format!("must be `max` or {e}"))
+    parse_duration(text)
+        .map(reveille_bs::clock::Pace::RealTime)
+        .map_err(|e| format!("must be `max` or {e}"))
 }
 
 fn parse_duration(text: &str) -> Result<Duration, String> {
     let units = [("us", 1e-6), ("ms", 1e-3), ("s", 1.0), ("min", 60.0)];
     let number = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
-    let unit = units.iter().find(|(name, _)| *name == &text[number.len()..]).map(|(_, seconds)| seconds);
+    let unit = units
+        .iter()
+        .find(|(name, _)| *name == &text[number.len()..])
+        .map(|(_, seconds)| seconds);
     match (number.parse::<f64>(), unit) {
         (Ok(n), Some(seconds)) if n > 0.0 && n * seconds <= 1e6 => Ok(Duration::from_secs_f64(n * seconds)),
         _ => Err("a time above 0 such as 500us, 10ms, 2s or 1min".to_owned()),

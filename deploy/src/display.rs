@@ -67,7 +67,11 @@ impl Bar {
                 std::thread::park_timeout(Duration::from_millis(100));
             }
         });
-        Self { bar, done, thread: Some(thread) }
+        Self {
+            bar,
+            done,
+            thread: Some(thread),
+        }
     }
 }
 
@@ -94,7 +98,11 @@ fn update(bar: &ProgressBar, progress: &Progress, devices: u32, was_running: boo
         bar.reset_eta();
     }
     let (events, missed) = (get(&progress.events), get(&progress.misdetected));
-    let share = if events == 0 { 0.0 } else { 100.0 * missed as f64 / events as f64 };
+    let share = if events == 0 {
+        0.0
+    } else {
+        100.0 * missed as f64 / events as f64
+    };
     let battery = get(&progress.mean_battery) as f64 / MICRO_PER_UNIT as f64;
     bar.set_message(format!("events {events}  missed {share:.1} %  battery {battery:.1}"));
     bar.set_position(tti);
@@ -104,7 +112,9 @@ fn update(bar: &ProgressBar, progress: &Progress, devices: u32, was_running: boo
 /// The closing table.
 pub fn table(summary: &Summary<'_>) -> String {
     let mut table = Table::new();
-    table.load_preset(UTF8_FULL_CONDENSED).set_header(["metric", "value", "unit"]);
+    table
+        .load_style(UTF8_FULL_CONDENSED)
+        .set_header(["metric", "value", "unit"]);
     for (name, value, unit) in summary.metrics.rows() {
         table.add_row([name.to_owned(), number(value), unit.to_owned()]);
     }
@@ -118,13 +128,22 @@ pub fn table(summary: &Summary<'_>) -> String {
     );
     text += &format!("{:.0} TTIs/s", timing.ttis_per_s);
     if timing.hosts > 0 {
-        text += &format!(" · {} processes ready in {:.2} s · {} barriers", timing.hosts, timing.ready_s, timing.grants);
+        text += &format!(
+            " · {} processes ready in {:.2} s · {} barriers",
+            timing.hosts, timing.ready_s, timing.grants
+        );
     }
     if timing.host_rss_mb > 0.0 {
-        text += &format!(" · {:.1} MB ({:.1} MB unshared) a process", timing.host_rss_mb, timing.host_pss_mb);
+        text += &format!(
+            " · {:.1} MB ({:.1} MB unshared) a process",
+            timing.host_rss_mb, timing.host_pss_mb
+        );
     }
     if timing.late_ttis > 0 {
-        text += &format!("\n{} TTIs began late, by {:.1} ms at the most", timing.late_ttis, timing.max_late_ms);
+        text += &format!(
+            "\n{} TTIs began late, by {:.1} ms at the most",
+            timing.late_ttis, timing.max_late_ms
+        );
     }
     if summary.status != "complete" {
         text += "\ninterrupted: the figures are those of the TTIs that were run";

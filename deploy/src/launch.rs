@@ -34,14 +34,21 @@ impl Children {
             let mut command = Command::new(&program);
             command
                 .args(["device", "--connect", endpoint, "--run", run])
-                .args(["--count", &count.to_string(), "--parent", &std::process::id().to_string()])
+                .args([
+                    "--count",
+                    &count.to_string(),
+                    "--parent",
+                    &std::process::id().to_string(),
+                ])
                 .args((0..verbosity).map(|_| "-v"))
                 .env("ZENOH_RUNTIME", LEAF_RUNTIME)
                 .stdin(Stdio::null())
                 .stdout(Stdio::null())
                 // Ctrl-C in the terminal is for the parent, which tells the children.
                 .process_group(0);
-            let child = command.spawn().with_context(|| format!("cannot start device process {number}"))?;
+            let child = command
+                .spawn()
+                .with_context(|| format!("cannot start device process {number}"))?;
             children.running.push((number, child));
         }
         Ok(children)
@@ -58,7 +65,10 @@ impl Children {
             if let Ok(Some(status)) = child.try_wait()
                 && !status.success()
             {
-                return Some(format!("device process {number} (pid {}) ended with {status}", child.id()));
+                return Some(format!(
+                    "device process {number} (pid {}) ended with {status}",
+                    child.id()
+                ));
             }
         }
         None
@@ -69,13 +79,17 @@ impl Children {
         #[expect(clippy::disallowed_methods, reason = "children get a while of real time to leave")]
         let (now, started) = (Instant::now, Instant::now());
         while now() - started < LEAVE {
-            self.running.retain_mut(|(_, child)| !matches!(child.try_wait(), Ok(Some(_))));
+            self.running
+                .retain_mut(|(_, child)| !matches!(child.try_wait(), Ok(Some(_))));
             if self.running.is_empty() {
                 return;
             }
             std::thread::sleep(Duration::from_millis(10));
         }
-        tracing::warn!(processes = self.running.len(), "device processes did not leave by themselves");
+        tracing::warn!(
+            processes = self.running.len(),
+            "device processes did not leave by themselves"
+        );
     }
 }
 
@@ -100,7 +114,8 @@ fn shares(devices: u32, processes: u32) -> impl Iterator<Item = u32> {
 /// # Errors
 /// If the parent has ended already, or the kernel refuses.
 pub fn die_with(parent: i32) -> anyhow::Result<()> {
-    rustix::process::set_parent_process_death_signal(Some(Signal::KILL)).context("cannot tie this process to its parent")?;
+    rustix::process::set_parent_process_death_signal(Some(Signal::KILL))
+        .context("cannot tie this process to its parent")?;
     let is_ours = rustix::process::getppid().map(Pid::as_raw_pid) == Some(parent);
     anyhow::ensure!(is_ours, "the process that started this one has ended");
     Ok(())

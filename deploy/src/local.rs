@@ -35,7 +35,11 @@ pub fn register(run: &RunName, endpoint: &str) -> anyhow::Result<Registered> {
     fs::create_dir_all(&folder).with_context(|| format!("cannot create {}", folder.display()))?;
     let pid = i32::try_from(std::process::id()).context("process ids are 31 bits")?;
     let path = folder.join(format!("{run}-{pid}.json"));
-    let entry = Entry { run: run.to_string(), endpoint: endpoint.to_owned(), pid };
+    let entry = Entry {
+        run: run.to_string(),
+        endpoint: endpoint.to_owned(),
+        pid,
+    };
     fs::write(&path, serde_json::to_vec(&entry)?).with_context(|| format!("cannot write {}", path.display()))?;
     Ok(Registered(path))
 }
@@ -60,17 +64,25 @@ pub fn find(target: &TargetArgs) -> anyhow::Result<(String, RunName)> {
         },
         many => {
             let names: Vec<String> = many.iter().map(|e| format!("{} at {}", e.run, e.endpoint)).collect();
-            bail!("there are {} runs on this machine; choose one with --run: {}", many.len(), names.join(", "))
+            bail!(
+                "there are {} runs on this machine; choose one with --run: {}",
+                many.len(),
+                names.join(", ")
+            )
         }
     }
 }
 
 /// The entries of processes that live; those of others are removed.
 fn entries() -> Vec<Entry> {
-    let Ok(files) = fs::read_dir(folder()) else { return Vec::new() };
+    let Ok(files) = fs::read_dir(folder()) else {
+        return Vec::new();
+    };
     let mut found = Vec::new();
     for path in files.flatten().map(|file| file.path()) {
-        let entry: Option<Entry> = fs::read(&path).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
+        let entry: Option<Entry> = fs::read(&path)
+            .ok()
+            .and_then(|bytes| serde_json::from_slice(&bytes).ok());
         match entry {
             Some(entry) if is_alive(entry.pid) => found.push(entry),
             Some(_) => drop(fs::remove_file(&path)),

@@ -45,5 +45,8 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
 
 /// zenoh needs a multi-thread runtime, even with one worker.
 fn runtime(workers: usize) -> std::io::Result<tokio::runtime::Runtime> {
-    tokio::runtime::Builder::new_multi_thread().worker_threads(workers).enable_all().build()
+    tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(workers)
+        .enable_all()
+        .build()
 }

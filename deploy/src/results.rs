@@ -156,7 +156,8 @@ impl RunFolder {
         fs::create_dir_all(&path).with_context(cannot)?;
         fs::write(path.join(RUNNING), format!("pid {}\n", std::process::id())).with_context(cannot)?;
         fs::write(path.join("scenario.toml"), scenario.to_toml()).with_context(cannot)?;
-        let open = |name: &str| File::create(path.join(name)).map(|file| csv::Writer::from_writer(BufWriter::new(file)));
+        let open =
+            |name: &str| File::create(path.join(name)).map(|file| csv::Writer::from_writer(BufWriter::new(file)));
         let mut folder = Self {
             events: open("events.csv").with_context(cannot)?,
             windows: open("windows.csv").with_context(cannot)?,
@@ -176,7 +177,13 @@ impl RunFolder {
     /// The last part of its path, as a name for the run.
     pub fn name(&self) -> String {
         let name = self.path.file_name().unwrap_or_default().to_string_lossy();
-        let fits = |c: char| if c.is_ascii_alphanumeric() || c == '-' || c == '_' { c } else { '-' };
+        let fits = |c: char| {
+            if c.is_ascii_alphanumeric() || c == '-' || c == '_' {
+                c
+            } else {
+                '-'
+            }
+        };
         let name: String = name.chars().map(fits).take(64).collect();
         if name.is_empty() { "run".to_owned() } else { name }
     }
@@ -285,13 +292,19 @@ impl Watcher for RunFolder {
 
 /// Empties a folder that held a run, if that is wanted.
 fn clear(path: &Path, force: bool) -> anyhow::Result<()> {
-    let Ok(mut files) = fs::read_dir(path) else { return Ok(()) };
+    let Ok(mut files) = fs::read_dir(path) else {
+        return Ok(());
+    };
     if files.next().is_none() {
         return Ok(());
     }
     let is_run = path.join("scenario.toml").exists();
     if !force || !is_run {
-        let hint = if is_run { "choose another, or add --force to replace it" } else { "and it is not a run: choose another" };
+        let hint = if is_run {
+            "choose another, or add --force to replace it"
+        } else {
+            "and it is not a run: choose another"
+        };
         bail!("--out {}: the folder is not empty; {hint}", path.display());
     }
     for name in [SUMMARY, RUNNING, FAILED, "scenario.toml", "events.csv", "windows.csv"] {
@@ -308,7 +321,11 @@ fn free_name(scenario: &Scenario) -> anyhow::Result<PathBuf> {
     fs::create_dir_all("runs").context("cannot create the folder runs here; name another with --out")?;
     let stem = format!("{}-n{}-s{}", scenario.policy.name(), scenario.devices, scenario.seed);
     for number in 1.. {
-        let name = if number == 1 { stem.clone() } else { format!("{stem}-{number}") };
+        let name = if number == 1 {
+            stem.clone()
+        } else {
+            format!("{stem}-{number}")
+        };
         let path = Path::new("runs").join(name);
         match fs::create_dir(&path) {
             Ok(()) => return Ok(path),

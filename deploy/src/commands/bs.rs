@@ -32,8 +32,19 @@ pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
         );
     }
     let progress = Arc::new(Progress::default());
-    serve(&Station { bus: &bus, run: &args.run, scenario: &scenario, settings, output: &args.output, progress }, folder, |_| Ok(()))
-        .await
+    serve(
+        &Station {
+            bus: &bus,
+            run: &args.run,
+            scenario: &scenario,
+            settings,
+            output: &args.output,
+            progress,
+        },
+        folder,
+        |_| Ok(()),
+    )
+    .await
 }
 
 /// A base station about to serve.
@@ -70,7 +81,14 @@ pub async fn serve(
     mut folder: RunFolder,
     look: impl FnOnce(&mut Timing) -> anyhow::Result<()>,
 ) -> anyhow::Result<ExitCode> {
-    let Station { bus, run, scenario, settings, output, progress } = station;
+    let Station {
+        bus,
+        run,
+        scenario,
+        settings,
+        output,
+        progress,
+    } = station;
     let _registered = local::register(run, bus.endpoint())?;
     let stop = interrupt::watch()?;
     let (watched, seen) = (Arc::clone(&stop), Arc::clone(progress));

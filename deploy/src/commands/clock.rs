@@ -18,8 +18,15 @@ pub async fn run(args: &ClockArgs) -> anyhow::Result<ExitCode> {
     let bus = Bus::connect(&endpoint, run, PATIENCE).await?;
     let command = ClockCommand::from(args.command);
     let status: Option<ClockStatus> = bus.ask(bus.keys().of(Kind::Control), &command, PATIENCE).await?;
-    let Some(status) = status else { return Err(bus.no_run().await.into()) };
-    let ClockStatus { tti, ttis, paused, until } = status;
+    let Some(status) = status else {
+        return Err(bus.no_run().await.into());
+    };
+    let ClockStatus {
+        tti,
+        ttis,
+        paused,
+        until,
+    } = status;
     match (paused, until.0 < ttis) {
         (true, _) => println!("paused before TTI {tti} of {ttis}"),
         (false, true) => println!("running at TTI {tti} of {ttis}, to stop before TTI {until}"),

@@ -9,7 +9,9 @@ use std::time::Duration;
 use reveille_common::bus::Bus;
 use reveille_common::codec;
 use reveille_common::keys::{self, Kind};
-use reveille_common::message::{Answer, Clock, ClockCommand, JoinRequest, PlanUpdate, Ready, Report, TapBatch, TapFrame, WakeUp};
+use reveille_common::message::{
+    Answer, Clock, ClockCommand, JoinRequest, PlanUpdate, Ready, Report, TapBatch, TapFrame, WakeUp,
+};
 use serde::Serialize;
 use serde_json::{Value, json};
 
@@ -59,7 +61,10 @@ async fn tail(args: &TailArgs) -> anyhow::Result<ExitCode> {
             _ = tokio::signal::ctrl_c() => break,
         }
     }
-    eprintln!("{printed} messages shown, {} left out because this could not keep up", left_out.into_inner());
+    eprintln!(
+        "{printed} messages shown, {} left out because this could not keep up",
+        left_out.into_inner()
+    );
     bus.close().await;
     Ok(ExitCode::SUCCESS)
 }
@@ -85,20 +90,29 @@ fn print(args: &TailArgs, frames: &[TapFrame], printed: &mut u64) -> bool {
 fn line(args: &TailArgs, frame: &TapFrame) -> Option<String> {
     let (kind, number) = keys::classify(&frame.key)?;
     let plane = kind.plane().name();
-    let wanted_plane = args.plane.is_none_or(|p| plane == if p == PlaneArg::Air { "air" } else { "emu" });
+    let wanted_plane = args
+        .plane
+        .is_none_or(|p| plane == if p == PlaneArg::Air { "air" } else { "emu" });
     if !wanted_plane || !(args.kind.is_empty() || args.kind.contains(&kind)) {
         return None;
     }
     let message = decode(kind, &frame.payload);
-    if args.device.is_some_and(|device| !concerns(kind, number, &message, device)) {
+    if args
+        .device
+        .is_some_and(|device| !concerns(kind, number, &message, device))
+    {
         return None;
     }
     let (tti, bytes, name) = (frame.tti, frame.payload.len(), kind.name());
     Some(if args.json {
-        json!({ "tti": tti.0, "plane": plane, "kind": name, "number": number, "bytes": bytes, "message": message }).to_string()
+        json!({ "tti": tti.0, "plane": plane, "kind": name, "number": number, "bytes": bytes, "message": message })
+            .to_string()
     } else {
         let number = number.map(|n| n.to_string()).unwrap_or_default();
-        format!("{tti:>8} {plane} {name:<7} {number:>5} {bytes:>6} B  {}", brief(&message))
+        format!(
+            "{tti:>8} {plane} {name:<7} {number:>5} {bytes:>6} B  {}",
+            brief(&message)
+        )
     })
 }
 

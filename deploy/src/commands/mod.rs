@@ -18,7 +18,11 @@ use crate::results::Summary;
 
 /// The scenario that the command line means.
 pub fn resolve(args: &ScenarioArgs) -> anyhow::Result<Scenario> {
-    let mut overrides = args.set.iter().map(|text| Override::parse(text)).collect::<Result<Vec<_>, _>>()?;
+    let mut overrides = args
+        .set
+        .iter()
+        .map(|text| Override::parse(text))
+        .collect::<Result<Vec<_>, _>>()?;
     let flags = [
         ("--devices", "devices", &args.devices),
         ("--policy", "policy.name", &args.policy),
@@ -46,5 +50,9 @@ pub fn conclude(args: &OutputArgs, summary: &Summary<'_>, folder: &std::path::Pa
         print!("{}", display::table(summary));
         println!("results in {}", folder.display());
     }
-    Ok(if summary.status == "complete" { ExitCode::SUCCESS } else { ExitCode::from(crate::INTERRUPTED) })
+    Ok(if summary.status == "complete" {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::from(crate::INTERRUPTED)
+    })
 }

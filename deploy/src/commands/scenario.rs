@@ -17,7 +17,10 @@ pub fn run(command: &ScenarioCommand) -> anyhow::Result<ExitCode> {
             println!("`reveille scenario show NAME` prints all fields of one.");
             Ok(ExitCode::SUCCESS)
         }
-        ScenarioCommand::Show { source: Some(source), set } => {
+        ScenarioCommand::Show {
+            source: Some(source),
+            set,
+        } => {
             print!("{}", load(source, &overrides(set)?)?.to_toml());
             Ok(ExitCode::SUCCESS)
         }

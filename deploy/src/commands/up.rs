@@ -61,8 +61,14 @@ async fn attend(
 ) -> anyhow::Result<ExitCode> {
     let settings = settings(&args.drive, window(&args.output, scenario), Some(JOIN));
     let progress = Arc::new(Progress::default());
-    let station =
-        Station { bus, run, scenario, settings, output: &args.output, progress: Arc::clone(&progress) };
+    let station = Station {
+        bus,
+        run,
+        scenario,
+        settings,
+        output: &args.output,
+        progress: Arc::clone(&progress),
+    };
     if args.processes == 0 {
         let (own, devices) = (bus.clone(), scenario.devices);
         let carried = tokio::spawn(async move { host::carry(&own, devices, 0, JOIN).await });
@@ -101,7 +107,10 @@ async fn attend(
 /// Looks after the device processes until all have joined: one that fails before ends the wait.
 async fn watch(children: Arc<std::sync::Mutex<Option<Children>>>, progress: Arc<Progress>) -> Option<String> {
     while progress.tti.load(Ordering::Relaxed) == 0 {
-        let failed = children.lock().ok().and_then(|mut slot| slot.as_mut().and_then(Children::failed));
+        let failed = children
+            .lock()
+            .ok()
+            .and_then(|mut slot| slot.as_mut().and_then(Children::failed));
         if failed.is_some() {
             progress.stop.store(true, Ordering::Relaxed);
             return failed;
@@ -115,7 +124,8 @@ async fn watch(children: Arc<std::sync::Mutex<Option<Children>>>, progress: Arc<
 fn measure(pids: &[u32], timing: &mut Timing) {
     let field = |text: &str, name: &str| -> f64 {
         let line = text.lines().find_map(|line| line.strip_prefix(name));
-        line.and_then(|rest| rest.split_whitespace().next()?.parse().ok()).unwrap_or(0.0)
+        line.and_then(|rest| rest.split_whitespace().next()?.parse().ok())
+            .unwrap_or(0.0)
     };
     let mut seen = 0.0;
     for pid in pids {
