@@ -335,8 +335,9 @@ pub enum BenchCommand {
         kind: String,
         /// Endpoint or socket path.
         at: String,
-        /// Bytes of its answer.
-        answer: usize,
+        /// Bytes of a tick and of its answer.
+        #[arg(value_parser = parse_sizes)]
+        sizes: (usize, usize),
         /// Its number.
         number: u32,
     },
@@ -413,6 +414,13 @@ pub enum PlaneArg {
     Air,
     /// What only the emulation needs.
     Emu,
+}
+
+fn parse_sizes(text: &str) -> Result<(usize, usize), String> {
+    let pair = text
+        .split_once(',')
+        .and_then(|(tick, answer)| Some((tick.parse().ok()?, answer.parse().ok()?)));
+    pair.ok_or_else(|| "must be TICK,ANSWER".to_owned())
 }
 
 fn parse_kind(text: &str) -> Result<Kind, String> {

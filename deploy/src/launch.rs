@@ -28,27 +28,43 @@ impl Children {
     /// # Errors
     /// If a process cannot be started.
     pub fn start(devices: u32, processes: u32, endpoint: &str, run: &str, verbosity: u8) -> anyhow::Result<Self> {
+        Self::spawn(shares(devices, processes).map(|count| {
+            let (count, parent, verbose) = (count.to_string(), std::process::id().to_string(), "-v".to_owned());
+            [
+                "device",
+                "--connect",
+                endpoint,
+                "--run",
+                run,
+                "--count",
+                &count,
+                "--parent",
+                &parent,
+            ]
+            .into_iter()
+            .map(str::to_owned)
+            .chain((0..verbosity).map(|_| verbose.clone()))
+            .collect()
+        }))
+    }
+
+    /// Starts a process of this program for each list of arguments.
+    ///
+    /// # Errors
+    /// If a process cannot be started.
+    pub fn spawn(arguments: impl Iterator<Item = Vec<String>>) -> anyhow::Result<Self> {
         let program = std::env::current_exe().context("cannot find the reveille program itself")?;
         let mut children = Self { running: Vec::new() };
-        for (number, count) in shares(devices, processes).enumerate() {
-            let mut command = Command::new(&program);
-            command
-                .args(["device", "--connect", endpoint, "--run", run])
-                .args([
-                    "--count",
-                    &count.to_string(),
-                    "--parent",
-                    &std::process::id().to_string(),
-                ])
-                .args((0..verbosity).map(|_| "-v"))
+        for (number, arguments) in arguments.enumerate() {
+            let child = Command::new(&program)
+                .args(arguments)
                 .env("ZENOH_RUNTIME", LEAF_RUNTIME)
                 .stdin(Stdio::null())
                 .stdout(Stdio::null())
                 // Ctrl-C in the terminal is for the parent, which tells the children.
-                .process_group(0);
-            let child = command
+                .process_group(0)
                 .spawn()
-                .with_context(|| format!("cannot start device process {number}"))?;
+                .with_context(|| format!("cannot start process {number}"))?;
             children.running.push((number, child));
         }
         Ok(children)

@@ -3,6 +3,7 @@
 //! The BS listens as a zenoh router, everything else connects to it as a client over TCP. Links are reliable and blocking:
 //! losses and delays of the modelled radio never come from here. See [`crate::message`] for what travels.
 
+mod bare;
 mod tap;
 
 use std::sync::Arc;
@@ -22,6 +23,7 @@ use crate::codec::{self, CodecError};
 use crate::ids::Tti;
 use crate::keys::{Keys, RunName};
 
+pub use bare::{BareBarrier, bare_host};
 pub use tap::Tap;
 
 /// How long a link may be silent before its peer counts as lost, milliseconds.
@@ -320,6 +322,19 @@ impl Bus {
         }
         runs.sort();
         Ok(runs)
+    }
+
+    /// How many hosts of this run live behind this session.
+    ///
+    /// # Errors
+    /// If zenoh refuses.
+    pub async fn alive_hosts(&self) -> Result<u32, BusError> {
+        let replies = self.session.liveliness().get(self.keys.all_alive()).await?;
+        let mut hosts = 0;
+        while replies.recv_async().await.is_ok() {
+            hosts += 1;
+        }
+        Ok(hosts)
     }
 
     /// That nobody serves this run here, with the names of those that are served.

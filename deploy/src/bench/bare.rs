@@ -1,0 +1,109 @@
+//! Barriers without a model, in as many processes as the emulator uses.
+
+use std::io::{Read, Write};
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::process::ExitCode;
+use std::time::Duration;
+
+use anyhow::Context;
+use reveille_common::bus::{BareBarrier, Bus, bare_host};
+
+use super::now;
+use crate::launch::Children;
+
+/// Bytes of a tick and of an answer.
+#[derive(Clone, Copy)]
+pub struct Sizes {
+    /// BS → hosts.
+    pub tick: usize,
+    /// Host → BS.
+    pub answer: usize,
+}
+
+/// Rounds per second of a bare zenoh barrier over `hosts` processes.
+pub fn zenoh(hosts: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<f64> {
+    let runtime = crate::runtime(2)?;
+    runtime.block_on(async {
+        let bus = Bus::listen("tcp/127.0.0.1:0", "bare".parse()?).await?;
+        let barrier = BareBarrier::new(&bus)?;
+        let alive = bus.declare_alive(bus.keys().bs_alive())?;
+        let children = start("zenoh", bus.endpoint(), hosts, sizes)?;
+        let tick = vec![0; sizes.tick];
+        // The first rounds fail until every host has subscribed.
+        let ready = now();
+        while bus.alive_hosts().await? < hosts {
+            anyhow::ensure!(
+                ready.elapsed() < Duration::from_secs(60),
+                "the hosts of the bare barrier did not start"
+            );
+        }
+        let rate = rate(seconds, || Ok(barrier.round(&tick, hosts as usize)?))?;
+        drop(alive);
+        children.wait();
+        Ok(rate)
+    })
+}
+
+/// Rounds per second of a barrier over `hosts` unix sockets.
+pub fn unix(hosts: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<f64> {
+    let path = std::env::temp_dir().join(format!("reveille-bench-{}.sock", std::process::id()));
+    let _stale = std::fs::remove_file(&path);
+    let listener = UnixListener::bind(&path).with_context(|| format!("cannot listen on {}", path.display()))?;
+    let children = start("unix", &path.display().to_string(), hosts, sizes)?;
+    let mut links = (0..hosts)
+        .map(|_| listener.accept().map(|(link, _)| link))
+        .collect::<std::io::Result<Vec<UnixStream>>>()?;
+    let (tick, mut answer) = (vec![0; sizes.tick], vec![0; sizes.answer]);
+    let rate = rate(seconds, || {
+        for link in &mut links {
+            link.write_all(&tick)?;
+        }
+        for link in &mut links {
+            link.read_exact(&mut answer)?;
+        }
+        Ok(())
+    })?;
+    drop(links);
+    children.wait();
+    std::fs::remove_file(&path)?;
+    Ok(rate)
+}
+
+/// One host, in a process of its own.
+pub fn host(kind: &str, at: &str, sizes: (usize, usize), number: u32) -> anyhow::Result<ExitCode> {
+    match kind {
+        "zenoh" => crate::runtime(1)?.block_on(async {
+            let bus = Bus::connect(at, "bare".parse()?, Duration::from_secs(30)).await?;
+            bare_host(&bus, number, sizes.1).await?;
+            bus.close().await;
+            anyhow::Ok(())
+        })?,
+        _ => {
+            let mut link = UnixStream::connect(at)?;
+            let (mut tick, answer) = (vec![0; sizes.0], vec![0; sizes.1]);
+            while link.read_exact(&mut tick).is_ok() && link.write_all(&answer).is_ok() {}
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn start(kind: &str, at: &str, hosts: u32, sizes: Sizes) -> anyhow::Result<Children> {
+    let sizes = format!("{},{}", sizes.tick, sizes.answer);
+    Children::spawn((0..hosts).map(|number| {
+        ["bench", "bare-host", kind, at, &sizes, &number.to_string()]
+            .map(str::to_owned)
+            .to_vec()
+    }))
+}
+
+fn rate(seconds: f64, mut round: impl FnMut() -> anyhow::Result<()>) -> anyhow::Result<f64> {
+    for _ in 0..20 {
+        round()?;
+    }
+    let (started, mut rounds) = (now(), 0_u32);
+    while started.elapsed().as_secs_f64() < seconds {
+        round()?;
+        rounds += 1;
+    }
+    Ok(f64::from(rounds) / started.elapsed().as_secs_f64())
+}

@@ -1,0 +1,44 @@
+//! `reveille bench memory`.
+
+use std::process::ExitCode;
+
+use reveille_common::scenario::{Override, load};
+use reveille_lab::run;
+
+use super::{median, now};
+use crate::cli::MemoryBenchArgs;
+
+/// Repetitions of each measurement.
+const REPEAT: usize = 3;
+
+/// Measures, one row for each policy and number of devices.
+pub fn run(args: &MemoryBenchArgs) -> anyhow::Result<ExitCode> {
+    println!("preset paper, {} TTIs, one core; medians of {REPEAT} runs", args.ttis);
+    println!(
+        "{:>10} {:>8} {:>12} {:>22}",
+        "policy", "devices", "TTIs/s", "M device-TTIs/s"
+    );
+    for policy in &args.policies {
+        for devices in &args.devices {
+            let overrides = [
+                Override::flag("--policies", "policy.name", policy)?,
+                Override::flag("--devices", "devices", &devices.to_string())?,
+                Override::flag("--ttis", "ttis", &args.ttis.to_string())?,
+            ];
+            let scenario = load("paper", &overrides)?;
+            let rates = (0..REPEAT)
+                .map(|_| {
+                    let started = now();
+                    std::hint::black_box(run::run(&scenario));
+                    args.ttis as f64 / started.elapsed().as_secs_f64()
+                })
+                .collect();
+            let rate = median(rates);
+            println!(
+                "{policy:>10} {devices:>8} {rate:>12.0} {:>22.1}",
+                rate * f64::from(*devices) / 1e6
+            );
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
