@@ -270,10 +270,9 @@ mod tests {
     #[test]
     fn means_follow_the_closed_forms() {
         let lambda = 0.3;
-        let e = std::f64::consts::E;
         let cases = [
-            (Harvest::Eq5 { lambda, e_b: E_B }, lambda * e.powf(-lambda)),
-            (Harvest::ExpMinusLambda { lambda, e_b: E_B }, e.powf(-lambda)),
+            (Harvest::Eq5 { lambda, e_b: E_B }, lambda * libm::exp(-lambda)),
+            (Harvest::ExpMinusLambda { lambda, e_b: E_B }, libm::exp(-lambda)),
             (
                 Harvest::Mpp {
                     lambda,
@@ -313,7 +312,7 @@ mod tests {
         }
         // A run ends after each of its TTIs with the probability that the sampled chain leaves "on".
         let rate = lambda + 1.0 / off_mean;
-        let leave = (1.0 - (1.0 / off_mean) / rate) * (1.0 - std::f64::consts::E.powf(-rate));
+        let leave = (1.0 - (1.0 / off_mean) / rate) * (1.0 - libm::exp(-rate));
         let mean = length as f64 / runs as f64;
         assert!(
             (mean * leave - 1.0).abs() < 4.0 / (runs as f64).sqrt(),

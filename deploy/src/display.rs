@@ -1,5 +1,6 @@
 //! What a person sees: the progress bar and the closing table.
 
+use std::fmt::Write as _;
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -41,7 +42,7 @@ impl<'a> tracing_subscriber::fmt::MakeWriter<'a> for LogWriter {
 
 /// A progress bar with a thread that keeps it up to date; gone when dropped.
 pub struct Bar {
-    bar: ProgressBar,
+    line: ProgressBar,
     done: Arc<std::sync::atomic::AtomicBool>,
     thread: Option<std::thread::JoinHandle<()>>,
 }
@@ -68,7 +69,7 @@ impl Bar {
             }
         });
         Self {
-            bar,
+            line: bar,
             done,
             thread: Some(thread),
         }
@@ -82,7 +83,7 @@ impl Drop for Bar {
             thread.thread().unpark();
             let _panicked = thread.join().is_err();
         }
-        self.bar.finish_and_clear();
+        self.line.finish_and_clear();
     }
 }
 
@@ -122,25 +123,29 @@ pub fn table(summary: &Summary<'_>) -> String {
         column.set_cell_alignment(CellAlignment::Right);
     }
     let timing = &summary.timing;
+    // Writing to a string cannot fail.
     let mut text = format!(
         "{} · {} devices · {} of {} TTIs · preset {} · seed {}\n{table}\n",
         summary.policy, summary.n, summary.ttis_done, summary.ttis, summary.preset, summary.seed
     );
-    text += &format!("{:.0} TTIs/s", timing.ttis_per_s);
+    let _ = write!(text, "{:.0} TTIs/s", timing.ttis_per_s);
     if timing.hosts > 0 {
-        text += &format!(
+        let _ = write!(
+            text,
             " · {} processes ready in {:.2} s · {} barriers",
             timing.hosts, timing.ready_s, timing.grants
         );
     }
     if timing.host_rss_mb > 0.0 {
-        text += &format!(
+        let _ = write!(
+            text,
             " · {:.1} MB ({:.1} MB unshared) a process",
             timing.host_rss_mb, timing.host_pss_mb
         );
     }
     if timing.late_ttis > 0 {
-        text += &format!(
+        let _ = write!(
+            text,
             "\n{} TTIs began late, by {:.1} ms at the most",
             timing.late_ttis, timing.max_late_ms
         );
@@ -148,7 +153,8 @@ pub fn table(summary: &Summary<'_>) -> String {
     if summary.status != "complete" {
         text += "\ninterrupted: the figures are those of the TTIs that were run";
     }
-    text + &format!("\ndigest {}\n", summary.digest)
+    let _ = writeln!(text, "\ndigest {}", summary.digest);
+    text
 }
 
 fn number(value: f64) -> String {

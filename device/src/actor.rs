@@ -51,7 +51,7 @@ impl Actor {
                 Input::Duty(from, duty) => self.machine.set_duty(from, duty),
                 Input::Settle(k, round) => {
                     self.machine.settle(k);
-                    round.add(Part::Totals(self.machine.id(), self.machine.totals()), &self.uplink);
+                    round.add(&Part::Totals(self.machine.id(), self.machine.totals()), &self.uplink);
                 }
                 Input::Sense(tti, stimulus, round) => self.sense(tti, &stimulus, &round),
                 Input::Wake(tti, stimulus) => self.wake(tti, &stimulus),
@@ -68,7 +68,7 @@ impl Actor {
                 Part::Reported(report)
             }
         };
-        round.add(part, &self.uplink);
+        round.add(&part, &self.uplink);
     }
 
     fn wake(&mut self, tti: Tti, stimulus: &Stimulus) {

@@ -42,7 +42,10 @@ impl Battery {
         self.level += fits;
     }
 
-    /// Pays `cost`; or, where the battery holds less, empties it and gives what was in it as the error: the action failed.
+    /// Pays `cost` for an action.
+    ///
+    /// # Errors
+    /// Where the battery holds less: it is emptied, the action fails, and the error is what was in it.
     pub fn pay(&mut self, cost: Energy) -> Result<(), Energy> {
         let paid = cost.min(self.level);
         self.level -= paid;

@@ -257,7 +257,7 @@ impl Shared {
                 self.send(j, Input::Sense(tick.last, stimulus, Arc::clone(&round)));
             }
         }
-        round.add(Part::Nothing, &self.uplink);
+        round.add(&Part::Nothing, &self.uplink);
     }
 
     fn on_finish(&self, end: Tti) {
@@ -273,7 +273,7 @@ impl Shared {
         for j in 0..self.mailboxes.len() {
             self.send(j, Input::Settle(end, Arc::clone(&round)));
         }
-        round.add(Part::Nothing, &self.uplink);
+        round.add(&Part::Nothing, &self.uplink);
     }
 
     fn send(&self, j: usize, input: Input) {

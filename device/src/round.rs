@@ -60,14 +60,14 @@ impl Round {
     }
 
     /// Adds one device's part, or the host's own; the last one sends the answer.
-    pub fn add(&self, part: Part, uplink: &Uplink) {
+    pub fn add(&self, part: &Part, uplink: &Uplink) {
         let mut state = self.lock();
         match part {
-            Part::Reported(report) => state.reports.push(report),
-            Part::Failed(failure) => state.failures.push(failure),
+            Part::Reported(report) => state.reports.push(*report),
+            Part::Failed(failure) => state.failures.push(*failure),
             Part::Totals(device, totals) => match self.question {
-                Question::Grant(_) => state.totals = Some(state.totals.unwrap_or_default() + totals),
-                Question::Ledgers => state.ledgers.push((device, totals)),
+                Question::Grant(_) => state.totals = Some(state.totals.unwrap_or_default() + *totals),
+                Question::Ledgers => state.ledgers.push((*device, *totals)),
             },
             Part::Nothing => {}
         }

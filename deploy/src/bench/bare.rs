@@ -33,7 +33,7 @@ pub fn zenoh(hosts: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<f64> {
         let ready = now();
         while bus.alive_hosts().await? < hosts {
             anyhow::ensure!(
-                ready.elapsed() < Duration::from_secs(60),
+                ready.elapsed() < Duration::from_mins(1),
                 "the hosts of the bare barrier did not start"
             );
         }
@@ -71,18 +71,17 @@ pub fn unix(hosts: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<f64> {
 
 /// One host, in a process of its own.
 pub fn host(kind: &str, at: &str, sizes: (usize, usize), number: u32) -> anyhow::Result<ExitCode> {
-    match kind {
-        "zenoh" => crate::runtime(1)?.block_on(async {
+    if kind == "zenoh" {
+        crate::runtime(1)?.block_on(async {
             let bus = Bus::connect(at, "bare".parse()?, Duration::from_secs(30)).await?;
             bare_host(&bus, number, sizes.1).await?;
             bus.close().await;
             anyhow::Ok(())
-        })?,
-        _ => {
-            let mut link = UnixStream::connect(at)?;
-            let (mut tick, answer) = (vec![0; sizes.0], vec![0; sizes.1]);
-            while link.read_exact(&mut tick).is_ok() && link.write_all(&answer).is_ok() {}
-        }
+        })?;
+    } else {
+        let mut link = UnixStream::connect(at)?;
+        let (mut tick, answer) = (vec![0; sizes.0], vec![0; sizes.1]);
+        while link.read_exact(&mut tick).is_ok() && link.write_all(&answer).is_ok() {}
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -18,7 +18,7 @@ use crate::launch::Children;
 use crate::results::{RunFolder, Timing};
 
 /// How long all device processes may take to join.
-const JOIN: Duration = Duration::from_secs(60);
+const JOIN: Duration = Duration::from_mins(1);
 
 /// Runs everything on this machine.
 pub async fn run(args: &UpArgs) -> anyhow::Result<ExitCode> {
@@ -93,10 +93,9 @@ async fn attend(
     .await;
     guard.abort();
     let failed = guard.await.ok().flatten();
-    if let Some(children) = children.lock().ok().and_then(|mut slot| slot.take()) {
-        if code.is_ok() {
-            children.wait();
-        }
+    let children = children.lock().ok().and_then(|mut slot| slot.take());
+    if let (Some(children), true) = (children, code.is_ok()) {
+        children.wait();
     }
     match (code, failed) {
         (Err(error), Some(why)) => Err(error.context(why)),
