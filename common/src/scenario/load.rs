@@ -80,7 +80,7 @@ fn resolve(
         .iter()
         .map(Layer::from_override)
         .collect::<Result<Vec<_>, ScenarioError>>()?;
-    let asked = file.iter().chain(&given).filter_map(Layer::preset).last();
+    let asked = file.iter().chain(&given).filter_map(Layer::preset).next_back();
     let preset = match &asked {
         Some((name, _)) => *name,
         None => default_preset,
