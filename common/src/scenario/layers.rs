@@ -225,7 +225,10 @@ fn record(table: &DeTable<'_>, prefix: &str, origin: &Origin, places: &mut Place
         match value.get_ref() {
             DeValue::Table(table) => record(table, &inner, origin, places),
             DeValue::Array(items) => {
-                places.retain(|known, _| !known.starts_with(&inner));
+                // Classes are replaced as a whole; no other list holds tables.
+                if prefix.is_empty() {
+                    places.retain(|known, _| !known.starts_with(&inner));
+                }
                 for (index, item) in items.iter().enumerate() {
                     if let DeValue::Table(table) = item.get_ref() {
                         places.insert(format!("{path}.{index}"), origin.place(item.span().start));

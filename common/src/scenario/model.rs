@@ -83,40 +83,40 @@ pub struct DeviceClass {
 /// Battery and costs of a device (Table II).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct EnergyModel {
-    /// Battery capacity E_max, > 0 (100 units).
+    /// Battery capacity `E_max`, > 0 (100 units).
     pub e_max: Energy,
-    /// Cost E_idle of a TTI in S1 (1 unit).
+    /// Cost `E_idle` of a TTI in S1 (1 unit).
     pub e_idle: Energy,
-    /// Cost E_WuR of a TTI in S4 with the wake-up radio on (1/14 unit).
+    /// Cost `E_WuR` of a TTI in S4 with the wake-up radio on (1/14 unit).
     pub e_wur: Energy,
-    /// Cost E_Tx of a transmission (10 units).
+    /// Cost `E_Tx` of a transmission (10 units).
     pub e_tx: Energy,
-    /// Battery level at the start, `0 ..= e_max` (E_max / 2).
+    /// Battery level at the start, `0 ..= e_max` (`E_max` / 2).
     pub initial: Energy,
 }
 
-/// An energy source (paper Sec. III-A). λ is per unit of model time and at least 0; E_B is the energy of one arrival.
+/// An energy source (paper Sec. III-A). λ is per unit of model time and at least 0; `E_B` is the energy of one arrival.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Harvest {
     /// An arrival in a TTI with probability λτ·exp(-λτ), Eq. (5).
     Eq5 {
         /// λ.
         lambda: f64,
-        /// E_B.
+        /// `E_B`.
         e_b: Energy,
     },
     /// An arrival in a TTI with probability exp(-λ), the other reading in Sec. III-B.
     ExpMinusLambda {
         /// λ.
         lambda: f64,
-        /// E_B.
+        /// `E_B`.
         e_b: Energy,
     },
-    /// An on/off source with exponential durations, E_B in each TTI that begins while it is on.
+    /// An on/off source with exponential durations, `E_B` in each TTI that begins while it is on.
     Mpp {
         /// λ: on-durations have the mean 1/λ.
         lambda: f64,
-        /// E_B.
+        /// `E_B`.
         e_b: Energy,
         /// Mean off-duration in units of model time, > 0. By default such that the source is on for the share
         /// λτ·exp(-λτ) of the time, which is how the paper reads Eq. (5).
@@ -189,6 +189,6 @@ impl PolicyConfig {
 pub struct KnnSettings {
     /// Neighbours K that vote on a device's cluster, ≥ 1 (MODEL default 5).
     pub neighbours: u32,
-    /// Whether a cluster with a member farther than d_max from its centroid is split (MODEL default true).
+    /// Whether a cluster with a member farther than `d_max` from its centroid is split (MODEL default true).
     pub limit_radius: bool,
 }

@@ -90,14 +90,11 @@ fn a_class_inherits_field_by_field() {
         &set(&["class.b.energy.e_max=80", "energy.e_wur=0.5"]),
     );
     let classes = scenario.expect("valid").classes;
-    let units = |energy: Energy| energy.units();
-    assert_eq!([&classes[0], &classes[1]].map(|c| units(c.energy.e_tx)), [3.0, 10.0]);
-    assert_eq!([&classes[0], &classes[1]].map(|c| units(c.energy.e_max)), [100.0, 80.0]);
-    assert_eq!(
-        [&classes[0], &classes[1]].map(|c| units(c.energy.initial)),
-        [50.0, 40.0]
-    );
-    assert_eq!([&classes[0], &classes[1]].map(|c| units(c.energy.e_wur)), [0.5, 0.5]);
+    let both = |field: fn(&EnergyModel) -> Energy| [0, 1].map(|i: usize| field(&classes[i].energy).micro());
+    assert_eq!(both(|energy| energy.e_tx), [3_000_000, 10_000_000]);
+    assert_eq!(both(|energy| energy.e_max), [100_000_000, 80_000_000]);
+    assert_eq!(both(|energy| energy.initial), [50_000_000, 40_000_000]);
+    assert_eq!(both(|energy| energy.e_wur), [500_000, 500_000]);
     let Harvest::Mpp { lambda, off_mean, .. } = classes[1].harvest else {
         panic!("{:?}", classes[1].harvest);
     };
@@ -146,7 +143,7 @@ fn messages_name_field_value_range_and_line() {
         ("[energy]\ne_max = 0", "energy.e_max = 0:", "line 2"),
         (
             "[energy]\ne_tx = 101",
-            "energy.e_tx = 101: must be at most 100 units (e_max), or it can never",
+            "energy.e_tx = 101: must be at most 100 units (energy.e_max), or it can never",
             "line 2",
         ),
         (
@@ -216,7 +213,7 @@ fn class_messages_name_the_class() {
         ),
         (
             two("share = 0.5\nenergy.e_max = 5"),
-            "energy.e_tx = 10: must be at most 5 units",
+            "energy.e_tx = 10: must be at most 5 units (class.b.energy.e_max)",
         ),
         (
             two("share = 0.5\nenergy.e_tx = \"x\""),
@@ -403,6 +400,22 @@ fn the_hash_follows_what_decides_a_run_and_nothing_else() {
     assert_eq!(traced("a.csv"), traced("b.csv"));
     assert_ne!(traced("a.csv"), traced("c.csv"));
     std::fs::remove_dir_all(&folder).expect("its own folder");
+}
+
+#[test]
+fn hostile_texts_are_refused_in_time() {
+    let deep = |piece: &str, end: &str| format!("{}{end}", piece.repeat(100_000));
+    for text in [
+        deep("a.", "a = 1"),
+        deep("area.", "a = 1"),
+        format!("area = {}", deep("[", "")),
+        format!("[{}]", deep("policy.", "knn")),
+        "[[class]]\nharvest.trace.columns=[]\n".repeat(25_000),
+        "\n".repeat(2_000_000),
+    ] {
+        let message = from(&text).expect_err("hostile").to_string();
+        assert!(message.len() < 1000, "{message}");
+    }
 }
 
 /// A preset's text with a piece of it replaced.

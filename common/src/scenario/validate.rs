@@ -22,7 +22,7 @@ pub const MAX_DEVICES: u32 = 1_000_000;
 pub const MAX_TTIS: u64 = 1_000_000_000;
 /// The largest number of device classes.
 pub const MAX_CLASSES: usize = 256;
-/// The largest η · d_max: p(d_max) is still above 0 in double precision.
+/// The largest η · `d_max`: `p(d_max)` is still above 0 in double precision.
 const MAX_DECAY: f64 = 700.0;
 /// How far from 1 the sum of the classes' shares may be.
 const SHARE_TOLERANCE: f64 = 1e-9;
@@ -231,7 +231,8 @@ fn energy(check: &Checker<'_>, section: &Section, raw: RawEnergy) -> Result<Ener
         if energy <= e_max {
             return Ok(energy);
         }
-        let allowed = format!("must be at most {} units (e_max){consequence}", e_max.units());
+        let (limit, _) = check.locate(section, "e_max");
+        let allowed = format!("must be at most {} units ({limit}){consequence}", e_max.units());
         Err(check.refuse(section, name, energy.units(), allowed))
     };
     let unpayable = ", or it can never be paid";
