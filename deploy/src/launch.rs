@@ -2,7 +2,7 @@
 
 use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::Context;
 use rustix::process::{Pid, Signal};
@@ -92,9 +92,8 @@ impl Children {
 
     /// Waits for all to leave, and ends those that do not.
     pub fn wait(mut self) {
-        #[expect(clippy::disallowed_methods, reason = "children get a while of real time to leave")]
-        let (now, started) = (Instant::now, Instant::now());
-        while now() - started < LEAVE {
+        let started = crate::now();
+        while started.elapsed() < LEAVE {
             self.running
                 .retain_mut(|(_, child)| !matches!(child.try_wait(), Ok(Some(_))));
             if self.running.is_empty() {

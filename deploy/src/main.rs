@@ -43,6 +43,11 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
     }
 }
 
+#[expect(clippy::disallowed_methods, reason = "the command line reports how long things took")]
+fn now() -> std::time::Instant {
+    std::time::Instant::now()
+}
+
 /// zenoh needs a multi-thread runtime, even with one worker.
 fn runtime(workers: usize) -> std::io::Result<tokio::runtime::Runtime> {
     tokio::runtime::Builder::new_multi_thread()

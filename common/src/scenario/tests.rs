@@ -1,7 +1,5 @@
 //! Whole scenarios: presets, precedence, messages, and the way there and back.
 
-#![expect(clippy::float_cmp, reason = "values that were written in a file come back exactly")]
-
 use std::path::{Path, PathBuf};
 
 use proptest::prelude::*;

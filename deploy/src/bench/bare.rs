@@ -8,8 +8,8 @@ use std::time::Duration;
 use anyhow::Context;
 use reveille_common::bus::{BareBarrier, Bus, bare_host};
 
-use super::now;
 use crate::launch::Children;
+use crate::now;
 
 /// Bytes of a tick and of an answer.
 #[derive(Clone, Copy)]

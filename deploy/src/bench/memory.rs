@@ -5,8 +5,9 @@ use std::process::ExitCode;
 use reveille_common::scenario::{Override, load};
 use reveille_lab::run;
 
-use super::{median, now};
+use super::median;
 use crate::cli::MemoryBenchArgs;
+use crate::now;
 
 /// Repetitions of each measurement.
 const REPEAT: usize = 3;

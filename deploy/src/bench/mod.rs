@@ -5,7 +5,6 @@ mod bus;
 mod memory;
 
 use std::process::ExitCode;
-use std::time::Instant;
 
 use crate::cli::BenchCommand;
 
@@ -21,11 +20,6 @@ pub fn run(command: &BenchCommand) -> anyhow::Result<ExitCode> {
             number,
         } => bare::host(kind, at, *sizes, *number),
     }
-}
-
-#[expect(clippy::disallowed_methods, reason = "a benchmark measures time")]
-fn now() -> Instant {
-    Instant::now()
 }
 
 fn median(mut values: Vec<f64>) -> f64 {

@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use reveille_bs::actor::{self, Progress, Served, Settings};
 use reveille_common::bus::Bus;
@@ -19,6 +19,7 @@ use crate::{interrupt, local};
 
 /// Serves a run to devices that come from elsewhere.
 pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
+    let started = crate::now();
     let scenario = resolve(&args.scenario)?;
     let bus = Bus::listen(&args.listen, args.run.clone()).await?;
     let folder = RunFolder::create(&args.output, &scenario)?;
@@ -40,6 +41,7 @@ pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
             settings,
             output: &args.output,
             progress,
+            started,
         },
         folder,
         |_| Ok(()),
@@ -61,6 +63,8 @@ pub struct Station<'a> {
     pub output: &'a OutputArgs,
     /// How far it has come.
     pub progress: Arc<Progress>,
+    /// When the command was given.
+    pub started: Instant,
 }
 
 /// The settings that the command line means.
@@ -88,6 +92,7 @@ pub async fn serve(
         settings,
         output,
         progress,
+        started,
     } = station;
     let _registered = local::register(run, bus.endpoint())?;
     let stop = interrupt::watch()?;
@@ -100,12 +105,13 @@ pub async fn serve(
     });
     let bar = Bar::start(progress, scenario, output.quiet);
     let deployment = Deployment::new(scenario);
+    let preparing = started.elapsed();
     let served = actor::serve(bus, scenario, &deployment, settings, progress, &mut folder).await;
     relay.abort();
     drop(bar);
     match served {
         Ok(served) => {
-            let mut timing = timing(&served);
+            let mut timing = timing(&served, preparing);
             look(&mut timing)?;
             let summary = Summary::new(scenario, &served.outcome, timing);
             let path = folder.path().to_owned();
@@ -122,10 +128,10 @@ pub async fn serve(
     }
 }
 
-fn timing(served: &Served) -> Timing {
+fn timing(served: &Served, preparing: Duration) -> Timing {
     let run_s = served.running.as_secs_f64();
     Timing {
-        ready_s: served.joining.as_secs_f64(),
+        ready_s: (preparing + served.joining).as_secs_f64(),
         run_s,
         ttis_per_s: served.outcome.ttis_done as f64 / run_s,
         hosts: served.hosts,

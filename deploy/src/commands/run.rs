@@ -3,7 +3,6 @@
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::Instant;
 
 use reveille_bs::actor::Progress;
 use reveille_bs::outcome::{EventRecord, Watcher, WindowRecord};
@@ -33,8 +32,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         stop: &stop,
         devices: u64::from(scenario.devices),
     };
-    #[expect(clippy::disallowed_methods, reason = "the summary says how long the run took")]
-    let started = Instant::now();
+    let started = crate::now();
     let outcome = Run::new(&scenario, options).finish(&mut watcher);
     let run_s = started.elapsed().as_secs_f64();
     drop(bar);

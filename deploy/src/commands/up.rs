@@ -3,12 +3,13 @@
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use reveille_bs::actor::Progress;
 use reveille_common::bus::Bus;
 use reveille_common::keys::RunName;
+use reveille_common::scenario::Scenario;
 use reveille_device::host;
 
 use super::bs::{Station, serve, settings};
@@ -22,6 +23,7 @@ const JOIN: Duration = Duration::from_mins(1);
 
 /// Runs everything on this machine.
 pub async fn run(args: &UpArgs) -> anyhow::Result<ExitCode> {
+    let started = crate::now();
     let scenario = resolve(&args.scenario)?;
     anyhow::ensure!(
         args.processes <= scenario.devices,
@@ -30,8 +32,8 @@ pub async fn run(args: &UpArgs) -> anyhow::Result<ExitCode> {
         scenario.devices
     );
     let folder = RunFolder::create(&args.output, &scenario)?;
-    match start(args, &scenario, &folder).await {
-        Ok((bus, run)) => attend(args, &scenario, folder, &bus, &run).await,
+    match listen(args, &folder).await {
+        Ok((bus, run)) => attend(args, &scenario, folder, &bus, &run, started).await,
         Err(error) => {
             folder.fail(&error);
             Err(error)
@@ -39,11 +41,7 @@ pub async fn run(args: &UpArgs) -> anyhow::Result<ExitCode> {
     }
 }
 
-async fn start(
-    args: &UpArgs,
-    _scenario: &reveille_common::scenario::Scenario,
-    folder: &RunFolder,
-) -> anyhow::Result<(Bus, RunName)> {
+async fn listen(args: &UpArgs, folder: &RunFolder) -> anyhow::Result<(Bus, RunName)> {
     let run = match &args.run {
         Some(run) => run.clone(),
         None => folder.name().parse().context("the run folder's name")?,
@@ -54,10 +52,11 @@ async fn start(
 
 async fn attend(
     args: &UpArgs,
-    scenario: &reveille_common::scenario::Scenario,
+    scenario: &Scenario,
     folder: RunFolder,
     bus: &Bus,
     run: &RunName,
+    started: Instant,
 ) -> anyhow::Result<ExitCode> {
     let settings = settings(&args.drive, window(&args.output, scenario), Some(JOIN));
     let progress = Arc::new(Progress::default());
@@ -68,6 +67,7 @@ async fn attend(
         settings,
         output: &args.output,
         progress: Arc::clone(&progress),
+        started,
     };
     if args.processes == 0 {
         let (own, devices) = (bus.clone(), scenario.devices);
