@@ -23,7 +23,7 @@ enum Stage {
     Nothing,
     Grant {
         tti: Tti,
-        waiting: Vec<HostId>,
+        waiting: Waiting,
         expected: usize,
         gathered: Gathered,
     },
@@ -33,9 +33,43 @@ enum Stage {
         outcome: Option<WakeOutcome>,
     },
     Finish {
-        waiting: Vec<HostId>,
+        waiting: Waiting,
         ledgers: Vec<DeviceTotals>,
     },
+}
+
+/// The hosts that have not answered yet.
+#[derive(Clone, Debug)]
+struct Waiting {
+    is_awaited: Vec<bool>,
+    count: usize,
+}
+
+impl Waiting {
+    fn for_all(hosts: &[HostId]) -> Self {
+        let mut is_awaited = vec![false; hosts.iter().map(|host| host.index() + 1).max().unwrap_or(0)];
+        for host in hosts {
+            is_awaited[host.index()] = true;
+        }
+        Self {
+            is_awaited,
+            count: hosts.len(),
+        }
+    }
+
+    fn holds(&self, host: HostId) -> bool {
+        self.is_awaited.get(host.index()).copied().unwrap_or(false)
+    }
+
+    /// Takes `host` off the list, on which it is.
+    fn strike(&mut self, host: HostId) {
+        self.is_awaited[host.index()] = false;
+        self.count -= 1;
+    }
+
+    const fn is_empty(&self) -> bool {
+        self.count == 0
+    }
 }
 
 /// The barrier at the end of each TTI.
@@ -65,7 +99,7 @@ impl Barrier {
     pub fn expect_grant(&mut self, tti: Tti) {
         self.stage = Stage::Grant {
             tti,
-            waiting: self.hosts.clone(),
+            waiting: Waiting::for_all(&self.hosts),
             expected: 0,
             gathered: Gathered::default(),
         };
@@ -84,7 +118,7 @@ impl Barrier {
     pub fn expect_ledgers(&mut self, devices: u32) {
         let ledgers = vec![DeviceTotals::default(); devices as usize];
         self.stage = Stage::Finish {
-            waiting: self.hosts.clone(),
+            waiting: Waiting::for_all(&self.hosts),
             ledgers,
         };
     }
@@ -122,8 +156,8 @@ impl Barrier {
                     failures,
                     totals,
                 },
-            ) if answered == *tti && waiting.contains(&host) => {
-                waiting.retain(|h| *h != host);
+            ) if answered == *tti && waiting.holds(host) => {
+                waiting.strike(host);
                 *expected += reports as usize;
                 gathered.failures.extend(failures);
                 gathered.totals += totals.unwrap_or_default();
@@ -138,8 +172,8 @@ impl Barrier {
             ) if when == *tti && who == *device => {
                 *outcome = Some(failure.map_or(WakeOutcome::Unheard, WakeOutcome::Failed));
             }
-            (Stage::Finish { waiting, ledgers: all }, Answer::Final { host, ledgers }) if waiting.contains(&host) => {
-                waiting.retain(|h| *h != host);
+            (Stage::Finish { waiting, ledgers: all }, Answer::Final { host, ledgers }) if waiting.holds(host) => {
+                waiting.strike(host);
                 for (device, ledger) in ledgers {
                     if let Some(slot) = all.get_mut(device.index()) {
                         *slot = ledger;
@@ -163,14 +197,6 @@ impl Barrier {
             } => waiting.is_empty() && gathered.reports.len() >= *expected,
             Stage::Wake { outcome, .. } => outcome.is_some(),
             Stage::Finish { waiting, .. } => waiting.is_empty(),
-        }
-    }
-
-    /// The hosts that have not answered.
-    pub fn waiting(&self) -> &[HostId] {
-        match &self.stage {
-            Stage::Nothing | Stage::Wake { .. } => &[],
-            Stage::Grant { waiting, .. } | Stage::Finish { waiting, .. } => waiting,
         }
     }
 
@@ -266,7 +292,6 @@ mod tests {
         assert!(!b.answer(done(0, 5, 2)), "the same answer twice");
         assert!(!b.answer(done(7, 5, 0)), "a host that nobody knows");
         assert!(!b.answer(done(1, 4, 0)), "an answer to another grant");
-        assert_eq!(b.waiting(), [HostId(1)]);
         assert!(!b.answer(done(1, 5, 0)));
         assert!(!b.report(report(3, 5)));
         assert!(!b.report(report(3, 5)), "the same report twice");

@@ -1,12 +1,14 @@
 //! A host process: joins a run, carries its share of the devices, and answers the virtual clock for all of them.
 //!
 //! In a TTI without a stimulus the host answers at once: its devices catch up when they are next needed. With one it wakes
-//! the actors of the devices that have δ = 1, and the last of them to finish sends the answer.
+//! the actors of the devices that have δ = 1 and that it reaches, and the last of them to finish sends the answer.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use reveille_common::bus::{Bus, BusError, Declared};
+use reveille_common::event::Stimulus;
+use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, HostId, Tti};
 use reveille_common::keys::{Kind, last_number};
 use reveille_common::message::{Assignment, Clock, JoinReply, JoinRequest, PlanUpdate, Ready, Tick, WakeUp};
@@ -55,6 +57,8 @@ enum Progress {
 struct Shared {
     host: HostId,
     first: DeviceId,
+    positions: Vec<Point>,
+    d_max: f64,
     mailboxes: Vec<UnboundedSender<Input>>,
     uplink: Arc<Uplink>,
     state: Mutex<State>,
@@ -112,6 +116,8 @@ impl Shared {
         } = assignment;
         let first = devices.first().map_or(DeviceId(0), |d| d.id);
         let uplink = Arc::new(Uplink::new(bus, host, first, devices.len() as u32)?);
+        let positions = devices.iter().map(|d| d.position).collect();
+        let d_max = sensing.d_max;
         let world = Arc::new(World { seed, sensing, traces });
         let mailboxes = devices
             .iter()
@@ -131,6 +137,8 @@ impl Shared {
         Ok(Self {
             host,
             first,
+            positions,
+            d_max,
             mailboxes,
             uplink,
             state,
@@ -233,8 +241,8 @@ impl Shared {
             return round.repeat(&self.uplink);
         }
         let listeners: Vec<usize> = match tick.stimulus {
-            Some(_) => (0..state.duties.len())
-                .filter(|&j| state.duties[j].is_on(tick.last))
+            Some(stimulus) => (0..state.duties.len())
+                .filter(|&j| state.duties[j].is_on(tick.last) && self.is_in_reach(j, &stimulus))
                 .collect(),
             None => Vec::new(),
         };
@@ -258,6 +266,11 @@ impl Shared {
             }
         }
         round.add(&Part::Nothing, &self.uplink);
+    }
+
+    /// Whether the world's stimulus reaches the `j`-th device at all.
+    fn is_in_reach(&self, j: usize, stimulus: &Stimulus) -> bool {
+        self.positions[j].distance(stimulus.epicentre) <= self.d_max
     }
 
     fn on_finish(&self, end: Tti) {
