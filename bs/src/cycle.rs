@@ -272,6 +272,7 @@ impl Cycle {
             energy: at_warm_up.map_or_else(DeviceTotals::default, |before| total - before),
         };
         Outcome {
+            facts: self.policy.facts(),
             digest: self.fingerprint.finish(ledgers, &totals),
             metrics: Metrics::new(&self.scenario, &totals),
             totals,

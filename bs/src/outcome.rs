@@ -16,6 +16,8 @@ pub struct Outcome {
     pub metrics: Metrics,
     /// The exact totals behind them.
     pub totals: Totals,
+    /// Figures of the deployment that the policy found out, by name.
+    pub facts: Vec<(&'static str, f64)>,
     /// TTIs that were run.
     pub ttis_done: u64,
     /// Whether that is all of them.

@@ -29,6 +29,18 @@ pub struct Cli {
     pub log_format: LogFormatArg,
 }
 
+impl Cli {
+    /// The options for logging, for processes that this one starts.
+    pub fn log_options(&self) -> Vec<String> {
+        let format = match self.log_format {
+            LogFormatArg::Text => "text",
+            LogFormatArg::Json => "json",
+        };
+        let verbose = (0..self.verbose).map(|_| "-v".to_owned());
+        verbose.chain(["--log-format".to_owned(), format.to_owned()]).collect()
+    }
+}
+
 /// The subcommands.
 #[derive(Subcommand)]
 pub enum Command {

@@ -1,6 +1,5 @@
 //! What a person sees: the progress bar and the closing table.
 
-use std::fmt::Write as _;
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -122,39 +121,48 @@ pub fn table(summary: &Summary<'_>) -> String {
     if let Some(column) = table.column_mut(1) {
         column.set_cell_alignment(CellAlignment::Right);
     }
-    let timing = &summary.timing;
-    // Writing to a string cannot fail.
-    let mut text = format!(
-        "{} · {} devices · {} of {} TTIs · preset {} · seed {}\n{table}\n",
-        summary.policy, summary.n, summary.ttis_done, summary.ttis, summary.preset, summary.seed
-    );
-    let _ = write!(text, "{:.0} TTIs/s", timing.ttis_per_s);
-    if timing.hosts > 0 {
-        let _ = write!(
-            text,
-            " · {} processes ready in {:.2} s · {} barriers",
-            timing.hosts, timing.ready_s, timing.grants
-        );
-    }
-    if timing.host_rss_mb > 0.0 {
-        let _ = write!(
-            text,
-            " · {:.1} MB ({:.1} MB unshared) a process",
-            timing.host_rss_mb, timing.host_pss_mb
-        );
-    }
-    if timing.late_ttis > 0 {
-        let _ = write!(
-            text,
-            "\n{} TTIs began late, by {:.1} ms at the most",
-            timing.late_ttis, timing.max_late_ms
-        );
+    let mut lines = vec![
+        format!(
+            "{} · {} devices · {} of {} TTIs · preset {} · seed {}",
+            summary.policy, summary.n, summary.ttis_done, summary.ttis, summary.preset, summary.seed
+        ),
+        table.to_string(),
+    ];
+    lines.extend(facts(summary));
+    lines.push(timing(summary));
+    if summary.timing.late_ttis > 0 {
+        let (late, most) = (summary.timing.late_ttis, summary.timing.max_late_ms);
+        lines.push(format!("{late} TTIs began late, by {most:.1} ms at the most"));
     }
     if summary.status != "complete" {
-        text += "\ninterrupted: the figures are those of the TTIs that were run";
+        lines.push("interrupted: the figures are those of the TTIs that were run".to_owned());
     }
-    let _ = writeln!(text, "\ndigest {}", summary.digest);
-    text
+    lines.push(format!("digest {}\n", summary.digest));
+    lines.join("\n")
+}
+
+/// What the policy found out, if anything.
+fn facts(summary: &Summary<'_>) -> Option<String> {
+    let facts = summary.policy_facts.iter();
+    let facts: Vec<String> = facts
+        .map(|(name, value)| format!("{name} {}", number(*value)))
+        .collect();
+    (!facts.is_empty()).then(|| facts.join(" · "))
+}
+
+/// How fast it went, and with what.
+fn timing(summary: &Summary<'_>) -> String {
+    let timing = &summary.timing;
+    let mut parts = vec![format!("{:.0} TTIs/s", timing.ttis_per_s)];
+    if timing.hosts > 0 {
+        parts.push(format!("{} processes ready in {:.2} s", timing.hosts, timing.ready_s));
+        parts.push(format!("{} barriers", timing.grants));
+    }
+    if timing.host_rss_mb > 0.0 {
+        let (rss, pss) = (timing.host_rss_mb, timing.host_pss_mb);
+        parts.push(format!("{rss:.1} MB ({pss:.1} MB unshared) a process"));
+    }
+    parts.join(" · ")
 }
 
 fn number(value: f64) -> String {

@@ -20,16 +20,16 @@ pub struct Children {
 }
 
 impl Children {
-    /// Starts `processes` processes that together carry `devices` devices.
+    /// Starts `processes` processes that together carry `devices` devices. `log` are their options for logging.
     ///
     /// Call it from a thread that lives as long as the run: the kernel ends the children when the thread that started them
     /// ends.
     ///
     /// # Errors
     /// If a process cannot be started.
-    pub fn start(devices: u32, processes: u32, endpoint: &str, run: &str, verbosity: u8) -> anyhow::Result<Self> {
+    pub fn start(devices: u32, processes: u32, endpoint: &str, run: &str, log: &[String]) -> anyhow::Result<Self> {
         Self::spawn(shares(devices, processes).map(|count| {
-            let (count, parent, verbose) = (count.to_string(), std::process::id().to_string(), "-v".to_owned());
+            let (count, parent) = (count.to_string(), std::process::id().to_string());
             [
                 "device",
                 "--connect",
@@ -43,7 +43,7 @@ impl Children {
             ]
             .into_iter()
             .map(str::to_owned)
-            .chain((0..verbosity).map(|_| verbose.clone()))
+            .chain(log.iter().cloned())
             .collect()
         }))
     }

@@ -31,10 +31,11 @@ fn main() -> ExitCode {
 }
 
 fn run(cli: Cli) -> anyhow::Result<ExitCode> {
+    let log = cli.log_options();
     match cli.command {
         Command::Scenario(command) => commands::scenario::run(&command),
         Command::Run(args) => commands::run::run(&args),
-        Command::Up(args) => runtime(2)?.block_on(commands::up::run(&args)),
+        Command::Up(args) => runtime(2)?.block_on(commands::up::run(&args, &log)),
         Command::Bs(args) => runtime(2)?.block_on(commands::bs::run(&args)),
         Command::Device(args) => runtime(1)?.block_on(commands::device::run(&args)),
         Command::Inspect(command) => runtime(1)?.block_on(commands::inspect::run(&command)),

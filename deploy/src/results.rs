@@ -9,6 +9,7 @@
 //! | `RUNNING` | there while the run goes; left behind, the run was killed |
 //! | `FAILED` | why a run ended without a summary |
 
+use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
@@ -49,6 +50,8 @@ pub struct Summary<'a> {
     pub seed: u64,
     /// The preset that the scenario starts from.
     pub preset: &'a str,
+    /// What the policy found out about the deployment, such as the number of clusters.
+    pub policy_facts: BTreeMap<&'static str, f64>,
     /// SHA-256 of the resolved scenario.
     pub scenario_hash: String,
     /// The metrics; those per event are null where no event was counted.
@@ -109,6 +112,7 @@ impl<'a> Summary<'a> {
             ttis_done: outcome.ttis_done,
             seed: scenario.seed,
             preset: &scenario.preset,
+            policy_facts: outcome.facts.iter().copied().collect(),
             scenario_hash: scenario.hash_hex(),
             metrics: outcome.metrics,
             totals: outcome.totals,

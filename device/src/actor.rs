@@ -60,7 +60,9 @@ impl Actor {
     }
 
     fn sense(&mut self, tti: Tti, stimulus: &Stimulus, round: &Round) {
-        let part = match self.machine.sense(tti, stimulus, &self.world) {
+        let sensed = self.machine.sense(tti, stimulus, &self.world);
+        tracing::trace!(%tti, device = %self.machine.id(), ?sensed, state = ?self.machine.state(), "sensed");
+        let part = match sensed {
             Sensed::Nothing => Part::Nothing,
             Sensed::Failed(failure) => Part::Failed(failure),
             Sensed::Reported(report) => {
@@ -76,6 +78,7 @@ impl Actor {
             Some((last, outcome)) if last == tti => outcome,
             Some(_) | None => self.machine.wake(tti, stimulus, &self.world),
         };
+        tracing::trace!(%tti, device = %self.machine.id(), ?outcome, state = ?self.machine.state(), "woken");
         self.last_wake = Some((tti, outcome));
         let device = self.machine.id();
         match outcome {

@@ -82,6 +82,7 @@ fn join(shared: &Shared, scenario: &Scenario, deployment: &Deployment, request: 
     }
     shared.ring();
     drop(state);
+    tracing::info!(host = %places.host, first = %places.first, devices = places.count, "a host joins");
     JoinReply::Welcome(deployment.assignment(scenario, places.host, places.first.0, places.count))
 }
 

@@ -148,6 +148,7 @@ impl Loop<'_> {
         let account = self.schedule.is_boundary(first);
         let before = account.then(|| self.snapshot());
         if let Some(update) = self.cycle.announce() {
+            tracing::debug!(from = %update.from, "the plan goes out");
             self.voice.plan.put(&update)?;
         }
         let grant = self.cycle.grant(self.horizon(first));
@@ -161,6 +162,7 @@ impl Loop<'_> {
         self.voice.bus.set_tti(grant.last);
         self.voice.clock.put(&tick)?;
         self.grants += 1;
+        tracing::trace!(first = %grant.first, last = %grant.last, stimulus = ?grant.stimulus, "granted");
         self.answered(|voice| voice.clock.put(&tick)).await?;
         let mut gathered = self.shared.lock().barrier.take_gathered();
         let mut step = self.cycle.gathered(&mut gathered.reports, &gathered.failures);
@@ -169,6 +171,7 @@ impl Loop<'_> {
             self.voice.wake_up(device, grant.last)?;
             self.answered(|voice| voice.wake_up(device, grant.last)).await?;
             let outcome = self.shared.lock().barrier.take_outcome();
+            tracing::debug!(tti = %grant.last, %device, ?outcome, "woken");
             step = self.cycle.woken(&outcome);
         }
         self.show();

@@ -15,6 +15,7 @@ use crate::wakeup::{Correlation, Ranking, i_min};
 /// The `knn` policy.
 pub struct Knn {
     clusters: Clusters,
+    /// The information I_min that wake-ups aim for (Sec. V-A, Eq. (E_Info3)).
     i_min: f64,
     ranking: Ranking,
     /// The clusters of this event's first reporters; whoever is woken later belongs to one of them.
@@ -31,16 +32,6 @@ impl Knn {
             ranking: Ranking::new(positions, scenario.area, Correlation::new(sensing)),
             asked: Vec::new(),
         }
-    }
-
-    /// The clusters.
-    pub const fn clusters(&self) -> &Clusters {
-        &self.clusters
-    }
-
-    /// The information I_min that wake-ups aim for (Sec. V-A, Eq. (E_Info3)).
-    pub const fn i_min(&self) -> f64 {
-        self.i_min
     }
 
     fn add_reporter(&mut self, seen: &Observation<'_>, report: &Report) {
@@ -92,6 +83,14 @@ impl Policy for Knn {
         } else {
             self.ranking.next()
         }
+    }
+
+    fn facts(&self) -> Vec<(&'static str, f64)> {
+        vec![
+            ("clusters_formed", self.clusters.formed as f64),
+            ("clusters_after_splitting", self.clusters.members.len() as f64),
+            ("i_min", self.i_min),
+        ]
     }
 
     fn answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {

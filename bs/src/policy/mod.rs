@@ -35,6 +35,11 @@ pub trait Policy: Send {
     /// The next device to wake in this TTI, or none.
     fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId>;
 
+    /// Figures of the deployment that the policy found out, by name, for the summary.
+    fn facts(&self) -> Vec<(&'static str, f64)> {
+        Vec::new()
+    }
+
     /// What the last wake-up brought.
     fn answered(&mut self, seen: &Observation<'_>, report: Option<&Report>);
 }
@@ -62,6 +67,14 @@ impl PolicyEngine {
         match self {
             Self::Blind(policy) => policy.decide(seen),
             Self::Genie(genie) => genie.plan(),
+        }
+    }
+
+    /// See [`Policy::facts`].
+    pub fn facts(&self) -> Vec<(&'static str, f64)> {
+        match self {
+            Self::Blind(policy) => policy.facts(),
+            Self::Genie(_) => Vec::new(),
         }
     }
 

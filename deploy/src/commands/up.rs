@@ -3,13 +3,12 @@
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::Context;
 use reveille_bs::actor::Progress;
 use reveille_common::bus::Bus;
 use reveille_common::keys::RunName;
-use reveille_common::scenario::Scenario;
 use reveille_device::host;
 
 use super::bs::{Station, serve, settings};
@@ -22,7 +21,7 @@ use crate::results::{RunFolder, Timing};
 const JOIN: Duration = Duration::from_mins(1);
 
 /// Runs everything on this machine.
-pub async fn run(args: &UpArgs) -> anyhow::Result<ExitCode> {
+pub async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
     let started = crate::now();
     let scenario = resolve(&args.scenario)?;
     anyhow::ensure!(
@@ -33,7 +32,18 @@ pub async fn run(args: &UpArgs) -> anyhow::Result<ExitCode> {
     );
     let folder = RunFolder::create(&args.output, &scenario)?;
     match listen(args, &folder).await {
-        Ok((bus, run)) => attend(args, &scenario, folder, &bus, &run, started).await,
+        Ok((bus, run)) => {
+            let station = Station {
+                settings: settings(&args.drive, window(&args.output, &scenario), Some(JOIN)),
+                bus: &bus,
+                run: &run,
+                scenario: &scenario,
+                output: &args.output,
+                progress: Arc::default(),
+                started,
+            };
+            attend(args.processes, &station, folder, log).await
+        }
         Err(error) => {
             folder.fail(&error);
             Err(error)
@@ -50,33 +60,18 @@ async fn listen(args: &UpArgs, folder: &RunFolder) -> anyhow::Result<(Bus, RunNa
     Ok((bus, run))
 }
 
-async fn attend(
-    args: &UpArgs,
-    scenario: &Scenario,
-    folder: RunFolder,
-    bus: &Bus,
-    run: &RunName,
-    started: Instant,
-) -> anyhow::Result<ExitCode> {
-    let settings = settings(&args.drive, window(&args.output, scenario), Some(JOIN));
-    let progress = Arc::new(Progress::default());
-    let station = Station {
-        bus,
-        run,
-        scenario,
-        settings,
-        output: &args.output,
-        progress: Arc::clone(&progress),
-        started,
-    };
-    if args.processes == 0 {
-        let (own, devices) = (bus.clone(), scenario.devices);
+/// Serves the run to devices in this process or in `processes` others.
+async fn attend(processes: u32, station: &Station<'_>, folder: RunFolder, log: &[String]) -> anyhow::Result<ExitCode> {
+    let devices = station.scenario.devices;
+    if processes == 0 {
+        let own = station.bus.clone();
         let carried = tokio::spawn(async move { host::carry(&own, devices, 0, JOIN).await });
-        let code = serve(&station, folder, |_| Ok(())).await;
+        let code = serve(station, folder, |_| Ok(())).await;
         carried.await.context("the devices' task")??;
         return code;
     }
-    let children = match Children::start(scenario.devices, args.processes, bus.endpoint(), &run.to_string(), 0) {
+    let (endpoint, run) = (station.bus.endpoint(), station.run.to_string());
+    let children = match Children::start(devices, processes, endpoint, &run, log) {
         Ok(children) => children,
         Err(error) => {
             folder.fail(&error);
@@ -85,8 +80,8 @@ async fn attend(
     };
     let pids = children.pids();
     let children = Arc::new(std::sync::Mutex::new(Some(children)));
-    let guard = tokio::spawn(watch(Arc::clone(&children), progress));
-    let code = serve(&station, folder, |timing| {
+    let guard = tokio::spawn(watch(Arc::clone(&children), Arc::clone(&station.progress)));
+    let code = serve(station, folder, |timing| {
         measure(&pids, timing);
         Ok(())
     })
