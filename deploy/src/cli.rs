@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use reveille_bs::actor::OnLoss;
-use reveille_common::keys::{Kind, RunName};
+use reveille_common::keys::{Kind, Plane, RunName};
 use reveille_common::logging::LogFormat;
 use reveille_common::message::ClockCommand;
 
@@ -426,6 +426,15 @@ pub enum PlaneArg {
     Air,
     /// What only the emulation needs.
     Emu,
+}
+
+impl From<PlaneArg> for Plane {
+    fn from(arg: PlaneArg) -> Self {
+        match arg {
+            PlaneArg::Air => Self::Air,
+            PlaneArg::Emu => Self::Emu,
+        }
+    }
 }
 
 fn parse_sizes(text: &str) -> Result<(usize, usize), String> {

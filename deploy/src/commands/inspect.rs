@@ -1,5 +1,6 @@
 //! `reveille inspect tail`: the messages of a run, decoded, as they go.
 
+use std::fmt;
 use std::io::Write;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -8,14 +9,16 @@ use std::time::Duration;
 
 use reveille_common::bus::Bus;
 use reveille_common::codec;
+use reveille_common::event::Stimulus;
 use reveille_common::keys::{self, Kind};
 use reveille_common::message::{
-    Answer, Clock, ClockCommand, JoinRequest, PlanUpdate, Ready, Report, TapBatch, TapFrame, WakeUp,
+    Answer, Clock, ClockCommand, JoinRequest, PlanUpdate, Ready, Report, TapBatch, TapFrame, Tick, WakeUp,
 };
+use reveille_common::plan::Plan;
 use serde::Serialize;
-use serde_json::{Value, json};
+use serde_json::json;
 
-use crate::cli::{InspectCommand, PlaneArg, TailArgs};
+use crate::cli::{InspectCommand, TailArgs};
 use crate::local;
 
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -89,68 +92,163 @@ fn print(args: &TailArgs, frames: &[TapFrame], printed: &mut u64) -> bool {
 /// One line for a frame that passes the filters.
 fn line(args: &TailArgs, frame: &TapFrame) -> Option<String> {
     let (kind, number) = keys::classify(&frame.key)?;
-    let plane = kind.plane().name();
-    let wanted_plane = args
-        .plane
-        .is_none_or(|p| plane == if p == PlaneArg::Air { "air" } else { "emu" });
-    if !wanted_plane || !(args.kind.is_empty() || args.kind.contains(&kind)) {
+    let plane = kind.plane();
+    let is_wanted = args.plane.is_none_or(|wanted| plane == wanted.into());
+    if !is_wanted || !(args.kind.is_empty() || args.kind.contains(&kind)) {
         return None;
     }
-    let message = decode(kind, &frame.payload);
-    if args
-        .device
-        .is_some_and(|device| !concerns(kind, number, &message, device))
-    {
+    let message = Message::read(kind, &frame.payload);
+    if args.device.is_some_and(|device| !message.concerns(number, device)) {
         return None;
     }
-    let (tti, bytes, name) = (frame.tti, frame.payload.len(), kind.name());
+    let (tti, bytes) = (frame.tti, frame.payload.len());
     Some(if args.json {
-        json!({ "tti": tti.0, "plane": plane, "kind": name, "number": number, "bytes": bytes, "message": message })
-            .to_string()
+        let (plane, kind) = (plane.name(), kind.name());
+        let line =
+            json!({ "tti": tti.0, "plane": plane, "kind": kind, "number": number, "bytes": bytes, "message": message });
+        line.to_string()
     } else {
         let number = number.map(|n| n.to_string()).unwrap_or_default();
         format!(
-            "{tti:>8} {plane} {name:<7} {number:>5} {bytes:>6} B  {}",
-            brief(&message)
+            "{tti:>8} {} {:<7} {number:>5} {bytes:>6} B  {message}",
+            plane.name(),
+            kind.name()
         )
     })
 }
 
-/// Whether a message is to or from `device`.
-fn concerns(kind: Kind, number: Option<u32>, message: &Value, device: u32) -> bool {
-    match kind {
-        Kind::Wake | Kind::Report => number == Some(device),
-        Kind::Plan => true,
-        Kind::Answer => message.get("NotWoken").and_then(|m| m.get("device")) == Some(&json!(device)),
-        Kind::Clock | Kind::Join | Kind::Ready | Kind::Control => false,
-    }
+/// A decoded message of any kind.
+#[derive(Serialize)]
+#[serde(untagged)]
+enum Message {
+    Plan(PlanUpdate),
+    Wake(WakeUp),
+    Report(Report),
+    Clock(Clock),
+    Answer(Answer),
+    Join(JoinRequest),
+    Ready(Ready),
+    Control(ClockCommand),
+    Malformed { malformed: String },
 }
 
-fn decode(kind: Kind, payload: &[u8]) -> Value {
-    fn read<T: Serialize + serde::de::DeserializeOwned>(payload: &[u8]) -> Value {
-        match codec::decode::<T>(payload) {
-            Ok(message) => serde_json::to_value(message).unwrap_or_else(|e| json!({ "unprintable": e.to_string() })),
-            Err(error) => json!({ "malformed": error.to_string() }),
+impl Message {
+    fn read(kind: Kind, payload: &[u8]) -> Self {
+        let message = match kind {
+            Kind::Plan => codec::decode(payload).map(Self::Plan),
+            Kind::Wake => codec::decode(payload).map(Self::Wake),
+            Kind::Report => codec::decode(payload).map(Self::Report),
+            Kind::Clock => codec::decode(payload).map(Self::Clock),
+            Kind::Answer => codec::decode(payload).map(Self::Answer),
+            Kind::Join => codec::decode(payload).map(Self::Join),
+            Kind::Ready => codec::decode(payload).map(Self::Ready),
+            Kind::Control => codec::decode(payload).map(Self::Control),
+        };
+        message.unwrap_or_else(|error| Self::Malformed {
+            malformed: error.to_string(),
+        })
+    }
+
+    /// Whether it is to or from `device`; `number` is the one in its key.
+    fn concerns(&self, number: Option<u32>, device: u32) -> bool {
+        match self {
+            Self::Plan(_) => true,
+            Self::Wake(_) | Self::Report(_) => number == Some(device),
+            Self::Answer(Answer::NotWoken { device: who, .. }) => who.0 == device,
+            Self::Answer(Answer::Done { failures, .. }) => failures.iter().any(|f| f.device.0 == device),
+            Self::Answer(Answer::Final { ledgers, .. }) => ledgers.iter().any(|(who, _)| who.0 == device),
+            Self::Clock(_) | Self::Join(_) | Self::Ready(_) | Self::Control(_) | Self::Malformed { .. } => false,
         }
     }
-    match kind {
-        Kind::Plan => read::<PlanUpdate>(payload),
-        Kind::Wake => read::<WakeUp>(payload),
-        Kind::Report => read::<Report>(payload),
-        Kind::Clock => read::<Clock>(payload),
-        Kind::Answer => read::<Answer>(payload),
-        Kind::Join => read::<JoinRequest>(payload),
-        Kind::Ready => read::<Ready>(payload),
-        Kind::Control => read::<ClockCommand>(payload),
+}
+
+impl fmt::Display for Message {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Plan(PlanUpdate {
+                from,
+                plan: Plan::Bits { bits },
+            }) => {
+                let on: u32 = bits.iter().map(|byte| byte.count_ones()).sum();
+                write!(f, "δ from TTI {from}: {on} devices sense")
+            }
+            Self::Plan(PlanUpdate {
+                from,
+                plan: Plan::Periodic(cycles),
+            }) => {
+                let on = cycles.iter().filter(|cycle| cycle.is_on(*from)).count();
+                write!(
+                    f,
+                    "δ from TTI {from}: periodic, {on} of {} devices sense first",
+                    cycles.len()
+                )
+            }
+            Self::Wake(WakeUp { .. }) => f.write_str("wake-up"),
+            Self::Report(Report {
+                information, battery, ..
+            }) => write!(f, "I {information:.4}, battery {:.2} left", battery.units()),
+            Self::Clock(Clock::Grant(tick)) => grant(f, tick),
+            Self::Clock(Clock::Finish(end)) => write!(f, "the run ends before TTI {end}"),
+            Self::Clock(Clock::Dismiss) => f.write_str("hosts may leave"),
+            Self::Answer(answer) => describe(f, answer),
+            Self::Join(JoinRequest { version, count, .. }) => {
+                write!(f, "offers to carry {count} devices, reveille {version}")
+            }
+            Self::Ready(Ready { host }) => write!(f, "host {host} is ready"),
+            Self::Control(command) => write!(f, "{command:?}"),
+            Self::Malformed { malformed } => write!(f, "not a message: {malformed}"),
+        }
     }
 }
 
-/// A message in one short line.
-fn brief(message: &Value) -> String {
-    const LONGEST: usize = 160;
-    let text = message.to_string().replace('"', "");
-    match text.char_indices().nth(LONGEST) {
-        Some((end, _)) => format!("{}… ({} characters)", &text[..end], text.len()),
-        None => text,
+fn grant(f: &mut fmt::Formatter<'_>, tick: &Tick) -> fmt::Result {
+    let Tick {
+        first,
+        last,
+        stimulus,
+        account,
+    } = tick;
+    if first == last {
+        write!(f, "TTI {first}")?;
+    } else {
+        write!(f, "TTIs {first} to {last}")?;
+    }
+    if let Some(Stimulus { event, epicentre }) = stimulus {
+        write!(f, ", event {} at ({:.2}, {:.2}) m", event.0, epicentre.x, epicentre.y)?;
+    }
+    f.write_str(if *account { ", sums wanted" } else { "" })
+}
+
+fn describe(f: &mut fmt::Formatter<'_>, answer: &Answer) -> fmt::Result {
+    match answer {
+        Answer::Done {
+            reports,
+            failures,
+            totals,
+            ..
+        } => {
+            write!(f, "done, {reports} reports")?;
+            for failure in failures {
+                write!(f, ", device {} could not transmit", failure.device)?;
+            }
+            totals
+                .as_ref()
+                .map_or(Ok(()), |sums| write!(f, ", batteries hold {}", sums.battery))
+        }
+        Answer::NotWoken {
+            device,
+            failure: Some(failure),
+            ..
+        } => {
+            write!(
+                f,
+                "device {device} woke and could not transmit, {} drained",
+                failure.drained
+            )
+        }
+        Answer::NotWoken {
+            device, failure: None, ..
+        } => write!(f, "device {device} did not hear its wake-up"),
+        Answer::Final { ledgers, .. } => write!(f, "the ledgers of {} devices", ledgers.len()),
     }
 }
