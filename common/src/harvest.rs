@@ -193,7 +193,7 @@ impl HarvestSource {
                 if now < *last_on {
                     self.next = now + 1;
                 } else {
-                    self.next = now.saturating_add(off_run.draw(stream));
+                    self.next = now.saturating_add(off_run.draw(stream)).saturating_add(1);
                     *last_on = last_of_run(self.next, *on_run, stream);
                 }
                 *e_b
