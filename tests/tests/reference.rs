@@ -115,7 +115,7 @@ fn warm_up_end(scenario: &Scenario) -> u64 {
 
 /// Broadcasts of δ in the measured part: one at the start and one every `sync_interval`.
 fn synchronisations(scenario: &Scenario) -> u64 {
-    let is_due = |k: &u64| k % scenario.bs.sync_interval == 0;
+    let is_due = |k: &u64| k.is_multiple_of(scenario.bs.sync_interval);
     (warm_up_end(scenario)..scenario.ttis).filter(is_due).count() as u64
 }
 

@@ -136,9 +136,8 @@ impl Policy {
     /// Whom to wake next.
     pub(super) fn choose(&self, seen: &Situation<'_>) -> Choice {
         match self {
-            Self::Random(_) => Choice::Stop,
             Self::Genie if seen.first && seen.woken.is_empty() => closest(seen).map_or(Choice::Stop, Choice::Wake),
-            Self::Genie => Choice::Stop,
+            Self::Random(_) | Self::Genie => Choice::Stop,
             Self::Knn { members, enough } => self.most_correlated(seen, members, *enough),
         }
     }
