@@ -1,1 +1,8 @@
-//! Placeholder.
+//! What the tests of the whole product share.
+//!
+//! [`reference`] is a second implementation of the model, written from its description and not from the emulator's code;
+//! [`scenarios`] makes random scenarios for property tests; [`compare`] sets the emulator beside the reference.
+
+pub mod compare;
+pub mod reference;
+pub mod scenarios;

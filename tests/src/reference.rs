@@ -1,0 +1,398 @@
+//! A second implementation of the model, as plain as it can be: every device goes through every TTI, one step after the
+//! other. It shares the scenario, the positions and the random streams with the emulator, and nothing that computes.
+//!
+//! Of the `knn` policy it takes the clusters and `I_min` from the emulator and does the rest itself. Where its own
+//! integration rule for `P_4,2` cannot tell two candidates apart, it stops and says in which TTI ([`Run::ambiguous`]).
+
+mod harvest;
+mod policy;
+
+use reveille_bs::outcome::EventRecord;
+use reveille_common::deployment::Deployment;
+use reveille_common::geometry::Point;
+use reveille_common::ids::{EventId, Tti};
+use reveille_common::metrics::{DeviceTotals, EventTally, EventTotals};
+use reveille_common::rng::{Geometric, Purpose, Stream, unit_for_pair};
+use reveille_common::scenario::{EnergyModel, Scenario, assign_classes};
+use reveille_common::sensing::{DetectionKind, Fusion};
+use reveille_common::units::Energy;
+
+use harvest::Source;
+pub use policy::Policy;
+use policy::{Choice, Reporter, Situation, distance};
+
+/// Where a device is at the end of a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum State {
+    /// S1.
+    Idle,
+    /// S3.
+    Transmission,
+    /// S4 with a wake-up radio that can hear.
+    Asleep,
+    /// S4 after an action that the battery could not pay.
+    Dark,
+}
+
+/// What the reference makes of a scenario.
+#[derive(Clone, Debug)]
+pub struct Run {
+    /// Ended events, in order.
+    pub events: Vec<EventRecord>,
+    /// Ledgers by device, over the whole run.
+    pub ledgers: Vec<DeviceTotals>,
+    /// Sum of the ledgers over the measured part.
+    pub measured: DeviceTotals,
+    /// Sums over the counted events.
+    pub totals: EventTotals,
+    /// Wake-ups sent in measured TTIs, whichever event they were for.
+    pub wake_ups: u64,
+    /// Wake-ups that a device without power did not hear.
+    pub unheard: u64,
+    /// State and battery of each device at the end of each TTI.
+    pub trace: Vec<Vec<(State, u64)>>,
+    /// The TTI in which a decision was too close to call; nothing from there on is known.
+    pub ambiguous: Option<u64>,
+}
+
+/// The reference's run of `scenario`.
+pub fn simulate(scenario: &Scenario) -> Run {
+    let mut world = World::new(scenario);
+    for k in 0..scenario.ttis {
+        if k == world.warm_up_end {
+            world.before = world.sum();
+        }
+        world.harvest(k);
+        world.apply_duty(k);
+        world.start_event(k);
+        world.sense(k);
+        if !world.wake(k) {
+            world.ambiguous = Some(k);
+            break;
+        }
+        world.close_event(k);
+        world.account();
+    }
+    world.into_run()
+}
+
+/// One device and its books, micro-units.
+#[derive(Clone, Debug)]
+struct Device {
+    costs: EnergyModel,
+    source: Source,
+    state: State,
+    battery: u64,
+    harvested: u64,
+    spent: u64,
+    overflow: u64,
+    battery_sum: u128,
+    low_ttis: u64,
+}
+
+impl Device {
+    /// Pays `cost`, or loses what is left. Says what left the battery, and whether it was enough.
+    fn pay(&mut self, cost: Energy) -> (u64, bool) {
+        let enough = self.battery >= cost.micro();
+        let gone = if enough { cost.micro() } else { self.battery };
+        self.battery -= gone;
+        self.spent += gone;
+        (gone, enough)
+    }
+
+    fn ledger(&self) -> DeviceTotals {
+        DeviceTotals {
+            initial: self.costs.initial,
+            harvested: Energy::from_micro(self.harvested),
+            spent: Energy::from_micro(self.spent),
+            overflow: Energy::from_micro(self.overflow),
+            battery: Energy::from_micro(self.battery),
+            battery_sum: self.battery_sum,
+            low_ttis: self.low_ttis,
+        }
+    }
+}
+
+/// The event under way.
+#[derive(Clone, Debug)]
+struct Event {
+    epicentre: Point,
+    start: u64,
+    tally: EventTally,
+    information: f64,
+    /// Reporters of this TTI; the event ends in the TTI of its first report.
+    reporters: Vec<Reporter>,
+}
+
+struct World<'a> {
+    scenario: &'a Scenario,
+    positions: Vec<Point>,
+    devices: Vec<Device>,
+    policy: Policy,
+    warm_up_end: u64,
+    before: DeviceTotals,
+    event: Option<Event>,
+    next_event: u64,
+    next_start: u64,
+    events: Vec<EventRecord>,
+    wake_ups: u64,
+    unheard: u64,
+    trace: Vec<Vec<(State, u64)>>,
+    ambiguous: Option<u64>,
+}
+
+impl<'a> World<'a> {
+    fn new(scenario: &'a Scenario) -> Self {
+        let positions = Deployment::new(scenario).positions();
+        let mut of_class = vec![0; scenario.classes.len()];
+        let mut devices = Vec::new();
+        for (id, class) in assign_classes(scenario).into_iter().enumerate() {
+            let class = usize::from(class);
+            let kind = &scenario.classes[class];
+            let (seed, nth) = (scenario.seed, of_class[class]);
+            of_class[class] += 1;
+            devices.push(Device {
+                costs: kind.energy,
+                source: Source::new(&kind.harvest, scenario.tau, seed, id as u64, nth),
+                state: State::Asleep,
+                battery: kind.energy.initial.micro(),
+                harvested: 0,
+                spent: 0,
+                overflow: 0,
+                battery_sum: 0,
+                low_ttis: 0,
+            });
+        }
+        Self {
+            policy: Policy::new(scenario, &positions),
+            scenario,
+            positions,
+            devices,
+            warm_up_end: (scenario.ttis as f64 * scenario.warm_up).floor() as u64,
+            before: DeviceTotals::default(),
+            event: None,
+            next_event: 0,
+            next_start: gap(scenario, 0) - 1,
+            events: Vec::new(),
+            wake_ups: 0,
+            unheard: 0,
+            trace: Vec::new(),
+            ambiguous: None,
+        }
+    }
+
+    /// Step 1.
+    fn harvest(&mut self, k: u64) {
+        for device in &mut self.devices {
+            let arriving = device.source.arriving(k);
+            let room = device.costs.e_max.micro() - device.battery;
+            let stored = arriving.min(room);
+            device.harvested += arriving;
+            device.overflow += arriving - stored;
+            device.battery += stored;
+        }
+    }
+
+    /// Step 2.
+    fn apply_duty(&mut self, k: u64) {
+        for (j, device) in self.devices.iter_mut().enumerate() {
+            let (cost, then) = if self.policy.senses(j, k) {
+                (device.costs.e_idle, State::Idle)
+            } else {
+                (device.costs.e_wur, State::Asleep)
+            };
+            let (_, paid) = device.pay(cost);
+            device.state = if paid { then } else { State::Dark };
+        }
+    }
+
+    /// Step 3.
+    fn start_event(&mut self, k: u64) {
+        if self.event.is_some() || k != self.next_start {
+            return;
+        }
+        let area = self.scenario.area;
+        let mut stream = Stream::new(self.scenario.seed, Purpose::Epicentre, self.next_event);
+        let x = stream.unit() * area.width;
+        let y = stream.unit() * area.height;
+        self.event = Some(Event {
+            epicentre: Point { x, y },
+            start: k,
+            tally: EventTally::default(),
+            information: 0.0,
+            reporters: Vec::new(),
+        });
+    }
+
+    /// Steps 4 and 5.
+    fn sense(&mut self, k: u64) {
+        let Some(mut event) = self.event.take() else { return };
+        for j in 0..self.devices.len() {
+            if self.devices[j].state == State::Idle && self.detects(j, distance(self.positions[j], event.epicentre)) {
+                debug_assert!(self.policy.senses(j, k));
+                self.transmit(j, &mut event);
+            }
+        }
+        self.event = Some(event);
+    }
+
+    /// Step 6. False where the next wake-up is too close to call.
+    fn wake(&mut self, k: u64) -> bool {
+        let Some(mut event) = self.event.take() else {
+            return true;
+        };
+        let mut woken = Vec::new();
+        loop {
+            let choice = self.policy.choose(&Situation {
+                scenario: self.scenario,
+                positions: &self.positions,
+                k,
+                first: k == event.start,
+                epicentre: event.epicentre,
+                reporters: &event.reporters,
+                information: event.information,
+                woken: &woken,
+            });
+            let j = match choice {
+                Choice::Wake(j) => j,
+                Choice::Stop => break,
+                Choice::Ambiguous => return false,
+            };
+            woken.push(j);
+            event.tally.wake_ups += 1;
+            self.wake_ups += u64::from(k >= self.warm_up_end);
+            if self.devices[j].state == State::Asleep {
+                self.transmit(j, &mut event);
+            } else {
+                self.unheard += 1;
+            }
+        }
+        self.event = Some(event);
+        true
+    }
+
+    /// From S2: device `j` sends its report, or cannot.
+    fn transmit(&mut self, j: usize, event: &mut Event) {
+        let sensing = &self.scenario.sensing;
+        let d = distance(self.positions[j], event.epicentre);
+        let within = d <= sensing.d_max;
+        let e_tx = self.devices[j].costs.e_tx;
+        let (gone, paid) = self.devices[j].pay(e_tx);
+        if !paid || !within {
+            event.tally.wrong_activations += 1;
+            event.tally.wasted += Energy::from_micro(gone);
+        }
+        if !paid {
+            self.devices[j].state = State::Dark;
+            return;
+        }
+        self.devices[j].state = State::Transmission;
+        event.tally.reports += 1;
+        if within {
+            let report = sensing.psi * libm::exp(-sensing.eta * d);
+            event.information = match sensing.g {
+                Fusion::Max => event.information.max(report),
+                Fusion::SumSaturation => (event.information + report).min(sensing.psi),
+            };
+            let reporter = self.policy.reporter(self.scenario, &self.positions, j, d);
+            event.reporters.push(reporter);
+        }
+    }
+
+    fn detects(&self, j: usize, d: f64) -> bool {
+        let sensing = &self.scenario.sensing;
+        if d > sensing.d_max {
+            return false;
+        }
+        match sensing.kind {
+            DetectionKind::Range => true,
+            DetectionKind::Probabilistic => {
+                let draw = unit_for_pair(self.scenario.seed, Purpose::Detection, self.next_event, j as u64);
+                draw < libm::exp(-sensing.eta * d)
+            }
+        }
+    }
+
+    /// The end of step 6: an event ends with its first report or with its time.
+    fn close_event(&mut self, k: u64) {
+        let Some(mut event) = self.event.take() else { return };
+        if event.tally.reports == 0 && k + 1 < event.start + self.scenario.events.duration {
+            self.event = Some(event);
+            return;
+        }
+        event.tally.information_pico = (event.information * 1e12).round() as u64;
+        self.events.push(EventRecord {
+            event: EventId(self.next_event),
+            epicentre: event.epicentre,
+            start: Tti(event.start),
+            last: Tti(k),
+            counted: event.start >= self.warm_up_end,
+            tally: event.tally,
+        });
+        self.next_event += 1;
+        self.next_start = k.saturating_add(gap(self.scenario, self.next_event));
+    }
+
+    /// Step 7.
+    fn account(&mut self) {
+        let mut row = Vec::new();
+        for device in &mut self.devices {
+            device.battery_sum += u128::from(device.battery);
+            device.low_ttis += u64::from(device.battery < device.costs.e_tx.micro());
+            row.push((device.state, device.battery));
+        }
+        self.trace.push(row);
+    }
+
+    fn sum(&self) -> DeviceTotals {
+        let mut sum = DeviceTotals::default();
+        for device in &self.devices {
+            let ledger = device.ledger();
+            sum.initial += ledger.initial;
+            sum.harvested += ledger.harvested;
+            sum.spent += ledger.spent;
+            sum.overflow += ledger.overflow;
+            sum.battery += ledger.battery;
+            sum.battery_sum += ledger.battery_sum;
+            sum.low_ttis += ledger.low_ttis;
+        }
+        sum
+    }
+
+    fn into_run(self) -> Run {
+        let (after, before) = (self.sum(), self.before);
+        let mut totals = EventTotals::default();
+        for record in self.events.iter().filter(|record| record.counted) {
+            totals.events += 1;
+            totals.misdetected += u64::from(record.tally.reports == 0);
+            totals.reports += record.tally.reports;
+            totals.wake_ups += record.tally.wake_ups;
+            totals.information_pico += u128::from(record.tally.information_pico);
+            totals.wrong_activations += record.tally.wrong_activations;
+            totals.wasted += record.tally.wasted;
+        }
+        Run {
+            ledgers: self.devices.iter().map(Device::ledger).collect(),
+            measured: DeviceTotals {
+                initial: before.battery,
+                harvested: after.harvested - before.harvested,
+                spent: after.spent - before.spent,
+                overflow: after.overflow - before.overflow,
+                battery: after.battery,
+                battery_sum: after.battery_sum - before.battery_sum,
+                low_ttis: after.low_ttis - before.low_ttis,
+            },
+            events: self.events,
+            totals,
+            wake_ups: self.wake_ups,
+            unheard: self.unheard,
+            trace: self.trace,
+            ambiguous: self.ambiguous,
+        }
+    }
+}
+
+/// The gap before event `i`, in TTIs.
+fn gap(scenario: &Scenario, i: u64) -> u64 {
+    Geometric::new(scenario.events.alpha).draw(&mut Stream::new(scenario.seed, Purpose::EventGap, i))
+}

@@ -1,0 +1,250 @@
+//! Who senses when, and whom the base station wakes.
+
+use std::f64::consts::PI;
+
+use reveille_bs::clusters::Clusters;
+use reveille_bs::wakeup::i_min;
+use reveille_common::geometry::Point;
+use reveille_common::rng::{Purpose, Stream};
+use reveille_common::scenario::{PolicyConfig, Scenario};
+
+/// Points of the midpoint rule for the mean over φ.
+const POINTS: u32 = 2048;
+/// Two values of `P_4,2` closer than this may be ordered otherwise by another integration rule.
+const CLOSE_P: f64 = 1e-6;
+/// An Î closer than this to `I_min` may fall on either side of it.
+const CLOSE_INFORMATION: f64 = 1e-9;
+
+/// A policy's choices.
+#[derive(Clone, Debug)]
+pub enum Policy {
+    /// Clusters that take turns.
+    Knn {
+        /// Devices of each cluster, by rising id.
+        members: Vec<Vec<usize>>,
+        /// `I_min`.
+        enough: f64,
+    },
+    /// (`t_on`, `t_DRX`, offset) of each device.
+    Random(Vec<(u64, u64, u64)>),
+    /// All sleep; the closest is woken.
+    Genie,
+}
+
+/// What the base station knows while it decides whom to wake, and the truth that only the genie may look at.
+#[derive(Debug)]
+pub(super) struct Situation<'a> {
+    pub(super) scenario: &'a Scenario,
+    pub(super) positions: &'a [Point],
+    pub(super) k: u64,
+    /// Whether this is the event's first TTI.
+    pub(super) first: bool,
+    pub(super) epicentre: Point,
+    /// Devices whose reports had information.
+    pub(super) reporters: &'a [Reporter],
+    /// Î.
+    pub(super) information: f64,
+    /// Devices woken in this TTI.
+    pub(super) woken: &'a [usize],
+}
+
+/// A device that has told how far it is from the event.
+#[derive(Clone, Debug)]
+pub(super) struct Reporter {
+    pub(super) device: usize,
+    /// For each device j: its distance γ, and Pr(`S_j` = S3 | `S_h` = S3). Empty under policies that do not rank.
+    pub(super) correlation: Vec<(f64, f64)>,
+}
+
+/// The next wake-up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Choice {
+    /// Wake this device.
+    Wake(usize),
+    /// Enough.
+    Stop,
+    /// Too close to call without knowing how the integral is computed.
+    Ambiguous,
+}
+
+impl Policy {
+    /// The policy of `scenario` for devices at `positions`.
+    pub fn new(scenario: &Scenario, positions: &[Point]) -> Self {
+        match &scenario.policy {
+            PolicyConfig::Genie => Self::Genie,
+            PolicyConfig::Random => Self::Random(
+                (0..positions.len() as u64)
+                    .map(|id| {
+                        let mut stream = Stream::new(scenario.seed, Purpose::DutyCycle, id);
+                        let t_on = [1, 2][stream.below(2) as usize];
+                        let t_drx = [2, 4, 8][stream.below(3) as usize];
+                        (t_on, t_drx, stream.below(t_drx))
+                    })
+                    .collect(),
+            ),
+            PolicyConfig::Knn(settings) => {
+                let clusters = Clusters::form(
+                    positions,
+                    scenario.area,
+                    scenario.sensing.d_max,
+                    settings,
+                    scenario.seed,
+                );
+                let mut members: Vec<Vec<usize>> = clusters
+                    .members
+                    .iter()
+                    .map(|cluster| cluster.iter().map(|device| device.index()).collect())
+                    .collect();
+                for cluster in &mut members {
+                    cluster.sort_unstable();
+                }
+                Self::Knn {
+                    members,
+                    enough: i_min(positions, scenario.area, &scenario.sensing),
+                }
+            }
+        }
+    }
+
+    /// δ of `device` in TTI `k`.
+    pub fn senses(&self, device: usize, k: u64) -> bool {
+        match self {
+            Self::Genie => false,
+            Self::Random(cycles) => {
+                let (t_on, t_drx, offset) = cycles[device];
+                (k + offset) % t_drx < t_on
+            }
+            Self::Knn { members, .. } => {
+                let cluster = &members[cluster_of(members, device)];
+                cluster[(k % cluster.len() as u64) as usize] == device
+            }
+        }
+    }
+
+    /// What a report of `device`, `d` metres from the event, tells of the others.
+    pub(super) fn reporter(&self, scenario: &Scenario, positions: &[Point], device: usize, d: f64) -> Reporter {
+        let mut correlation = Vec::new();
+        if matches!(self, Self::Knn { .. }) {
+            for position in positions {
+                let gamma = distance(*position, positions[device]);
+                correlation.push((gamma, mean_over_directions(scenario.sensing.eta, d, gamma)));
+            }
+        }
+        Reporter { device, correlation }
+    }
+
+    /// Whom to wake next.
+    pub(super) fn choose(&self, seen: &Situation<'_>) -> Choice {
+        match self {
+            Self::Genie if seen.first && seen.woken.is_empty() => closest(seen).map_or(Choice::Stop, Choice::Wake),
+            Self::Random(_) | Self::Genie => Choice::Stop,
+            Self::Knn { members, enough } => self.most_correlated(seen, members, *enough),
+        }
+    }
+
+    fn most_correlated(&self, seen: &Situation<'_>, members: &[Vec<usize>], enough: f64) -> Choice {
+        if seen.reporters.is_empty() {
+            return Choice::Stop;
+        }
+        if (seen.information - enough).abs() < CLOSE_INFORMATION {
+            return Choice::Ambiguous;
+        }
+        if seen.information >= enough {
+            return Choice::Stop;
+        }
+        let floor = libm::exp(-seen.scenario.sensing.eta * seen.scenario.sensing.d_max);
+        let heard: Vec<usize> = seen.reporters.iter().map(|h| cluster_of(members, h.device)).collect();
+        let mut best: Option<(Likelihood, usize)> = None;
+        let mut candidates = Vec::new();
+        for j in 0..seen.positions.len() {
+            if self.senses(j, seen.k) || seen.woken.contains(&j) || !heard.contains(&cluster_of(members, j)) {
+                continue;
+            }
+            let likelihood = p42(seen, j);
+            if (likelihood.value - floor).abs() < CLOSE_P {
+                return Choice::Ambiguous;
+            }
+            if likelihood.value >= floor {
+                candidates.push(likelihood);
+                if best.is_none_or(|(most, _)| likelihood.value > most.value) {
+                    best = Some((likelihood, j));
+                }
+            }
+        }
+        let Some((most, device)) = best else {
+            return Choice::Stop;
+        };
+        // An exact tie goes to the lower id, whatever the rule.
+        if candidates
+            .iter()
+            .any(|&other| other != most && most.value - other.value < CLOSE_P)
+        {
+            return Choice::Ambiguous;
+        }
+        Choice::Wake(device)
+    }
+}
+
+fn cluster_of(members: &[Vec<usize>], device: usize) -> usize {
+    members
+        .iter()
+        .position(|cluster| cluster.contains(&device))
+        .expect("every device is in a cluster")
+}
+
+/// The device closest to the epicentre, if it is within sensing range.
+fn closest(seen: &Situation<'_>) -> Option<usize> {
+    let mut best: Option<(f64, usize)> = None;
+    for (j, position) in seen.positions.iter().enumerate() {
+        let d = distance(*position, seen.epicentre);
+        if best.is_none_or(|(least, _)| d < least) {
+            best = Some((d, j));
+        }
+    }
+    best.filter(|&(d, _)| d <= seen.scenario.sensing.d_max).map(|(_, j)| j)
+}
+
+/// `P_4,2` of a device, and what it comes from: devices with the same origin have exactly the same value under every
+/// rule of integration.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Likelihood {
+    value: f64,
+    reporter: usize,
+    gamma: f64,
+}
+
+/// The largest Pr(`S_j` = S3 | `S_h` = S3) over the reporters h.
+fn p42(seen: &Situation<'_>, j: usize) -> Likelihood {
+    let mut most = Likelihood {
+        value: 0.0,
+        reporter: 0,
+        gamma: 0.0,
+    };
+    for reporter in seen.reporters {
+        let (gamma, value) = reporter.correlation[j];
+        if value > most.value {
+            most = Likelihood {
+                value,
+                reporter: reporter.device,
+                gamma,
+            };
+        }
+    }
+    most
+}
+
+/// The mean of exp(-η √(d² + γ² − 2dγ cos φ)) over φ.
+fn mean_over_directions(eta: f64, d: f64, gamma: f64) -> f64 {
+    let mut sum = 0.0;
+    for i in 0..POINTS {
+        let phi = PI * (f64::from(i) + 0.5) / f64::from(POINTS);
+        let squared = d * d + gamma * gamma - 2.0 * d * gamma * libm::cos(phi);
+        sum += libm::exp(-eta * squared.max(0.0).sqrt());
+    }
+    sum / f64::from(POINTS)
+}
+
+/// Metres between two points.
+pub(super) fn distance(a: Point, b: Point) -> f64 {
+    ((a.x - b.x) * (a.x - b.x) + (a.y - b.y) * (a.y - b.y)).sqrt()
+}

@@ -1,0 +1,204 @@
+//! Random small scenarios, as TOML text that the emulator loads like any other.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use proptest::prelude::*;
+use reveille_common::scenario::{Scenario, parse};
+
+/// The files that random scenarios name: `energy.csv`, units per TTI, and `points.csv`, a layout within the smallest area
+/// of random scenarios with two devices at the same place.
+const FILES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/data");
+
+/// The scenario of `text`, which may name the files of this package's `data` folder.
+///
+/// # Panics
+/// If it is not a scenario.
+pub fn scenario(text: &str) -> Scenario {
+    parse(text, "test", Path::new(FILES), &[]).unwrap_or_else(|error| panic!("{error}\n{text}"))
+}
+
+/// Any small scenario.
+pub fn small() -> impl Strategy<Value = String> {
+    (shape(), world(), events(), policy(), energy_and_harvest())
+        .prop_map(|(shape, world, events, policy, energy)| format!("{shape}{world}{events}{policy}{energy}"))
+}
+
+/// A small scenario in which no action can fail for lack of energy, so that all is as the policy would have it.
+pub fn rich() -> impl Strategy<Value = String> {
+    (shape(), world(), events(), policy()).prop_map(|(shape, world, events, policy)| {
+        format!("{shape}{world}{events}{policy}[energy]\ne_max = 10000.0\ninitial = 10000.0\n")
+    })
+}
+
+/// A scenario in which `knn` often has to wake several devices: many of them close together, most able to answer.
+pub fn crowded() -> impl Strategy<Value = String> {
+    let size = (6..=30u32, 1..=80u64, any::<u64>());
+    let space = (4.0..9.0f64, 4.0..9.0f64, 1.2..3.5f64, 0.2..1.2f64);
+    let layout = prop_oneof![Just("uniform"), Just("jittered-grid"), Just("poisson-disk")];
+    let fusion = prop_oneof![3 => Just("max"), 1 => Just("sum-saturation")];
+    let knn = (1..=6u32, any::<bool>());
+    let initial = prop_oneof![Just(2.0), Just(50.0), Just(1000.0)];
+    (size, space, layout, fusion, knn, initial).prop_map(
+        |((devices, ttis, seed), (width, height, d_max, eta), layout, fusion, (neighbours, limit), initial)| {
+            let seed = seed >> 1;
+            format!(
+                "devices = {devices}\nttis = {ttis}\nseed = {seed}\n[area]\nwidth = {width:?}\nheight = {height:?}\n\
+                 [layout]\nkind = \"{layout}\"\n[sensing]\nd_max = {d_max:?}\neta = {eta:?}\ng = \"{fusion}\"\n\
+                 [events]\nalpha = 0.6\n[policy]\nname = \"knn\"\n[policy.knn]\nneighbours = {neighbours}\n\
+                 limit_radius = {limit}\n[energy]\ne_max = 1000.0\ninitial = {initial:?}\n[harvest]\ne_b = 9.0\n"
+            )
+        },
+    )
+}
+
+fn shape() -> impl Strategy<Value = String> {
+    let warm_up = prop_oneof![Just(0.0), 0.0..0.5f64];
+    let tau = prop_oneof![4 => Just(1.0), 1 => 0.25..2.0f64];
+    (1..=12u32, 1..=200u64, any::<u64>(), warm_up, tau, 1..=60u64).prop_map(
+        |(devices, ttis, seed, warm_up, tau, sync)| {
+            let seed = seed >> 1;
+            format!(
+                "devices = {devices}\nttis = {ttis}\nseed = {seed}\nwarm_up = {warm_up:?}\ntau = {tau:?}\n\
+                 [bs]\nsync_interval = {sync}\n"
+            )
+        },
+    )
+}
+
+fn world() -> impl Strategy<Value = String> {
+    let layout = prop_oneof![
+        Just("kind = \"uniform\""),
+        Just("kind = \"jittered-grid\""),
+        Just("kind = \"poisson-disk\""),
+        Just("kind = \"grid\""),
+        Just("kind = \"hex\""),
+        Just("kind = \"file\"\nfile = \"points.csv\""),
+    ];
+    let kind = prop_oneof![Just("range"), Just("probabilistic")];
+    let fusion = prop_oneof![Just("max"), Just("sum-saturation")];
+    let psi = prop_oneof![2 => Just(1.0), 1 => 0.2..3.0f64];
+    (
+        layout,
+        kind,
+        fusion,
+        psi,
+        4.0..15.0f64,
+        4.0..15.0f64,
+        1.0..5.6f64,
+        0.1..1.5f64,
+    )
+        .prop_map(|(layout, kind, fusion, psi, width, height, d_max, eta)| {
+            format!(
+                "[area]\nwidth = {width:?}\nheight = {height:?}\n[layout]\n{layout}\n[sensing]\nkind = \"{kind}\"\n\
+                 g = \"{fusion}\"\npsi = {psi:?}\nd_max = {d_max:?}\neta = {eta:?}\n"
+            )
+        })
+}
+
+fn events() -> impl Strategy<Value = String> {
+    let alpha = prop_oneof![1 => Just(1.0), 4 => 0.02..0.9f64];
+    (alpha, 1..=6u64).prop_map(|(alpha, duration)| format!("[events]\nalpha = {alpha:?}\nduration = {duration}\n"))
+}
+
+fn policy() -> impl Strategy<Value = String> {
+    let name = prop_oneof![2 => Just("knn"), 1 => Just("random"), 1 => Just("genie")];
+    (name, 1..=6u32, any::<bool>()).prop_map(|(name, neighbours, limit)| {
+        format!("[policy]\nname = \"{name}\"\n[policy.knn]\nneighbours = {neighbours}\nlimit_radius = {limit}\n")
+    })
+}
+
+/// Sections of energy and harvest: the defaults, and up to three classes that override some of them; without a class all
+/// devices follow the defaults.
+fn energy_and_harvest() -> impl Strategy<Value = String> {
+    let class = (
+        0.1..1.0f64,
+        proptest::option::of(energy()),
+        proptest::option::of(harvest()),
+    );
+    let classes = proptest::collection::vec(class, 0..=3);
+    // A class inherits what it leaves out, and `column` does not go with `columns`: all classes name the same one.
+    (energy(), harvest(), any::<bool>(), classes).prop_map(|(energy, harvest, shared, classes)| {
+        let mut text = format!("[energy]\n{energy}{}", harvest.text("harvest", shared));
+        let total: f64 = classes.iter().map(|(weight, ..)| weight).sum();
+        for (i, (weight, energy, harvest)) in classes.into_iter().enumerate() {
+            let share = weight / total;
+            writeln!(text, "[[class]]\nname = \"c{i}\"\nshare = {share:?}").expect("text takes it");
+            if let Some(energy) = energy {
+                write!(text, "[class.energy]\n{energy}").expect("text takes it");
+            }
+            if let Some(harvest) = harvest {
+                text.push_str(&harvest.text("class.harvest", shared));
+            }
+        }
+        text
+    })
+}
+
+/// Energies as shares of `E_max`, from none to all, with micro-units that do not divide one another.
+fn energy() -> impl Strategy<Value = String> {
+    let e_max = prop_oneof![Just(100.0), 0.5..30.0f64, Just(0.000_001)];
+    let cheap = || prop_oneof![1 => Just(0.0), 3 => 0.0..0.05f64, 1 => 0.0..=1.0f64];
+    let dear = prop_oneof![1 => Just(0.0), 4 => 0.02..0.4f64, 1 => 0.0..=1.0f64, 1 => Just(1.0)];
+    let initial = prop_oneof![1 => Just(0.0), 2 => 0.0..=1.0f64, 1 => Just(1.0)];
+    (e_max, cheap(), cheap(), dear, initial).prop_map(|(e_max, idle, wur, tx, initial)| {
+        // A micro-unit less than E_max where rounding might put a share above it.
+        let part = |share: f64| (share * e_max * 1e6).floor() / 1e6;
+        let (e_max, idle, wur) = ((e_max * 1e6).ceil() / 1e6, part(idle), part(wur));
+        let (tx, initial) = (part(tx), part(initial));
+        format!("e_max = {e_max:?}\ne_idle = {idle:?}\ne_wur = {wur:?}\ne_tx = {tx:?}\ninitial = {initial:?}\n")
+    })
+}
+
+/// A `[harvest]` section in parts.
+#[derive(Clone, Debug)]
+struct HarvestLines {
+    source: String,
+    trace: String,
+    column: &'static str,
+    columns: &'static str,
+}
+
+impl HarvestLines {
+    fn text(&self, section: &str, shared: bool) -> String {
+        let column = if shared { self.column } else { self.columns };
+        format!(
+            "[{section}]\n{}[{section}.trace]\n{}{column}\n",
+            self.source, self.trace
+        )
+    }
+}
+
+fn harvest() -> impl Strategy<Value = HarvestLines> {
+    let kind = prop_oneof![
+        3 => Just("eq5"),
+        1 => Just("exp-minus-lambda"),
+        2 => Just("mpp"),
+        2 => Just("trace"),
+    ];
+    let column = prop_oneof![Just("column = \"sun\""), Just("column = \"rain\"")];
+    let columns = prop_oneof![
+        Just("columns = [\"sun\", \"wind\", \"rain\"]"),
+        Just("columns = [\"wind\", \"rain\"]"),
+    ];
+    let e_b = prop_oneof![1 => Just(0.0), 4 => 0.0..8.0f64, 1 => 0.0..60.0f64];
+    let end = prop_oneof![Just("cycle"), Just("stop")];
+    let off = proptest::option::of(0.1..20.0f64);
+    let trace = (1..=4u64, end, 0.0..2.0f64);
+    (kind, column, columns, e_b, 0.02..3.0f64, off, trace).prop_map(
+        |(kind, column, columns, e_b, lambda, off, (per_row, end, scale))| {
+            let mut source = format!("kind = \"{kind}\"\nlambda = {lambda:?}\ne_b = {e_b:?}\n");
+            if let Some(off) = off {
+                writeln!(source, "off_mean = {off:?}").expect("text takes it");
+            }
+            let trace =
+                format!("file = \"energy.csv\"\nttis_per_row = {per_row}\nend = \"{end}\"\nscale = {scale:?}\n");
+            HarvestLines {
+                source,
+                trace,
+                column,
+                columns,
+            }
+        },
+    )
+}

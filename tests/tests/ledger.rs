@@ -1,0 +1,221 @@
+//! What holds in every TTI of every run, checked on the emulator alone while it is stepped one grant at a time.
+
+use proptest::prelude::*;
+use proptest::test_runner::Config;
+use reveille_bs::clusters::Clusters;
+use reveille_common::deployment::Deployment;
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::metrics::DeviceTotals;
+use reveille_common::scenario::{EnergyModel, PolicyConfig, Scenario};
+use reveille_device::machine::{Machine, State};
+use reveille_lab::run::{Options, Run};
+use reveille_tests::{compare, scenarios};
+
+/// One TTI at a time.
+const STEPPED: Options = Options {
+    lookahead: false,
+    window: u64::MAX,
+    keep_records: false,
+};
+
+proptest! {
+    #![proptest_config(Config { cases: 300, failure_persistence: None, ..Config::default() })]
+
+    #[test]
+    fn the_books_balance_in_every_tti(text in scenarios::small()) {
+        each_tti(&scenarios::scenario(&text), |step| {
+            for device in &step.devices {
+                balanced(device)?;
+            }
+            Ok(())
+        })?;
+    }
+
+    #[test]
+    fn states_follow_delta_and_the_battery(text in scenarios::small()) {
+        each_tti(&scenarios::scenario(&text), |step| {
+            for device in &step.devices {
+                consistent(device)?;
+            }
+            Ok(())
+        })?;
+    }
+
+    #[test]
+    fn under_knn_one_member_of_each_cluster_senses(text in scenarios::small()) {
+        let scenario = scenarios::scenario(&text);
+        let clusters = clusters(&scenario);
+        each_tti(&scenario, |step| {
+            for cluster in &clusters {
+                let sensing = |member: &&DeviceId| step.devices[member.index()].delta;
+                prop_assert_eq!(cluster.iter().filter(sensing).count(), 1, "δ in {}", step.k);
+                let idle = |member: &&DeviceId| step.devices[member.index()].before == State::Idle;
+                prop_assert!(cluster.iter().filter(idle).count() <= 1, "S1 in {}", step.k);
+            }
+            Ok(())
+        })?;
+    }
+
+    #[test]
+    fn with_energy_to_spare_no_action_fails(text in scenarios::rich()) {
+        let scenario = scenarios::scenario(&text);
+        let clusters = clusters(&scenario);
+        each_tti(&scenario, |step| {
+            for device in &step.devices {
+                let expected = if device.delta { State::Idle } else { State::Sleep { powered: true } };
+                prop_assert_eq!(device.before, expected, "{}", step.k);
+                let unwell = matches!(device.after, State::Sleep { powered: false });
+                prop_assert!(!unwell, "a failure with a full battery in {}", step.k);
+            }
+            for cluster in &clusters {
+                let idle = |member: &&DeviceId| step.devices[member.index()].before == State::Idle;
+                prop_assert_eq!(cluster.iter().filter(idle).count(), 1, "S1 in {}", step.k);
+            }
+            Ok(())
+        })?;
+    }
+
+    #[test]
+    fn how_ttis_are_granted_changes_nothing(text in scenarios::small(), window in 1..50u64) {
+        let scenario = scenarios::scenario(&text);
+        let (plain, events) = compare::outcome(&scenario, false, u64::MAX);
+        for (lookahead, window) in [(true, u64::MAX), (true, window), (false, window)] {
+            let (outcome, same) = compare::outcome(&scenario, lookahead, window);
+            prop_assert_eq!(&outcome.digest, &plain.digest);
+            prop_assert_eq!(&outcome.totals, &plain.totals);
+            prop_assert_eq!(&same, &events);
+        }
+    }
+}
+
+/// What one TTI did to one device.
+struct Passed {
+    costs: EnergyModel,
+    /// δ.
+    delta: bool,
+    /// State and battery after steps 1 and 2.
+    before: State,
+    level: u64,
+    /// State at the end.
+    after: State,
+    /// Ledgers before and after the TTI.
+    opened: DeviceTotals,
+    closed: DeviceTotals,
+}
+
+/// What one TTI did.
+struct Step {
+    k: Tti,
+    devices: Vec<Passed>,
+}
+
+type Checked = Result<(), TestCaseError>;
+
+/// Runs `scenario` and shows every TTI to `check`.
+fn each_tti(scenario: &Scenario, mut check: impl FnMut(&Step) -> Checked) -> Checked {
+    let deployment = Deployment::new(scenario);
+    let mut run = Run::new(scenario, STEPPED);
+    for k in (0..scenario.ttis).map(Tti) {
+        let unstepped = run.machines().to_vec();
+        run.grant();
+        prop_assert_eq!(run.cycle().next_tti(), k + 1);
+        let plan = run.cycle().plan();
+        let passed = |(mut before, after): (Machine, &Machine)| {
+            let duty = plan.duty_cycle(after.id());
+            before.settle(k);
+            let opened = before.totals();
+            before.set_duty(k, duty);
+            before.begin(k);
+            let mut ended = after.clone();
+            ended.begin(k);
+            let state = ended.state();
+            ended.settle(k + 1);
+            Passed {
+                costs: deployment.devices[after.id().index()].energy,
+                delta: duty.is_on(k),
+                before: before.state(),
+                level: before.battery().micro(),
+                after: state,
+                opened,
+                closed: ended.totals(),
+            }
+        };
+        let devices = unstepped.into_iter().zip(run.machines()).map(passed).collect();
+        check(&Step { k, devices })?;
+    }
+    Ok(())
+}
+
+fn balanced(device: &Passed) -> Checked {
+    let Passed {
+        costs, opened, closed, ..
+    } = device;
+    for totals in [opened, closed] {
+        let into = totals.initial.micro() + totals.harvested.micro();
+        let out = totals.spent.micro() + totals.overflow.micro();
+        prop_assert_eq!(into - out, totals.battery.micro());
+        prop_assert!(totals.battery <= costs.e_max);
+        prop_assert_eq!(totals.initial, costs.initial);
+    }
+    prop_assert!(opened.harvested <= closed.harvested && opened.overflow <= closed.overflow);
+    let sum = opened.battery_sum + u128::from(closed.battery.micro());
+    prop_assert_eq!(closed.battery_sum, sum);
+    let low = u64::from(closed.battery < costs.e_tx);
+    prop_assert_eq!(closed.low_ttis, opened.low_ttis + low);
+    let spent = closed.spent.micro() - opened.spent.micro();
+    let most = costs.e_tx.micro() + costs.e_idle.max(costs.e_wur).micro();
+    prop_assert!(spent <= most, "{} spent in a TTI", spent);
+    if closed.overflow > opened.overflow {
+        let full = costs.e_max.micro() - spent;
+        prop_assert_eq!(closed.battery.micro(), full, "overflow with room left");
+    }
+    Ok(())
+}
+
+fn consistent(device: &Passed) -> Checked {
+    let Passed {
+        costs,
+        delta,
+        before,
+        level,
+        after,
+        closed,
+        ..
+    } = device;
+    let end = closed.battery.micro();
+    match before {
+        State::Idle => prop_assert!(delta, "S1 with δ = 0"),
+        State::Sleep { powered: true } => prop_assert!(!delta, "asleep with δ = 1"),
+        State::Sleep { powered: false } => prop_assert_eq!(*level, 0, "power left"),
+        State::Active | State::Transmission => prop_assert!(false, "{:?} before any event", before),
+    }
+    match after {
+        State::Transmission => {
+            // A sensing device that detected, or a sleeper that could hear: nobody else reports.
+            prop_assert!(
+                !matches!(before, State::Sleep { powered: false }),
+                "reported without power"
+            );
+            prop_assert_eq!(end + costs.e_tx.micro(), *level);
+        }
+        State::Sleep { powered: false } => prop_assert_eq!(end, 0, "a failed action leaves nothing"),
+        State::Idle | State::Sleep { powered: true } => {
+            prop_assert_eq!(after, before);
+            prop_assert_eq!(end, *level);
+        }
+        State::Active => prop_assert!(false, "S2 is left within the TTI"),
+    }
+    Ok(())
+}
+
+/// The clusters of a scenario under `knn`; none under another policy.
+fn clusters(scenario: &Scenario) -> Vec<Vec<DeviceId>> {
+    let positions = Deployment::new(scenario).positions();
+    match &scenario.policy {
+        PolicyConfig::Knn(settings) => {
+            let d_max = scenario.sensing.d_max;
+            Clusters::form(&positions, scenario.area, d_max, settings, scenario.seed).members
+        }
+        PolicyConfig::Random | PolicyConfig::Genie => Vec::new(),
+    }
+}
