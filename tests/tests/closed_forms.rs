@@ -112,9 +112,8 @@ fn arrivals_have_the_mean_of_their_law() {
 
 #[test]
 fn recorded_energy_arrives_to_the_last_micro_unit() {
-    // Two devices. The column `rain` of the test's file is 0, 0.000001, 40, 0, 0 units, `wind` 1.5, 0, 0.333334, 2, 0, `sun` 0, 3.25,
-    // 12.5, 0, 0.7;
-    // by half, and half a micro-unit rounds up. A row lasts 4 TTIs, the file 20.
+    // Two devices. The columns of the test's file by half, where half a micro-unit rounds up: `rain` is 0, 0.000001, 40,
+    // 0, 0 units, `wind` 1.5, 0, 0.333334, 2, 0, `sun` 0, 3.25, 12.5, 0, 0.7. A row lasts 4 TTIs, the file 20.
     let (rain, wind) = (4 * (1 + 20_000_000), 4 * (750_000 + 166_667 + 1_000_000));
     let sun = 4 * (1_625_000 + 6_250_000 + 350_000);
     for (end, ttis, columns, expected) in [
