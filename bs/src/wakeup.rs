@@ -66,6 +66,7 @@ impl Ranking {
             }
             let bound = correlation.bound(d, gamma);
             if bound >= correlation.threshold() {
+                let bound = comparable(bound) + STEP;
                 let pair = Some((d, gamma));
                 queue.push(Entry {
                     value: bound,
@@ -92,12 +93,22 @@ impl Iterator for Ranking {
             };
             let value = self.correlation.p42(d, gamma);
             if value >= self.correlation.threshold() {
+                let value = comparable(value);
                 let pair = None;
                 self.queue.push(Entry { value, device, pair });
             }
         }
         None
     }
+}
+
+/// Probabilities closer than this are equal: on a grid, devices that stand alike differ only in the last bit of their
+/// distances, and the lower number is to come first.
+const STEP: f64 = 1e-9;
+
+/// `p` to the nearest step.
+fn comparable(p: f64) -> f64 {
+    (p / STEP).round() * STEP
 }
 
 /// A candidate's probability under one reporter, or an upper bound on it.
@@ -173,7 +184,8 @@ mod tests {
             })
             .filter(|&(probability, _)| probability >= paper().p(4.0))
             .collect();
-        ranked.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        let nano = |p: f64| (p * 1e9).round() as u64;
+        ranked.sort_by_key(|&(probability, j)| (std::cmp::Reverse(nano(probability)), j));
         ranked.into_iter().map(|(_, j)| j).collect()
     }
 
@@ -224,6 +236,24 @@ mod tests {
         assert_eq!(ranking.by_ref().map(|j| j.0).collect::<Vec<_>>(), [2, 3, 5, 0, 1]);
         ranking.start();
         assert_eq!(ranking.next(), None);
+    }
+
+    #[test]
+    fn devices_that_stand_alike_come_in_the_order_of_their_numbers() {
+        // The four corners around the middle, where the distances differ by rounding alone.
+        let points: Vec<Point> = [(0.1, 0.1), (0.3, 0.3), (0.3, 0.1), (0.1, 0.3)]
+            .map(|(x, y)| Point::new(x, y))
+            .to_vec();
+        let middle = Point::new(0.1 + 0.1, 0.2);
+        let distances: Vec<u64> = points.iter().map(|p| p.distance(middle).to_bits()).collect();
+        assert!(
+            distances.iter().any(|&d| d != distances[0]),
+            "the case has lost its point"
+        );
+        let mut ranking = ranking(&points);
+        ranking.start();
+        ranking.add_reporter(middle, 1.0, |_| true);
+        assert_eq!(ranking.map(|j| j.0).collect::<Vec<_>>(), [0, 1, 2, 3]);
     }
 
     #[test]
