@@ -189,6 +189,15 @@ impl Bus {
         })
     }
 
+    /// Publishes `payload` on `key` as it is, message or not. For tests and tools that play a broken peer.
+    ///
+    /// # Errors
+    /// If the key is not one, or the session is closed.
+    pub fn put_raw(&self, key: &str, payload: Vec<u8>) -> Result<(), BusError> {
+        let put = self.session.put(key, payload);
+        Ok(put.congestion_control(CongestionControl::Block).wait()?)
+    }
+
     /// Calls `handle` with the key and the message of everything published on `key`. It must not block.
     ///
     /// # Errors
