@@ -1,1 +1,3 @@
-//! Placeholder.
+//! Helpers of the whole-product tests.
+
+pub mod process;
