@@ -92,21 +92,24 @@ async fn attend(
     })
     .await;
     guard.abort();
-    let failed = guard.await.ok().flatten();
-    if let Some(children) = children.lock().ok().and_then(|mut slot| slot.take()) {
+    let mut failed = guard.await.ok().flatten();
+    if let Some(mut children) = children.lock().ok().and_then(|mut slot| slot.take()) {
         if code.is_ok() {
             children.wait();
+        } else {
+            failed = failed.or_else(|| children.failed());
         }
     }
     match (code, failed) {
-        (Err(error), Some(why)) => Err(error.context(why)),
+        // A process that ended by itself is no interruption, even if that is how the base station was told.
+        (Err(error), Some(why)) => Err(anyhow::anyhow!("{why}: {error:#}")),
         (code, _) => code,
     }
 }
 
-/// Looks after the device processes until all have joined: one that fails before ends the wait.
+/// Looks after the device processes: one that has ended can neither join nor come back, so the run is not held for it.
 async fn watch(children: Arc<std::sync::Mutex<Option<Children>>>, progress: Arc<Progress>) -> Option<String> {
-    while progress.tti.load(Ordering::Relaxed) == 0 {
+    loop {
         let failed = children
             .lock()
             .ok()
@@ -117,7 +120,6 @@ async fn watch(children: Arc<std::sync::Mutex<Option<Children>>>, progress: Arc<
         }
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
-    None
 }
 
 /// The mean memory of the device processes while they live.
