@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use reveille_bs::actor::Progress;
-use reveille_common::bus::Bus;
+use reveille_common::bus::{self, Bus};
 use reveille_common::keys::RunName;
 use reveille_device::host;
 
@@ -25,12 +25,14 @@ pub async fn run(args: &UpArgs) -> anyhow::Result<ExitCode> {
     let scenario = resolve(&args.scenario)?;
     anyhow::ensure!(
         args.processes <= scenario.devices,
-        "--processes {}: there are only {} devices; 0 to {0} is allowed",
+        "--processes {0}: there are only {1} devices; 0 to {1} is allowed",
         args.processes,
         scenario.devices
     );
+    // Before there is a folder: one that is to be replaced stays as it is, if this is where it ends.
+    let endpoint = bus::free_to_listen(&args.listen)?;
     let folder = RunFolder::create(&args.output, &scenario)?;
-    match start(args, &scenario, &folder).await {
+    match start(args, &endpoint, &folder).await {
         Ok((bus, run)) => attend(args, &scenario, folder, &bus, &run).await,
         Err(error) => {
             folder.fail(&error);
@@ -39,16 +41,12 @@ pub async fn run(args: &UpArgs) -> anyhow::Result<ExitCode> {
     }
 }
 
-async fn start(
-    args: &UpArgs,
-    _scenario: &reveille_common::scenario::Scenario,
-    folder: &RunFolder,
-) -> anyhow::Result<(Bus, RunName)> {
+async fn start(args: &UpArgs, endpoint: &str, folder: &RunFolder) -> anyhow::Result<(Bus, RunName)> {
     let run = match &args.run {
         Some(run) => run.clone(),
         None => folder.name().parse().context("the run folder's name")?,
     };
-    let bus = Bus::listen(&args.listen, run.clone()).await?;
+    let bus = Bus::listen(endpoint, run.clone()).await?;
     Ok((bus, run))
 }
 
