@@ -12,7 +12,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
 /// How long anything that should end by itself may take. Generous: it only bounds how long a broken test lasts.
-pub const PATIENCE: Duration = Duration::from_secs(120);
+pub const PATIENCE: Duration = Duration::from_mins(2);
 
 /// How long a build of the program may take.
 const BUILD: Duration = Duration::from_mins(30);
@@ -352,11 +352,17 @@ impl Summary {
     }
 
     /// The run's fingerprint.
+    ///
+    /// # Panics
+    /// If there is none.
     pub fn digest(&self) -> &str {
         self.0["digest"].as_str().expect("a digest is text")
     }
 
     /// `complete` or `interrupted`.
+    ///
+    /// # Panics
+    /// If there is none.
     pub fn status(&self) -> &str {
         self.0["status"].as_str().expect("a status is text")
     }
