@@ -93,8 +93,32 @@ pub enum BsError {
         tti: Tti,
     },
     /// Stopped from outside before there was anything to sum up.
-    #[error("interrupted {0}")]
-    Interrupted(&'static str),
+    #[error("interrupted before all devices had joined")]
+    Interrupted,
+    /// Stopped from outside while there was no way to sum up.
+    #[error(
+        "interrupted at TTI {tti}, while the clock was held for lost host {host} with devices {first} to {last}: without their ledgers there is no summary"
+    )]
+    InterruptedWaiting {
+        /// The host.
+        host: HostId,
+        /// Its first device.
+        first: u32,
+        /// Its last device.
+        last: u32,
+        /// The TTI that was open.
+        tti: Tti,
+    },
+}
+
+impl BsError {
+    /// Whether the run ended because somebody asked for it.
+    pub const fn is_interruption(&self) -> bool {
+        match self {
+            Self::Interrupted | Self::InterruptedWaiting { .. } => true,
+            Self::Bus(_) | Self::TooFew { .. } | Self::HostLost { .. } => false,
+        }
+    }
 }
 
 /// What a run over the bus came to.

@@ -4,6 +4,7 @@
 //! [`harvest`], [`event`]), the scenario that configures it, the messages that cross the bus, and the one definition of
 //! every metric and of the run's digest.
 
+#[cfg(feature = "bus")]
 pub mod bus;
 pub mod codec;
 pub mod deployment;

@@ -12,6 +12,7 @@ mod results;
 use std::process::ExitCode;
 
 use clap::Parser;
+use reveille_bs::actor::BsError;
 
 use cli::{Cli, Command};
 
@@ -25,7 +26,10 @@ fn main() -> ExitCode {
         Ok(code) => code,
         Err(error) => {
             eprintln!("reveille: {error:#}");
-            ExitCode::FAILURE
+            match error.downcast_ref::<BsError>() {
+                Some(why) if why.is_interruption() => ExitCode::from(INTERRUPTED),
+                Some(_) | None => ExitCode::FAILURE,
+            }
         }
     }
 }

@@ -131,7 +131,7 @@ pub(super) async fn wait_for_all(
             }
         }
         if progress.stop.load(Ordering::Relaxed) {
-            return Err(BsError::Interrupted("before all devices had joined"));
+            return Err(BsError::Interrupted);
         }
         if settings.join_patience.is_some_and(|patience| waited >= patience) {
             let joined = shared.lock().registry.taken();

@@ -147,9 +147,10 @@ impl Loop<'_> {
         self.voice.bus.set_tti(first);
         let account = self.schedule.is_boundary(first);
         let before = account.then(|| self.snapshot());
-        if let Some(update) = self.cycle.announce() {
+        let update = self.cycle.announce();
+        if let Some(update) = &update {
             tracing::debug!(from = %update.from, "the plan goes out");
-            self.voice.plan.put(&update)?;
+            self.voice.plan.put(update)?;
         }
         let grant = self.cycle.grant(self.horizon(first));
         let tick = Clock::Grant(Tick {
@@ -163,7 +164,13 @@ impl Loop<'_> {
         self.voice.clock.put(&tick)?;
         self.grants += 1;
         tracing::trace!(first = %grant.first, last = %grant.last, stimulus = ?grant.stimulus, "granted");
-        self.answered(|voice| voice.clock.put(&tick)).await?;
+        self.answered(|voice| {
+            if let Some(update) = &update {
+                voice.plan.put(update)?;
+            }
+            voice.clock.put(&tick)
+        })
+        .await?;
         let mut gathered = self.shared.lock().barrier.take_gathered();
         let mut step = self.cycle.gathered(&mut gathered.reports, &gathered.failures);
         while let Step::WakeUp(device) = step {
@@ -256,15 +263,15 @@ impl Loop<'_> {
     fn check(&self, state: &mut State) -> Result<(), BsError> {
         let Some(&host) = state.lost.first() else { return Ok(()) };
         let tti = self.cycle.next_tti();
-        if self.progress.stop.load(Ordering::Relaxed) {
-            return Err(BsError::Interrupted("while the clock was held for a lost host"));
-        }
         let Some(places) = state.registry.places(host) else {
             return Ok(());
         };
         let (first, last) = (places.first.0, places.first.0 + places.count - 1);
         match self.settings.on_loss {
             OnLoss::End => Err(BsError::HostLost { host, first, last, tti }),
+            OnLoss::Wait if self.progress.stop.load(Ordering::Relaxed) => {
+                Err(BsError::InterruptedWaiting { host, first, last, tti })
+            }
             OnLoss::Wait => {
                 if state.reported.insert(host) {
                     tracing::warn!(%host, first, last, %tti, "lost a host; the clock is held until it is back");

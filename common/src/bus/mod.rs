@@ -32,21 +32,21 @@ pub const LEASE_MS: u64 = 2_000;
 /// What can go wrong on the bus.
 #[derive(Debug, thiserror::Error)]
 pub enum BusError {
-    /// An endpoint that zenoh does not understand.
-    #[error("endpoint {0:?}: must look like tcp/HOST:PORT, for example tcp/127.0.0.1:7447 ({1})")]
-    Endpoint(String, String),
+    /// A text that is not an endpoint.
+    #[error("endpoint {0:?}: {1}; it must look like tcp/HOST:PORT, for example tcp/127.0.0.1:7447")]
+    Endpoint(String, &'static str),
     /// The BS cannot listen.
     #[error(
         "cannot listen on {0}: {1}. Is the port in use? Choose another with --listen, or tcp/127.0.0.1:0 for any free one"
     )]
     Listen(String, String),
     /// No BS answers.
-    #[error("no base station answers at {endpoint} within {seconds} s. Is it running, and is the address right?")]
+    #[error("no base station answers at {endpoint} within {patience:?}. Is it running, and is the address right?")]
     Connect {
         /// Where.
         endpoint: String,
         /// How long it was tried.
-        seconds: u64,
+        patience: Duration,
     },
     /// The BS is there, but does not answer for this run.
     #[error("nobody answers for run {run} at {endpoint}. {hint}")]
@@ -103,13 +103,12 @@ impl Bus {
     /// # Errors
     /// If the endpoint is not one, or is in use.
     pub async fn listen(endpoint: &str, run: RunName) -> Result<Self, BusError> {
-        let endpoint = with_free_port(endpoint)?;
+        let endpoint = free_to_listen(endpoint)?;
         let mut config = config(&[("mode", "\"router\"")])?;
-        set(&mut config, "listen/endpoints", &format!("[{endpoint:?}]"))
-            .map_err(|e| BusError::Endpoint(endpoint.clone(), e.to_string()))?;
+        set(&mut config, "listen/endpoints", &format!("[{endpoint:?}]"))?;
         set(&mut config, "listen/exit_on_failure", "true")?;
-        let session = zenoh::open(config)
-            .await
+        let session = open(config)
+            .await?
             .map_err(|e| BusError::Listen(endpoint.clone(), e.to_string()))?;
         let mut bus = Self::new(session, run, &endpoint);
         bus.tap = Some(Tap::start(&bus)?);
@@ -121,23 +120,23 @@ impl Bus {
     /// # Errors
     /// If the endpoint is not one, or nobody answers there in time.
     pub async fn connect(endpoint: &str, run: RunName, patience: Duration) -> Result<Self, BusError> {
+        address(endpoint)?;
         let mut config = config(&[("mode", "\"client\"")])?;
-        set(&mut config, "connect/endpoints", &format!("[{endpoint:?}]"))
-            .map_err(|e| BusError::Endpoint(endpoint.to_owned(), e.to_string()))?;
-        set(&mut config, "connect/timeout_ms", "-1")?;
+        set(&mut config, "connect/endpoints", &format!("[{endpoint:?}]"))?;
+        set(&mut config, "connect/timeout_ms", &patience.as_millis().to_string())?;
+        set(&mut config, "connect/exit_on_failure", "true")?;
         set(
             &mut config,
             "connect/retry",
             "{period_init_ms: 50, period_max_ms: 500, period_increase_factor: 2}",
         )?;
-        let no_answer = || BusError::Connect {
-            endpoint: endpoint.to_owned(),
-            seconds: patience.as_secs(),
-        };
-        let session = match tokio::time::timeout(patience, zenoh::open(config)).await {
-            Ok(opened) => opened.map_err(|e| BusError::Endpoint(endpoint.to_owned(), e.to_string()))?,
-            Err(_) => return Err(no_answer()),
-        };
+        let session = open(config).await?.map_err(|error| {
+            tracing::debug!(%error, endpoint, "cannot connect");
+            BusError::Connect {
+                endpoint: endpoint.to_owned(),
+                patience,
+            }
+        })?;
         Ok(Self::new(session, run, endpoint))
     }
 
@@ -189,6 +188,15 @@ impl Bus {
             key,
             tap: self.tap.clone(),
         })
+    }
+
+    /// Publishes `payload` on `key` as it is, message or not. For tests and tools that play a broken peer.
+    ///
+    /// # Errors
+    /// If the key is not one, or the session is closed.
+    pub fn put_raw(&self, key: &str, payload: Vec<u8>) -> Result<(), BusError> {
+        let put = self.session.put(key, payload);
+        Ok(put.congestion_control(CongestionControl::Block).wait()?)
     }
 
     /// Calls `handle` with the key and the message of everything published on `key`. It must not block.
@@ -422,16 +430,82 @@ fn set(config: &mut zenoh::Config, key: &str, value: &str) -> Result<(), BusErro
         .map_err(|e| BusError::Zenoh(format!("{key} = {value}: {e}")))
 }
 
-/// `endpoint` with a free port in the place of port 0, which zenoh would choose without telling.
-fn with_free_port(endpoint: &str) -> Result<String, BusError> {
-    let Some(host) = endpoint
-        .strip_prefix("tcp/")
-        .and_then(|address| address.strip_suffix(":0"))
-    else {
-        return Ok(endpoint.to_owned());
-    };
-    let free = std::net::TcpListener::bind((host, 0))
+/// Opens a session on a thread of its own: zenoh blocks the thread that waits for one, and with it every timer and signal
+/// that its task waits for besides.
+async fn open(config: zenoh::Config) -> Result<zenoh::Result<zenoh::Session>, BusError> {
+    let (send, opened) = tokio::sync::oneshot::channel();
+    std::thread::Builder::new()
+        .name("open".to_owned())
+        .spawn(move || {
+            // Nobody waits any more: the session is closed at once.
+            let _unwanted = send.send(zenoh::open(config).wait()).is_err();
+        })
+        .map_err(|e| BusError::Zenoh(format!("cannot start a thread: {e}")))?;
+    opened
+        .await
+        .map_err(|_| BusError::Zenoh("the thread that opens the session has ended".to_owned()))
+}
+
+/// The host and port of `endpoint`.
+fn address(endpoint: &str) -> Result<(&str, u16), BusError> {
+    let refuse = |why| BusError::Endpoint(endpoint.to_owned(), why);
+    let (protocol, address) = endpoint.split_once('/').ok_or_else(|| refuse("no protocol"))?;
+    if protocol != "tcp" {
+        return Err(refuse("only the protocol tcp is spoken here"));
+    }
+    let (host, port) = address.rsplit_once(':').ok_or_else(|| refuse("no port"))?;
+    if host.is_empty() || host.contains(['/', '?', '#', ',']) {
+        return Err(refuse("no host"));
+    }
+    let port = port
+        .parse()
+        .map_err(|_| refuse("the port is not a number up to 65535"))?;
+    Ok((host, port))
+}
+
+/// `endpoint`, if it can be listened on, with a free port in the place of port 0, which zenoh would choose without telling.
+///
+/// # Errors
+/// If it is no endpoint, or is in use.
+pub fn free_to_listen(endpoint: &str) -> Result<String, BusError> {
+    let (host, port) = address(endpoint)?;
+    let bound = std::net::TcpListener::bind((host.trim_matches(['[', ']']), port))
         .and_then(|listener| listener.local_addr())
         .map_err(|e| BusError::Listen(endpoint.to_owned(), e.to_string()))?;
-    Ok(format!("tcp/{host}:{}", free.port()))
+    Ok(format!("tcp/{host}:{}", bound.port()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn endpoints_are_checked() {
+        assert_eq!(address("tcp/127.0.0.1:7447").expect("valid"), ("127.0.0.1", 7447));
+        assert_eq!(address("tcp/[::1]:0").expect("valid"), ("[::1]", 0));
+        for bad in [
+            "",
+            "tcp",
+            "tcp/",
+            "tcp/host",
+            "tcp/:1",
+            "tcp/host:",
+            "tcp/host:65536",
+            "udp/host:1",
+            "host:1",
+            "tcp/a/b:1",
+            "tcp/a:1,tcp/b:1",
+        ] {
+            assert!(matches!(address(bad), Err(BusError::Endpoint(..))), "{bad}");
+        }
+    }
+
+    #[test]
+    fn a_free_port_is_found_and_a_taken_one_refused() {
+        let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
+        let endpoint = format!("tcp/{}", taken.local_addr().expect("bound"));
+        assert!(matches!(free_to_listen(&endpoint), Err(BusError::Listen(..))));
+        let free = free_to_listen("tcp/127.0.0.1:0").expect("a free port");
+        assert!(free.starts_with("tcp/127.0.0.1:") && !free.ends_with(":0"), "{free}");
+    }
 }

@@ -3,9 +3,9 @@
 //! The BS sees every message of a run. While somebody observes, it hands copies to a thread of its own through a bounded
 //! queue that is never waited for; what does not fit is left out, and the numbers of the frames tell how much that was.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use zenoh::Wait;
@@ -28,7 +28,9 @@ const PAUSE: Duration = Duration::from_millis(5);
 pub struct Tap {
     is_observed: AtomicBool,
     tti: AtomicU64,
-    next: AtomicU64,
+    /// The number of the next frame. Held while that frame is queued: several threads see messages, and numbers must rise
+    /// along the queue.
+    next: Mutex<u64>,
     queue: SyncSender<(u64, TapFrame)>,
 }
 
@@ -43,7 +45,7 @@ impl Tap {
         let tap = Arc::new(Self {
             is_observed: AtomicBool::new(false),
             tti: AtomicU64::new(0),
-            next: AtomicU64::new(0),
+            next: Mutex::new(0),
             queue,
         });
         let weak = Arc::downgrade(&tap);
@@ -73,7 +75,9 @@ impl Tap {
         if !self.is_observed.load(Ordering::Relaxed) {
             return;
         }
-        let number = self.next.fetch_add(1, Ordering::Relaxed);
+        let mut next = self.next.lock().unwrap_or_else(PoisonError::into_inner);
+        let number = *next;
+        *next += 1;
         let tti = Tti(self.tti.load(Ordering::Relaxed));
         // A full queue drops the frame; the observer sees the gap in the numbers.
         let _left_out = self
@@ -115,5 +119,29 @@ fn publish(publisher: &Publisher<'_>, frames: &Receiver<(u64, TapFrame)>) {
             return;
         }
         std::thread::sleep(PAUSE);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_rise_along_the_queue_whoever_sees_a_message() {
+        let (queue, frames) = sync_channel(QUEUE);
+        let tap = Tap {
+            is_observed: AtomicBool::new(true),
+            tti: AtomicU64::new(0),
+            next: Mutex::new(0),
+            queue,
+        };
+        std::thread::scope(|scope| {
+            for _ in 0..4 {
+                scope.spawn(|| (0..2_000).for_each(|_| tap.see("key", &[1])));
+            }
+        });
+        drop(tap);
+        let numbers: Vec<u64> = frames.iter().map(|(number, _)| number).collect();
+        assert_eq!(numbers, (0..8_000).collect::<Vec<u64>>());
     }
 }

@@ -54,7 +54,7 @@ async fn tail(args: &TailArgs) -> anyhow::Result<ExitCode> {
         tokio::select! {
             batch = batches.recv() => {
                 let Some(TapBatch { first, frames }) = batch else { break };
-                left_out.fetch_add(first - expected.unwrap_or(first), Ordering::Relaxed);
+                left_out.fetch_add(first.saturating_sub(expected.unwrap_or(first)), Ordering::Relaxed);
                 expected = Some(first + frames.len() as u64);
                 if !print(args, &frames, &mut printed) {
                     break;

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use reveille_bs::actor::Progress;
-use reveille_common::bus::Bus;
+use reveille_common::bus::{self, Bus};
 use reveille_common::keys::RunName;
 use reveille_device::host;
 
@@ -26,12 +26,14 @@ pub async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
     let scenario = resolve(&args.scenario)?;
     anyhow::ensure!(
         args.processes <= scenario.devices,
-        "--processes {}: there are only {} devices; 0 to {0} is allowed",
+        "--processes {0}: there are only {1} devices; 0 to {1} is allowed",
         args.processes,
         scenario.devices
     );
+    // Before there is a folder: one that is to be replaced stays as it is, if this is where it ends.
+    let endpoint = bus::free_to_listen(&args.listen)?;
     let folder = RunFolder::create(&args.output, &scenario)?;
-    match listen(args, &folder).await {
+    match listen(args, &endpoint, &folder).await {
         Ok((bus, run)) => {
             let station = Station {
                 settings: settings(&args.drive, window(&args.output, &scenario), Some(JOIN)),
@@ -51,12 +53,12 @@ pub async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
     }
 }
 
-async fn listen(args: &UpArgs, folder: &RunFolder) -> anyhow::Result<(Bus, RunName)> {
+async fn listen(args: &UpArgs, endpoint: &str, folder: &RunFolder) -> anyhow::Result<(Bus, RunName)> {
     let run = match &args.run {
         Some(run) => run.clone(),
         None => folder.name().parse().context("the run folder's name")?,
     };
-    let bus = Bus::listen(&args.listen, run.clone()).await?;
+    let bus = Bus::listen(endpoint, run.clone()).await?;
     Ok((bus, run))
 }
 
@@ -87,20 +89,24 @@ async fn attend(processes: u32, station: &Station<'_>, folder: RunFolder, log: &
     })
     .await;
     guard.abort();
-    let failed = guard.await.ok().flatten();
-    let children = children.lock().ok().and_then(|mut slot| slot.take());
-    if let (Some(children), true) = (children, code.is_ok()) {
-        children.wait();
+    let mut failed = guard.await.ok().flatten();
+    if let Some(mut children) = children.lock().ok().and_then(|mut slot| slot.take()) {
+        if code.is_ok() {
+            children.wait();
+        } else {
+            failed = failed.or_else(|| children.failed());
+        }
     }
     match (code, failed) {
-        (Err(error), Some(why)) => Err(error.context(why)),
+        // A process that ended by itself is no interruption, even if that is how the base station was told.
+        (Err(error), Some(why)) => Err(anyhow::anyhow!("{why}: {error:#}")),
         (code, _) => code,
     }
 }
 
-/// Looks after the device processes until all have joined: one that fails before ends the wait.
+/// Looks after the device processes: one that has ended can neither join nor come back, so the run is not held for it.
 async fn watch(children: Arc<std::sync::Mutex<Option<Children>>>, progress: Arc<Progress>) -> Option<String> {
-    while progress.tti.load(Ordering::Relaxed) == 0 {
+    loop {
         let failed = children
             .lock()
             .ok()
@@ -111,7 +117,6 @@ async fn watch(children: Arc<std::sync::Mutex<Option<Children>>>, progress: Arc<
         }
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
-    None
 }
 
 /// The mean memory of the device processes while they live.
