@@ -13,7 +13,8 @@ use reveille_common::ids::{DeviceId, HostId, Tti};
 use reveille_common::keys::{Kind, last_number};
 use reveille_common::message::{Assignment, Clock, JoinReply, JoinRequest, PlanUpdate, Ready, Tick, WakeUp};
 use reveille_common::plan::DutyCycle;
-use tokio::sync::mpsc::{UnboundedSender, unbounded_channel};
+use tokio::runtime::Handle;
+use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::sync::watch;
 
 use crate::actor::{Actor, Input};
@@ -66,6 +67,8 @@ struct Shared {
 }
 
 struct State {
+    /// Actors that have not been started; see [`Shared::start_actors`].
+    resting: Vec<(Actor, UnboundedReceiver<Input>)>,
     duties: Vec<DutyCycle>,
     tick: Option<Tick>,
     round: Option<Arc<Round>>,
@@ -119,18 +122,20 @@ impl Shared {
         let positions = devices.iter().map(|d| d.position).collect();
         let d_max = sensing.d_max;
         let world = Arc::new(World { seed, sensing, traces });
+        let mut resting = Vec::new();
         let mailboxes = devices
             .iter()
             .map(|setup| {
                 let (mailbox, inputs) = unbounded_channel();
                 let actor = Actor::new(Machine::new(setup, &world), Arc::clone(&world), Arc::clone(&uplink));
-                tokio::spawn(actor.run(inputs));
+                resting.push((actor, inputs));
                 mailbox
             })
             .collect();
         let duties = vec![DutyCycle::ASLEEP; devices.len()];
         let state = Mutex::new(State {
             duties,
+            resting,
             tick: None,
             round: None,
         });
@@ -193,8 +198,23 @@ impl Shared {
         });
     }
 
+    /// Starts the actors, on the runtime that delivers their messages: there a message wakes its actor without handing over
+    /// to another thread, which costs more than all that the actor does.
+    fn start_actors(state: &mut State) {
+        match Handle::try_current() {
+            Ok(runtime) => state
+                .resting
+                .drain(..)
+                .for_each(|(actor, inputs)| drop(runtime.spawn(actor.run(inputs)))),
+            Err(error) => tracing::error!(%error, "messages arrive outside any runtime; the devices cannot be started"),
+        }
+    }
+
     fn on_plan(&self, update: &PlanUpdate) {
         let mut state = self.lock();
+        if !state.resting.is_empty() {
+            Self::start_actors(&mut state);
+        }
         for (j, duty) in state.duties.iter_mut().enumerate() {
             let new = update.plan.duty_cycle(DeviceId(self.first.0 + j as u32));
             if *duty != new {
