@@ -27,8 +27,7 @@ pub use classes::assign_classes;
 pub use error::{Place, ScenarioError};
 pub use load::{PRESETS, load, parse};
 pub use model::{
-    BsSettings, DeviceClass, EnergyModel, Events, Harvest, KnnSettings, PolicyConfig, Scenario, Trace, TraceColumns,
-    TraceEnd,
+    BsSettings, DeviceClass, EnergyModel, Events, Harvest, KnnSettings, MAX_CLASSES, MAX_DEVICES, MAX_TTIS,
+    PolicyConfig, Scenario, Trace, TraceColumns, TraceEnd,
 };
 pub use overrides::Override;
-pub use validate::{MAX_CLASSES, MAX_DEVICES, MAX_TTIS};

@@ -8,6 +8,13 @@ use crate::ids::Tti;
 use crate::sensing::Sensing;
 use crate::units::Energy;
 
+/// The largest number of devices N.
+pub const MAX_DEVICES: u32 = 1_000_000;
+/// The longest run K, event or interval, in TTIs.
+pub const MAX_TTIS: u64 = 1_000_000_000;
+/// The largest number of device classes.
+pub const MAX_CLASSES: usize = 256;
+
 /// Everything that decides a run: two runs of one scenario are the same, bit for bit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scenario {

@@ -4,10 +4,9 @@ use std::sync::Arc;
 
 use super::check::{Checker, NOT_NEGATIVE, Section};
 use super::error::ScenarioError;
-use super::model::{Trace, TraceColumns};
+use super::model::{MAX_TTIS, Trace, TraceColumns};
 use super::raw::RawTrace;
 use super::table;
-use super::validate::MAX_TTIS;
 use crate::units::{Energy, MAX_UNITS};
 
 /// The trace of the section `harvest`, its values read and scaled.

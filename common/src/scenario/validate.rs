@@ -7,7 +7,10 @@ use std::sync::Arc;
 use super::check::{ABOVE_ZERO, BELOW_ONE, Checker, NOT_NEGATIVE, POSITIVE, Section};
 use super::error::ScenarioError;
 use super::layers::Places;
-use super::model::{BsSettings, DeviceClass, EnergyModel, Events, Harvest, KnnSettings, PolicyConfig, Scenario};
+use super::model::{
+    BsSettings, DeviceClass, EnergyModel, Events, Harvest, KnnSettings, MAX_CLASSES, MAX_DEVICES, MAX_TTIS,
+    PolicyConfig, Scenario,
+};
 use super::raw::{
     HarvestKind, LayoutKind, PolicyName, RawClass, RawEnergy, RawHarvest, RawLayout, RawPolicy, RawScenario, RawSensing,
 };
@@ -16,12 +19,6 @@ use crate::geometry::{Area, Layout, Point};
 use crate::sensing::Sensing;
 use crate::units::Energy;
 
-/// The largest number of devices N.
-pub const MAX_DEVICES: u32 = 1_000_000;
-/// The longest run K, event or interval, in TTIs.
-pub const MAX_TTIS: u64 = 1_000_000_000;
-/// The largest number of device classes.
-pub const MAX_CLASSES: usize = 256;
 /// The largest η · `d_max`: `p(d_max)` is still above 0 in double precision.
 const MAX_DECAY: f64 = 700.0;
 /// How far from 1 the sum of the classes' shares may be.

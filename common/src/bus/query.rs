@@ -1,0 +1,80 @@
+//! Questions and answers between sessions.
+
+use std::time::Duration;
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use zenoh::Wait;
+use zenoh::query::{ConsolidationMode, Query, QueryTarget};
+
+use super::{Bus, BusError, Declared};
+use crate::codec;
+
+impl Bus {
+    /// Answers queries on `key`: `answer` gets the request, says how to reply, and is called on zenoh's threads.
+    ///
+    /// # Errors
+    /// If zenoh refuses.
+    pub fn serve<Q, R, F>(&self, key: String, answer: F) -> Result<Declared, BusError>
+    where
+        Q: DeserializeOwned,
+        R: Serialize,
+        F: Fn(Q) -> R + Send + Sync + 'static,
+    {
+        let bus = self.clone();
+        let on_query = move |query: Query| {
+            let payload = query.payload().map(|p| p.to_bytes().into_owned()).unwrap_or_default();
+            let key = query.key_expr().as_str();
+            bus.see(key, &payload);
+            let reply = match codec::decode(&payload) {
+                Ok(request) => query.reply(key, codec::encode(&answer(request))).wait(),
+                Err(error) => {
+                    bus.count_malformed(key, &error);
+                    query.reply_err(error.to_string()).wait()
+                }
+            };
+            if let Err(error) = reply {
+                tracing::debug!(key, %error, "the asker has gone");
+            }
+        };
+        Ok(Declared::new(
+            self.session
+                .declare_queryable(key)
+                .complete(true)
+                .callback(on_query)
+                .wait()?,
+        ))
+    }
+
+    /// Asks whoever serves `key`; `None` if nobody does within `patience`.
+    ///
+    /// # Errors
+    /// If the answer is not a reply, or zenoh refuses.
+    pub async fn ask<Q: Serialize, R: DeserializeOwned>(
+        &self,
+        key: String,
+        request: &Q,
+        patience: Duration,
+    ) -> Result<Option<R>, BusError> {
+        let replies = self
+            .session
+            .get(key)
+            .payload(codec::encode(request))
+            .target(QueryTarget::BestMatching)
+            .consolidation(ConsolidationMode::None)
+            .timeout(patience)
+            .await?;
+        while let Ok(reply) = replies.recv_async().await {
+            match reply.into_result() {
+                Ok(sample) => return Ok(Some(codec::decode(&sample.payload().to_bytes())?)),
+                Err(error) => {
+                    let text = String::from_utf8_lossy(&error.payload().to_bytes()).into_owned();
+                    if text != "Timeout" {
+                        return Err(BusError::Zenoh(text));
+                    }
+                }
+            }
+        }
+        Ok(None)
+    }
+}

@@ -1,0 +1,160 @@
+//! How sessions are opened and configured.
+
+use std::time::Duration;
+
+use zenoh::Wait;
+
+use super::{Bus, BusError, Tap};
+use crate::keys::RunName;
+
+/// How long a link may be silent before its peer counts as lost, milliseconds.
+pub const LEASE_MS: u64 = 2_000;
+
+/// What all sessions have in common.
+const COMMON: [(&str, &str); 6] = [
+    ("scouting/multicast/enabled", "false"),
+    ("scouting/gossip/enabled", "false"),
+    ("scouting/delay", "0"),
+    ("timestamping/enabled", "false"),
+    ("adminspace/enabled", "false"),
+    ("transport/unicast/max_sessions", "10000"),
+];
+
+impl Bus {
+    /// Opens the BS's session, listening on `endpoint`; the port 0 stands for any free one.
+    ///
+    /// # Errors
+    /// If the endpoint is not one, or is in use.
+    pub async fn listen(endpoint: &str, run: RunName) -> Result<Self, BusError> {
+        let endpoint = free_to_listen(endpoint)?;
+        let mut config = config(&[("mode", "\"router\"")])?;
+        set(&mut config, "listen/endpoints", &format!("[{endpoint:?}]"))?;
+        set(&mut config, "listen/exit_on_failure", "true")?;
+        let session = open(config)
+            .await?
+            .map_err(|e| BusError::Listen(endpoint.clone(), e.to_string()))?;
+        let mut bus = Self::new(session, run, &endpoint);
+        bus.tap = Some(Tap::start(&bus)?);
+        Ok(bus)
+    }
+
+    /// Connects to the BS at `endpoint`, trying for `patience`.
+    ///
+    /// # Errors
+    /// If the endpoint is not one, or nobody answers there in time.
+    pub async fn connect(endpoint: &str, run: RunName, patience: Duration) -> Result<Self, BusError> {
+        address(endpoint)?;
+        let mut config = config(&[("mode", "\"client\"")])?;
+        set(&mut config, "connect/endpoints", &format!("[{endpoint:?}]"))?;
+        set(&mut config, "connect/timeout_ms", &patience.as_millis().to_string())?;
+        set(&mut config, "connect/exit_on_failure", "true")?;
+        set(
+            &mut config,
+            "connect/retry",
+            "{period_init_ms: 50, period_max_ms: 500, period_increase_factor: 2}",
+        )?;
+        let session = open(config).await?.map_err(|error| {
+            tracing::debug!(%error, endpoint, "cannot connect");
+            BusError::Connect {
+                endpoint: endpoint.to_owned(),
+                patience,
+            }
+        })?;
+        Ok(Self::new(session, run, endpoint))
+    }
+}
+
+fn config(extra: &[(&str, &str)]) -> Result<zenoh::Config, BusError> {
+    let mut config = zenoh::Config::default();
+    for (key, value) in COMMON.iter().chain(extra) {
+        set(&mut config, key, value)?;
+    }
+    set(&mut config, "transport/link/tx/lease", &LEASE_MS.to_string())?;
+    Ok(config)
+}
+
+fn set(config: &mut zenoh::Config, key: &str, value: &str) -> Result<(), BusError> {
+    config
+        .insert_json5(key, value)
+        .map_err(|e| BusError::Zenoh(format!("{key} = {value}: {e}")))
+}
+
+/// Opens a session on a thread of its own: zenoh blocks the thread that waits for one, and with it every timer and signal
+/// that its task waits for besides.
+async fn open(config: zenoh::Config) -> Result<zenoh::Result<zenoh::Session>, BusError> {
+    let (send, opened) = tokio::sync::oneshot::channel();
+    std::thread::Builder::new()
+        .name("open".to_owned())
+        .spawn(move || {
+            // Nobody waits any more: the session is closed at once.
+            let _unwanted = send.send(zenoh::open(config).wait()).is_err();
+        })
+        .map_err(|e| BusError::Zenoh(format!("cannot start a thread: {e}")))?;
+    opened
+        .await
+        .map_err(|_| BusError::Zenoh("the thread that opens the session has ended".to_owned()))
+}
+
+/// The host and port of `endpoint`.
+fn address(endpoint: &str) -> Result<(&str, u16), BusError> {
+    let refuse = |why| BusError::Endpoint(endpoint.to_owned(), why);
+    let (protocol, address) = endpoint.split_once('/').ok_or_else(|| refuse("no protocol"))?;
+    if protocol != "tcp" {
+        return Err(refuse("only the protocol tcp is spoken here"));
+    }
+    let (host, port) = address.rsplit_once(':').ok_or_else(|| refuse("no port"))?;
+    if host.is_empty() || host.contains(['/', '?', '#', ',']) {
+        return Err(refuse("no host"));
+    }
+    let port = port
+        .parse()
+        .map_err(|_| refuse("the port is not a number up to 65535"))?;
+    Ok((host, port))
+}
+
+/// `endpoint`, if it can be listened on, with a free port in the place of port 0, which zenoh would choose without telling.
+///
+/// # Errors
+/// If it is no endpoint, or is in use.
+pub fn free_to_listen(endpoint: &str) -> Result<String, BusError> {
+    let (host, port) = address(endpoint)?;
+    let bound = std::net::TcpListener::bind((host.trim_matches(['[', ']']), port))
+        .and_then(|listener| listener.local_addr())
+        .map_err(|e| BusError::Listen(endpoint.to_owned(), e.to_string()))?;
+    Ok(format!("tcp/{host}:{}", bound.port()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn endpoints_are_checked() {
+        assert_eq!(address("tcp/127.0.0.1:7447").expect("valid"), ("127.0.0.1", 7447));
+        assert_eq!(address("tcp/[::1]:0").expect("valid"), ("[::1]", 0));
+        for bad in [
+            "",
+            "tcp",
+            "tcp/",
+            "tcp/host",
+            "tcp/:1",
+            "tcp/host:",
+            "tcp/host:65536",
+            "udp/host:1",
+            "host:1",
+            "tcp/a/b:1",
+            "tcp/a:1,tcp/b:1",
+        ] {
+            assert!(matches!(address(bad), Err(BusError::Endpoint(..))), "{bad}");
+        }
+    }
+
+    #[test]
+    fn a_free_port_is_found_and_a_taken_one_refused() {
+        let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
+        let endpoint = format!("tcp/{}", taken.local_addr().expect("bound"));
+        assert!(matches!(free_to_listen(&endpoint), Err(BusError::Listen(..))));
+        let free = free_to_listen("tcp/127.0.0.1:0").expect("a free port");
+        assert!(free.starts_with("tcp/127.0.0.1:") && !free.ends_with(":0"), "{free}");
+    }
+}

@@ -1,0 +1,107 @@
+//! The command line.
+
+mod parse;
+mod run;
+mod tools;
+
+use clap::{Parser, Subcommand, ValueEnum};
+use reveille_common::logging::LogFormat;
+
+pub use run::{BsArgs, DeviceArgs, DriveArgs, OutputArgs, RunArgs, ScenarioArgs, UpArgs};
+pub use tools::{
+    BenchCommand, BusBenchArgs, ClockArgs, InspectCommand, MemoryBenchArgs, ScenarioCommand, TailArgs, TargetArgs,
+};
+
+/// Emulates a base station and many battery-less IoT devices that live on harvested energy.
+#[derive(Parser)]
+#[command(name = "reveille", version, arg_required_else_help = true)]
+#[command(after_help = "Start with:  reveille up\n\
+    Then try:    reveille up --devices 250 --processes 250\n             \
+    reveille up --pace 20ms   and, in another terminal,   reveille inspect tail")]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+
+    /// Log more: -v information, -vv debugging, -vvv everything. `RUST_LOG` overrides it.
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    pub verbose: u8,
+
+    /// The form of log lines, which go to standard error.
+    #[arg(long, global = true, value_enum, default_value = "text")]
+    pub log_format: LogFormatArg,
+}
+
+impl Cli {
+    /// The options for logging, for processes that this one starts.
+    pub fn log_options(&self) -> Vec<String> {
+        let format = match self.log_format {
+            LogFormatArg::Text => "text",
+            LogFormatArg::Json => "json",
+        };
+        let verbose = (0..self.verbose).map(|_| "-v".to_owned());
+        verbose.chain(["--log-format".to_owned(), format.to_owned()]).collect()
+    }
+}
+
+/// The subcommands.
+#[derive(Subcommand)]
+pub enum Command {
+    /// Run a base station and its device processes on this machine, and sum up.
+    #[command(
+        after_help = "Examples:\n  reveille up\n  reveille up --policy genie --devices 250 --processes 10\n  \
+        reveille up --scenario my.toml --set harvest.lambda=0.05 --json"
+    )]
+    Up(UpArgs),
+    /// Run in memory: the same run and the same digest as `up`, without processes or a network.
+    Run(RunArgs),
+    /// Start only the base station, and wait for devices to connect.
+    #[command(
+        after_help = "Example, on two machines:\n  reveille bs --listen tcp/0.0.0.0:7447 --run demo --devices 50\n  \
+        reveille device --connect tcp/HOST:7447 --run demo --count 50"
+    )]
+    Bs(BsArgs),
+    /// Start one process of devices, and connect it to a base station.
+    Device(DeviceArgs),
+    /// Show or check scenarios.
+    #[command(subcommand)]
+    Scenario(ScenarioCommand),
+    /// Look at a run while it goes.
+    #[command(subcommand)]
+    Inspect(InspectCommand),
+    /// Pause, step and resume the virtual clock of a run.
+    Clock(ClockArgs),
+    /// Measure the emulator's speed against stated baselines.
+    #[command(subcommand)]
+    Bench(BenchCommand),
+}
+
+/// Log format.
+#[derive(Clone, Copy, ValueEnum)]
+pub enum LogFormatArg {
+    /// For people.
+    Text,
+    /// One JSON object a line.
+    Json,
+}
+
+impl From<LogFormatArg> for LogFormat {
+    fn from(arg: LogFormatArg) -> Self {
+        match arg {
+            LogFormatArg::Text => Self::Text,
+            LogFormatArg::Json => Self::Json,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Cli::command().debug_assert();
+    }
+}

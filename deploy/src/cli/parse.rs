@@ -1,0 +1,55 @@
+//! How values on the command line are read.
+
+use std::time::Duration;
+
+use reveille_common::keys::Kind;
+
+pub(super) fn parse_sizes(text: &str) -> Result<(usize, usize), String> {
+    let pair = text
+        .split_once(',')
+        .and_then(|(tick, answer)| Some((tick.parse().ok()?, answer.parse().ok()?)));
+    pair.ok_or_else(|| "must be TICK,ANSWER".to_owned())
+}
+
+pub(super) fn parse_kind(text: &str) -> Result<Kind, String> {
+    Kind::ALL.into_iter().find(|kind| kind.name() == text).ok_or_else(|| {
+        let names: Vec<&str> = Kind::ALL.iter().map(|kind| kind.name()).collect();
+        format!("must be one of {}", names.join(", "))
+    })
+}
+
+pub(super) fn parse_pace(text: &str) -> Result<reveille_bs::clock::Pace, String> {
+    if text == "max" {
+        return Ok(reveille_bs::clock::Pace::Max);
+    }
+    parse_duration(text)
+        .map(reveille_bs::clock::Pace::RealTime)
+        .map_err(|e| format!("must be `max` or {e}"))
+}
+
+pub(super) fn parse_duration(text: &str) -> Result<Duration, String> {
+    let units = [("us", 1e-6), ("ms", 1e-3), ("s", 1.0), ("min", 60.0)];
+    let number = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+    let unit = units
+        .iter()
+        .find(|(name, _)| *name == &text[number.len()..])
+        .map(|(_, seconds)| seconds);
+    match (number.parse::<f64>(), unit) {
+        (Ok(n), Some(seconds)) if n > 0.0 && n * seconds <= 1e6 => Ok(Duration::from_secs_f64(n * seconds)),
+        _ => Err("a time above 0 such as 500us, 10ms, 2s or 1min".to_owned()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn durations_are_read() {
+        assert_eq!(parse_duration("10ms"), Ok(Duration::from_millis(10)));
+        assert_eq!(parse_duration("1.5s"), Ok(Duration::from_millis(1500)));
+        for bad in ["", "10", "ms", "-1s", "0s", "nans", "1h", "1e99s"] {
+            assert!(parse_duration(bad).is_err(), "{bad}");
+        }
+    }
+}

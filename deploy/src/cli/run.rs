@@ -1,0 +1,180 @@
+//! The options of everything that runs a scenario.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::{Args, ValueEnum};
+use reveille_bs::actor::OnLoss;
+use reveille_common::keys::RunName;
+
+use super::parse::{parse_duration, parse_pace};
+
+/// Which scenario.
+#[derive(Args, Clone, Debug)]
+pub struct ScenarioArgs {
+    /// A preset's name (paper, paper-literal, quick) or a TOML file. See `reveille scenario show`.
+    #[arg(long, short, default_value = "paper")]
+    pub scenario: String,
+
+    /// Override one field, for example --set sensing.d_max=5. May be repeated.
+    #[arg(long, value_name = "FIELD=VALUE")]
+    pub set: Vec<String>,
+
+    /// Number of devices N.
+    #[arg(long, short = 'n')]
+    pub devices: Option<String>,
+
+    /// Policy: knn, random or genie.
+    #[arg(long, short)]
+    pub policy: Option<String>,
+
+    /// Length of the run K in TTIs, warm-up included.
+    #[arg(long, short = 'k')]
+    pub ttis: Option<String>,
+
+    /// Seed of every random draw.
+    #[arg(long)]
+    pub seed: Option<String>,
+}
+
+/// Where results go.
+#[derive(Args, Clone, Debug)]
+pub struct OutputArgs {
+    /// The run folder, which must not hold a run yet [default: runs/POLICY-nN-sSEED, numbered if taken].
+    #[arg(long, short)]
+    pub out: Option<PathBuf>,
+
+    /// Replace the run that the folder given by --out holds.
+    #[arg(long, requires = "out")]
+    pub force: bool,
+
+    /// Print summary.json to standard output instead of the table.
+    #[arg(long)]
+    pub json: bool,
+
+    /// No progress bar and no table.
+    #[arg(long, short)]
+    pub quiet: bool,
+
+    /// TTIs in a row of windows.csv [default: a hundredth of the run].
+    #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
+    pub window: Option<u64>,
+}
+
+/// `reveille run`.
+#[derive(Args)]
+pub struct RunArgs {
+    /// The scenario.
+    #[command(flatten)]
+    pub scenario: ScenarioArgs,
+    /// The results.
+    #[command(flatten)]
+    pub output: OutputArgs,
+    /// Step through every TTI by itself, as the emulator does with --no-lookahead.
+    #[arg(long)]
+    pub no_lookahead: bool,
+}
+
+/// How the base station drives a run.
+#[derive(Args, Clone, Debug)]
+pub struct DriveArgs {
+    /// `max`, or the real time that a TTI takes, for example 10ms.
+    #[arg(long, default_value = "max", value_parser = parse_pace)]
+    pub pace: reveille_bs::clock::Pace,
+
+    /// Grant every TTI by itself: the same run, more messages.
+    #[arg(long)]
+    pub no_lookahead: bool,
+
+    /// What to do when a device process is lost: end the run with an error, or wait for it to come back.
+    #[arg(long, value_enum, default_value = "end")]
+    pub on_loss: OnLossArg,
+
+    /// Start with the clock paused; see `reveille clock`.
+    #[arg(long)]
+    pub paused: bool,
+}
+
+/// `reveille up`.
+#[derive(Args)]
+pub struct UpArgs {
+    /// The scenario.
+    #[command(flatten)]
+    pub scenario: ScenarioArgs,
+    /// The results.
+    #[command(flatten)]
+    pub output: OutputArgs,
+    /// The drive.
+    #[command(flatten)]
+    pub drive: DriveArgs,
+    /// Device processes; 0 carries all devices in this process, N (the number of devices) gives each its own.
+    #[arg(long, short = 'P', default_value_t = 4)]
+    pub processes: u32,
+    /// The run's name on the bus [default: the name of the run folder].
+    #[arg(long)]
+    pub run: Option<RunName>,
+    /// Where the base station listens; port 0 takes any free one.
+    #[arg(long, default_value = "tcp/127.0.0.1:0")]
+    pub listen: String,
+}
+
+/// `reveille bs`.
+#[derive(Args)]
+pub struct BsArgs {
+    /// The scenario.
+    #[command(flatten)]
+    pub scenario: ScenarioArgs,
+    /// The results.
+    #[command(flatten)]
+    pub output: OutputArgs,
+    /// The drive.
+    #[command(flatten)]
+    pub drive: DriveArgs,
+    /// The run's name on the bus, which devices must name too.
+    #[arg(long)]
+    pub run: RunName,
+    /// Where to listen: tcp/ADDRESS:PORT.
+    #[arg(long, default_value = "tcp/127.0.0.1:7447")]
+    pub listen: String,
+    /// Give up if not all devices have joined after this time [default: wait].
+    #[arg(long, value_parser = parse_duration)]
+    pub join_timeout: Option<Duration>,
+}
+
+/// `reveille device`.
+#[derive(Args)]
+pub struct DeviceArgs {
+    /// The base station: tcp/ADDRESS:PORT.
+    #[arg(long)]
+    pub connect: String,
+    /// The run's name on the bus.
+    #[arg(long)]
+    pub run: RunName,
+    /// How many devices to carry, at the most.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    pub count: u32,
+    /// How long to try to reach the base station and to join.
+    #[arg(long, default_value = "30s", value_parser = parse_duration)]
+    pub patience: Duration,
+    /// The process that started this one; when it ends, this one does.
+    #[arg(long, hide = true)]
+    pub parent: Option<i32>,
+}
+
+/// When a host is lost.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum OnLossArg {
+    /// End the run with an error.
+    End,
+    /// Hold the clock until it is back.
+    Wait,
+}
+
+impl From<OnLossArg> for OnLoss {
+    fn from(arg: OnLossArg) -> Self {
+        match arg {
+            OnLossArg::End => Self::End,
+            OnLossArg::Wait => Self::Wait,
+        }
+    }
+}

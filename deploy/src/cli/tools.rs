@@ -1,0 +1,184 @@
+//! The options of everything that looks at scenarios, at runs, and at speed.
+
+use clap::{Args, Subcommand, ValueEnum};
+use reveille_common::ids::Tti;
+use reveille_common::keys::{Kind, Plane, RunName};
+use reveille_common::message::ClockCommand;
+
+use super::parse::{parse_kind, parse_sizes};
+
+/// `reveille scenario`.
+#[derive(Subcommand)]
+pub enum ScenarioCommand {
+    /// Print a scenario with every field; without a name, list the presets.
+    Show {
+        /// A preset's name or a TOML file.
+        source: Option<String>,
+        /// Override one field. May be repeated.
+        #[arg(long, value_name = "FIELD=VALUE")]
+        set: Vec<String>,
+    },
+    /// Check scenario files and say what they come to.
+    Check {
+        /// Preset names or TOML files.
+        #[arg(required = true)]
+        sources: Vec<String>,
+        /// Override one field. May be repeated.
+        #[arg(long, value_name = "FIELD=VALUE")]
+        set: Vec<String>,
+    },
+}
+
+/// A run on the bus.
+#[derive(Args, Clone, Debug)]
+pub struct TargetArgs {
+    /// The base station: tcp/ADDRESS:PORT [default: the run on this machine].
+    #[arg(long, requires = "run")]
+    pub connect: Option<String>,
+    /// The run's name [default: the only run on this machine].
+    #[arg(long)]
+    pub run: Option<RunName>,
+}
+
+/// `reveille inspect`.
+#[derive(Subcommand)]
+pub enum InspectCommand {
+    /// Print every message of a run, decoded, one a line, as it goes. The run never waits for it.
+    Tail(TailArgs),
+}
+
+/// `reveille inspect tail`.
+#[derive(Args)]
+pub struct TailArgs {
+    /// The run.
+    #[command(flatten)]
+    pub target: TargetArgs,
+    /// Only this plane.
+    #[arg(long, value_enum)]
+    pub plane: Option<PlaneArg>,
+    /// Only these kinds. May be repeated.
+    #[arg(long, value_parser = parse_kind)]
+    pub kind: Vec<Kind>,
+    /// Only messages to or from this device.
+    #[arg(long)]
+    pub device: Option<u32>,
+    /// One JSON object a line.
+    #[arg(long)]
+    pub json: bool,
+    /// End after this many messages.
+    #[arg(long, short = 'c')]
+    pub count: Option<u64>,
+}
+
+/// `reveille clock`.
+#[derive(Args)]
+pub struct ClockArgs {
+    /// The run.
+    #[command(flatten)]
+    pub target: TargetArgs,
+    /// What to do.
+    #[command(subcommand)]
+    pub command: ClockAction,
+}
+
+/// What to do with the clock.
+#[derive(Subcommand, Clone, Copy)]
+pub enum ClockAction {
+    /// Stop before the next TTI.
+    Pause,
+    /// Go on for some TTIs, then stop.
+    Step {
+        /// How many.
+        #[arg(default_value_t = 1)]
+        ttis: u64,
+    },
+    /// Go on until this TTI is the next, then stop.
+    RunTo {
+        /// The TTI.
+        tti: u64,
+    },
+    /// Go on to the end.
+    Resume,
+    /// Say where the clock is.
+    Status,
+}
+
+impl From<ClockAction> for ClockCommand {
+    fn from(action: ClockAction) -> Self {
+        match action {
+            ClockAction::Pause => Self::Pause,
+            ClockAction::Step { ttis } => Self::Step(ttis),
+            ClockAction::RunTo { tti } => Self::RunTo(Tti(tti)),
+            ClockAction::Resume => Self::Resume,
+            ClockAction::Status => Self::Status,
+        }
+    }
+}
+
+/// `reveille bench`.
+#[derive(Subcommand)]
+pub enum BenchCommand {
+    /// TTIs per second over the bus, against a bare zenoh barrier and a bare unix-socket barrier, in one go.
+    Bus(BusBenchArgs),
+    /// Device-TTIs per second in memory, on one core.
+    Memory(MemoryBenchArgs),
+    /// One host of a bare barrier.
+    #[command(hide = true)]
+    BareHost {
+        /// `zenoh` or `unix`.
+        kind: String,
+        /// Endpoint or socket path.
+        at: String,
+        /// Bytes of a tick and of its answer.
+        #[arg(value_parser = parse_sizes)]
+        sizes: (usize, usize),
+        /// Its number.
+        number: u32,
+    },
+}
+
+/// `reveille bench bus`.
+#[derive(Args)]
+pub struct BusBenchArgs {
+    /// Numbers of device processes to measure.
+    #[arg(long, value_delimiter = ',', default_value = "1,4,50,250")]
+    pub processes: Vec<u32>,
+    /// Seconds for each measurement.
+    #[arg(long, default_value_t = 3.0)]
+    pub seconds: f64,
+    /// Repetitions; the median ratio counts.
+    #[arg(long, default_value_t = 3)]
+    pub repeat: u32,
+}
+
+/// `reveille bench memory`.
+#[derive(Args)]
+pub struct MemoryBenchArgs {
+    /// Numbers of devices to measure.
+    #[arg(long, value_delimiter = ',', default_value = "10,50,250,2500")]
+    pub devices: Vec<u32>,
+    /// Policies to measure.
+    #[arg(long, value_delimiter = ',', default_value = "knn,random,genie")]
+    pub policies: Vec<String>,
+    /// TTIs of each run.
+    #[arg(long, default_value_t = 100_000)]
+    pub ttis: u64,
+}
+
+/// A plane on the bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum PlaneArg {
+    /// What a real deployment would send.
+    Air,
+    /// What only the emulation needs.
+    Emu,
+}
+
+impl From<PlaneArg> for Plane {
+    fn from(arg: PlaneArg) -> Self {
+        match arg {
+            PlaneArg::Air => Self::Air,
+            PlaneArg::Emu => Self::Emu,
+        }
+    }
+}
