@@ -8,7 +8,11 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
+use reveille_common::bus::{Bus, BusError};
+use reveille_common::keys::Kind;
 use rustix::process::{Pid, Signal, kill_process};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 use serde_json::Value;
 
 /// How long anything that should end by itself may take. Generous: it only bounds how long a broken test lasts.
@@ -391,6 +395,24 @@ pub fn wait_until<T>(what: &str, patience: Duration, mut look: impl FnMut() -> O
         }
         assert!(now() < deadline, "waited {patience:?} for {what}");
         std::thread::sleep(LOOK);
+    }
+}
+
+/// Asks the base station behind `bus` until it answers: it listens a moment before it serves.
+///
+/// # Errors
+/// As [`Bus::ask`].
+///
+/// # Panics
+/// If it does not answer.
+pub async fn ask<Q: Serialize, R: DeserializeOwned>(bus: &Bus, kind: Kind, request: &Q) -> Result<R, BusError> {
+    let deadline = now() + PATIENCE;
+    loop {
+        if let Some(reply) = bus.ask(bus.keys().of(kind), request, PATIENCE).await? {
+            return Ok(reply);
+        }
+        assert!(now() < deadline, "waited {PATIENCE:?} for an answer");
+        tokio::time::sleep(LOOK).await;
     }
 }
 

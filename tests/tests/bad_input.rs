@@ -10,7 +10,9 @@ use reveille_common::bus::Bus;
 use reveille_common::ids::DeviceId;
 use reveille_common::keys::Kind;
 use reveille_common::message::{JoinReply, JoinRequest};
-use reveille_tests::process::{Finished, Folder, PATIENCE, Process, Summary, free_endpoint, unique_run, wait_until};
+use reveille_tests::process::{
+    Finished, Folder, PATIENCE, Process, Summary, ask, free_endpoint, unique_run, wait_until,
+};
 use rustix::process::Signal;
 
 /// Checks a refusal: its exit code, one paragraph with all of `parts`.
@@ -328,18 +330,15 @@ async fn another_version_is_refused_in_words() {
         count: 1,
         nonce: 1,
     };
-    let key = bus.keys().of(Kind::Join);
-    let reply: Option<JoinReply> = bus.ask(key.clone(), &request, PATIENCE).await.expect("a reply");
-    let Some(JoinReply::Refused(why)) = reply else {
+    let reply = ask(&bus, Kind::Join, &request).await.expect("a reply");
+    let JoinReply::Refused(why) = reply else {
         panic!("{reply:?}")
     };
     assert!(
         why.contains("0.0.9") && why.contains(env!("CARGO_PKG_VERSION")),
         "{why}"
     );
-    let reply = bus
-        .ask::<_, JoinReply>(key, &"not a request at all, but a text", PATIENCE)
-        .await;
+    let reply: Result<JoinReply, _> = ask(&bus, Kind::Join, &"not a request at all, but a text").await;
     let why = reply.expect_err("refused").to_string();
     assert!(why.contains("malformed") || why.contains("bytes follow"), "{why}");
     bus.close().await;

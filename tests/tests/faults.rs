@@ -6,7 +6,8 @@ use reveille_common::bus::Bus;
 use reveille_common::keys::Kind;
 use reveille_common::message::{Clock, JoinReply, JoinRequest, PlanUpdate, Ready};
 use reveille_tests::process::{
-    Finished, Folder, PATIENCE, Process, Summary, free_endpoint, hosts_of, now, send_signal, unique_run, wait_until,
+    Finished, Folder, PATIENCE, Process, Summary, ask, free_endpoint, hosts_of, now, send_signal, unique_run,
+    wait_until,
 };
 use rustix::process::Signal;
 
@@ -287,11 +288,8 @@ async fn an_unanswered_grant_is_repeated_with_its_plan() {
         count: 30,
         nonce: 7,
     };
-    let reply: Option<JoinReply> = bus
-        .ask(bus.keys().of(Kind::Join), &request, PATIENCE)
-        .await
-        .expect("a reply");
-    let Some(JoinReply::Welcome(assignment)) = reply else {
+    let reply = ask(&bus, Kind::Join, &request).await.expect("a reply");
+    let JoinReply::Welcome(assignment) = reply else {
         panic!("{reply:?}")
     };
     let (send, heard) = std::sync::mpsc::channel();
@@ -307,11 +305,8 @@ async fn an_unanswered_grant_is_repeated_with_its_plan() {
         })
         .expect("subscribed");
     let ready = Ready { host: assignment.host };
-    let known: Option<bool> = bus
-        .ask(bus.keys().of(Kind::Ready), &ready, PATIENCE)
-        .await
-        .expect("a reply");
-    assert_eq!(known, Some(true));
+    let known: bool = ask(&bus, Kind::Ready, &ready).await.expect("a reply");
+    assert!(known);
     let order: Vec<&str> = (0..4)
         .map(|_| heard.recv_timeout(PATIENCE).expect("the BS asks again"))
         .collect();
