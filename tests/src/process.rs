@@ -18,39 +18,32 @@ use serde_json::Value;
 /// How long anything that should end by itself may take. Generous: it only bounds how long a broken test lasts.
 pub const PATIENCE: Duration = Duration::from_mins(2);
 
-/// How long a build of the program may take.
-const BUILD: Duration = Duration::from_mins(30);
-
 /// How long to wait between two looks at a condition.
 const LOOK: Duration = Duration::from_millis(10);
 
-/// The program under test: the one that the variable `REVEILLE` names, or else the one beside the running test, brought up
-/// to date once for each test program.
+/// The program under test: the one that the variable `REVEILLE` names, or else the one beside the running test. The tests
+/// that use it belong to the package of the command (`tests/program/`), so cargo has built it before they run.
 ///
 /// # Panics
-/// If it cannot be built.
+/// If it is not there.
 pub fn reveille() -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
-    PROGRAM.get_or_init(|| std::env::var_os("REVEILLE").map_or_else(build, PathBuf::from))
+    PROGRAM.get_or_init(|| std::env::var_os("REVEILLE").map_or_else(beside_the_test, PathBuf::from))
 }
 
-/// Builds the program in the profile and the target folder of the running test.
-fn build() -> PathBuf {
+fn beside_the_test() -> PathBuf {
     let test = std::env::current_exe().expect("a test has a path");
-    let folder = test.ancestors().nth(2).expect("tests lie in target/PROFILE/deps");
-    let profile = match folder.file_name().and_then(|name| name.to_str()) {
-        Some("debug") | None => "dev",
-        Some(name) => name,
-    };
-    let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-    cargo
-        .args(["build", "--quiet", "--package", "reveille-deploy", "--bin", "reveille"])
-        .args(["--profile", profile, "--target-dir"])
-        .arg(folder.parent().expect("a profile's folder lies in the target folder"))
-        .current_dir(env!("CARGO_MANIFEST_DIR"));
-    let built = Process::start(&mut cargo).finish_within(BUILD);
-    assert!(built.is_success(), "cannot build reveille: {built}");
-    folder.join("reveille")
+    let program = test
+        .ancestors()
+        .nth(2)
+        .expect("tests lie in target/PROFILE/deps")
+        .join("reveille");
+    assert!(
+        program.exists(),
+        "{} is not there: cargo test -p reveille-deploy builds it",
+        program.display()
+    );
+    program
 }
 
 /// A folder of one test, gone with it. What runs in it finds no other test's runs.

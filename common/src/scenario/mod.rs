@@ -1,7 +1,7 @@
 //! Scenario files: presets, TOML, overrides, validation.
 //!
 //! A scenario is put together from layers: the preset `paper`, the preset that the file asks for, the file, and what the
-//! command line sets. [`load`] lays them over one another field by field, remembers where each value came from, and
+//! command line sets. [`load()`] lays them over one another field by field, remembers where each value came from, and
 //! checks the whole once. What comes out is a [`Scenario`] without anything optional in it.
 
 mod check;

@@ -1,4 +1,4 @@
-//! A validated scenario: what every part of a run may rely on. [`super::load`] makes it; nothing here is optional.
+//! A validated scenario: what every part of a run may rely on. [`super::load()`] makes it; nothing here is optional.
 
 use std::path::PathBuf;
 use std::sync::Arc;
