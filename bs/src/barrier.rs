@@ -23,6 +23,8 @@ enum Stage {
     Nothing,
     Grant {
         tti: Tti,
+        /// Whether devices may report.
+        stimulus: bool,
         waiting: Waiting,
         expected: usize,
         gathered: Gathered,
@@ -75,15 +77,17 @@ impl Waiting {
 /// The barrier at the end of each TTI.
 #[derive(Debug)]
 pub struct Barrier {
+    devices: u32,
     hosts: Vec<HostId>,
     stage: Stage,
     strays: u64,
 }
 
 impl Barrier {
-    /// A barrier that waits for nothing yet.
-    pub const fn new() -> Self {
+    /// A barrier for `devices` devices that waits for nothing yet.
+    pub const fn new(devices: u32) -> Self {
         Self {
+            devices,
             hosts: Vec::new(),
             stage: Stage::Nothing,
             strays: 0,
@@ -95,10 +99,11 @@ impl Barrier {
         self.hosts = hosts;
     }
 
-    /// Waits for the answers to a grant that ends with `tti`.
-    pub fn expect_grant(&mut self, tti: Tti) {
+    /// Waits for the answers to a grant that ends with `tti`. Without a `stimulus` no device has anything to report.
+    pub fn expect_grant(&mut self, tti: Tti, stimulus: bool) {
         self.stage = Stage::Grant {
             tti,
+            stimulus,
             waiting: Waiting::for_all(&self.hosts),
             expected: 0,
             gathered: Gathered::default(),
@@ -114,9 +119,9 @@ impl Barrier {
         };
     }
 
-    /// Waits for the ledgers of all `devices` devices.
-    pub fn expect_ledgers(&mut self, devices: u32) {
-        let ledgers = vec![DeviceTotals::default(); devices as usize];
+    /// Waits for the ledgers of all devices.
+    pub fn expect_ledgers(&mut self) {
+        let ledgers = vec![DeviceTotals::default(); self.devices as usize];
         self.stage = Stage::Finish {
             waiting: Waiting::for_all(&self.hosts),
             ledgers,
@@ -126,7 +131,12 @@ impl Barrier {
     /// A report has come. Whether that was the last thing waited for.
     pub fn report(&mut self, report: Report) -> bool {
         match &mut self.stage {
-            Stage::Grant { tti, gathered, .. } if report.tti == *tti => {
+            Stage::Grant {
+                tti,
+                stimulus: true,
+                gathered,
+                ..
+            } if report.tti == *tti && report.device.0 < self.devices => {
                 if gathered.reports.iter().all(|r| r.device != report.device) {
                     gathered.reports.push(report);
                 }
@@ -148,6 +158,7 @@ impl Barrier {
                     waiting,
                     expected,
                     gathered,
+                    ..
                 },
                 Answer::Done {
                     host,
@@ -247,12 +258,6 @@ impl Barrier {
     }
 }
 
-impl Default for Barrier {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use reveille_common::units::Energy;
@@ -279,7 +284,7 @@ mod tests {
     }
 
     fn barrier() -> Barrier {
-        let mut barrier = Barrier::new();
+        let mut barrier = Barrier::new(10);
         barrier.set_hosts(vec![HostId(0), HostId(1)]);
         barrier
     }
@@ -287,7 +292,7 @@ mod tests {
     #[test]
     fn a_grant_waits_for_every_host_and_every_report() {
         let mut b = barrier();
-        b.expect_grant(Tti(5));
+        b.expect_grant(Tti(5), true);
         assert!(!b.answer(done(0, 5, 2)));
         assert!(!b.answer(done(0, 5, 2)), "the same answer twice");
         assert!(!b.answer(done(7, 5, 0)), "a host that nobody knows");
@@ -296,9 +301,19 @@ mod tests {
         assert!(!b.report(report(3, 5)));
         assert!(!b.report(report(3, 5)), "the same report twice");
         assert!(!b.report(report(4, 4)), "a report of another TTI");
+        assert!(!b.report(report(10, 5)), "a report of a device that is not there");
         assert!(b.report(report(4, 5)));
         assert_eq!(b.take_gathered().reports.len(), 2);
-        assert_eq!(b.strays(), 4);
+        assert_eq!(b.strays(), 5);
+    }
+
+    #[test]
+    fn nobody_reports_on_nothing() {
+        let mut b = barrier();
+        b.expect_grant(Tti(5), false);
+        assert!(!b.report(report(3, 5)));
+        assert!(!b.answer(done(0, 5, 0)) && b.answer(done(1, 5, 0)));
+        assert_eq!((b.take_gathered().reports.len(), b.strays()), (0, 1));
     }
 
     #[test]

@@ -18,6 +18,8 @@ struct Entry {
     nonce: u64,
     places: Places,
     is_ready: bool,
+    /// Looks that have passed since it joined without its being ready.
+    waited: u32,
     is_lost: bool,
 }
 
@@ -60,14 +62,33 @@ impl Registry {
             nonce,
             places,
             is_ready: false,
+            waited: 0,
             is_lost: false,
         });
         Some(places)
     }
 
-    /// `host` has subscribed to everything. Whether there is such a host.
+    /// `host` has subscribed to everything. Whether there is such a host and its places are still its own.
     pub fn ready(&mut self, host: HostId) -> bool {
-        self.entry(host).map(|entry| entry.is_ready = true).is_some()
+        let entry = self.entry(host).filter(|entry| !entry.is_lost);
+        entry.map(|entry| entry.is_ready = true).is_some()
+    }
+
+    /// The BS has looked once more: a host that has not become ready within `patience` looks has died on the way, and its
+    /// places are free again. Gives those hosts.
+    pub fn look(&mut self, patience: u32) -> Vec<HostId> {
+        for entry in self.hosts.iter_mut().filter(|entry| !entry.is_ready && !entry.is_lost) {
+            entry.waited += 1;
+        }
+        let late = self
+            .hosts
+            .iter()
+            .filter(|entry| !entry.is_ready && !entry.is_lost && entry.waited > patience);
+        let late: Vec<HostId> = late.map(|entry| entry.places.host).collect();
+        for host in &late {
+            self.leave(*host);
+        }
+        late
     }
 
     /// `host` has gone before the run began: its places are free again.
@@ -120,12 +141,23 @@ mod tests {
     }
 
     #[test]
+    fn a_host_that_never_becomes_ready_loses_its_places() {
+        let mut registry = Registry::new(10);
+        let (a, b) = (registry.join(1, 5).expect("free"), registry.join(2, 5).expect("free"));
+        registry.ready(a.host);
+        assert_eq!(registry.look(1), []);
+        assert_eq!(registry.look(1), [b.host]);
+        assert_eq!((registry.look(1), registry.taken()), (vec![], 5));
+    }
+
+    #[test]
     fn a_host_that_leaves_early_frees_its_places() {
         let mut registry = Registry::new(10);
         let a = registry.join(1, 6).expect("free");
         registry.join(2, 4);
         assert_eq!(registry.leave(a.host), Some(a));
         assert_eq!(registry.leave(a.host), None);
+        assert!(!registry.ready(a.host));
         assert_eq!(registry.taken(), 4);
         let again = registry.join(3, 6).expect("free");
         assert_eq!((again.first, again.count, again.host), (a.first, 6, HostId(2)));

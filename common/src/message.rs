@@ -77,6 +77,8 @@ pub struct Tick {
     pub stimulus: Option<Stimulus>,
     /// Whether the answer carries the sums of the TTIs before `first`.
     pub account: bool,
+    /// The TTI from which the plan in force holds. A host that has missed that plan does not answer, and is sent it again.
+    pub plan: Tti,
 }
 
 /// Emulation, BS → all hosts.

@@ -70,6 +70,10 @@ struct State {
     /// Actors that have not been started; see [`Shared::start_actors`].
     resting: Vec<(Actor, UnboundedReceiver<Input>)>,
     duties: Vec<DutyCycle>,
+    /// The TTI from which the plan that this host has holds.
+    plan_from: Option<Tti>,
+    /// The first TTI that has not been granted.
+    next: Tti,
     tick: Option<Tick>,
     round: Option<Arc<Round>>,
 }
@@ -85,8 +89,10 @@ pub async fn carry(bus: &Bus, count: u32, nonce: u64, patience: Duration) -> Res
     let shared = Arc::new(Shared::new(bus, assignment)?);
     let _declared = shared.declare(bus)?;
     let ready: Option<bool> = bus.ask(bus.keys().of(Kind::Ready), &Ready { host }, patience).await?;
-    if ready.is_none() {
-        return Err(bus.no_run().await.into());
+    match ready {
+        Some(true) => {}
+        Some(false) => return Err(HostError::Refused("it has given this host's places away".to_owned())),
+        None => return Err(bus.no_run().await.into()),
     }
     shared.stay(bus).await
 }
@@ -97,8 +103,8 @@ async fn join(bus: &Bus, count: u32, nonce: u64, patience: Duration) -> Result<A
         count,
         nonce,
     };
-    let tries = patience.as_millis().div_ceil(ASK.as_millis()).max(1);
-    for _ in 0..tries {
+    let deadline = tokio::time::Instant::now() + patience;
+    while tokio::time::Instant::now() < deadline {
         match bus.ask(bus.keys().of(Kind::Join), &request, ASK).await? {
             Some(JoinReply::Welcome(assignment)) => return Ok(assignment),
             Some(JoinReply::Refused(why)) => return Err(HostError::Refused(why)),
@@ -136,6 +142,8 @@ impl Shared {
         let state = Mutex::new(State {
             duties,
             resting,
+            plan_from: None,
+            next: Tti::ZERO,
             tick: None,
             round: None,
         });
@@ -212,9 +220,14 @@ impl Shared {
 
     fn on_plan(&self, update: &PlanUpdate) {
         let mut state = self.lock();
+        if update.from != state.next {
+            tracing::debug!(from = %update.from, next = %state.next, "a plan for another TTI, one sent again as a rule");
+            return;
+        }
         if !state.resting.is_empty() {
             Self::start_actors(&mut state);
         }
+        state.plan_from = Some(update.from);
         for (j, duty) in state.duties.iter_mut().enumerate() {
             let new = update.plan.duty_cycle(DeviceId(self.first.0 + j as u32));
             if *duty != new {
@@ -260,6 +273,11 @@ impl Shared {
             drop(state);
             return round.repeat(&self.uplink);
         }
+        if tick.first != state.next || tick.last < tick.first || state.plan_from != Some(tick.plan) {
+            tracing::warn!(?tick, next = %state.next, "cannot follow this grant; waiting for it to be sent again with its plan");
+            return;
+        }
+        state.next = tick.last.saturating_add(1);
         let listeners: Vec<usize> = match tick.stimulus {
             Some(stimulus) => (0..state.duties.len())
                 .filter(|&j| state.duties[j].is_on(tick.last) && self.is_in_reach(j, &stimulus))
@@ -299,6 +317,10 @@ impl Shared {
             let round = Arc::clone(round);
             drop(state);
             return round.repeat(&self.uplink);
+        }
+        if end != state.next {
+            tracing::warn!(%end, next = %state.next, "an end at another TTI than the next; ignored");
+            return;
         }
         let round = Arc::new(Round::new(self.host, Question::Ledgers, self.mailboxes.len()));
         state.round = Some(Arc::clone(&round));

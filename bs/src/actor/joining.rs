@@ -17,6 +17,9 @@ use super::{BsError, Progress, Settings};
 /// How often the wait looks at the clock on the wall and at the stop flag.
 const LOOK: Duration = Duration::from_millis(100);
 
+/// Looks within which a host that has joined must be ready: 20 s.
+const READY_LOOKS: u32 = 200;
+
 /// Everything that the BS listens to.
 pub(super) fn declare(
     bus: &Bus,
@@ -143,6 +146,9 @@ pub(super) async fn wait_for_all(
         }
         if tokio::time::timeout(LOOK, shared.rung()).await.is_err() {
             waited += LOOK;
+            for host in shared.lock().registry.look(READY_LOOKS) {
+                tracing::warn!(%host, "a host joined and then said nothing more; its places are free again");
+            }
         }
     }
 }

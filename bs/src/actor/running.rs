@@ -56,6 +56,8 @@ struct Loop<'a> {
     devices: u32,
     schedule: Schedule,
     accounts: Accounts,
+    /// The TTI from which the plan in force holds.
+    plan_from: Tti,
     grants: u64,
     lateness: Lateness,
     /// The moment at which a TTI was or will be due, under a real-time pace.
@@ -96,6 +98,7 @@ pub(super) async fn run(
         devices: scenario.devices,
         accounts: Accounts::new(deployment, schedule.warm_up_end()),
         schedule,
+        plan_from: Tti::ZERO,
         grants: 0,
         lateness: Lateness::default(),
         due: None,
@@ -149,6 +152,7 @@ impl Loop<'_> {
         let before = account.then(|| self.snapshot());
         let update = self.cycle.announce();
         if let Some(update) = &update {
+            self.plan_from = update.from;
             tracing::debug!(from = %update.from, "the plan goes out");
             self.voice.plan.put(update)?;
         }
@@ -158,8 +162,12 @@ impl Loop<'_> {
             last: grant.last,
             stimulus: grant.stimulus,
             account,
+            plan: self.plan_from,
         });
-        self.shared.lock().barrier.expect_grant(grant.last);
+        self.shared
+            .lock()
+            .barrier
+            .expect_grant(grant.last, grant.stimulus.is_some());
         self.voice.bus.set_tti(grant.last);
         self.voice.clock.put(&tick)?;
         self.grants += 1;
@@ -283,7 +291,7 @@ impl Loop<'_> {
 
     /// Ends the devices' work before the next TTI and gathers their ledgers.
     async fn collect_ledgers(&mut self) -> Result<Vec<DeviceTotals>, BsError> {
-        self.shared.lock().barrier.expect_ledgers(self.devices);
+        self.shared.lock().barrier.expect_ledgers();
         let finish = Clock::Finish(self.cycle.next_tti());
         self.voice.clock.put(&finish)?;
         self.answered(|voice| voice.clock.put(&finish)).await?;

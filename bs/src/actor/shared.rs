@@ -41,7 +41,7 @@ impl Shared {
         }
         let state = State {
             registry: Registry::new(scenario.devices),
-            barrier: Barrier::new(),
+            barrier: Barrier::new(scenario.devices),
             clock,
             next: Tti::ZERO,
             lost: BTreeSet::new(),

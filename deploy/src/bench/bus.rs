@@ -78,6 +78,7 @@ fn sizes() -> Sizes {
         last: tti,
         stimulus: None,
         account: false,
+        plan: Tti::ZERO,
     });
     let answer = Answer::Done {
         host: HostId(0),

@@ -207,6 +207,7 @@ fn grant(f: &mut fmt::Formatter<'_>, tick: &Tick) -> fmt::Result {
         last,
         stimulus,
         account,
+        plan: _,
     } = tick;
     if first == last {
         write!(f, "TTI {first}")?;
