@@ -92,6 +92,14 @@ pub enum BsError {
         /// The TTI that was open.
         tti: Tti,
     },
+    /// Stopped from outside while hosts did not answer.
+    #[error("interrupted at TTI {tti}, and hosts {hosts:?} did not answer any more")]
+    NoAnswer {
+        /// The TTI that was open.
+        tti: Tti,
+        /// Who did not answer.
+        hosts: Vec<HostId>,
+    },
     /// Stopped from outside before there was anything to sum up.
     #[error("interrupted before all devices had joined")]
     Interrupted,
@@ -115,7 +123,7 @@ impl BsError {
     /// Whether the run ended because somebody asked for it.
     pub const fn is_interruption(&self) -> bool {
         match self {
-            Self::Interrupted | Self::InterruptedWaiting { .. } => true,
+            Self::Interrupted | Self::InterruptedWaiting { .. } | Self::NoAnswer { .. } => true,
             Self::Bus(_) | Self::TooFew { .. } | Self::HostLost { .. } => false,
         }
     }
@@ -138,6 +146,8 @@ pub struct Served {
     pub lateness: Lateness,
     /// Payloads that were dropped because they were not messages.
     pub malformed: u64,
+    /// Messages that were dropped because nobody waited for them or they could not be true.
+    pub strays: u64,
 }
 
 /// Runs `scenario` over `bus`: waits for hosts to carry all devices, plays every TTI, collects the ledgers.
@@ -152,7 +162,7 @@ pub async fn serve(
     progress: &Arc<Progress>,
     watcher: &mut impl Watcher,
 ) -> Result<Served, BsError> {
-    let shared = Shared::new(scenario, settings.paused);
+    let shared = Shared::new(scenario, deployment, settings.paused);
     let _declared = joining::declare(bus, scenario, deployment, &shared)?;
     #[expect(clippy::disallowed_methods, reason = "the shell reports how long things took")]
     let started = std::time::Instant::now();

@@ -1,10 +1,13 @@
 //! What the BS waits for: the answers of all hosts to a grant, the outcome of a wake-up, or the ledgers at the end.
 //!
-//! Answers are counted by host and TTI, so one that comes twice, late, or from nobody changes nothing.
+//! Answers are kept by host and TTI: one that comes late, from nobody, or with figures that its sender cannot have is
+//! counted and dropped; one that comes twice takes the place of the first.
 
 use reveille_common::ids::{DeviceId, HostId, Tti};
 use reveille_common::message::{Answer, Failure, Report, WakeOutcome};
 use reveille_common::metrics::DeviceTotals;
+
+use crate::roster::Roster;
 
 /// The answers to one grant.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -17,17 +20,50 @@ pub struct Gathered {
     pub totals: DeviceTotals,
 }
 
+/// One host's answer to a grant.
+#[derive(Debug)]
+struct Done {
+    reports: u32,
+    failures: Vec<Failure>,
+    totals: Option<DeviceTotals>,
+}
+
+/// One answer of each host.
+#[derive(Debug)]
+struct Answers<T> {
+    of: Vec<Option<T>>,
+    missing: usize,
+}
+
+impl<T> Answers<T> {
+    fn new(hosts: usize) -> Self {
+        Self {
+            of: (0..hosts).map(|_| None).collect(),
+            missing: hosts,
+        }
+    }
+
+    fn put(&mut self, host: usize, answer: T) -> Option<T> {
+        let before = self.of[host].replace(answer);
+        self.missing -= usize::from(before.is_none());
+        before
+    }
+}
+
 /// What is being waited for.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 enum Stage {
     Nothing,
     Grant {
         tti: Tti,
         /// Whether devices may report.
         stimulus: bool,
-        waiting: Waiting,
+        /// Whether the answers carry sums.
+        account: bool,
+        answers: Answers<Done>,
+        /// Reports that the answers so far speak of.
         expected: usize,
-        gathered: Gathered,
+        reports: Vec<Report>,
     },
     Wake {
         tti: Tti,
@@ -35,78 +71,43 @@ enum Stage {
         outcome: Option<WakeOutcome>,
     },
     Finish {
-        waiting: Waiting,
-        ledgers: Vec<DeviceTotals>,
+        answers: Answers<Vec<(DeviceId, DeviceTotals)>>,
     },
-}
-
-/// The hosts that have not answered yet.
-#[derive(Clone, Debug)]
-struct Waiting {
-    is_awaited: Vec<bool>,
-    count: usize,
-}
-
-impl Waiting {
-    fn for_all(hosts: &[HostId]) -> Self {
-        let mut is_awaited = vec![false; hosts.iter().map(|host| host.index() + 1).max().unwrap_or(0)];
-        for host in hosts {
-            is_awaited[host.index()] = true;
-        }
-        Self {
-            is_awaited,
-            count: hosts.len(),
-        }
-    }
-
-    fn holds(&self, host: HostId) -> bool {
-        self.is_awaited.get(host.index()).copied().unwrap_or(false)
-    }
-
-    /// Takes `host` off the list, on which it is.
-    fn strike(&mut self, host: HostId) {
-        self.is_awaited[host.index()] = false;
-        self.count -= 1;
-    }
-
-    const fn is_empty(&self) -> bool {
-        self.count == 0
-    }
 }
 
 /// The barrier at the end of each TTI.
 #[derive(Debug)]
 pub struct Barrier {
-    devices: u32,
-    hosts: Vec<HostId>,
+    roster: Roster,
     stage: Stage,
     strays: u64,
 }
 
 impl Barrier {
-    /// A barrier for `devices` devices that waits for nothing yet.
-    pub const fn new(devices: u32) -> Self {
+    /// A barrier for the devices of `roster` that waits for nothing yet.
+    pub const fn new(roster: Roster) -> Self {
         Self {
-            devices,
-            hosts: Vec::new(),
+            roster,
             stage: Stage::Nothing,
             strays: 0,
         }
     }
 
-    /// The hosts to wait for from now on.
-    pub fn set_hosts(&mut self, hosts: Vec<HostId>) {
-        self.hosts = hosts;
+    /// Who carries which devices.
+    pub const fn roster(&mut self) -> &mut Roster {
+        &mut self.roster
     }
 
-    /// Waits for the answers to a grant that ends with `tti`. Without a `stimulus` no device has anything to report.
-    pub fn expect_grant(&mut self, tti: Tti, stimulus: bool) {
+    /// Waits for the answers to a grant that ends with `tti`, with sums if it is an `account`. Without a `stimulus` no
+    /// device has anything to report.
+    pub fn expect_grant(&mut self, tti: Tti, stimulus: bool, account: bool) {
         self.stage = Stage::Grant {
             tti,
             stimulus,
-            waiting: Waiting::for_all(&self.hosts),
+            account,
+            answers: Answers::new(self.roster.hosts()),
             expected: 0,
-            gathered: Gathered::default(),
+            reports: Vec::new(),
         };
     }
 
@@ -121,27 +122,26 @@ impl Barrier {
 
     /// Waits for the ledgers of all devices.
     pub fn expect_ledgers(&mut self) {
-        let ledgers = vec![DeviceTotals::default(); self.devices as usize];
         self.stage = Stage::Finish {
-            waiting: Waiting::for_all(&self.hosts),
-            ledgers,
+            answers: Answers::new(self.roster.hosts()),
         };
     }
 
-    /// A report has come. Whether that was the last thing waited for.
-    pub fn report(&mut self, report: Report) -> bool {
+    /// A report has come on the key of the device numbered `key`. Whether that was the last thing waited for.
+    pub fn report(&mut self, key: Option<u32>, report: Report) -> bool {
+        let is_sound = key == Some(report.device.0) && self.roster.can_report(&report);
         match &mut self.stage {
             Stage::Grant {
                 tti,
                 stimulus: true,
-                gathered,
+                reports,
                 ..
-            } if report.tti == *tti && report.device.0 < self.devices => {
-                if gathered.reports.iter().all(|r| r.device != report.device) {
-                    gathered.reports.push(report);
+            } if is_sound && report.tti == *tti => {
+                if reports.iter().all(|r| r.device != report.device) {
+                    reports.push(report);
                 }
             }
-            Stage::Wake { tti, device, outcome } if report.tti == *tti && report.device == *device => {
+            Stage::Wake { tti, device, outcome } if is_sound && report.tti == *tti && report.device == *device => {
                 *outcome = Some(WakeOutcome::Reported(report));
             }
             Stage::Nothing | Stage::Grant { .. } | Stage::Wake { .. } | Stage::Finish { .. } => self.strays += 1,
@@ -149,29 +149,56 @@ impl Barrier {
         self.is_complete()
     }
 
-    /// An answer has come. Whether that was the last thing waited for.
-    pub fn answer(&mut self, answer: Answer) -> bool {
-        match (&mut self.stage, answer) {
+    /// An answer has come on the key of the host numbered `key`. Whether that was the last thing waited for.
+    pub fn answer(&mut self, key: Option<u32>, answer: Answer) -> bool {
+        let Some(host) = key.map(HostId).and_then(|host| self.roster.position(host)) else {
+            self.strays += 1;
+            return self.is_complete();
+        };
+        if !self.take(host, answer) {
+            self.strays += 1;
+        }
+        self.is_complete()
+    }
+
+    /// Keeps the answer of the host at position `host`, if it is what is waited for and can be true.
+    fn take(&mut self, host: usize, answer: Answer) -> bool {
+        let Self { roster, stage, .. } = self;
+        match (stage, answer) {
             (
                 Stage::Grant {
                     tti,
-                    waiting,
+                    stimulus,
+                    account,
+                    answers,
                     expected,
-                    gathered,
                     ..
                 },
                 Answer::Done {
-                    host,
+                    host: named,
                     tti: answered,
                     reports,
                     failures,
                     totals,
                 },
-            ) if answered == *tti && waiting.holds(host) => {
-                waiting.strike(host);
-                *expected += reports as usize;
-                gathered.failures.extend(failures);
-                gathered.totals += totals.unwrap_or_default();
+            ) => {
+                let is_quiet = reports == 0 && failures.is_empty();
+                let is_sound = roster.position(named) == Some(host)
+                    && answered == *tti
+                    && (*stimulus || is_quiet)
+                    && roster.can_be_done(host, reports, &failures)
+                    && totals.is_some() == *account
+                    && totals.is_none_or(|sums| roster.can_sum_to(host, &sums));
+                if is_sound {
+                    let done = Done {
+                        reports,
+                        failures,
+                        totals,
+                    };
+                    *expected += reports as usize;
+                    *expected -= answers.put(host, done).map_or(0, |before| before.reports as usize);
+                }
+                is_sound
             }
             (
                 Stage::Wake { tti, device, outcome },
@@ -180,20 +207,25 @@ impl Barrier {
                     tti: when,
                     failure,
                 },
-            ) if when == *tti && who == *device => {
-                *outcome = Some(failure.map_or(WakeOutcome::Unheard, WakeOutcome::Failed));
-            }
-            (Stage::Finish { waiting, ledgers: all }, Answer::Final { host, ledgers }) if waiting.holds(host) => {
-                waiting.strike(host);
-                for (device, ledger) in ledgers {
-                    if let Some(slot) = all.get_mut(device.index()) {
-                        *slot = ledger;
-                    }
+            ) => {
+                let is_sound = when == *tti
+                    && who == *device
+                    && roster.owns(host, who)
+                    && failure.is_none_or(|f| f.device == who && roster.can_fail(&f));
+                if is_sound {
+                    *outcome = Some(failure.map_or(WakeOutcome::Unheard, WakeOutcome::Failed));
                 }
+                is_sound
             }
-            (Stage::Nothing | Stage::Grant { .. } | Stage::Wake { .. } | Stage::Finish { .. }, _) => self.strays += 1,
+            (Stage::Finish { answers }, Answer::Final { host: named, ledgers }) => {
+                let is_sound = roster.position(named) == Some(host) && roster.can_end_with(host, &ledgers);
+                if is_sound {
+                    answers.put(host, ledgers);
+                }
+                is_sound
+            }
+            (Stage::Nothing | Stage::Grant { .. } | Stage::Wake { .. } | Stage::Finish { .. }, _) => false,
         }
-        self.is_complete()
     }
 
     /// Whether everything waited for has come.
@@ -201,13 +233,13 @@ impl Barrier {
         match &self.stage {
             Stage::Nothing => true,
             Stage::Grant {
-                waiting,
+                answers,
                 expected,
-                gathered,
+                reports,
                 ..
-            } => waiting.is_empty() && gathered.reports.len() >= *expected,
+            } => answers.missing == 0 && reports.len() >= *expected,
             Stage::Wake { outcome, .. } => outcome.is_some(),
-            Stage::Finish { waiting, .. } => waiting.is_empty(),
+            Stage::Finish { answers } => answers.missing == 0,
         }
     }
 
@@ -217,7 +249,17 @@ impl Barrier {
     /// If no grant is complete.
     pub fn take_gathered(&mut self) -> Gathered {
         match std::mem::replace(&mut self.stage, Stage::Nothing) {
-            Stage::Grant { waiting, gathered, .. } if waiting.is_empty() => gathered,
+            Stage::Grant { answers, reports, .. } if answers.missing == 0 => {
+                let mut gathered = Gathered {
+                    reports,
+                    ..Gathered::default()
+                };
+                for done in answers.of.into_iter().flatten() {
+                    gathered.failures.extend(done.failures);
+                    gathered.totals += done.totals.unwrap_or_default();
+                }
+                gathered
+            }
             Stage::Nothing | Stage::Grant { .. } | Stage::Wake { .. } | Stage::Finish { .. } => {
                 panic!("no grant is complete")
             }
@@ -245,14 +287,29 @@ impl Barrier {
     /// If they are not complete.
     pub fn take_ledgers(&mut self) -> Vec<DeviceTotals> {
         match std::mem::replace(&mut self.stage, Stage::Nothing) {
-            Stage::Finish { waiting, ledgers } if waiting.is_empty() => ledgers,
+            Stage::Finish { answers } if answers.missing == 0 => {
+                let mut ledgers: Vec<_> = answers.of.into_iter().flatten().flatten().collect();
+                ledgers.sort_unstable_by_key(|(device, _)| *device);
+                ledgers.into_iter().map(|(_, ledger)| ledger).collect()
+            }
             Stage::Nothing | Stage::Grant { .. } | Stage::Wake { .. } | Stage::Finish { .. } => {
                 panic!("the ledgers are not complete")
             }
         }
     }
 
-    /// Messages that nobody waited for.
+    /// The hosts that have not answered.
+    pub fn waiting(&self) -> Vec<HostId> {
+        let is_missing: Vec<bool> = match &self.stage {
+            Stage::Nothing | Stage::Wake { .. } => Vec::new(),
+            Stage::Grant { answers, .. } => answers.of.iter().map(Option::is_none).collect(),
+            Stage::Finish { answers } => answers.of.iter().map(Option::is_none).collect(),
+        };
+        let missing = is_missing.iter().enumerate().filter(|(_, missing)| **missing);
+        missing.map(|(host, _)| self.roster.places(host).host).collect()
+    }
+
+    /// Messages that nobody waited for, or that cannot be true.
     pub const fn strays(&self) -> u64 {
         self.strays
     }
@@ -263,6 +320,7 @@ mod tests {
     use reveille_common::units::Energy;
 
     use super::*;
+    use crate::roster::tests::roster;
 
     fn done(host: u32, tti: u64, reports: u32) -> Answer {
         Answer::Done {
@@ -283,54 +341,68 @@ mod tests {
         }
     }
 
-    fn barrier() -> Barrier {
-        let mut barrier = Barrier::new(10);
-        barrier.set_hosts(vec![HostId(0), HostId(1)]);
+    /// Two hosts with five devices each, waiting for TTI 5.
+    fn barrier(stimulus: bool) -> Barrier {
+        let mut barrier = Barrier::new(roster());
+        barrier.expect_grant(Tti(5), stimulus, false);
         barrier
+    }
+
+    fn hear(b: &mut Barrier, report: Report) -> bool {
+        b.report(Some(report.device.0), report)
     }
 
     #[test]
     fn a_grant_waits_for_every_host_and_every_report() {
-        let mut b = barrier();
-        b.expect_grant(Tti(5), true);
-        assert!(!b.answer(done(0, 5, 2)));
-        assert!(!b.answer(done(0, 5, 2)), "the same answer twice");
-        assert!(!b.answer(done(7, 5, 0)), "a host that nobody knows");
-        assert!(!b.answer(done(1, 4, 0)), "an answer to another grant");
-        assert!(!b.answer(done(1, 5, 0)));
-        assert!(!b.report(report(3, 5)));
-        assert!(!b.report(report(3, 5)), "the same report twice");
-        assert!(!b.report(report(4, 4)), "a report of another TTI");
-        assert!(!b.report(report(10, 5)), "a report of a device that is not there");
-        assert!(b.report(report(4, 5)));
+        let mut b = barrier(true);
+        assert!(!b.answer(Some(0), done(0, 5, 2)));
+        assert!(!b.answer(Some(0), done(0, 5, 2)), "the same answer twice");
+        assert!(!b.answer(Some(7), done(7, 5, 0)), "a host that nobody knows");
+        assert!(!b.answer(Some(1), done(0, 5, 0)), "in another's name");
+        assert!(!b.answer(Some(1), done(1, 4, 0)), "an answer to another grant");
+        assert!(!b.answer(Some(1), done(1, 5, 6)), "more reports than devices");
+        assert_eq!(b.waiting(), [HostId(1)]);
+        assert!(!b.answer(Some(1), done(1, 5, 0)));
+        assert!(!hear(&mut b, report(3, 5)));
+        assert!(!hear(&mut b, report(3, 5)), "the same report twice");
+        assert!(!hear(&mut b, report(4, 4)), "a report of another TTI");
+        assert!(!hear(&mut b, report(10, 5)), "a report of a device that is not there");
+        assert!(!b.report(Some(2), report(4, 5)), "on another device's key");
+        assert!(hear(&mut b, report(4, 5)));
         assert_eq!(b.take_gathered().reports.len(), 2);
-        assert_eq!(b.strays(), 5);
+        assert_eq!(b.strays(), 7);
+    }
+
+    #[test]
+    fn a_better_answer_takes_the_place_of_a_false_one() {
+        let mut b = barrier(true);
+        assert!(!b.answer(Some(0), done(0, 5, 3)), "false: nobody reports");
+        assert!(!b.answer(Some(1), done(1, 5, 0)));
+        assert!(b.answer(Some(0), done(0, 5, 0)));
     }
 
     #[test]
     fn nobody_reports_on_nothing() {
-        let mut b = barrier();
-        b.expect_grant(Tti(5), false);
-        assert!(!b.report(report(3, 5)));
-        assert!(!b.answer(done(0, 5, 0)) && b.answer(done(1, 5, 0)));
-        assert_eq!((b.take_gathered().reports.len(), b.strays()), (0, 1));
+        let mut b = barrier(false);
+        assert!(!hear(&mut b, report(3, 5)));
+        assert!(!b.answer(Some(0), done(0, 5, 1)));
+        assert!(!b.answer(Some(0), done(0, 5, 0)) && b.answer(Some(1), done(1, 5, 0)));
+        assert_eq!((b.take_gathered().reports.len(), b.strays()), (0, 2));
     }
 
     #[test]
     fn a_wake_up_waits_for_its_device() {
-        let mut b = barrier();
+        let not_woken = |tti| Answer::NotWoken {
+            device: DeviceId(3),
+            tti: Tti(tti),
+            failure: None,
+        };
+        let mut b = Barrier::new(roster());
         b.expect_wake(Tti(5), DeviceId(3));
-        assert!(!b.report(report(4, 5)));
-        assert!(!b.answer(Answer::NotWoken {
-            device: DeviceId(3),
-            tti: Tti(4),
-            failure: None
-        }));
-        assert!(b.answer(Answer::NotWoken {
-            device: DeviceId(3),
-            tti: Tti(5),
-            failure: None
-        }));
+        assert!(!hear(&mut b, report(4, 5)));
+        assert!(!b.answer(Some(0), not_woken(4)));
+        assert!(!b.answer(Some(1), not_woken(5)), "another host's device");
+        assert!(b.answer(Some(0), not_woken(5)));
         assert_eq!(b.take_outcome(), WakeOutcome::Unheard);
     }
 }

@@ -11,5 +11,6 @@ pub mod observation;
 pub mod outcome;
 pub mod policy;
 pub mod registry;
+pub mod roster;
 pub mod schedule;
 pub mod wakeup;

@@ -100,9 +100,10 @@ impl Registry {
         Some(places)
     }
 
-    /// The places of `host`.
+    /// The places of `host`, if they are still its own.
     pub fn places(&self, host: HostId) -> Option<Places> {
-        self.hosts.get(host.index()).map(|entry| entry.places)
+        let entry = self.hosts.get(host.index()).filter(|entry| !entry.is_lost);
+        entry.map(|entry| entry.places)
     }
 
     /// Devices that have a place with a living host.
@@ -111,10 +112,10 @@ impl Registry {
     }
 
     /// The hosts of the run, once every device has one and all are ready.
-    pub fn complete(&self) -> Option<Vec<HostId>> {
+    pub fn complete(&self) -> Option<Vec<Places>> {
         let living = || self.hosts.iter().filter(|entry| !entry.is_lost);
         (self.taken() == self.devices && living().all(|entry| entry.is_ready))
-            .then(|| living().map(|entry| entry.places.host).collect())
+            .then(|| living().map(|entry| entry.places).collect())
     }
 
     fn entry(&mut self, host: HostId) -> Option<&mut Entry> {
@@ -137,7 +138,7 @@ mod tests {
         assert_eq!(registry.complete(), None);
         assert!(registry.ready(a.host) && registry.ready(b.host));
         assert!(!registry.ready(HostId(9)));
-        assert_eq!(registry.complete(), Some(vec![a.host, b.host]));
+        assert_eq!(registry.complete(), Some(vec![a, b]));
     }
 
     #[test]

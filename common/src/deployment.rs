@@ -61,6 +61,7 @@ impl Deployment {
         Assignment {
             host,
             seed: scenario.seed,
+            ttis: scenario.ttis,
             sensing: scenario.sensing.clone(),
             devices,
             traces,

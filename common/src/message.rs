@@ -153,12 +153,49 @@ pub struct Assignment {
     pub host: HostId,
     /// Seed of the run's streams.
     pub seed: u64,
+    /// Length K of the run in TTIs.
+    pub ttis: u64,
     /// The sensing model.
     pub sensing: Sensing,
-    /// Its devices.
+    /// Its devices, numbered one after another.
     pub devices: Vec<DeviceSetup>,
     /// Recorded energy per TTI by row, that the devices' sources refer to.
     pub traces: Vec<Arc<Vec<Energy>>>,
+}
+
+impl Assignment {
+    /// Checks what a device would otherwise trip over.
+    ///
+    /// # Errors
+    /// What is wrong, in words.
+    pub fn check(&self) -> Result<(), String> {
+        let Some(first) = self.devices.first() else {
+            return Err("it names no device".to_owned());
+        };
+        for (setup, expected) in self.devices.iter().zip(first.id.0..) {
+            let device = setup.id;
+            if device.0 != expected {
+                return Err(format!("device {device} stands where {expected} belongs"));
+            }
+            if setup.energy.initial > setup.energy.e_max {
+                return Err(format!("device {device} starts with more than its battery holds"));
+            }
+            let is_share = |p: f64| (0.0..=1.0).contains(&p);
+            let is_sound = match setup.harvest {
+                HarvestSetup::Arrivals { p, .. } => is_share(p),
+                HarvestSetup::OnOff {
+                    on_share, p_off, p_on, ..
+                } => [on_share, p_off, p_on].into_iter().all(is_share),
+                HarvestSetup::Trace {
+                    trace, ttis_per_row, ..
+                } => ttis_per_row > 0 && self.traces.get(trace as usize).is_some_and(|rows| !rows.is_empty()),
+            };
+            if !is_sound {
+                return Err(format!("device {device} has an impossible energy source"));
+            }
+        }
+        Ok(())
+    }
 }
 
 /// One device as it is at the start of a run.

@@ -9,7 +9,7 @@ use crate::ids::{DeviceId, Tti};
 pub struct DutyCycle {
     /// TTIs in S1 per cycle, `0 ..= t_drx`.
     pub t_on: u32,
-    /// Length of the cycle in TTIs, ≥ 1.
+    /// Length of the cycle in TTIs, `1 ..= `[`DutyCycle::LONGEST`].
     pub t_drx: u32,
     /// TTIs into its cycle at which the device is at k = 0, `0 .. t_drx`.
     pub offset: u32,
@@ -29,9 +29,12 @@ impl DutyCycle {
         offset: 0,
     };
 
+    /// The longest cycle, in TTIs.
+    pub const LONGEST: u32 = 1 << 24;
+
     /// Whether the three numbers are within their ranges.
     pub const fn is_valid(self) -> bool {
-        self.t_drx >= 1 && self.t_on <= self.t_drx && self.offset < self.t_drx
+        self.t_drx >= 1 && self.t_drx <= Self::LONGEST && self.t_on <= self.t_drx && self.offset < self.t_drx
     }
 
     /// δ_j(k).

@@ -27,6 +27,7 @@ use crate::cli::OutputArgs;
 const RUNNING: &str = "RUNNING";
 const FAILED: &str = "FAILED";
 const SUMMARY: &str = "summary.json";
+const PART: &str = "summary.json.part";
 
 /// The form of `summary.json`; raised when a field changes its meaning.
 const SUMMARY_VERSION: u32 = 1;
@@ -83,6 +84,8 @@ pub struct Timing {
     pub max_late_ms: f64,
     /// Payloads on the bus that were no messages and were dropped.
     pub malformed: u64,
+    /// Messages on the bus that nobody waited for, or that could not be true, and were dropped.
+    pub strays: u64,
     /// Mean resident memory of a device process in MB, 0 where there is none.
     pub host_rss_mb: f64,
     /// Mean proportional memory of a device process in MB (shared pages split), 0 where there is none.
@@ -203,7 +206,7 @@ impl RunFolder {
         }
         self.events.flush().with_context(cannot)?;
         self.windows.flush().with_context(cannot)?;
-        let (part, whole) = (self.path.join("summary.json.part"), self.path.join(SUMMARY));
+        let (part, whole) = (self.path.join(PART), self.path.join(SUMMARY));
         fs::write(&part, summary.to_json()?).with_context(cannot)?;
         fs::rename(&part, &whole).with_context(cannot)?;
         fs::remove_file(self.path.join(RUNNING)).with_context(cannot)
@@ -311,7 +314,15 @@ fn clear(path: &Path, force: bool) -> anyhow::Result<()> {
         };
         bail!("--out {}: the folder is not empty; {hint}", path.display());
     }
-    for name in [SUMMARY, RUNNING, FAILED, "scenario.toml", "events.csv", "windows.csv"] {
+    for name in [
+        SUMMARY,
+        PART,
+        RUNNING,
+        FAILED,
+        "scenario.toml",
+        "events.csv",
+        "windows.csv",
+    ] {
         let file = path.join(name);
         if file.exists() {
             fs::remove_file(&file).with_context(|| format!("cannot replace {}", file.display()))?;

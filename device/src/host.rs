@@ -36,6 +36,12 @@ pub enum HostError {
     /// The BS would not have it.
     #[error("the base station refused: {0}")]
     Refused(String),
+    /// The BS gave places that cannot be.
+    #[error("the base station's assignment cannot be: {0}")]
+    Assignment(String),
+    /// A device's task has ended: a bug in Reveille.
+    #[error("a device has failed in a way that it never should; please report the lines above")]
+    DeviceFailed,
     /// The BS is gone.
     #[error("lost the base station of run {run} after TTI {tti}: its process ended or the link broke")]
     BsLost {
@@ -51,7 +57,19 @@ pub enum HostError {
 enum Progress {
     Running,
     BsMissing,
+    DeviceFailed,
     Dismissed,
+}
+
+/// Says so when an actor's task panics, which tokio would keep to itself.
+struct Obituary(watch::Sender<Progress>);
+
+impl Drop for Obituary {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.0.send_modify(|progress| *progress = Progress::DeviceFailed);
+        }
+    }
 }
 
 /// What a host carries, shared by the callbacks of its subscriptions.
@@ -60,6 +78,8 @@ struct Shared {
     first: DeviceId,
     positions: Vec<Point>,
     d_max: f64,
+    end: Tti,
+    fallback: Handle,
     mailboxes: Vec<UnboundedSender<Input>>,
     uplink: Arc<Uplink>,
     state: Mutex<State>,
@@ -106,7 +126,10 @@ async fn join(bus: &Bus, count: u32, nonce: u64, patience: Duration) -> Result<A
     let deadline = tokio::time::Instant::now() + patience;
     while tokio::time::Instant::now() < deadline {
         match bus.ask(bus.keys().of(Kind::Join), &request, ASK).await? {
-            Some(JoinReply::Welcome(assignment)) => return Ok(assignment),
+            Some(JoinReply::Welcome(assignment)) => {
+                assignment.check().map_err(HostError::Assignment)?;
+                return Ok(assignment);
+            }
             Some(JoinReply::Refused(why)) => return Err(HostError::Refused(why)),
             None => tokio::time::sleep(Duration::from_millis(200)).await,
         }
@@ -119,6 +142,7 @@ impl Shared {
         let Assignment {
             host,
             seed,
+            ttis,
             sensing,
             devices,
             traces,
@@ -152,6 +176,8 @@ impl Shared {
             first,
             positions,
             d_max,
+            end: Tti(ttis),
+            fallback: Handle::current(),
             mailboxes,
             uplink,
             state,
@@ -184,6 +210,7 @@ impl Shared {
             let now = *progress.borrow_and_update();
             let changed = match now {
                 Progress::Dismissed => return Ok(()),
+                Progress::DeviceFailed => return Err(HostError::DeviceFailed),
                 Progress::Running => progress.changed().await.is_ok(),
                 Progress::BsMissing => tokio::time::timeout(BS_GRACE, progress.changed()).await.is_ok(),
             };
@@ -199,7 +226,7 @@ impl Shared {
 
     fn on_bs(&self, alive: bool) {
         self.progress.send_modify(|progress| match progress {
-            Progress::Dismissed => {}
+            Progress::Dismissed | Progress::DeviceFailed => {}
             Progress::Running | Progress::BsMissing => {
                 *progress = if alive { Progress::Running } else { Progress::BsMissing };
             }
@@ -208,13 +235,14 @@ impl Shared {
 
     /// Starts the actors, on the runtime that delivers their messages: there a message wakes its actor without handing over
     /// to another thread, which costs more than all that the actor does.
-    fn start_actors(state: &mut State) {
-        match Handle::try_current() {
-            Ok(runtime) => state
-                .resting
-                .drain(..)
-                .for_each(|(actor, inputs)| drop(runtime.spawn(actor.run(inputs)))),
-            Err(error) => tracing::error!(%error, "messages arrive outside any runtime; the devices cannot be started"),
+    fn start_actors(&self, state: &mut State) {
+        let runtime = Handle::try_current().unwrap_or_else(|_| self.fallback.clone());
+        for (actor, inputs) in state.resting.drain(..) {
+            let obituary = Obituary(self.progress.clone());
+            runtime.spawn(async move {
+                let _obituary = obituary;
+                actor.run(inputs).await;
+            });
         }
     }
 
@@ -225,7 +253,7 @@ impl Shared {
             return;
         }
         if !state.resting.is_empty() {
-            Self::start_actors(&mut state);
+            self.start_actors(&mut state);
         }
         state.plan_from = Some(update.from);
         for (j, duty) in state.duties.iter_mut().enumerate() {
@@ -250,7 +278,7 @@ impl Shared {
             Some(stimulus) if (j as usize) < self.mailboxes.len() => {
                 self.send(j as usize, Input::Wake(wake.tti, stimulus));
             }
-            Some(_) | None => tracing::warn!(key, tti = %wake.tti, "a wake-up outside its TTI"),
+            Some(_) | None => tracing::debug!(key, tti = %wake.tti, "a wake-up outside its TTI"),
         }
     }
 
@@ -273,8 +301,12 @@ impl Shared {
             drop(state);
             return round.repeat(&self.uplink);
         }
-        if tick.first != state.next || tick.last < tick.first || state.plan_from != Some(tick.plan) {
-            tracing::warn!(?tick, next = %state.next, "cannot follow this grant; waiting for it to be sent again with its plan");
+        if tick.first != state.next
+            || tick.last < tick.first
+            || tick.last >= self.end
+            || state.plan_from != Some(tick.plan)
+        {
+            tracing::debug!(?tick, next = %state.next, "cannot follow this grant; waiting for it to be sent again with its plan");
             return;
         }
         state.next = tick.last.saturating_add(1);
@@ -319,9 +351,10 @@ impl Shared {
             return round.repeat(&self.uplink);
         }
         if end != state.next {
-            tracing::warn!(%end, next = %state.next, "an end at another TTI than the next; ignored");
+            tracing::debug!(%end, next = %state.next, "an end at another TTI than the next; ignored");
             return;
         }
+        self.start_actors(&mut state);
         let round = Arc::new(Round::new(self.host, Question::Ledgers, self.mailboxes.len()));
         state.round = Some(Arc::clone(&round));
         drop(state);

@@ -7,9 +7,15 @@ use std::os::unix::fs::PermissionsExt;
 use std::time::Duration;
 
 use reveille_common::bus::Bus;
-use reveille_common::ids::DeviceId;
-use reveille_common::keys::Kind;
-use reveille_common::message::{JoinReply, JoinRequest};
+use reveille_common::codec;
+use reveille_common::event::Stimulus;
+use reveille_common::geometry::Point;
+use reveille_common::ids::{DeviceId, EventId, HostId, Tti};
+use reveille_common::keys::{Keys, Kind};
+use reveille_common::message::{Answer, Clock, Failure, JoinReply, JoinRequest, PlanUpdate, Report, Tick, WakeUp};
+use reveille_common::metrics::DeviceTotals;
+use reveille_common::plan::{DutyCycle, Plan};
+use reveille_common::units::Energy;
 use reveille_tests::process::{
     Finished, Folder, PATIENCE, Process, Summary, ask, free_endpoint, unique_run, wait_until,
 };
@@ -400,6 +406,106 @@ async fn garbage_on_every_key_changes_nothing() {
     assert!(summary.number("timing.malformed") > 0, "{summary:?}");
     let tail = tail.finish();
     assert!(tail.is_success() && !tail.stderr.contains("panicked"), "{tail}");
+}
+
+/// Messages that decode well and cannot be true, each with its key.
+fn forgeries(keys: &Keys, tti: u64) -> Vec<(String, Vec<u8>)> {
+    let tick = |first, last| {
+        let stimulus = Some(Stimulus {
+            event: EventId(1),
+            epicentre: Point::new(5.0, 5.0),
+        });
+        let (first, last, plan) = (Tti(first), Tti(last), Tti(0));
+        Clock::Grant(Tick {
+            first,
+            last,
+            stimulus,
+            account: true,
+            plan,
+        })
+    };
+    let clock = [
+        tick(0, 0),
+        tick(u64::MAX / 2, u64::MAX),
+        tick(tti, 5),
+        Clock::Finish(Tti(3)),
+        Clock::Finish(Tti(u64::MAX)),
+    ];
+    let endless = DutyCycle {
+        t_on: u32::MAX,
+        t_drx: u32::MAX,
+        offset: 0,
+    };
+    let plan = PlanUpdate {
+        from: Tti(0),
+        plan: Plan::Periodic(vec![endless; 30]),
+    };
+    let report = |device, information| Report {
+        device: DeviceId(device),
+        tti: Tti(tti),
+        information,
+        battery: Energy::ZERO,
+    };
+    let done = |host, reports, drained| Answer::Done {
+        host: HostId(host),
+        tti: Tti(tti),
+        reports,
+        failures: vec![Failure {
+            device: DeviceId(0),
+            drained: Energy::from_micro(drained),
+        }],
+        totals: Some(DeviceTotals::default()),
+    };
+    let ledgers = vec![(DeviceId(0), DeviceTotals::default())];
+    let last = Answer::Final {
+        host: HostId(0),
+        ledgers,
+    };
+    let mut all: Vec<(String, Vec<u8>)> = clock.iter().map(|c| (keys.of(Kind::Clock), codec::encode(c))).collect();
+    all.push((keys.of(Kind::Plan), codec::encode(&plan)));
+    all.push((keys.wake(DeviceId(0)), codec::encode(&WakeUp { tti: Tti(u64::MAX) })));
+    for (key, report) in [
+        (9999, report(9999, 0.5)),
+        (3, report(4, 0.5)),
+        (3, report(3, f64::NAN)),
+        (3, report(3, 7.0)),
+    ] {
+        all.push((keys.report(DeviceId(key)), codec::encode(&report)));
+    }
+    for (key, answer) in [
+        (0, done(0, 1000, 1)),
+        (0, done(1, 0, 1)),
+        (9, done(9, 0, 1)),
+        (0, done(0, 0, u64::MAX)),
+        (0, last),
+    ] {
+        all.push((keys.answer(HostId(key)), codec::encode(&answer)));
+    }
+    all
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
+async fn messages_that_cannot_be_true_change_nothing() {
+    let (folder, run, endpoint) = (Folder::new(), unique_run("forged"), free_endpoint());
+    let expected = folder.summary("run -n 30 -k 600");
+    let args = format!("up -P 4 -n 30 -k 600 --pace 3ms --paused --run {run} --listen {endpoint} --out out");
+    let up = folder.start(&args);
+    folder.wait_for_tti(&run, 0);
+    let bus = peer(&endpoint, &run).await;
+    folder.clock(&run, "resume");
+    for tti in 0..600 {
+        for (key, payload) in forgeries(bus.keys(), tti) {
+            bus.put_raw(&key, payload).expect("sent");
+        }
+        tokio::time::sleep(Duration::from_millis(2)).await;
+    }
+    bus.close().await;
+    let end = up.finish();
+    assert!(end.is_success(), "{end}");
+    assert!(!end.stderr.contains("panicked"), "{end}");
+    let summary = Summary::read(&folder.join("out"));
+    assert_eq!(summary.digest(), expected.digest());
+    assert!(summary.number("timing.strays") > 0, "{summary:?}");
 }
 
 #[test]

@@ -30,14 +30,14 @@ pub(super) fn declare(
     let keys = bus.keys();
     let mut declared = Vec::new();
     let this = Arc::clone(shared);
-    declared.push(bus.subscribe(keys.all(Kind::Report), move |_, report: Report| {
-        if this.lock().barrier.report(report) {
+    declared.push(bus.subscribe(keys.all(Kind::Report), move |key, report: Report| {
+        if this.lock().barrier.report(last_number(key), report) {
             this.ring();
         }
     })?);
     let this = Arc::clone(shared);
-    declared.push(bus.subscribe(keys.all(Kind::Answer), move |_, answer: Answer| {
-        if this.lock().barrier.answer(answer) {
+    declared.push(bus.subscribe(keys.all(Kind::Answer), move |key, answer: Answer| {
+        if this.lock().barrier.answer(last_number(key), answer) {
             this.ring();
         }
     })?);
@@ -101,7 +101,9 @@ fn on_alive(shared: &Shared, key: &str, alive: bool) {
             state.returned = true;
         }
     } else if state.is_running {
-        state.lost.insert(host);
+        if state.registry.places(host).is_some() {
+            state.lost.insert(host);
+        }
     } else if let Some(places) = state.registry.leave(host) {
         tracing::warn!(%host, devices = places.count, "a host left before the run began; its places are free again");
     }
@@ -128,7 +130,7 @@ pub(super) async fn wait_for_all(
                     devices = scenario.devices,
                     "all devices have joined"
                 );
-                state.barrier.set_hosts(hosts);
+                state.barrier.roster().set_hosts(hosts);
                 state.is_running = true;
                 return Ok(());
             }

@@ -19,6 +19,10 @@ use crate::cycle::{Cycle, Step};
 use crate::outcome::{Accounts, EventRecord, Watcher};
 use crate::schedule::Schedule;
 
+/// How often a wait looks at what else may have happened.
+const LOOK: Duration = Duration::from_millis(100);
+/// How long hosts may take to answer once the run is to stop.
+const STOP: Duration = Duration::from_secs(3);
 /// How long the BS waits for an answer before it asks once more.
 const REPEAT: Duration = Duration::from_secs(1);
 
@@ -113,14 +117,19 @@ pub(super) async fn run(
     let running = started.elapsed();
     let before = this.snapshot();
     this.account(this.cycle.next_tti(), ledgers.iter().copied().sum(), &before, watcher);
+    let (hosts, strays) = {
+        let mut state = shared.lock();
+        (state.barrier.roster().hosts(), state.barrier.strays())
+    };
     Ok(Served {
         outcome: this.cycle.finish(&ledgers, this.accounts.at_warm_up()),
         joining,
         running,
-        hosts: shared.lock().registry.complete().map_or(0, |hosts| hosts.len()),
+        hosts,
         grants: this.grants,
         lateness: this.lateness,
         malformed: bus.malformed(),
+        strays,
     })
 }
 
@@ -138,7 +147,7 @@ impl Loop<'_> {
                 return Ok(true);
             }
             self.due = None;
-            let _changed = tokio::time::timeout(Duration::from_millis(100), self.shared.rung()).await;
+            let _changed = tokio::time::timeout(LOOK, self.shared.rung()).await;
             self.check(&mut self.shared.lock())?;
         }
     }
@@ -146,7 +155,7 @@ impl Loop<'_> {
     /// One grant with its reports and wake-ups. False when the watcher wants to stop.
     async fn grant(&mut self, watcher: &mut impl Watcher) -> Result<bool, BsError> {
         let first = self.cycle.next_tti();
-        self.keep_pace(first).await;
+        self.keep_pace(first).await?;
         self.voice.bus.set_tti(first);
         let account = self.schedule.is_boundary(first);
         let before = account.then(|| self.snapshot());
@@ -167,7 +176,7 @@ impl Loop<'_> {
         self.shared
             .lock()
             .barrier
-            .expect_grant(grant.last, grant.stimulus.is_some());
+            .expect_grant(grant.last, grant.stimulus.is_some(), account);
         self.voice.bus.set_tti(grant.last);
         self.voice.clock.put(&tick)?;
         self.grants += 1;
@@ -233,37 +242,54 @@ impl Loop<'_> {
     }
 
     /// Waits until `first` is due, under a real-time pace.
-    async fn keep_pace(&mut self, first: Tti) {
+    async fn keep_pace(&mut self, first: Tti) -> Result<(), BsError> {
         let Pace::RealTime(duration) = self.settings.pace else {
-            return;
+            return Ok(());
         };
         let now = now();
         let due = match self.due {
             Some((tti, moment)) => moment + duration * (first - tti) as u32,
             None => now,
         };
-        if due > now {
-            tokio::time::sleep_until(due.into()).await;
-        } else if due < now {
+        if due < now {
             self.lateness.count(now - due);
         }
         self.due = Some((first, due));
+        self.sleep_until(due).await
+    }
+
+    /// Sleeps, but not through a loss or a wish to stop.
+    async fn sleep_until(&mut self, due: Instant) -> Result<(), BsError> {
+        while now() < due && !self.progress.stop.load(Ordering::Relaxed) {
+            tokio::time::sleep_until(due.min(now() + LOOK).into()).await;
+            self.check(&mut self.shared.lock())?;
+        }
+        Ok(())
     }
 
     /// Waits until the barrier is complete, asking again from time to time.
     async fn answered(&mut self, mut ask: impl FnMut(&mut Voice<'_>) -> Result<(), BusError>) -> Result<(), BsError> {
+        let mut repeat_at = None;
+        let mut stop_at = None;
         loop {
-            {
+            let returned = {
                 let mut state = self.shared.lock();
                 if state.barrier.is_complete() {
                     return Ok(());
                 }
                 self.check(&mut state)?;
-            }
-            let rung = tokio::time::timeout(REPEAT, self.shared.rung()).await.is_ok();
-            if !rung || std::mem::take(&mut self.shared.lock().returned) {
+                std::mem::take(&mut state.returned)
+            };
+            let now = now();
+            if returned || now >= *repeat_at.get_or_insert(now + REPEAT) {
+                repeat_at = Some(now + REPEAT);
                 ask(&mut self.voice)?;
             }
+            if self.progress.stop.load(Ordering::Relaxed) && now >= *stop_at.get_or_insert(now + STOP) {
+                let (tti, hosts) = (self.cycle.next_tti(), self.shared.lock().barrier.waiting());
+                return Err(BsError::NoAnswer { tti, hosts });
+            }
+            let _looked = tokio::time::timeout(LOOK, self.shared.rung()).await;
         }
     }
 

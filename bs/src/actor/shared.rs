@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use reveille_common::deployment::Deployment;
 use reveille_common::ids::{HostId, Tti};
 use reveille_common::scenario::Scenario;
 use tokio::sync::Notify;
@@ -10,6 +11,7 @@ use tokio::sync::Notify;
 use crate::barrier::Barrier;
 use crate::clock::VirtualClock;
 use crate::registry::Registry;
+use crate::roster::Roster;
 
 /// The state that callbacks change and the loop looks at.
 pub(super) struct State {
@@ -34,14 +36,14 @@ pub(super) struct Shared {
 }
 
 impl Shared {
-    pub(super) fn new(scenario: &Scenario, paused: bool) -> Arc<Self> {
+    pub(super) fn new(scenario: &Scenario, deployment: &Deployment, paused: bool) -> Arc<Self> {
         let mut clock = VirtualClock::new(Tti(scenario.ttis));
         if paused {
             clock.obey(reveille_common::message::ClockCommand::Pause, Tti::ZERO);
         }
         let state = State {
             registry: Registry::new(scenario.devices),
-            barrier: Barrier::new(scenario.devices),
+            barrier: Barrier::new(Roster::new(deployment.devices.clone(), scenario.sensing.psi)),
             clock,
             next: Tti::ZERO,
             lost: BTreeSet::new(),

@@ -139,6 +139,7 @@ fn timing(served: &Served, preparing: Duration) -> Timing {
         late_ttis: served.lateness.late,
         max_late_ms: served.lateness.max.as_secs_f64() * 1e3,
         malformed: served.malformed,
+        strays: served.strays,
         host_rss_mb: 0.0,
         host_pss_mb: 0.0,
     }
