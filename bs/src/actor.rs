@@ -4,8 +4,8 @@ mod joining;
 mod running;
 mod shared;
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use reveille_common::bus::{Bus, BusError};
@@ -58,6 +58,8 @@ pub struct Progress {
     pub misdetected: AtomicU64,
     /// Mean battery over the last window, micro-units.
     pub mean_battery: AtomicU64,
+    /// Set from outside, before `stop`: why the run cannot go on.
+    pub cause: OnceLock<String>,
     /// Set from outside: end the run at the next TTI.
     pub stop: AtomicBool,
 }

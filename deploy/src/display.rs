@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use anyhow::Context;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -13,6 +14,21 @@ use reveille_common::scenario::Scenario;
 use reveille_common::units::MICRO_PER_UNIT;
 
 use crate::results::Summary;
+
+/// Writes `text` to standard output. Nobody reading it any more is no error: whatever it told of has happened.
+///
+/// # Errors
+/// If it cannot be written for another reason.
+pub fn out(text: &str) -> anyhow::Result<()> {
+    use std::io::Write;
+    let mut stdout = io::stdout().lock();
+    match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+            Err(error).context("cannot write to standard output")
+        }
+        Ok(()) | Err(_) => Ok(()),
+    }
+}
 
 /// All bars of the process: log lines are written between them, not over them.
 static BARS: std::sync::LazyLock<MultiProgress> = std::sync::LazyLock::new(MultiProgress::new);
@@ -135,7 +151,11 @@ pub fn table(summary: &Summary<'_>) -> String {
         lines.push(format!("{late} TTIs began late, by {most:.1} ms at the most"));
     }
     if summary.status != "complete" {
-        lines.push("interrupted: the figures are those of the TTIs that were run".to_owned());
+        lines.push(if summary.totals.ttis == 0 {
+            "interrupted before the warm-up had ended: there are no figures yet".to_owned()
+        } else {
+            "interrupted: the figures are those of the TTIs that were run".to_owned()
+        });
     }
     lines.push(format!("digest {}\n", summary.digest));
     lines.join("\n")
@@ -155,7 +175,11 @@ fn timing(summary: &Summary<'_>) -> String {
     let timing = &summary.timing;
     let mut parts = vec![format!("{:.0} TTIs/s", timing.ttis_per_s)];
     if timing.hosts > 0 {
-        parts.push(format!("{} processes ready in {:.2} s", timing.hosts, timing.ready_s));
+        let plural = if timing.hosts == 1 { "" } else { "es" };
+        parts.push(format!(
+            "{} process{plural} ready in {:.2} s",
+            timing.hosts, timing.ready_s
+        ));
         parts.push(format!("{} barriers", timing.grants));
     }
     if timing.host_rss_mb > 0.0 {

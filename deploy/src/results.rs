@@ -74,7 +74,7 @@ pub struct Timing {
     pub run_s: f64,
     /// TTIs per second over that time.
     pub ttis_per_s: f64,
-    /// Device processes, or 0 for a run in memory.
+    /// Processes that carried devices (1 where the base station's own did), or 0 for a run in memory.
     pub hosts: usize,
     /// Barriers over all hosts; fewer than TTIs where lookahead joined them.
     pub grants: u64,
@@ -144,6 +144,7 @@ pub struct RunFolder {
     windows: csv::Writer<BufWriter<File>>,
     devices: u32,
     error: Option<csv::Error>,
+    is_closed: bool,
 }
 
 impl RunFolder {
@@ -170,6 +171,7 @@ impl RunFolder {
             windows: open("windows.csv").with_context(cannot)?,
             devices: scenario.devices,
             error: None,
+            is_closed: false,
             path,
         };
         folder.headers()?;
@@ -209,16 +211,23 @@ impl RunFolder {
         let (part, whole) = (self.path.join(PART), self.path.join(SUMMARY));
         fs::write(&part, summary.to_json()?).with_context(cannot)?;
         fs::rename(&part, &whole).with_context(cannot)?;
-        fs::remove_file(self.path.join(RUNNING)).with_context(cannot)
+        fs::remove_file(self.path.join(RUNNING)).with_context(cannot)?;
+        self.is_closed = true;
+        Ok(())
     }
 
     /// Marks the run as failed.
     pub fn fail(mut self, why: &anyhow::Error) {
+        self.mark(&format!("{why:#}\n"));
+    }
+
+    fn mark(&mut self, why: &str) {
         // The run has failed already; what cannot be written about it is not worth another error.
         let _ = self.events.flush();
         let _ = self.windows.flush();
-        let _ = fs::write(self.path.join(FAILED), format!("{why:#}\n"));
+        let _ = fs::write(self.path.join(FAILED), why);
         let _ = fs::remove_file(self.path.join(RUNNING));
+        self.is_closed = true;
     }
 
     fn headers(&mut self) -> anyhow::Result<()> {
@@ -285,6 +294,14 @@ impl RunFolder {
             totals.wake_ups.to_string(),
             totals.wrong_activations.to_string(),
         ])
+    }
+}
+
+impl Drop for RunFolder {
+    fn drop(&mut self) {
+        if !self.is_closed {
+            self.mark("the run ended without its summary; its error is on the standard error of the command\n");
+        }
     }
 }
 

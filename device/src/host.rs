@@ -98,14 +98,26 @@ struct State {
     round: Option<Arc<Round>>,
 }
 
-/// Joins the run of `bus` with up to `count` devices, carries them to the end of the run, and leaves.
+/// Joins the run of `bus` with up to `count` devices, carries them to the end of the run, and leaves. `on_joined` is told
+/// the host's number and its first and last device.
 ///
 /// # Errors
 /// If there is no such run within `patience`, the BS refuses, or it is lost on the way.
-pub async fn carry(bus: &Bus, count: u32, nonce: u64, patience: Duration) -> Result<(), HostError> {
+pub async fn carry(
+    bus: &Bus,
+    count: u32,
+    nonce: u64,
+    patience: Duration,
+    on_joined: impl FnOnce(HostId, DeviceId, DeviceId),
+) -> Result<(), HostError> {
     let assignment = join(bus, count, nonce, patience).await?;
     let host = assignment.host;
-    tracing::info!(%host, devices = assignment.devices.len(), "joined");
+    let (first, last) = (
+        assignment.devices[0].id,
+        assignment.devices[assignment.devices.len() - 1].id,
+    );
+    tracing::info!(%host, %first, %last, "joined");
+    on_joined(host, first, last);
     let shared = Arc::new(Shared::new(bus, assignment)?);
     let _declared = shared.declare(bus)?;
     let ready: Option<bool> = bus.ask(bus.keys().of(Kind::Ready), &Ready { host }, patience).await?;

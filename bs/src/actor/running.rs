@@ -173,10 +173,13 @@ impl Loop<'_> {
             account,
             plan: self.plan_from,
         });
-        self.shared
-            .lock()
-            .barrier
-            .expect_grant(grant.last, grant.stimulus.is_some(), account);
+        {
+            let mut state = self.shared.lock();
+            state.next = grant.last + 1;
+            state
+                .barrier
+                .expect_grant(grant.last, grant.stimulus.is_some(), account);
+        }
         self.voice.bus.set_tti(grant.last);
         self.voice.clock.put(&tick)?;
         self.grants += 1;

@@ -18,6 +18,7 @@ pub(super) struct State {
     pub(super) registry: Registry,
     pub(super) barrier: Barrier,
     pub(super) clock: VirtualClock,
+    /// The TTI after all that are granted.
     pub(super) next: Tti,
     /// Hosts whose token is gone.
     pub(super) lost: BTreeSet<HostId>,

@@ -47,7 +47,7 @@ use super::parquet::read_parquet;
 
 #[cfg(not(feature = "parquet"))]
 fn read_parquet(_: File, _: &[String], _: usize) -> Result<Vec<Vec<f64>>, String> {
-    Err("is a Parquet file, which only a build with the cargo feature `parquet` reads".to_owned())
+    Err("is a Parquet file, which only a build with the cargo feature `parquet` reads: cargo run --release --features parquet -- …".to_owned())
 }
 
 fn read_csv(source: impl Read, wanted: &[String], rows: usize) -> Result<Vec<Vec<f64>>, String> {

@@ -11,6 +11,7 @@ use serde_json::Value;
 use super::bare::{self, Sizes};
 use super::median;
 use crate::cli::BusBenchArgs;
+use crate::display;
 
 /// Devices of the measured runs, where there are not more processes than that.
 const DEVICES: u32 = 50;
@@ -28,14 +29,14 @@ struct Sample {
 
 /// Measures, one row for each number of processes.
 pub fn run(args: &BusBenchArgs) -> anyhow::Result<ExitCode> {
-    let sizes = sizes();
-    println!(
-        "preset paper, knn; a tick of {} B, an answer of {} B; medians of {} repetitions of {} s",
-        sizes.tick, sizes.answer, args.repeat, args.seconds
-    );
-    println!("TTIs (rounds) per second; `ratio` is emulator without lookahead / bare zenoh barrier");
-    println!(
-        "{:>9} {:>8} {:>11} {:>11} {:>6} {:>11} {:>11} {:>8} {:>8} {:>8} {:>8}",
+    let (sizes, seconds) = (sizes(), args.time.as_secs_f64());
+    display::out(&format!(
+        "preset paper, knn; a tick of {} B, an answer of {} B; medians of {} repetitions of {} s\n",
+        sizes.tick, sizes.answer, args.repeat, seconds
+    ))?;
+    display::out("TTIs (rounds) per second; `ratio` is emulator without lookahead / bare zenoh barrier\n")?;
+    display::out(&format!(
+        "{:>9} {:>8} {:>11} {:>11} {:>6} {:>11} {:>11} {:>8} {:>8} {:>8} {:>8}\n",
         "processes",
         "devices",
         "unix",
@@ -47,15 +48,15 @@ pub fn run(args: &BusBenchArgs) -> anyhow::Result<ExitCode> {
         "ready s",
         "RSS MB",
         "PSS MB"
-    );
+    ))?;
     for &processes in &args.processes {
         let devices = DEVICES.max(processes);
-        let samples = (0..args.repeat.max(1))
-            .map(|_| sample(processes, devices, sizes, args.seconds))
+        let samples = (0..args.repeat)
+            .map(|_| sample(processes, devices, sizes, seconds))
             .collect::<Result<Vec<_>, _>>()?;
         let of = |value: fn(&Sample) -> f64| median(samples.iter().map(value).collect());
-        println!(
-            "{processes:>9} {devices:>8} {:>11.0} {:>11.0} {:>6.2} {:>11.0} {:>11.0} {:>8.2} {:>8.2} {:>8.1} {:>8.1}",
+        display::out(&format!(
+            "{processes:>9} {devices:>8} {:>11.0} {:>11.0} {:>6.2} {:>11.0} {:>11.0} {:>8.2} {:>8.2} {:>8.1} {:>8.1}\n",
             of(|s| s.unix),
             of(|s| s.bare),
             of(|s| s.stepped / s.bare),
@@ -65,7 +66,7 @@ pub fn run(args: &BusBenchArgs) -> anyhow::Result<ExitCode> {
             of(|s| s.ready_s),
             of(|s| s.rss_mb),
             of(|s| s.pss_mb),
-        );
+        ))?;
     }
     Ok(ExitCode::SUCCESS)
 }

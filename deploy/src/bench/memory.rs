@@ -7,6 +7,7 @@ use reveille_lab::run;
 
 use super::median;
 use crate::cli::MemoryBenchArgs;
+use crate::display;
 use crate::now;
 
 /// Repetitions of each measurement.
@@ -14,15 +15,18 @@ const REPEAT: usize = 3;
 
 /// Measures, one row for each policy and number of devices.
 pub fn run(args: &MemoryBenchArgs) -> anyhow::Result<ExitCode> {
-    println!("preset paper, {} TTIs, one core; medians of {REPEAT} runs", args.ttis);
-    println!(
-        "{:>10} {:>8} {:>12} {:>22}",
+    display::out(&format!(
+        "preset paper, {} TTIs, one core; medians of {REPEAT} runs\n",
+        args.ttis
+    ))?;
+    display::out(&format!(
+        "{:>10} {:>8} {:>12} {:>22}\n",
         "policy", "devices", "TTIs/s", "M device-TTIs/s"
-    );
+    ))?;
     for policy in &args.policies {
         for devices in &args.devices {
             let overrides = [
-                Override::flag("--policies", "policy.name", policy)?,
+                Override::flag("a policy of --policies", "policy.name", policy)?,
                 Override::flag("--devices", "devices", &devices.to_string())?,
                 Override::flag("--ttis", "ttis", &args.ttis.to_string())?,
             ];
@@ -35,10 +39,10 @@ pub fn run(args: &MemoryBenchArgs) -> anyhow::Result<ExitCode> {
                 })
                 .collect();
             let rate = median(rates);
-            println!(
-                "{policy:>10} {devices:>8} {rate:>12.0} {:>22.1}",
+            display::out(&format!(
+                "{policy:>10} {devices:>8} {rate:>12.0} {:>22.1}\n",
                 rate * f64::from(*devices) / 1e6
-            );
+            ))?;
         }
     }
     Ok(ExitCode::SUCCESS)

@@ -52,7 +52,7 @@ pub struct OutputArgs {
     #[arg(long)]
     pub json: bool,
 
-    /// No progress bar and no table.
+    /// No progress bar and no table, only the digest.
     #[arg(long, short)]
     pub quiet: bool,
 
@@ -107,9 +107,9 @@ pub struct UpArgs {
     /// The drive.
     #[command(flatten)]
     pub drive: DriveArgs,
-    /// Device processes; 0 carries all devices in this process, N (the number of devices) gives each its own.
-    #[arg(long, short = 'P', default_value_t = 4)]
-    pub processes: u32,
+    /// Device processes; 0 carries all devices in this process, N (the number of devices) gives each its own [default: 4].
+    #[arg(long, short = 'P')]
+    pub processes: Option<u32>,
     /// The run's name on the bus [default: the name of the run folder].
     #[arg(long)]
     pub run: Option<RunName>,

@@ -1,11 +1,13 @@
 //! The options of everything that looks at scenarios, at runs, and at speed.
 
+use std::time::Duration;
+
 use clap::{Args, Subcommand, ValueEnum};
 use reveille_common::ids::Tti;
 use reveille_common::keys::{Kind, Plane, RunName};
 use reveille_common::message::ClockCommand;
 
-use super::parse::{parse_kind, parse_sizes};
+use super::parse::{parse_duration, parse_kind, parse_sizes};
 
 /// `reveille scenario`.
 #[derive(Subcommand)]
@@ -33,10 +35,10 @@ pub enum ScenarioCommand {
 #[derive(Args, Clone, Debug)]
 pub struct TargetArgs {
     /// The base station: tcp/ADDRESS:PORT [default: the run on this machine].
-    #[arg(long, requires = "run")]
+    #[arg(long, requires = "run", global = true)]
     pub connect: Option<String>,
     /// The run's name [default: the only run on this machine].
-    #[arg(long)]
+    #[arg(long, global = true)]
     pub run: Option<RunName>,
 }
 
@@ -141,13 +143,13 @@ pub enum BenchCommand {
 #[derive(Args)]
 pub struct BusBenchArgs {
     /// Numbers of device processes to measure.
-    #[arg(long, value_delimiter = ',', default_value = "1,4,50,250")]
+    #[arg(long, value_delimiter = ',', default_value = "1,4,50,250", value_parser = clap::value_parser!(u32).range(1..))]
     pub processes: Vec<u32>,
-    /// Seconds for each measurement.
-    #[arg(long, default_value_t = 3.0)]
-    pub seconds: f64,
+    /// Time for each measurement.
+    #[arg(long, default_value = "3s", value_parser = parse_duration)]
+    pub time: Duration,
     /// Repetitions; the median ratio counts.
-    #[arg(long, default_value_t = 3)]
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     pub repeat: u32,
 }
 

@@ -2,7 +2,7 @@
 
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use reveille_bs::actor::{self, Progress, Served, Settings};
@@ -44,7 +44,7 @@ pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
             started,
         },
         folder,
-        |_| Ok(()),
+        |_| {},
     )
     .await
 }
@@ -83,7 +83,7 @@ pub fn settings(drive: &DriveArgs, window: u64, join_patience: Option<Duration>)
 pub async fn serve(
     station: &Station<'_>,
     mut folder: RunFolder,
-    look: impl FnOnce(&mut Timing) -> anyhow::Result<()>,
+    look: impl FnOnce(&mut Timing),
 ) -> anyhow::Result<ExitCode> {
     let Station {
         bus,
@@ -94,8 +94,13 @@ pub async fn serve(
         progress,
         started,
     } = station;
-    let _registered = local::register(run, bus.endpoint())?;
-    let stop = interrupt::watch()?;
+    let (_registered, stop) = match prepare(run, bus) {
+        Ok(prepared) => prepared,
+        Err(error) => {
+            folder.fail(&error);
+            return Err(error);
+        }
+    };
     let (watched, seen) = (Arc::clone(&stop), Arc::clone(progress));
     let relay = tokio::spawn(async move {
         while !watched.load(Ordering::Relaxed) {
@@ -109,23 +114,29 @@ pub async fn serve(
     let served = actor::serve(bus, scenario, &deployment, settings, progress, &mut folder).await;
     relay.abort();
     drop(bar);
-    match served {
+    let ended = match served {
         Ok(served) => {
             let mut timing = timing(&served, preparing);
-            look(&mut timing)?;
+            look(&mut timing);
             let summary = Summary::new(scenario, &served.outcome, timing);
             let path = folder.path().to_owned();
-            folder.finish(&summary)?;
-            actor::dismiss(bus)?;
-            conclude(output, &summary, &path)
+            folder.finish(&summary).and_then(|()| conclude(output, &summary, &path))
         }
         Err(error) => {
-            let error = anyhow::Error::from(error);
+            let error = match progress.cause.get() {
+                Some(why) => anyhow::anyhow!("{why}: {error}"),
+                None => error.into(),
+            };
             folder.fail(&error);
-            actor::dismiss(bus)?;
             Err(error)
         }
-    }
+    };
+    actor::dismiss(bus)?;
+    ended
+}
+
+fn prepare(run: &RunName, bus: &Bus) -> anyhow::Result<(local::Registered, Arc<AtomicBool>)> {
+    Ok((local::register(run, bus.endpoint())?, interrupt::watch()?))
 }
 
 fn timing(served: &Served, preparing: Duration) -> Timing {

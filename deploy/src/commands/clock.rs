@@ -8,7 +8,7 @@ use reveille_common::keys::Kind;
 use reveille_common::message::{ClockCommand, ClockStatus};
 
 use crate::cli::ClockArgs;
-use crate::local;
+use crate::{display, local};
 
 const PATIENCE: Duration = Duration::from_secs(5);
 
@@ -28,9 +28,9 @@ pub async fn run(args: &ClockArgs) -> anyhow::Result<ExitCode> {
         until,
     } = status;
     match (paused, until.0 < ttis) {
-        (true, _) => println!("paused before TTI {tti} of {ttis}"),
-        (false, true) => println!("running at TTI {tti} of {ttis}, to stop before TTI {until}"),
-        (false, false) => println!("running at TTI {tti} of {ttis}"),
+        (true, _) => display::out(&format!("paused before TTI {tti} of {ttis}\n"))?,
+        (false, true) => display::out(&format!("running at TTI {tti} of {ttis}, to stop before TTI {until}\n"))?,
+        (false, false) => display::out(&format!("running at TTI {tti} of {ttis}\n"))?,
     }
     bus.close().await;
     Ok(ExitCode::SUCCESS)

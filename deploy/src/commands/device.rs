@@ -14,9 +14,16 @@ pub async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
         launch::die_with(parent)?;
     }
     let stop = stopped()?;
+    // Children of `up` leave the talking to it.
+    let is_alone = args.parent.is_none();
+    let say = |host, first, last| {
+        if is_alone {
+            eprintln!("joined run {} as host {host} with devices {first} to {last}", args.run);
+        }
+    };
     let work = async {
         let bus = Bus::connect(&args.connect, args.run.clone(), args.patience).await?;
-        let carried = host::carry(&bus, args.count, nonce(), args.patience).await;
+        let carried = host::carry(&bus, args.count, nonce(), args.patience, say).await;
         bus.close().await;
         carried
     };

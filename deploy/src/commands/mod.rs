@@ -45,10 +45,12 @@ pub fn window(args: &OutputArgs, scenario: &Scenario) -> u64 {
 /// Prints the summary as asked, and gives the exit code.
 pub fn conclude(args: &OutputArgs, summary: &Summary<'_>, folder: &std::path::Path) -> anyhow::Result<ExitCode> {
     if args.json {
-        print!("{}", summary.to_json()?);
-    } else if !args.quiet {
-        print!("{}", display::table(summary));
-        println!("results in {}", folder.display());
+        display::out(&summary.to_json()?)?;
+    } else if args.quiet {
+        display::out(&format!("digest {}\n", summary.digest))?;
+    } else {
+        display::out(&display::table(summary))?;
+        display::out(&format!("results in {}\n", folder.display()))?;
     }
     Ok(if summary.status == "complete" {
         ExitCode::SUCCESS

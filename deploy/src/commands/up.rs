@@ -17,6 +17,8 @@ use crate::cli::UpArgs;
 use crate::launch::Children;
 use crate::results::{RunFolder, Timing};
 
+/// Device processes, where the command line says nothing.
+const PROCESSES: u32 = 4;
 /// How long all device processes may take to join.
 const JOIN: Duration = Duration::from_mins(1);
 
@@ -24,11 +26,11 @@ const JOIN: Duration = Duration::from_mins(1);
 pub async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
     let started = crate::now();
     let scenario = resolve(&args.scenario)?;
+    let devices = scenario.devices;
+    let processes = args.processes.unwrap_or(PROCESSES.min(devices));
     anyhow::ensure!(
-        args.processes <= scenario.devices,
-        "--processes {0}: there are only {1} devices; 0 to {1} is allowed",
-        args.processes,
-        scenario.devices
+        processes <= devices,
+        "--processes {processes}: there are only {devices} devices; 0 to {devices} is allowed"
     );
     // Before there is a folder: one that is to be replaced stays as it is, if this is where it ends.
     let endpoint = bus::free_to_listen(&args.listen)?;
@@ -44,7 +46,7 @@ pub async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
                 progress: Arc::default(),
                 started,
             };
-            attend(args.processes, &station, folder, log).await
+            attend(processes, &station, folder, log).await
         }
         Err(error) => {
             folder.fail(&error);
@@ -67,8 +69,8 @@ async fn attend(processes: u32, station: &Station<'_>, folder: RunFolder, log: &
     let devices = station.scenario.devices;
     if processes == 0 {
         let own = station.bus.clone();
-        let carried = tokio::spawn(async move { host::carry(&own, devices, 0, JOIN).await });
-        let code = serve(station, folder, |_| Ok(())).await;
+        let carried = tokio::spawn(async move { host::carry(&own, devices, 0, JOIN, |_, _, _| {}).await });
+        let code = serve(station, folder, |_| {}).await;
         carried.await.context("the devices' task")??;
         return code;
     }
@@ -83,11 +85,7 @@ async fn attend(processes: u32, station: &Station<'_>, folder: RunFolder, log: &
     let pids = children.pids();
     let children = Arc::new(std::sync::Mutex::new(Some(children)));
     let guard = tokio::spawn(watch(Arc::clone(&children), Arc::clone(&station.progress)));
-    let code = serve(station, folder, |timing| {
-        measure(&pids, timing);
-        Ok(())
-    })
-    .await;
+    let code = serve(station, folder, |timing| measure(&pids, timing)).await;
     guard.abort();
     let mut failed = guard.await.ok().flatten();
     if let Some(mut children) = children.lock().ok().and_then(|mut slot| slot.take()) {
@@ -99,7 +97,7 @@ async fn attend(processes: u32, station: &Station<'_>, folder: RunFolder, log: &
     }
     match (code, failed) {
         // A process that ended by itself is no interruption, even if that is how the base station was told.
-        (Err(error), Some(why)) => Err(anyhow::anyhow!("{why}: {error:#}")),
+        (Err(error), Some(why)) if !error.to_string().starts_with(&why) => Err(anyhow::anyhow!("{why}: {error:#}")),
         (code, _) => code,
     }
 }
@@ -112,6 +110,10 @@ async fn watch(children: Arc<std::sync::Mutex<Option<Children>>>, progress: Arc<
             .ok()
             .and_then(|mut slot| slot.as_mut().and_then(Children::failed));
         if failed.is_some() {
+            if let Some(why) = &failed {
+                // The first cause is the one that counts.
+                let _told_before = progress.cause.set(why.clone()).is_err();
+            }
             progress.stop.store(true, Ordering::Relaxed);
             return failed;
         }
