@@ -130,11 +130,6 @@ impl Cycle {
         &self.events
     }
 
-    /// Sums over the control channel since the end of the warm-up.
-    pub const fn control_totals(&self) -> &ControlTotals {
-        &self.control
-    }
-
     /// The events that ended since the last call; empty unless records are kept.
     pub fn take_records(&mut self) -> Vec<EventRecord> {
         self.records.as_mut().map(std::mem::take).unwrap_or_default()

@@ -59,11 +59,6 @@ impl EventProcess {
         process
     }
 
-    /// The event under way.
-    pub const fn active(&self) -> Option<&ActiveEvent> {
-        self.active.as_ref()
-    }
-
     /// The TTI in which the next event starts. While one is active it is not yet known: [`Tti::NEVER`].
     pub const fn next_start(&self) -> Tti {
         if self.active.is_some() {

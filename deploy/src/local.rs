@@ -1,6 +1,7 @@
 //! The runs on this machine, so that `inspect` and `clock` find them without an address.
 
 use std::fs;
+use std::os::unix::fs::DirBuilderExt;
 use std::path::PathBuf;
 
 use anyhow::{Context, bail};
@@ -32,7 +33,10 @@ impl Drop for Registered {
 /// If the note cannot be written.
 pub fn register(run: &RunName, endpoint: &str) -> anyhow::Result<Registered> {
     let folder = folder();
-    fs::create_dir_all(&folder).with_context(|| format!("cannot create {}", folder.display()))?;
+    let mut builder = fs::DirBuilder::new();
+    // What is in it is believed: nobody else may write there.
+    let made = builder.recursive(true).mode(0o700).create(&folder);
+    made.with_context(|| format!("cannot create {}", folder.display()))?;
     let pid = i32::try_from(std::process::id()).context("process ids are 31 bits")?;
     let path = folder.join(format!("{run}-{pid}.json"));
     let entry = Entry {

@@ -1,6 +1,6 @@
 //! What the tests of the whole product share.
 //!
-//! [`reference`] is a second implementation of the model, written from its description and not from the emulator's code;
+//! [`mod@reference`] is a second implementation of the model, written from its description and not from the emulator's code;
 //! [`scenarios`] makes random scenarios for property tests; [`compare`] sets the emulator beside the reference; [`process`]
 //! starts the real program and watches it.
 

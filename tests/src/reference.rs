@@ -1,5 +1,6 @@
 //! A second implementation of the model, as plain as it can be: every device goes through every TTI, one step after the
-//! other. It shares the scenario, the positions and the random streams with the emulator, and nothing that computes.
+//! other. It shares the scenario, the positions, the classes and the random streams with the emulator, and of the rest only
+//! what the next paragraph names.
 //!
 //! Of the `knn` policy it takes the clusters and `I_min` from the emulator and does the rest itself. Where its own
 //! integration rule for `P_4,2` cannot tell two candidates apart, it stops and says in which TTI ([`Run::ambiguous`]).

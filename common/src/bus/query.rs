@@ -30,7 +30,7 @@ impl Bus {
                 Ok(request) => query.reply(key, codec::encode(&answer(request))).wait(),
                 Err(error) => {
                     bus.count_malformed(key, &error);
-                    query.reply_err(error.to_string()).wait()
+                    query.reply_err(codec::encode(&error.to_string())).wait()
                 }
             };
             if let Err(error) = reply {
@@ -68,9 +68,9 @@ impl Bus {
             match reply.into_result() {
                 Ok(sample) => return Ok(Some(codec::decode(&sample.payload().to_bytes())?)),
                 Err(error) => {
-                    let text = String::from_utf8_lossy(&error.payload().to_bytes()).into_owned();
-                    if text != "Timeout" {
-                        return Err(BusError::Zenoh(text));
+                    // An answer of ours is encoded; anything else is zenoh saying that none came in time.
+                    if let Ok(text) = codec::decode::<String>(&error.payload().to_bytes()) {
+                        return Err(BusError::Refused(text));
                     }
                 }
             }

@@ -51,11 +51,6 @@ impl Scenario {
     pub fn warm_up_end(&self) -> Tti {
         Tti((self.ttis as f64 * self.warm_up).floor() as u64)
     }
-
-    /// The number of TTIs that count in the metrics.
-    pub fn measured_ttis(&self) -> u64 {
-        self.ttis - self.warm_up_end().0
-    }
 }
 
 /// The event process (paper Sec. II).

@@ -4,7 +4,6 @@ use std::fmt;
 use std::io::Write;
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use reveille_common::bus::Bus;
@@ -47,29 +46,42 @@ async fn tail(args: &TailArgs) -> anyhow::Result<ExitCode> {
     let _tap = bus.subscribe(bus.keys().tap(), move |_, batch: TapBatch| {
         let _gone = send.send(batch).is_err();
     })?;
-    let left_out = AtomicU64::new(0);
-    let mut expected = None;
-    let mut printed = 0;
+    let mut follower = Follower::default();
     loop {
         tokio::select! {
-            batch = batches.recv() => {
-                let Some(TapBatch { first, frames }) = batch else { break };
-                left_out.fetch_add(first.saturating_sub(expected.unwrap_or(first)), Ordering::Relaxed);
-                expected = Some(first + frames.len() as u64);
-                if !print(args, &frames, &mut printed) {
-                    break;
-                }
+            batch = batches.recv() => if !batch.is_some_and(|batch| follower.take(args, &batch)) {
+                break;
+            },
+            () = ended.notified() => {
+                // What has arrived is still shown.
+                while batches.try_recv().is_ok_and(|batch| follower.take(args, &batch)) {}
+                break;
             }
-            () = ended.notified() => break,
             _ = tokio::signal::ctrl_c() => break,
         }
     }
-    eprintln!(
-        "{printed} messages shown, {} left out because this could not keep up",
-        left_out.into_inner()
-    );
+    let Follower { printed, left_out, .. } = follower;
+    eprintln!("{printed} messages shown, {left_out} left out because this could not keep up");
     bus.close().await;
     Ok(ExitCode::SUCCESS)
+}
+
+/// How far the run has been followed.
+#[derive(Default)]
+struct Follower {
+    /// The number of the next frame, once one has come.
+    expected: Option<u64>,
+    printed: u64,
+    left_out: u64,
+}
+
+impl Follower {
+    /// Prints what `args` asks for and counts what is missing before it. False when enough is printed, or nobody reads.
+    fn take(&mut self, args: &TailArgs, batch: &TapBatch) -> bool {
+        self.left_out += batch.first.saturating_sub(self.expected.unwrap_or(batch.first));
+        self.expected = Some(batch.first.saturating_add(batch.frames.len() as u64));
+        print(args, &batch.frames, &mut self.printed)
+    }
 }
 
 /// Prints the frames that `args` asks for. False when enough are printed, or nobody reads.
