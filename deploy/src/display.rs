@@ -65,12 +65,15 @@ pub struct Bar {
 impl Bar {
     /// Shows `progress` of a run of `scenario`, unless `hidden` or standard error is no terminal.
     pub fn start(progress: &Arc<Progress>, scenario: &Scenario, hidden: bool) -> Self {
-        let bar = ProgressBar::with_draw_target(Some(scenario.ttis), ProgressDrawTarget::stderr());
-        if hidden {
-            bar.set_draw_target(ProgressDrawTarget::hidden());
-        }
-        let bar = BARS.add(bar);
-        let template = "{bar:30} TTI {pos}/{len}  {per_sec:>14}  {msg}  {eta}";
+        let bar = if hidden {
+            ProgressBar::hidden()
+        } else {
+            BARS.add(ProgressBar::with_draw_target(
+                Some(scenario.ttis),
+                ProgressDrawTarget::stderr(),
+            ))
+        };
+        let template = "{bar:30} TTI {pos}/{len}  {msg}  {eta} left";
         let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
         bar.set_style(style.progress_chars("━╸ "));
         let done = Arc::new(std::sync::atomic::AtomicBool::new(false));
@@ -120,8 +123,17 @@ fn update(bar: &ProgressBar, progress: &Progress, devices: u32, was_running: boo
         100.0 * missed as f64 / events as f64
     };
     let battery = get(&progress.mean_battery) as f64 / MICRO_PER_UNIT as f64;
-    bar.set_message(format!("events {events}  missed {share:.1} %  battery {battery:.1}"));
+    // The first window has still to end.
+    let battery = if battery > 0.0 {
+        format!("{battery:.1}")
+    } else {
+        "–".to_owned()
+    };
     bar.set_position(tti);
+    let rate = bar.per_sec();
+    bar.set_message(format!(
+        "{rate:.0} TTI/s  events {events}  missed {share:.1} %  battery {battery}"
+    ));
     true
 }
 
