@@ -58,6 +58,8 @@ pub struct Progress {
     pub misdetected: AtomicU64,
     /// Mean battery over the last window, micro-units.
     pub mean_battery: AtomicU64,
+    /// Whether the clock is paused.
+    pub paused: AtomicBool,
     /// Set from outside, before `stop`: why the run cannot go on.
     pub cause: OnceLock<String>,
     /// Set from outside: end the run at the next TTI.

@@ -27,14 +27,14 @@ impl VirtualClock {
         Self { until: Tti::NEVER, end }
     }
 
-    /// Obeys `command` while the next TTI to be granted is `next`.
+    /// Obeys `command` while the next TTI to be granted is `next`. A TTI that is past, or after the end, is not run to.
     pub fn obey(&mut self, command: ClockCommand, next: Tti) {
         self.until = match command {
             ClockCommand::Pause => next,
             ClockCommand::Step(n) => next.saturating_add(n),
-            ClockCommand::RunTo(k) => k,
+            ClockCommand::RunTo(k) if k >= next && k <= self.end => k,
+            ClockCommand::RunTo(_) | ClockCommand::Status => self.until,
             ClockCommand::Resume => Tti::NEVER,
-            ClockCommand::Status => self.until,
         };
     }
 
@@ -44,12 +44,13 @@ impl VirtualClock {
     }
 
     /// What the clock says of itself.
-    pub fn status(&self, next: Tti) -> ClockStatus {
+    pub fn status(&self, next: Tti, begun: bool) -> ClockStatus {
         ClockStatus {
             tti: next,
             ttis: self.end.0,
             paused: next >= self.until,
             until: self.until.min(self.end),
+            begun,
         }
     }
 }
@@ -81,18 +82,26 @@ mod tests {
     #[test]
     fn commands_move_the_stop() {
         let mut clock = VirtualClock::new(Tti(100));
-        assert!(!clock.status(Tti(7)).paused);
+        assert!(!clock.status(Tti(7), true).paused);
         clock.obey(ClockCommand::Pause, Tti(7));
-        assert!(clock.status(Tti(7)).paused);
+        assert!(clock.status(Tti(7), true).paused);
         clock.obey(ClockCommand::Step(3), Tti(7));
         assert_eq!(
-            (clock.until(), clock.status(Tti(7)).paused, clock.status(Tti(10)).paused),
+            (
+                clock.until(),
+                clock.status(Tti(7), true).paused,
+                clock.status(Tti(10), true).paused
+            ),
             (Tti(10), false, true)
         );
         clock.obey(ClockCommand::RunTo(Tti(50)), Tti(10));
         clock.obey(ClockCommand::Status, Tti(20));
         assert_eq!(clock.until(), Tti(50));
+        for outside in [Tti(19), Tti(101)] {
+            clock.obey(ClockCommand::RunTo(outside), Tti(20));
+            assert_eq!(clock.until(), Tti(50), "{outside}");
+        }
         clock.obey(ClockCommand::Resume, Tti(50));
-        assert_eq!(clock.status(Tti(50)).until, Tti(100));
+        assert_eq!(clock.status(Tti(50), true).until, Tti(100));
     }
 }

@@ -1,11 +1,18 @@
 //! How likely a device is to have sensed an event that another device reported (Sec. III).
 
 use std::f64::consts::PI;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use reveille_common::sensing::Sensing;
 
 /// Points of the quadrature for η·`d_max` up to [`DECAY`].
 const NODES: f64 = 18.0;
+
+/// η times the step of the grid of bounds, unless that makes too many rows of d.
+const STEP_DECAY: f64 = 0.1;
+const MOST_ROWS: f64 = 100.0;
+/// What [`Correlation::p42`] may be wrong by.
+const QUADRATURE_ERROR: f64 = 1e-6;
 
 /// Beyond this η·`d_max` the peak of the integrand is so narrow that more points are needed.
 const DECAY: f64 = 8.0;
@@ -19,14 +26,32 @@ pub struct Correlation {
     /// and the cube gathers nodes there. The plain rule needs three times as many for the same error.
     nodes: Vec<(f64, f64)>,
     threshold: f64,
+    bounds: Arc<Bounds>,
 }
+
+/// Upper bounds of `P_4,2` on a grid of distances.
+#[derive(Debug)]
+struct Bounds {
+    /// Grid points per metre.
+    scale: f64,
+    /// Grid points along γ, from 0 to twice the sensing range.
+    columns: usize,
+    /// The bound for all pairs (d, γ) that are nearest to a grid point, row by row of d.
+    values: Vec<f64>,
+}
+
+/// The grids of the sensing models used last, by η and d_max: runs of a sweep share theirs.
+static GRIDS: Mutex<Vec<(u64, u64, Arc<Bounds>)>> = Mutex::new(Vec::new());
+
+/// Grids that are kept.
+const GRIDS_KEPT: usize = 32;
 
 impl Correlation {
     /// The correlation of devices that sense as `sensing` says.
     pub fn new(sensing: &Sensing) -> Self {
         let narrower = (sensing.eta * sensing.d_max / DECAY).max(1.0);
         let count = (NODES * narrower.sqrt()).ceil().min(1024.0) as usize;
-        Self {
+        let mut correlation = Self {
             sensing: sensing.clone(),
             nodes: gauss_legendre(count)
                 .map(|(t, weight)| {
@@ -36,6 +61,50 @@ impl Correlation {
                 })
                 .collect(),
             threshold: sensing.p(sensing.d_max),
+            bounds: Arc::new(Bounds {
+                scale: 0.0,
+                columns: 1,
+                values: vec![1.0],
+            }),
+        };
+        correlation.bounds = correlation.grid();
+        correlation
+    }
+
+    /// The grid of bounds of this sensing model, made unless it is known.
+    fn grid(&self) -> Arc<Bounds> {
+        let key = (self.sensing.eta.to_bits(), self.sensing.d_max.to_bits());
+        let known = |grids: &[(u64, u64, Arc<Bounds>)]| {
+            let found = grids.iter().find(|(eta, d_max, _)| (*eta, *d_max) == key);
+            found.map(|(_, _, bounds)| Arc::clone(bounds))
+        };
+        if let Some(bounds) = known(&GRIDS.lock().unwrap_or_else(PoisonError::into_inner)) {
+            return bounds;
+        }
+        let made = Arc::new(self.make_grid());
+        let mut grids = GRIDS.lock().unwrap_or_else(PoisonError::into_inner);
+        if grids.len() >= GRIDS_KEPT {
+            grids.remove(0);
+        }
+        grids.push((key.0, key.1, Arc::clone(&made)));
+        made
+    }
+
+    /// A step of h in d or in γ moves the event by at most h against the device, and so changes ln p by at most ηh. A pair
+    /// is at most half a step from its grid point in each of the two, which makes ηh in all.
+    fn make_grid(&self) -> Bounds {
+        let Sensing { eta, d_max, .. } = self.sensing;
+        let step = (STEP_DECAY / eta).max(d_max / MOST_ROWS);
+        let rows = (d_max / step).round() as usize + 1;
+        let columns = (2.0 * d_max / step).round() as usize + 2;
+        let factor = libm::exp(eta * step) * (1.0 + 1e-9);
+        let value = |i: usize, j: usize| (self.p42(i as f64 * step, j as f64 * step) + QUADRATURE_ERROR) * factor;
+        Bounds {
+            scale: 1.0 / step,
+            columns,
+            values: (0..rows * columns)
+                .map(|at| value(at / columns, at % columns))
+                .collect(),
         }
     }
 
@@ -54,15 +123,27 @@ impl Correlation {
             .sum()
     }
 
-    /// No less than [`Correlation::p42`], and cheap: the event is at least |γ − d| from the device. The margin covers
-    /// the rounding of the mean.
+    /// No less than [`Correlation::p42`] for `d` up to `d_max`, and cheap.
+    #[inline]
     pub(crate) fn bound(&self, d: f64, gamma: f64) -> f64 {
-        self.sensing.p((d - gamma).abs()) * (1.0 + 1e-12)
+        let Bounds { scale, columns, values } = &*self.bounds;
+        let at = (d * scale + 0.5) as usize * columns + (gamma * scale + 0.5) as usize;
+        if gamma * scale < (columns - 1) as f64 && at < values.len() {
+            values[at]
+        } else {
+            1.0
+        }
     }
 
     /// The least probability for which a device is woken, p(`d_max`) (Algorithm 1, line 8).
     pub fn threshold(&self) -> f64 {
         self.threshold
+    }
+
+    /// How far from a reporter candidates can be, if it is `d` metres from the event: p(γ − d) ≥ p(d_max), up to rounding,
+    /// which the comparison with the threshold decides.
+    pub(crate) fn reach(&self, d: f64) -> f64 {
+        (d + self.sensing.d_max) * (1.0 + 1e-9)
     }
 
     /// The sensing range `d_max`, metres.

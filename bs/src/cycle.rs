@@ -292,18 +292,21 @@ impl Cycle {
             if current.genies_choice.is_some() && k == start {
                 return Some(k);
             }
-            let plan = &self.plan;
-            let reaction = current
-                .audience
-                .iter()
-                .map(|&j| plan.duty_cycle(j).next_on(k))
-                .min()
-                .unwrap_or(Tti::NEVER);
+            let mut reaction = Tti::NEVER;
+            for &j in &current.audience {
+                let next_on = self.plan.duty_cycle(j).next_on(k);
+                if next_on < reaction {
+                    self.detectors.clear();
+                    reaction = next_on;
+                }
+                if next_on == reaction {
+                    self.detectors.push(j);
+                }
+            }
             if reaction <= last && reaction < horizon {
-                self.detectors
-                    .extend(current.audience.iter().filter(|&&j| plan.duty_cycle(j).is_on(reaction)));
                 return Some(reaction);
             }
+            self.detectors.clear();
             if last >= horizon || reaction <= last {
                 return None;
             }

@@ -18,8 +18,8 @@ pub fn i_min(points: &[Point], area: Area, sensing: &Sensing) -> f64 {
 /// The wake-up candidates of one event after another, each event's by falling `P_4,2` = max over its reporters h of
 /// Pr(`S_j` = S3 | `S_h` = S3), ties by device number.
 ///
-/// An event begins with [`Ranking::start`]; every report goes to [`Ranking::add_reporter`]; the iterator gives the
-/// candidate to wake next. Reports may be added between two candidates.
+/// An event begins with [`Ranking::start`]; every report goes to one of the `add_reporter` methods; [`Ranking::next`]
+/// gives the candidate to wake next. Reports may be added between two candidates.
 ///
 /// Most integrals are never computed: a pair of reporter and candidate enters the queue with a cheap upper bound, and
 /// is evaluated only when no other candidate is known to be better than that bound.
@@ -27,7 +27,10 @@ pub fn i_min(points: &[Point], area: Area, sensing: &Sensing) -> f64 {
 pub struct Ranking {
     correlation: Correlation,
     buckets: Buckets,
+    positions: Vec<Point>,
     queue: BinaryHeap<Entry>,
+    /// Where this event's reporters are, and how far from it.
+    reporters: Vec<(Point, f64)>,
     /// The number of the last event for which each device was given out.
     given_out: Vec<u64>,
     event: u64,
@@ -38,8 +41,10 @@ impl Ranking {
     pub fn new(points: &[Point], area: Area, correlation: Correlation) -> Self {
         Self {
             buckets: Buckets::new(points, area, correlation.range()),
+            positions: points.to_vec(),
             correlation,
             queue: BinaryHeap::new(),
+            reporters: Vec::new(),
             given_out: vec![0; points.len()],
             event: 0,
         }
@@ -48,86 +53,108 @@ impl Ranking {
     /// Begins an event: forgets all reporters and candidates.
     pub fn start(&mut self) {
         self.queue.clear();
+        self.reporters.clear();
         self.event += 1;
     }
 
-    /// Takes in the report of a device at `position` that is `d` metres, 0 ..= `d_max`, from the event. Its candidates
-    /// are the devices in reach for which `candidate` holds (those in S4 that the policy may wake), which is asked now
-    /// and once for each reporter; a device that was already given out for this event is not given out again.
-    pub fn add_reporter(&mut self, position: Point, d: f64, candidate: impl Fn(DeviceId) -> bool) {
-        let (queue, correlation) = (&mut self.queue, &self.correlation);
-        let (given_out, event) = (&self.given_out, self.event);
-        // p(γ − d) ≥ p(d_max) up to rounding, which the comparison of the bound decides.
-        let reach = (d + correlation.range()) * (1.0 + 1e-9);
-        self.buckets.within(position, reach, |index, gamma| {
-            let device = DeviceId(index as u32);
-            if given_out[index] == event || !candidate(device) {
-                return;
-            }
-            let bound = correlation.bound(d, gamma);
-            if bound >= correlation.threshold() {
-                let bound = comparable(bound) + STEP;
-                let pair = Some((d, gamma));
-                queue.push(Entry {
-                    value: bound,
-                    device,
-                    pair,
-                });
+    /// Takes in the report of a device at `position` that is `d` metres, 0 ..= `d_max`, from the event, with `candidates`.
+    /// A device that was already given out for this event is not given out again.
+    pub fn add_reporter(&mut self, position: Point, d: f64, candidates: impl IntoIterator<Item = DeviceId>) {
+        let reporter = self.add(position, d);
+        let (correlation, given_out, positions) = (&self.correlation, &self.given_out, &self.positions);
+        let (event, reach) = (self.event, correlation.reach(d));
+        self.queue.extend(candidates.into_iter().filter_map(|device| {
+            let gamma = position.distance(positions[device.index()]);
+            (gamma <= reach && given_out[device.index()] != event)
+                .then(|| Entry::bound(correlation, device, reporter, d, gamma))
+                .flatten()
+        }));
+    }
+
+    /// The same with all devices in reach as candidates.
+    pub fn add_reporter_to_all(&mut self, position: Point, d: f64) {
+        let reporter = self.add(position, d);
+        let (correlation, given_out, queue) = (&self.correlation, &self.given_out, &mut self.queue);
+        let event = self.event;
+        self.buckets.within(position, correlation.reach(d), |index, gamma| {
+            if given_out[index] != event {
+                queue.extend(Entry::bound(correlation, DeviceId(index as u32), reporter, d, gamma));
             }
         });
     }
-}
 
-impl Iterator for Ranking {
-    type Item = DeviceId;
-
-    /// Gives out the candidate with the largest `P_4,2`, if any has at least p(`d_max`).
-    fn next(&mut self) -> Option<DeviceId> {
-        while let Some(Entry { device, pair, .. }) = self.queue.pop() {
-            if self.given_out[device.index()] == self.event {
+    /// Gives out the candidate with the largest `P_4,2` for which `is_candidate` holds (one in S4 that the policy may
+    /// wake), if any has at least p(`d_max`).
+    pub fn next(&mut self, is_candidate: impl Fn(DeviceId) -> bool) -> Option<DeviceId> {
+        while let Some(Entry { device, reporter, .. }) = self.queue.pop() {
+            if self.given_out[device.index()] == self.event || !is_candidate(device) {
                 continue;
             }
-            let Some((d, gamma)) = pair else {
+            if reporter == EXACT {
                 self.given_out[device.index()] = self.event;
                 return Some(device);
-            };
-            let value = self.correlation.p42(d, gamma);
+            }
+            let (position, d) = self.reporters[reporter as usize];
+            let value = self
+                .correlation
+                .p42(d, position.distance(self.positions[device.index()]));
             if value >= self.correlation.threshold() {
-                let value = comparable(value);
-                let pair = None;
-                self.queue.push(Entry { value, device, pair });
+                self.queue.push(Entry {
+                    nano: nano(value),
+                    device,
+                    reporter: EXACT,
+                });
             }
         }
         None
     }
+
+    fn add(&mut self, position: Point, d: f64) -> u32 {
+        self.reporters.push((position, d));
+        self.reporters.len() as u32 - 1
+    }
 }
 
-/// Probabilities closer than this are equal: on a grid, devices that stand alike differ only in the last bit of their
-/// distances, and the lower number is to come first.
-const STEP: f64 = 1e-9;
-
-/// `p` to the nearest step.
-fn comparable(p: f64) -> f64 {
-    (p / STEP).round() * STEP
+/// `p` to the nearest 10⁻⁹. Probabilities that are closer are equal: on a grid, devices that stand alike differ only in
+/// the last bit of their distances, and the lower number is to come first.
+fn nano(p: f64) -> u32 {
+    (p * 1e9 + 0.5) as u32
 }
+
+/// In place of a reporter: the entry holds the probability itself.
+const EXACT: u32 = u32::MAX;
 
 /// A candidate's probability under one reporter, or an upper bound on it.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Entry {
-    value: f64,
+    /// In 10⁻⁹.
+    nano: u32,
     device: DeviceId,
-    /// For a bound, the distances d and γ of the probability itself.
-    pair: Option<(f64, f64)>,
+    /// The reporter of a bound, or [`EXACT`].
+    reporter: u32,
+}
+
+impl Entry {
+    /// The bound for a candidate `gamma` metres from a reporter, unless it falls short of p(`d_max`).
+    fn bound(correlation: &Correlation, device: DeviceId, reporter: u32, d: f64, gamma: f64) -> Option<Self> {
+        let bound = correlation.bound(d, gamma);
+        (bound >= correlation.threshold()).then(|| Self {
+            nano: nano(bound) + 1,
+            device,
+            reporter,
+        })
+    }
 }
 
 impl Ord for Entry {
     /// The largest value comes first. At equal values bounds come before probabilities, as they may hide a device with
     /// a lower number; then lower numbers come first.
     fn cmp(&self, other: &Self) -> Ordering {
-        self.value
-            .total_cmp(&other.value)
-            .then_with(|| self.pair.is_some().cmp(&other.pair.is_some()))
+        self.nano
+            .cmp(&other.nano)
+            .then_with(|| (self.reporter != EXACT).cmp(&(other.reporter != EXACT)))
             .then_with(|| other.device.cmp(&self.device))
+            .then_with(|| other.reporter.cmp(&self.reporter))
     }
 }
 
@@ -136,14 +163,6 @@ impl PartialOrd for Entry {
         Some(self.cmp(other))
     }
 }
-
-impl PartialEq for Entry {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other) == Ordering::Equal
-    }
-}
-
-impl Eq for Entry {}
 
 #[cfg(test)]
 mod tests {
@@ -166,6 +185,10 @@ mod tests {
             psi: 1.0,
             g: Fusion::Max,
         }
+    }
+
+    fn all(ranking: &mut Ranking) -> Vec<u32> {
+        std::iter::from_fn(|| ranking.next(|_| true)).map(|j| j.0).collect()
     }
 
     fn ranking(points: &[Point]) -> Ranking {
@@ -205,15 +228,19 @@ mod tests {
                     let position = points[stream.below(points.len() as u64) as usize];
                     let d = [0.0, 1.0, 4.0, 4.0 * stream.unit()][stream.below(4) as usize];
                     reporters.push((position, d));
-                    ranking.add_reporter(position, d, may);
+                    if case % 2 == 0 {
+                        ranking.add_reporter_to_all(position, d);
+                    } else {
+                        ranking.add_reporter(position, d, (0..points.len() as u32).map(DeviceId));
+                    }
                     for _ in 0..stream.below(3) {
                         let expected = sorted(&points, &reporters, |j| may(j) && !given.contains(&j));
-                        let next = ranking.next();
+                        let next = ranking.next(may);
                         assert_eq!(next, expected.first().copied(), "case {case}, {layout:?}");
                         given.extend(next);
                     }
                 }
-                let rest: Vec<_> = ranking.by_ref().collect();
+                let rest: Vec<_> = std::iter::from_fn(|| ranking.next(may)).collect();
                 assert_eq!(rest, sorted(&points, &reporters, |j| may(j) && !given.contains(&j)));
             }
         }
@@ -232,10 +259,10 @@ mod tests {
         ];
         let mut ranking = ranking(&points);
         ranking.start();
-        ranking.add_reporter(at(0.0, 0.0), 0.0, |_| true);
-        assert_eq!(ranking.by_ref().map(|j| j.0).collect::<Vec<_>>(), [2, 3, 5, 0, 1]);
+        ranking.add_reporter_to_all(at(0.0, 0.0), 0.0);
+        assert_eq!(all(&mut ranking), [2, 3, 5, 0, 1]);
         ranking.start();
-        assert_eq!(ranking.next(), None);
+        assert_eq!(ranking.next(|_| true), None);
     }
 
     #[test]
@@ -252,8 +279,8 @@ mod tests {
         );
         let mut ranking = ranking(&points);
         ranking.start();
-        ranking.add_reporter(middle, 1.0, |_| true);
-        assert_eq!(ranking.map(|j| j.0).collect::<Vec<_>>(), [0, 1, 2, 3]);
+        ranking.add_reporter_to_all(middle, 1.0);
+        assert_eq!(all(&mut ranking), [0, 1, 2, 3]);
     }
 
     #[test]

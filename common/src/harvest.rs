@@ -8,7 +8,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use crate::ids::{DeviceId, Tti};
-use crate::rng::{Geometric, Purpose, Stream};
+use crate::rng::{GapTable, Geometric, Purpose, Stream};
 use crate::scenario::{Harvest, TraceEnd};
 use crate::units::Energy;
 
@@ -82,6 +82,38 @@ pub fn eq5_probability(lambda: f64, tau: f64) -> f64 {
     lambda * tau * libm::exp(-lambda * tau)
 }
 
+/// What the sources of a run share: recorded energy, and the tables that gaps are drawn from.
+#[derive(Clone, Debug, Default)]
+pub struct Sources {
+    traces: Vec<Arc<Vec<Energy>>>,
+    /// By the bits of the probability of an arrival.
+    tables: Vec<(u64, Arc<GapTable>)>,
+}
+
+impl Sources {
+    /// What sources of the kinds `setups` need. `traces` are the run's traces, energy per TTI by row.
+    pub fn new<'a>(setups: impl IntoIterator<Item = &'a HarvestSetup>, traces: Vec<Arc<Vec<Energy>>>) -> Self {
+        let mut tables: Vec<(u64, Arc<GapTable>)> = Vec::new();
+        for setup in setups {
+            if let HarvestSetup::Arrivals { p, .. } = *setup
+                && tables.iter().all(|&(known, _)| known != p.to_bits())
+            {
+                tables.push((p.to_bits(), Arc::new(GapTable::new(Geometric::new(p)))));
+            }
+        }
+        Self { traces, tables }
+    }
+
+    /// The gaps between arrivals of probability `p`, from a table shared with other devices if there is one.
+    fn gaps(&self, p: f64) -> Arc<GapTable> {
+        let known = self.tables.iter().find(|(bits, _)| *bits == p.to_bits());
+        known.map_or_else(
+            || Arc::new(GapTable::new(Geometric::new(p))),
+            |(_, table)| Arc::clone(table),
+        )
+    }
+}
+
 /// The arrivals of one device's source.
 #[derive(Clone, Debug)]
 pub struct HarvestSource {
@@ -92,7 +124,7 @@ pub struct HarvestSource {
 #[derive(Clone, Debug)]
 enum Kind {
     Arrivals {
-        law: Geometric,
+        gaps: Arc<GapTable>,
         stream: Stream,
         e_b: Energy,
     },
@@ -111,19 +143,23 @@ enum Kind {
 }
 
 impl HarvestSource {
-    /// The source of `device`. `traces` are the run's traces, energy per TTI by row.
+    /// The source of `device`.
     ///
     /// # Panics
-    /// If `setup` names a trace that is not among `traces`.
-    pub fn new(setup: &HarvestSetup, traces: &[Arc<Vec<Energy>>], seed: u64, device: DeviceId) -> Self {
+    /// If `setup` names a trace that is not among those of `shared`.
+    pub fn new(setup: &HarvestSetup, shared: &Sources, seed: u64, device: DeviceId) -> Self {
         let mut stream = Stream::new(seed, Purpose::Harvest, u64::from(device.0));
         match *setup {
             HarvestSetup::Arrivals { p, e_b } => {
-                let law = Geometric::new(if e_b == Energy::ZERO { 0.0 } else { p });
-                let next = Tti(law.draw(&mut stream)).saturating_sub_one();
+                let gaps = shared.gaps(p);
+                let next = if e_b == Energy::ZERO {
+                    Tti::NEVER
+                } else {
+                    Tti(gaps.draw(&mut stream)).saturating_sub_one()
+                };
                 Self {
                     next,
-                    kind: Kind::Arrivals { law, stream, e_b },
+                    kind: Kind::Arrivals { gaps, stream, e_b },
                 }
             }
             HarvestSetup::OnOff {
@@ -156,7 +192,7 @@ impl HarvestSource {
                 ttis_per_row,
                 end,
             } => {
-                let rows = Arc::clone(&traces[trace as usize]);
+                let rows = Arc::clone(&shared.traces[trace as usize]);
                 let next = next_in_trace(&rows, ttis_per_row, end, Tti::ZERO);
                 Self {
                     next,
@@ -176,11 +212,12 @@ impl HarvestSource {
     }
 
     /// Takes the next arrival. Only where there is one.
+    #[inline]
     pub fn take(&mut self) -> Energy {
         let now = self.next;
         match &mut self.kind {
-            Kind::Arrivals { law, stream, e_b } => {
-                self.next = now.saturating_add(law.draw(stream));
+            Kind::Arrivals { gaps, stream, e_b } => {
+                self.next = now.saturating_add(gaps.draw(stream));
                 *e_b
             }
             Kind::OnOff {
@@ -242,7 +279,12 @@ mod tests {
     const E_B: Energy = Energy::from_micro(5_000_000);
 
     fn source(harvest: &Harvest, device: u32) -> HarvestSource {
-        HarvestSource::new(&HarvestSetup::new(harvest, 1.0, 0), &[], 11, DeviceId(device))
+        HarvestSource::new(
+            &HarvestSetup::new(harvest, 1.0, 0),
+            &Sources::default(),
+            11,
+            DeviceId(device),
+        )
     }
 
     fn arrivals(source: &mut HarvestSource, ttis: u64) -> u64 {
@@ -331,7 +373,7 @@ mod tests {
                     ttis_per_row,
                     end,
                 },
-                &[Arc::clone(&rows)],
+                &Sources::new([], vec![Arc::clone(&rows)]),
                 0,
                 DeviceId(0),
             )
@@ -353,7 +395,7 @@ mod tests {
                 ttis_per_row: 1,
                 end: TraceEnd::Cycle,
             },
-            &[Arc::new(vec![Energy::ZERO; 5])],
+            &Sources::new([], vec![Arc::new(vec![Energy::ZERO; 5])]),
             0,
             DeviceId(0),
         );

@@ -244,6 +244,8 @@ pub struct ClockStatus {
     pub paused: bool,
     /// The TTI before which the clock will stop.
     pub until: Tti,
+    /// Whether all devices have joined.
+    pub begun: bool,
 }
 
 /// Emulation, BS → observers: copies of messages, in the order in which the BS sent or received them.

@@ -90,7 +90,12 @@ impl Geometric {
 
     /// A gap of 1, 2, … TTIs; `u64::MAX` for never.
     pub fn draw(self, stream: &mut Stream) -> u64 {
-        let failures = libm::log1p(-stream.unit()) * self.inverse_log_failure;
+        self.gap(stream.unit())
+    }
+
+    /// The gap that `unit`, uniform on `[0, 1)`, stands for. It never falls as `unit` rises.
+    fn gap(self, unit: f64) -> u64 {
+        let failures = libm::log1p(-unit) * self.inverse_log_failure;
         if failures.is_nan() || failures >= 9e15 {
             never_or_now(self)
         } else {
@@ -102,6 +107,46 @@ impl Geometric {
 /// The gap where the quotient of logarithms has no finite value: p = 0 or a gap beyond any run.
 fn never_or_now(law: Geometric) -> u64 {
     if law.inverse_log_failure == 0.0 { 1 } else { u64::MAX }
+}
+
+/// Bits of a draw that index a [`GapTable`].
+const GUIDE_BITS: u32 = 11;
+
+/// A [`Geometric`] law whose draws take no logarithm, but for a few: a table over the leading bits of the draw holds the
+/// gap wherever those bits alone decide it. Every draw is the same as the law's.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GapTable {
+    law: Geometric,
+    /// The gap for each value of the leading bits, 0 where they do not decide it.
+    gaps: Vec<u16>,
+}
+
+impl GapTable {
+    /// The table of `law`; worth its 2048 logarithms where thousands of gaps are drawn.
+    pub fn new(law: Geometric) -> Self {
+        let cells = 1_u64 << GUIDE_BITS;
+        // The first draw of cell c, c = 0 ..= cells, and the last of the cell before it.
+        let first = |c: u64| to_unit(c << (64 - GUIDE_BITS));
+        let last = |c: u64| to_unit((c << (64 - GUIDE_BITS)).wrapping_sub(1));
+        let decided = |c: u64| {
+            let gap = law.gap(first(c));
+            (gap == law.gap(last(c + 1))).then(|| u16::try_from(gap).ok()).flatten()
+        };
+        Self {
+            law,
+            gaps: (0..cells).map(|c| decided(c).unwrap_or(0)).collect(),
+        }
+    }
+
+    /// A gap of 1, 2, … TTIs; `u64::MAX` for never.
+    #[inline]
+    pub fn draw(&self, stream: &mut Stream) -> u64 {
+        let bits = stream.0.next_u64();
+        match self.gaps[(bits >> (64 - GUIDE_BITS)) as usize] {
+            0 => self.law.gap(to_unit(bits)),
+            gap => u64::from(gap),
+        }
+    }
 }
 
 fn key(seed: u64, purpose: Purpose, id: u64) -> u64 {
@@ -141,6 +186,17 @@ mod tests {
         for _ in 0..1000 {
             assert_eq!(Geometric::new(1.0).draw(&mut stream), 1);
             assert_eq!(Geometric::new(0.0).draw(&mut stream), u64::MAX);
+        }
+    }
+
+    #[test]
+    fn a_table_draws_what_its_law_draws() {
+        for p in [0.0, 1e-12, 1e-4, 0.090_483_741_8, 0.5, 0.97, 1.0] {
+            let (law, table) = (Geometric::new(p), GapTable::new(Geometric::new(p)));
+            let (mut one, mut other) = (Stream::new(8, Purpose::Harvest, 1), Stream::new(8, Purpose::Harvest, 1));
+            for draw in 0..300_000 {
+                assert_eq!(table.draw(&mut one), law.draw(&mut other), "p {p}, draw {draw}");
+            }
         }
     }
 

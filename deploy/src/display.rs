@@ -108,6 +108,11 @@ impl Drop for Bar {
 fn update(bar: &ProgressBar, progress: &Progress, devices: u32, was_running: bool) -> bool {
     let get = |value: &std::sync::atomic::AtomicU64| value.load(Ordering::Relaxed);
     let tti = get(&progress.tti);
+    let paused = progress.paused.load(Ordering::Relaxed);
+    if tti == 0 && paused {
+        bar.set_message("paused; `reveille clock resume` goes on");
+        return false;
+    }
     if tti == 0 {
         bar.set_message(format!("{}/{devices} devices joined", get(&progress.joined)));
         return false;
@@ -130,9 +135,13 @@ fn update(bar: &ProgressBar, progress: &Progress, devices: u32, was_running: boo
         "–".to_owned()
     };
     bar.set_position(tti);
-    let rate = bar.per_sec();
+    let rate = if paused {
+        "paused".to_owned()
+    } else {
+        format!("{:.0} TTI/s", bar.per_sec())
+    };
     bar.set_message(format!(
-        "{rate:.0} TTI/s  events {events}  missed {share:.1} %  battery {battery}"
+        "{rate}  events {events}  missed {share:.1} %  battery {battery}"
     ));
     true
 }

@@ -42,6 +42,13 @@ impl Battery {
         self.level += fits;
     }
 
+    /// Pays `cost`, which the battery is known to hold.
+    #[inline]
+    pub fn spend(&mut self, cost: Energy) {
+        self.level -= cost;
+        self.spent += cost;
+    }
+
     /// Pays `cost` for an action.
     ///
     /// # Errors

@@ -24,8 +24,6 @@ use crate::uplink::Uplink;
 
 /// How long a host that has lost its BS waits for it to come back.
 const BS_GRACE: Duration = Duration::from_secs(5);
-/// How long one try to join or to say ready may take.
-const ASK: Duration = Duration::from_secs(2);
 
 /// Why a host could not do its work.
 #[derive(Debug, thiserror::Error)]
@@ -120,13 +118,14 @@ pub async fn carry(
     on_joined(host, first, last);
     let shared = Arc::new(Shared::new(bus, assignment)?);
     let _declared = shared.declare(bus)?;
-    let ready: Option<bool> = bus.ask(bus.keys().of(Kind::Ready), &Ready { host }, patience).await?;
-    match ready {
-        Some(true) => {}
-        Some(false) => return Err(HostError::Refused("it has given this host's places away".to_owned())),
-        None => return Err(bus.no_run().await.into()),
+    match bus
+        .ask_until(bus.keys().of(Kind::Ready), &Ready { host }, patience)
+        .await?
+    {
+        Some(true) => shared.stay(bus).await,
+        Some(false) => Err(HostError::Refused("it has given this host's places away".to_owned())),
+        None => Err(bus.no_run().await.into()),
     }
-    shared.stay(bus).await
 }
 
 async fn join(bus: &Bus, count: u32, nonce: u64, patience: Duration) -> Result<Assignment, HostError> {
@@ -135,18 +134,14 @@ async fn join(bus: &Bus, count: u32, nonce: u64, patience: Duration) -> Result<A
         count,
         nonce,
     };
-    let deadline = tokio::time::Instant::now() + patience;
-    while tokio::time::Instant::now() < deadline {
-        match bus.ask(bus.keys().of(Kind::Join), &request, ASK).await? {
-            Some(JoinReply::Welcome(assignment)) => {
-                assignment.check().map_err(HostError::Assignment)?;
-                return Ok(assignment);
-            }
-            Some(JoinReply::Refused(why)) => return Err(HostError::Refused(why)),
-            None => tokio::time::sleep(Duration::from_millis(200)).await,
+    match bus.ask_until(bus.keys().of(Kind::Join), &request, patience).await? {
+        Some(JoinReply::Welcome(assignment)) => {
+            assignment.check().map_err(HostError::Assignment)?;
+            Ok(assignment)
         }
+        Some(JoinReply::Refused(why)) => Err(HostError::Refused(why)),
+        None => Err(bus.no_run().await.into()),
     }
-    Err(bus.no_run().await.into())
 }
 
 impl Shared {
@@ -163,7 +158,7 @@ impl Shared {
         let uplink = Arc::new(Uplink::new(bus, host, first, devices.len() as u32)?);
         let positions = devices.iter().map(|d| d.position).collect();
         let d_max = sensing.d_max;
-        let world = Arc::new(World { seed, sensing, traces });
+        let world = Arc::new(World::new(seed, sensing, &devices, traces));
         let mut resting = Vec::new();
         let mailboxes = devices
             .iter()

@@ -21,7 +21,7 @@ use std::sync::Arc;
 
 use reveille_common::event::Stimulus;
 use reveille_common::geometry::Point;
-use reveille_common::harvest::HarvestSource;
+use reveille_common::harvest::{HarvestSource, Sources};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{DeviceSetup, Failure, Report, WakeOutcome};
 use reveille_common::metrics::DeviceTotals;
@@ -48,6 +48,9 @@ pub enum State {
     },
 }
 
+/// TTIs that are caught up with at a time: levels of up to 10¹⁰ micro-units, summed over that many, fit in 64 bits.
+const LONGEST_SPAN: u64 = 1 << 13;
+
 /// What an S1 device made of the stimulus.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Sensed {
@@ -66,8 +69,19 @@ pub struct World {
     pub seed: u64,
     /// The sensing model.
     pub sensing: Sensing,
-    /// Recorded energy per TTI by row.
-    pub traces: Vec<Arc<Vec<Energy>>>,
+    /// What the energy sources share.
+    pub sources: Sources,
+}
+
+impl World {
+    /// The world of `devices`, with the streams of `seed`. `traces` are recorded energy per TTI by row.
+    pub fn new(seed: u64, sensing: Sensing, devices: &[DeviceSetup], traces: Vec<Arc<Vec<Energy>>>) -> Self {
+        Self {
+            seed,
+            sensing,
+            sources: Sources::new(devices.iter().map(|d| &d.harvest), traces),
+        }
+    }
 }
 
 /// One device.
@@ -96,7 +110,7 @@ impl Machine {
             position: setup.position,
             costs: setup.energy,
             battery: Battery::new(&setup.energy),
-            source: HarvestSource::new(&setup.harvest, &world.traces, world.seed, setup.id),
+            source: HarvestSource::new(&setup.harvest, &world.sources, world.seed, setup.id),
             duty: DutyCycle::ASLEEP,
             state: State::Sleep { powered: true },
             next: Tti::ZERO,
@@ -123,8 +137,10 @@ impl Machine {
 
     /// δ is `duty` from TTI `from` on.
     pub fn set_duty(&mut self, from: Tti, duty: DutyCycle) {
-        self.settle(from);
-        self.duty = duty;
+        if duty != self.duty {
+            self.settle(from);
+            self.duty = duty;
+        }
     }
 
     /// Ends all TTIs before `k`.
@@ -139,12 +155,13 @@ impl Machine {
             self.next
         );
         self.end_open();
+        let mut phase = self.duty.phase(self.next);
         while self.next < k {
             if self.source.next() == self.next {
                 self.battery.harvest(self.source.take());
             }
             let span_end = self.source.next().min(k);
-            self.quiet(span_end - self.next);
+            phase = self.quiet((span_end - self.next).min(LONGEST_SPAN) as u32, phase);
         }
     }
 
@@ -244,29 +261,32 @@ impl Machine {
         self.low_ttis += if level < self.costs.e_tx { n } else { 0 };
     }
 
-    /// `n` whole TTIs from `self.next` on without a harvest, event or wake-up.
-    fn quiet(&mut self, n: u64) {
+    /// `n` whole TTIs from `self.next` on, the first at `phase` of the duty cycle, without a harvest, event or wake-up.
+    /// Gives the phase after them.
+    fn quiet(&mut self, n: u32, phase: u32) -> u32 {
         let EnergyModel {
             e_idle, e_wur, e_tx, ..
         } = self.costs;
         let level = self.battery.level();
-        let (on, on_remaining) = self.duty.on_count(self.next, n);
+        let (on, on_remaining, phase_after) = self.duty.span(phase, n);
+        let is_on = phase < self.duty.t_on;
+        let n = u64::from(n);
         let cost = e_idle.times(on) + e_wur.times(n - on);
-        let first = if self.duty.is_on(self.next) { e_idle } else { e_wur };
-        let crosses_e_tx = level.saturating_sub(first) >= e_tx && level.saturating_sub(cost) < e_tx;
-        if level < cost || crosses_e_tx {
+        let after_first = level.saturating_sub(if is_on { e_idle } else { e_wur });
+        let after_all = level.saturating_sub(cost);
+        if level < cost || (after_first >= e_tx && after_all < e_tx) {
             self.quiet_step_by_step(n);
-            return;
+            return phase_after;
         }
-        // Paid i TTIs before the end of the span, a cost lowers i of the span's end-of-TTI levels.
-        let all_remaining = u128::from(n) * u128::from(n + 1) / 2;
-        let off_remaining = all_remaining - u128::from(on_remaining);
-        let lowered = u128::from(e_idle.micro()) * u128::from(on_remaining) + u128::from(e_wur.micro()) * off_remaining;
-        self.battery_sum += u128::from(level.micro()) * u128::from(n) - lowered;
-        self.low_ttis += if level.saturating_sub(first) < e_tx { n } else { 0 };
-        let paid = self.battery.pay(cost);
-        debug_assert!(paid.is_ok(), "the level covers the cost of the span");
+        // Paid i TTIs before the end of the span, a cost lowers i of the span's end-of-TTI levels. A span is short enough
+        // for 64 bits.
+        let off_remaining = n * (n + 1) / 2 - on_remaining;
+        let lowered = e_idle.times(on_remaining) + e_wur.times(off_remaining);
+        self.battery_sum += u128::from(level.times(n).micro() - lowered.micro());
+        self.low_ttis += if after_first < e_tx { n } else { 0 };
+        self.battery.spend(cost);
         self.next = self.next + n;
+        phase_after
     }
 
     /// The same, one TTI at a time: for spans in which the battery runs out or falls below E_Tx.

@@ -1,3 +1,4 @@
 //! Runs of the Reveille machines in memory, without a bus.
 
+pub mod adjusted;
 pub mod run;

@@ -1,5 +1,6 @@
 //! One run in memory: the same device and BS machines as in the emulator, driven by a loop.
 
+use crate::adjusted::resolve;
 use reveille_bs::cycle::{Cycle, Step};
 use reveille_bs::outcome::{Accounts, Outcome, Watcher};
 use reveille_bs::schedule::Schedule;
@@ -44,23 +45,28 @@ pub struct Run {
 }
 
 impl Run {
-    /// A run of `scenario` before TTI 0.
+    /// A run of `scenario` before TTI 0. What its policy has to search for is searched first.
     pub fn new(scenario: &Scenario, options: Options) -> Self {
-        let deployment = Deployment::new(scenario);
-        let world = World {
-            seed: scenario.seed,
-            sensing: scenario.sensing.clone(),
-            traces: deployment.traces.clone(),
-        };
+        Self::on(&resolve(scenario), &Deployment::new(scenario), options)
+    }
+
+    /// A run of `scenario`, ready as [`resolve`] leaves it, on the ground of `deployment`.
+    pub fn on(scenario: &Scenario, deployment: &Deployment, options: Options) -> Self {
+        let world = World::new(
+            scenario.seed,
+            scenario.sensing.clone(),
+            &deployment.devices,
+            deployment.traces.clone(),
+        );
         let schedule = Schedule::new(scenario, options.window);
         Self {
-            cycle: Cycle::new(scenario, &deployment, options.keep_records),
+            cycle: Cycle::new(scenario, deployment, options.keep_records),
             machines: deployment
                 .devices
                 .iter()
                 .map(|setup| Machine::new(setup, &world))
                 .collect(),
-            accounts: Accounts::new(&deployment, schedule.warm_up_end()),
+            accounts: Accounts::new(deployment, schedule.warm_up_end()),
             world,
             schedule,
             options,

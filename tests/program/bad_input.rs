@@ -576,3 +576,32 @@ fn a_device_process_that_tries_to_connect_can_be_interrupted() {
         assert_eq!(device.finish().code(), Some(130));
     }
 }
+
+#[test]
+fn a_setting_without_effect_is_refused() {
+    let folder = Folder::new();
+    for (setting, counts_with) in [
+        ("harvest.off_mean=3", "harvest.kind = \"mpp\""),
+        ("harvest.trace.file=\"sun.csv\"", "harvest.kind = \"trace\""),
+        ("layout.file=\"spots.csv\"", "layout.kind = \"file\""),
+    ] {
+        let field = setting.split('=').next().expect("a field");
+        let end = folder.run(&format!("run --set {setting} --quiet"));
+        assert_refused(&end, 1, &[field, counts_with, "--set"]);
+    }
+}
+
+#[test]
+fn the_clock_cannot_be_run_to_the_past_or_beyond_the_end() {
+    let (folder, run) = (Folder::new(), unique_run("past"));
+    let _up = folder.start(&format!("up -P 1 -n 3 -k 100 --run {run} --paused --out out"));
+    folder.wait_for_tti(&run, 0);
+    folder.clock(&run, "step 20");
+    folder.wait_for_tti(&run, 20);
+    for k in [19, 101] {
+        let end = folder.run(&format!("clock --run {run} run-to {k}"));
+        assert_refused(&end, 1, &[&format!("TTI {k} cannot be run to"), "TTI 20", "TTI 100"]);
+    }
+    assert_refused(&folder.run(&format!("clock --run {run} step 0")), 2, &["1.."]);
+    folder.clock(&run, "resume");
+}

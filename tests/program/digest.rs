@@ -54,6 +54,16 @@ fn knn_on_paper() {
 }
 
 #[test]
+fn adjusted_on_paper() {
+    every_way_agrees("paper", "adjusted");
+}
+
+#[test]
+fn adjusted_on_paper_literal() {
+    every_way_agrees("paper-literal", "adjusted");
+}
+
+#[test]
 fn random_on_paper() {
     every_way_agrees("paper", "random");
 }

@@ -102,9 +102,13 @@ fn events() -> impl Strategy<Value = String> {
 }
 
 fn policy() -> impl Strategy<Value = String> {
-    let name = prop_oneof![2 => Just("knn"), 1 => Just("random"), 1 => Just("genie")];
-    (name, 1..=6u32, any::<bool>()).prop_map(|(name, neighbours, limit)| {
-        format!("[policy]\nname = \"{name}\"\n[policy.knn]\nneighbours = {neighbours}\nlimit_radius = {limit}\n")
+    let name = prop_oneof![2 => Just("knn"), 1 => Just("random"), 1 => Just("genie"), 2 => Just("adjusted")];
+    let cycles = proptest::collection::vec(1..=9u32, 1..=2);
+    (name, 1..=6u32, any::<bool>(), cycles).prop_map(|(name, neighbours, limit, t_drx)| {
+        format!(
+            "[policy]\nname = \"{name}\"\n[policy.knn]\nneighbours = {neighbours}\nlimit_radius = {limit}\n\
+             [policy.adjusted]\nt_on = [1, 3]\nt_drx = {t_drx:?}\npilot_ttis = 40\n"
+        )
     })
 }
 
@@ -188,11 +192,11 @@ fn harvest() -> impl Strategy<Value = HarvestLines> {
     (kind, column, columns, e_b, 0.02..3.0f64, off, trace).prop_map(
         |(kind, column, columns, e_b, lambda, off, (per_row, end, scale))| {
             let mut source = format!("kind = \"{kind}\"\nlambda = {lambda:?}\ne_b = {e_b:?}\n");
-            if let Some(off) = off {
+            if let Some(off) = off.filter(|_| kind == "mpp") {
                 writeln!(source, "off_mean = {off:?}").expect("text takes it");
             }
-            let trace =
-                format!("file = \"energy.csv\"\nttis_per_row = {per_row}\nend = \"{end}\"\nscale = {scale:?}\n");
+            let file = if kind == "trace" { "file = \"energy.csv\"\n" } else { "" };
+            let trace = format!("{file}ttis_per_row = {per_row}\nend = \"{end}\"\nscale = {scale:?}\n");
             HarvestLines {
                 source,
                 trace,

@@ -49,7 +49,7 @@ pub(super) fn declare(
         let next = state.next;
         state.clock.obey(command, next);
         this.ring();
-        state.clock.status(next)
+        state.clock.status(next, state.is_running)
     })?);
     let this = Arc::clone(shared);
     declared.push(bus.serve(keys.of(Kind::Ready), move |Ready { host }| {

@@ -143,7 +143,9 @@ impl Loop<'_> {
                 return Ok(false);
             }
             let until = self.shared.lock().clock.until();
-            if next < until {
+            let paused = next >= until;
+            self.progress.paused.store(paused, Ordering::Relaxed);
+            if !paused {
                 return Ok(true);
             }
             self.due = None;

@@ -36,10 +36,10 @@ impl Knn {
 
     fn add_reporter(&mut self, seen: &Observation<'_>, report: &Report) {
         if let Some(d) = seen.sensing.distance(report.information) {
-            let (of, asked) = (&self.clusters.of, &self.asked);
-            let is_candidate = |device: DeviceId| asked.contains(&of[device.index()]) && seen.is_asleep(device);
+            let members = &self.clusters.members;
+            let candidates = self.asked.iter().flat_map(|&cluster| &members[cluster as usize]);
             self.ranking
-                .add_reporter(seen.positions[report.device.index()], d, is_candidate);
+                .add_reporter(seen.positions[report.device.index()], d, candidates.copied());
         }
     }
 }
@@ -70,8 +70,12 @@ impl Policy for Knn {
             return;
         }
         self.asked.clear();
-        self.asked
-            .extend(reports.iter().map(|r| self.clusters.of[r.device.index()]));
+        for report in reports {
+            let cluster = self.clusters.of[report.device.index()];
+            if !self.asked.contains(&cluster) {
+                self.asked.push(cluster);
+            }
+        }
         for report in reports {
             self.add_reporter(seen, report);
         }
@@ -81,7 +85,7 @@ impl Policy for Knn {
         if seen.information >= self.i_min {
             None
         } else {
-            self.ranking.next()
+            self.ranking.next(|device| seen.is_asleep(device))
         }
     }
 

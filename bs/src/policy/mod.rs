@@ -4,6 +4,7 @@
 //! device after another to be woken. To add one: a file here, a variant of
 //! [`reveille_common::scenario::PolicyConfig`], and an arm in [`PolicyEngine::new`].
 
+mod adjusted;
 mod genie;
 mod knn;
 mod random;
@@ -16,6 +17,7 @@ use reveille_common::scenario::{PolicyConfig, Scenario};
 
 use crate::observation::Observation;
 
+pub use adjusted::Adjusted;
 pub use genie::Genie;
 pub use knn::Knn;
 pub use random::Random;
@@ -57,6 +59,7 @@ impl PolicyEngine {
     pub fn new(scenario: &Scenario, positions: &[Point]) -> Self {
         match &scenario.policy {
             PolicyConfig::Knn(settings) => Self::Blind(Box::new(Knn::new(scenario, settings, positions))),
+            PolicyConfig::Adjusted(settings) => Self::Blind(Box::new(Adjusted::new(scenario, settings, positions))),
             PolicyConfig::Random => Self::Blind(Box::new(Random::new(scenario))),
             PolicyConfig::Genie => Self::Genie(Genie::new(scenario, positions)),
         }

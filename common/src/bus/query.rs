@@ -10,6 +10,11 @@ use zenoh::query::{ConsolidationMode, Query, QueryTarget};
 use super::{Bus, BusError, Declared};
 use crate::codec;
 
+/// How long one try of a repeated question may take.
+const ONE_TRY: Duration = Duration::from_secs(2);
+/// The pause between two tries.
+const BETWEEN_TRIES: Duration = Duration::from_millis(200);
+
 impl Bus {
     /// Answers queries on `key`: `answer` gets the request, says how to reply, and is called on zenoh's threads.
     ///
@@ -44,6 +49,28 @@ impl Bus {
                 .callback(on_query)
                 .wait()?,
         ))
+    }
+
+    /// Asks whoever serves `key` again and again; `None` if nobody answers within `patience`. Where hundreds of sessions
+    /// open at once, a question can come before the way to the one who serves is known, or get lost.
+    ///
+    /// # Errors
+    /// As [`Self::ask`].
+    pub async fn ask_until<Q: Serialize, R: DeserializeOwned>(
+        &self,
+        key: String,
+        request: &Q,
+        patience: Duration,
+    ) -> Result<Option<R>, BusError> {
+        let deadline = tokio::time::Instant::now() + patience;
+        while tokio::time::Instant::now() < deadline {
+            let reply = self.ask(key.clone(), request, ONE_TRY).await?;
+            if reply.is_some() {
+                return Ok(reply);
+            }
+            tokio::time::sleep(BETWEEN_TRIES).await;
+        }
+        Ok(None)
     }
 
     /// Asks whoever serves `key`; `None` if nobody does within `patience`.

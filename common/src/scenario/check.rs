@@ -116,6 +116,18 @@ impl<'a> Checker<'a> {
         })
     }
 
+    /// Refuses a field of this very section that has an effect only where `holds` holds.
+    pub(super) fn idle(&self, section: &Section, name: &str, holds: &str) -> Result<(), ScenarioError> {
+        let Some(place) = self.places.get(&dotted(&section.path, name)) else {
+            return Ok(());
+        };
+        Err(ScenarioError::Idle {
+            field: dotted(&section.shown, name),
+            holds: holds.to_owned(),
+            place: place.clone(),
+        })
+    }
+
     /// A value that every scenario has, from the `paper` preset if from nowhere else.
     pub(super) fn set<T>(section: &Section, name: &str, value: Option<T>) -> Result<T, ScenarioError> {
         value.ok_or_else(|| ScenarioError::Missing {

@@ -108,6 +108,16 @@ pub enum ScenarioError {
         /// What makes it required, and where that was set.
         why: String,
     },
+    /// A field that the rest of the scenario leaves without effect.
+    #[error("{field}: has an effect only with {holds}; leave it out, or set that; {place}")]
+    Idle {
+        /// The field's full path.
+        field: String,
+        /// The setting under which it counts.
+        holds: String,
+        /// Where it was set.
+        place: Place,
+    },
     /// A layout or trace file cannot be used.
     #[error("{field} = \"{}\": {reason}; {place}", file.display())]
     Data {

@@ -58,6 +58,15 @@ impl Scenario {
                 form.number(u64::from(knn.neighbours));
                 form.number(u64::from(knn.limit_radius));
             }
+            PolicyConfig::Adjusted(adjusted) => {
+                for list in [&adjusted.t_on, &adjusted.t_drx] {
+                    form.number(list.len() as u64);
+                    for &ttis in list {
+                        form.number(u64::from(ttis));
+                    }
+                }
+                form.number(adjusted.pilot_ttis);
+            }
         }
         form.number(classes.len() as u64);
         for class in classes {

@@ -119,7 +119,11 @@ fn preset_names() -> impl Iterator<Item = &'static str> + Clone {
 /// The text of a scenario file, not much more of it than [`Layer::from_text`] accepts.
 fn read(path: &Path) -> std::io::Result<String> {
     if !path.is_file() {
-        return Err(std::io::Error::other("not a file"));
+        return Err(std::io::Error::other(if path.is_dir() {
+            "it is a folder"
+        } else {
+            "it is no regular file"
+        }));
     }
     let mut text = String::new();
     std::fs::File::open(path)?

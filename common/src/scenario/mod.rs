@@ -27,7 +27,7 @@ pub use classes::assign_classes;
 pub use error::{Place, ScenarioError};
 pub use load::{PRESETS, load, parse};
 pub use model::{
-    BsSettings, DeviceClass, EnergyModel, Events, Harvest, KnnSettings, MAX_CLASSES, MAX_DEVICES, MAX_TTIS,
-    PolicyConfig, Scenario, Trace, TraceColumns, TraceEnd,
+    AdjustedSettings, BsSettings, DeviceClass, DutyChoice, EnergyModel, Events, Harvest, KnnSettings, MAX_CLASSES,
+    MAX_DEVICES, MAX_TTIS, PolicyConfig, Scenario, Trace, TraceColumns, TraceEnd,
 };
 pub use overrides::Override;

@@ -165,10 +165,12 @@ pub enum TraceEnd {
 }
 
 /// A policy with its settings. The names are those of the command line and of every file.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum PolicyConfig {
     /// KNN-based duty cycling and wake-up, Algorithm 1.
     Knn(KnnSettings),
+    /// One duty cycle for all devices, found by exhaustive search, and wake-up by correlation.
+    Adjusted(AdjustedSettings),
     /// Each device draws its own duty cycle; no wake-up.
     Random,
     /// Every device sleeps; the one closest to the epicentre is woken.
@@ -180,6 +182,7 @@ impl PolicyConfig {
     pub const fn name(&self) -> &'static str {
         match self {
             Self::Knn(_) => "knn",
+            Self::Adjusted(_) => "adjusted",
             Self::Random => "random",
             Self::Genie => "genie",
         }
@@ -193,4 +196,43 @@ pub struct KnnSettings {
     pub neighbours: u32,
     /// Whether a cluster with a member farther than `d_max` from its centroid is split (MODEL default true).
     pub limit_radius: bool,
+}
+
+/// Settings of the `adjusted` policy (Sec. V-A, first approach).
+#[derive(Clone, Debug, PartialEq)]
+pub struct AdjustedSettings {
+    /// Values of t_on to search, TTIs, each 1 ..= 2²⁴.
+    pub t_on: Vec<u32>,
+    /// Values of t_DRX to search, TTIs, each 1 ..= 2²⁴. At least one pair has t_on ≤ t_DRX.
+    pub t_drx: Vec<u32>,
+    /// Length of the pilot run that judges a pair, TTIs, ≥ 4; its first quarter is left out.
+    pub pilot_ttis: u64,
+    /// What the search has found for the deployment of this scenario; it is made before a run and is part of no file.
+    pub found: Option<DutyChoice>,
+}
+
+impl AdjustedSettings {
+    /// The pairs (t_on, t_DRX) to search, in the order of the lists.
+    pub fn pairs(&self) -> impl Iterator<Item = (u32, u32)> + '_ {
+        let all = self
+            .t_on
+            .iter()
+            .flat_map(|&t_on| self.t_drx.iter().map(move |&t_drx| (t_on, t_drx)));
+        all.filter(|(t_on, t_drx)| t_on <= t_drx)
+    }
+}
+
+/// The duty cycle that a search has chosen, and what it cost to find.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DutyChoice {
+    /// t_on, TTIs.
+    pub t_on: u32,
+    /// t_DRX, TTIs.
+    pub t_drx: u32,
+    /// Whether the pair reached I_min in its pilot run; if not, none did.
+    pub reaches_i_min: bool,
+    /// Pairs judged.
+    pub pairs: u32,
+    /// Device-TTIs of all pilot runs together.
+    pub device_ttis: u64,
 }

@@ -125,11 +125,12 @@ pub(super) struct RawBs {
 }
 
 /// `[policy]`.
-#[derive(Clone, Copy, Debug, Default, Deserialize)]
+#[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields, expecting = "a table")]
 pub(super) struct RawPolicy {
     pub(super) name: Option<PolicyName>,
     pub(super) knn: RawKnn,
+    pub(super) adjusted: RawAdjusted,
 }
 
 /// `policy.name`.
@@ -137,6 +138,7 @@ pub(super) struct RawPolicy {
 #[serde(rename_all = "kebab-case", expecting = "a string")]
 pub(super) enum PolicyName {
     Knn,
+    Adjusted,
     Random,
     Genie,
 }
@@ -147,6 +149,15 @@ pub(super) enum PolicyName {
 pub(super) struct RawKnn {
     pub(super) neighbours: Option<u64>,
     pub(super) limit_radius: Option<bool>,
+}
+
+/// `[policy.adjusted]`.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(default, deny_unknown_fields, expecting = "a table")]
+pub(super) struct RawAdjusted {
+    pub(super) t_on: Option<Vec<u64>>,
+    pub(super) t_drx: Option<Vec<u64>>,
+    pub(super) pilot_ttis: Option<u64>,
 }
 
 /// One `[[class]]`. Its sections override single fields of the top-level ones.

@@ -8,19 +8,23 @@ use super::check::{ABOVE_ZERO, BELOW_ONE, Checker, NOT_NEGATIVE, POSITIVE, Secti
 use super::error::ScenarioError;
 use super::layers::Places;
 use super::model::{
-    BsSettings, DeviceClass, EnergyModel, Events, Harvest, KnnSettings, MAX_CLASSES, MAX_DEVICES, MAX_TTIS,
-    PolicyConfig, Scenario,
+    AdjustedSettings, BsSettings, DeviceClass, EnergyModel, Events, Harvest, KnnSettings, MAX_CLASSES, MAX_DEVICES,
+    MAX_TTIS, PolicyConfig, Scenario,
 };
 use super::raw::{
-    HarvestKind, LayoutKind, PolicyName, RawClass, RawEnergy, RawHarvest, RawLayout, RawPolicy, RawScenario, RawSensing,
+    HarvestKind, LayoutKind, PolicyName, RawAdjusted, RawClass, RawEnergy, RawHarvest, RawLayout, RawPolicy,
+    RawScenario, RawSensing,
 };
 use super::{table, trace};
 use crate::geometry::{Area, Layout, Point};
+use crate::plan::DutyCycle;
 use crate::sensing::Sensing;
 use crate::units::Energy;
 
 /// The largest η · `d_max`: `p(d_max)` is still above 0 in double precision.
 const MAX_DECAY: f64 = 700.0;
+/// The longest list of t_on or t_DRX to search.
+const MOST_CYCLES: usize = 64;
 /// How far from 1 the sum of the classes' shares may be.
 const SHARE_TOLERANCE: f64 = 1e-9;
 
@@ -61,7 +65,7 @@ pub(super) fn validate(
                 (1, MAX_TTIS),
             )?,
         },
-        policy: policy(&check, raw.policy)?,
+        policy: policy(&check, &raw.policy)?,
         layout: layout(&check, &raw.layout, area, devices)?,
         classes: classes(&check, raw, tau)?,
     };
@@ -96,7 +100,7 @@ fn sensing(check: &Checker<'_>, raw: RawSensing, area: Area) -> Result<Sensing, 
     })
 }
 
-fn policy(check: &Checker<'_>, raw: RawPolicy) -> Result<PolicyConfig, ScenarioError> {
+fn policy(check: &Checker<'_>, raw: &RawPolicy) -> Result<PolicyConfig, ScenarioError> {
     let knn = Section::top("policy.knn");
     Ok(match Checker::set(&Section::top("policy"), "name", raw.name)? {
         PolicyName::Random => PolicyConfig::Random,
@@ -105,12 +109,41 @@ fn policy(check: &Checker<'_>, raw: RawPolicy) -> Result<PolicyConfig, ScenarioE
             neighbours: check.whole(&knn, "neighbours", raw.knn.neighbours, (1, u64::from(MAX_DEVICES)))? as u32,
             limit_radius: Checker::set(&knn, "limit_radius", raw.knn.limit_radius)?,
         }),
+        PolicyName::Adjusted => PolicyConfig::Adjusted(adjusted(check, &raw.adjusted)?),
     })
+}
+
+fn adjusted(check: &Checker<'_>, raw: &RawAdjusted) -> Result<AdjustedSettings, ScenarioError> {
+    let section = Section::top("policy.adjusted");
+    let ttis = |name: &'static str, list: &Option<Vec<u64>>| {
+        let list = Checker::set(&section, name, list.as_ref())?;
+        let longest = u64::from(DutyCycle::LONGEST);
+        if list.is_empty() || list.len() > MOST_CYCLES || list.iter().any(|ttis| !(1..=longest).contains(ttis)) {
+            let allowed = format!("must be a list of 1 to {MOST_CYCLES} whole numbers from 1 to {longest}");
+            return Err(check.refuse(&section, name, format!("{list:?}"), allowed));
+        }
+        Ok(list.iter().map(|&ttis| ttis as u32).collect::<Vec<u32>>())
+    };
+    let settings = AdjustedSettings {
+        t_on: ttis("t_on", &raw.t_on)?,
+        t_drx: ttis("t_drx", &raw.t_drx)?,
+        pilot_ttis: check.whole(&section, "pilot_ttis", raw.pilot_ttis, (4, MAX_TTIS))?,
+        found: None,
+    };
+    if settings.pairs().next().is_none() {
+        let allowed = "must hold a value that is not longer than one of policy.adjusted.t_drx";
+        return Err(check.refuse(&section, "t_on", format!("{:?}", settings.t_on), allowed));
+    }
+    Ok(settings)
 }
 
 fn layout(check: &Checker<'_>, raw: &RawLayout, area: Area, devices: u32) -> Result<Layout, ScenarioError> {
     let section = Section::top("layout");
-    Ok(match Checker::set(&section, "kind", raw.kind)? {
+    let kind = Checker::set(&section, "kind", raw.kind)?;
+    if !matches!(kind, LayoutKind::File) {
+        check.idle(&section, "file", "layout.kind = \"file\"")?;
+    }
+    Ok(match kind {
         LayoutKind::Uniform => Layout::Uniform,
         LayoutKind::JitteredGrid => Layout::JitteredGrid,
         LayoutKind::PoissonDisk => Layout::PoissonDisk,
@@ -250,7 +283,14 @@ fn harvest(check: &Checker<'_>, section: &Section, raw: &RawHarvest, tau: f64) -
         let lambda = check.number(section, "lambda", raw.lambda, NOT_NEGATIVE)?;
         Ok::<_, ScenarioError>((lambda, check.energy(section, "e_b", raw.e_b)?))
     };
-    Ok(match Checker::set(section, "kind", raw.kind)? {
+    let kind = Checker::set(section, "kind", raw.kind)?;
+    if !matches!(kind, HarvestKind::Mpp) {
+        check.idle(section, "off_mean", "harvest.kind = \"mpp\"")?;
+    }
+    if !matches!(kind, HarvestKind::Trace) {
+        check.idle(section, "trace.file", "harvest.kind = \"trace\"")?;
+    }
+    Ok(match kind {
         HarvestKind::Eq5 => {
             let (lambda, e_b) = arrivals()?;
             Harvest::Eq5 { lambda, e_b }

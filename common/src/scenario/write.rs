@@ -57,6 +57,12 @@ impl Scenario {
                 page.field("neighbours", knn.neighbours, "K, devices that vote on a cluster");
                 page.field("limit_radius", knn.limit_radius, "split clusters wider than d_max");
             }
+            PolicyConfig::Adjusted(adjusted) => {
+                page.section("[policy.adjusted]");
+                page.field("t_on", format!("{:?}", adjusted.t_on), "TTIs, to be searched");
+                page.field("t_drx", format!("{:?}", adjusted.t_drx), "TTIs, to be searched");
+                page.field("pilot_ttis", adjusted.pilot_ttis, "length of the pilot run for a pair");
+            }
         }
         match classes.as_slice() {
             [only] if only.name == "default" => write_class(&mut page, "", only),

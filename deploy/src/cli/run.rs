@@ -24,7 +24,7 @@ pub struct ScenarioArgs {
     #[arg(long, short = 'n')]
     pub devices: Option<String>,
 
-    /// Policy: knn, random or genie.
+    /// Policy: knn, adjusted, random or genie.
     #[arg(long, short)]
     pub policy: Option<String>,
 

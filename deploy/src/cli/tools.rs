@@ -58,8 +58,8 @@ pub struct TailArgs {
     /// Only this plane.
     #[arg(long, value_enum)]
     pub plane: Option<PlaneArg>,
-    /// Only these kinds. May be repeated.
-    #[arg(long, value_parser = parse_kind)]
+    /// Only these kinds, separated by commas: plan, wake, report, clock, answer, join, ready, control.
+    #[arg(long, value_parser = parse_kind, value_delimiter = ',')]
     pub kind: Vec<Kind>,
     /// Only messages to or from this device.
     #[arg(long)]
@@ -91,7 +91,7 @@ pub enum ClockAction {
     /// Go on for some TTIs, then stop.
     Step {
         /// How many.
-        #[arg(default_value_t = 1)]
+        #[arg(default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
         ttis: u64,
     },
     /// Go on until this TTI is the next, then stop.
@@ -160,7 +160,7 @@ pub struct MemoryBenchArgs {
     #[arg(long, value_delimiter = ',', default_value = "10,50,250,2500")]
     pub devices: Vec<u32>,
     /// Policies to measure.
-    #[arg(long, value_delimiter = ',', default_value = "knn,random,genie")]
+    #[arg(long, value_delimiter = ',', default_value = "knn,adjusted,random,genie")]
     pub policies: Vec<String>,
     /// TTIs of each run.
     #[arg(long, default_value_t = 100_000)]

@@ -28,7 +28,7 @@ pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
         eprintln!(
             "waiting for {} devices: reveille device --connect {} --run {} --count …",
             scenario.devices,
-            bus.endpoint(),
+            reachable(bus.endpoint()),
             args.run
         );
     }
@@ -47,6 +47,13 @@ pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
         |_| {},
     )
     .await
+}
+
+/// The endpoint for others: a listener on all addresses is reached at one of them.
+fn reachable(endpoint: &str) -> String {
+    endpoint
+        .replace("/0.0.0.0:", "/ADDRESS:")
+        .replace("/[::]:", "/ADDRESS:")
 }
 
 /// A base station about to serve.
@@ -110,8 +117,9 @@ pub async fn serve(
     });
     let bar = Bar::start(progress, scenario, output.quiet);
     let deployment = Deployment::new(scenario);
+    let ready = reveille_lab::adjusted::resolve(scenario);
     let preparing = started.elapsed();
-    let served = actor::serve(bus, scenario, &deployment, settings, progress, &mut folder).await;
+    let served = actor::serve(bus, &ready, &deployment, settings, progress, &mut folder).await;
     relay.abort();
     drop(bar);
     let ended = match served {

@@ -26,8 +26,18 @@ pub async fn run(args: &ClockArgs) -> anyhow::Result<ExitCode> {
         ttis,
         paused,
         until,
+        begun,
     } = status;
+    if let ClockCommand::RunTo(k) = command
+        && !(tti.0..=ttis).contains(&k.0)
+    {
+        anyhow::bail!("TTI {k} cannot be run to: the next is TTI {tti}, and the run ends before TTI {ttis}");
+    }
     match (paused, until.0 < ttis) {
+        (_, _) if !begun && paused => display::out(&format!(
+            "before TTI 0 of {ttis}, waiting for devices to join; then paused\n"
+        ))?,
+        (_, _) if !begun => display::out(&format!("before TTI 0 of {ttis}, waiting for devices to join\n"))?,
         (true, _) => display::out(&format!("paused before TTI {tti} of {ttis}\n"))?,
         (false, true) => display::out(&format!("running at TTI {tti} of {ttis}, to stop before TTI {until}\n"))?,
         (false, false) => display::out(&format!("running at TTI {tti} of {ttis}\n"))?,

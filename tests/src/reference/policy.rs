@@ -7,6 +7,7 @@ use reveille_bs::wakeup::i_min;
 use reveille_common::geometry::Point;
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::scenario::{PolicyConfig, Scenario};
+use reveille_lab::adjusted::resolve;
 
 /// Points of the midpoint rule for the mean over φ.
 const POINTS: u32 = 2048;
@@ -22,6 +23,17 @@ pub enum Policy {
     Knn {
         /// Devices of each cluster, by rising id.
         members: Vec<Vec<usize>>,
+        /// `I_min`.
+        enough: f64,
+    },
+    /// One duty cycle, staggered; everyone is a candidate.
+    Adjusted {
+        /// `t_on`.
+        t_on: u64,
+        /// `t_DRX`.
+        t_drx: u64,
+        /// All devices, as if they were one cluster.
+        everyone: Vec<Vec<usize>>,
         /// `I_min`.
         enough: f64,
     },
@@ -82,6 +94,18 @@ impl Policy {
                     })
                     .collect(),
             ),
+            PolicyConfig::Adjusted(_) => {
+                let PolicyConfig::Adjusted(settings) = &resolve(scenario).policy else {
+                    panic!("a search leaves the policy as it is")
+                };
+                let choice = settings.found.expect("the search finds a pair");
+                Self::Adjusted {
+                    t_on: u64::from(choice.t_on),
+                    t_drx: u64::from(choice.t_drx),
+                    everyone: vec![(0..positions.len()).collect()],
+                    enough: i_min(positions, scenario.area, &scenario.sensing),
+                }
+            }
             PolicyConfig::Knn(settings) => {
                 let clusters = Clusters::form(
                     positions,
@@ -114,6 +138,7 @@ impl Policy {
                 let (t_on, t_drx, offset) = cycles[device];
                 (k + offset) % t_drx < t_on
             }
+            Self::Adjusted { t_on, t_drx, .. } => (k + device as u64) % t_drx < *t_on,
             Self::Knn { members, .. } => {
                 let cluster = &members[cluster_of(members, device)];
                 cluster[(k % cluster.len() as u64) as usize] == device
@@ -124,7 +149,7 @@ impl Policy {
     /// What a report of `device`, `d` metres from the event, tells of the others.
     pub(super) fn reporter(&self, scenario: &Scenario, positions: &[Point], device: usize, d: f64) -> Reporter {
         let mut correlation = Vec::new();
-        if matches!(self, Self::Knn { .. }) {
+        if matches!(self, Self::Knn { .. } | Self::Adjusted { .. }) {
             for position in positions {
                 let gamma = distance(*position, positions[device]);
                 correlation.push((gamma, mean_over_directions(scenario.sensing.eta, d, gamma)));
@@ -138,6 +163,7 @@ impl Policy {
         match self {
             Self::Genie if seen.first && seen.woken.is_empty() => closest(seen).map_or(Choice::Stop, Choice::Wake),
             Self::Random(_) | Self::Genie => Choice::Stop,
+            Self::Adjusted { everyone, enough, .. } => self.most_correlated(seen, everyone, *enough),
             Self::Knn { members, enough } => self.most_correlated(seen, members, *enough),
         }
     }
