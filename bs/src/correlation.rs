@@ -29,15 +29,13 @@ pub struct Correlation {
     bounds: Arc<Bounds>,
 }
 
-/// Upper bounds of `P_4,2` on a grid of distances.
+/// Upper bounds of `P_4,2` on a grid of distances, each good for all pairs (d, γ) that are nearest to its grid point.
 #[derive(Debug, Default)]
 struct Bounds {
     /// Grid points per metre.
     scale: f64,
     /// Grid points along γ, from 0 to twice the sensing range.
     columns: usize,
-    /// The bound for all pairs (d, γ) that are nearest to a grid point, row by row of d.
-    values: Vec<f64>,
     /// For each row of d the bands of γ with a bound of at least p(d_max), by falling bound.
     bands: Vec<Vec<Band>>,
 }
@@ -97,7 +95,7 @@ impl Correlation {
         made
     }
 
-    /// A step of h in d or in γ moves the event by at most h against the device, and so changes ln p by at most ηh. A pair
+    /// The bands, best first, for each d of a grid. A step of h in d or in γ moves the event by at most h against the device, and so changes ln p by at most ηh. A pair
     /// is at most half a step from its grid point in each of the two, which makes ηh in all.
     fn make_grid(&self) -> Bounds {
         let Sensing { eta, d_max, .. } = self.sensing;
@@ -106,24 +104,21 @@ impl Correlation {
         let columns = (2.0 * d_max / step).round() as usize + 2;
         let factor = libm::exp(eta * step) * (1.0 + 1e-9);
         let value = |i: usize, j: usize| (self.p42(i as f64 * step, j as f64 * step) + QUADRATURE_ERROR) * factor;
-        let values: Vec<f64> = (0..rows * columns)
-            .map(|at| value(at / columns, at % columns))
-            .collect();
-        let bands = values.chunks(columns).map(|row| self.order(row)).collect();
+        let band = |i: usize, column: usize| Band {
+            column,
+            bound: value(i, column),
+        };
+        let row = |i: usize| {
+            let all = (0..columns).map(|column| band(i, column));
+            let mut bands: Vec<Band> = all.filter(|band| band.bound >= self.threshold).collect();
+            bands.sort_by(|a, b| b.bound.total_cmp(&a.bound));
+            bands
+        };
         Bounds {
             scale: 1.0 / step,
             columns,
-            values,
-            bands,
+            bands: (0..rows).map(row).collect(),
         }
-    }
-
-    /// The bands of γ of one row, by falling bound.
-    fn order(&self, row: &[f64]) -> Vec<Band> {
-        let all = row.iter().enumerate().map(|(column, &bound)| Band { column, bound });
-        let mut bands: Vec<Band> = all.filter(|band| band.bound >= self.threshold).collect();
-        bands.sort_by(|a, b| b.bound.total_cmp(&a.bound));
-        bands
     }
 
     /// The bands of γ that can hold a candidate if the reporter is `d` metres from the event, by falling bound.
@@ -152,29 +147,9 @@ impl Correlation {
             .sum()
     }
 
-    /// No less than [`Correlation::p42`] for `d` up to `d_max`, and cheap.
-    #[inline]
-    pub(crate) fn bound(&self, d: f64, gamma: f64) -> f64 {
-        let Bounds {
-            scale, columns, values, ..
-        } = &*self.bounds;
-        let at = (d * scale + 0.5) as usize * columns + (gamma * scale + 0.5) as usize;
-        if gamma * scale < (columns - 1) as f64 && at < values.len() {
-            values[at]
-        } else {
-            1.0
-        }
-    }
-
     /// The least probability for which a device is woken, p(`d_max`) (Algorithm 1, line 8).
     pub fn threshold(&self) -> f64 {
         self.threshold
-    }
-
-    /// How far from a reporter candidates can be, if it is `d` metres from the event: p(γ − d) ≥ p(d_max), up to rounding,
-    /// which the comparison with the threshold decides.
-    pub(crate) fn reach(&self, d: f64) -> f64 {
-        (d + self.sensing.d_max) * (1.0 + 1e-9)
     }
 }
 
@@ -312,8 +287,13 @@ mod tests {
         for _ in 0..10_000 {
             let (d, gamma) = (4.0 * stream.unit(), 8.0 * stream.unit());
             let mean = correlation.p42(d, gamma);
+            assert!(mean >= model.p(d + gamma), "{d}, {gamma}");
+            let (scale, columns) = correlation.banding();
+            let column = (gamma * scale + 0.5) as usize;
+            assert!(column < columns, "{gamma}");
+            let band = correlation.bands(d).iter().find(|band| band.column == column);
             assert!(
-                mean <= correlation.bound(d, gamma) && mean >= model.p(d + gamma),
+                mean <= band.map_or(correlation.threshold(), |band| band.bound),
                 "{d}, {gamma}"
             );
         }

@@ -19,11 +19,11 @@ pub fn i_min(points: &[Point], area: Area, sensing: &Sensing) -> f64 {
 /// The wake-up candidates of one event after another, each event's by falling `P_4,2` = max over its reporters h of
 /// Pr(`S_j` = S3 | `S_h` = S3), ties by device number.
 ///
-/// An event begins with [`Ranking::start`]; every report goes to one of the `add_reporter` methods; [`Ranking::next`]
-/// gives the candidate to wake next. Reports may be added between two candidates.
+/// An event begins with [`Ranking::start`]; every report goes to [`Ranking::add_reporter`]; [`Ranking::next`] gives
+/// the candidate to wake next. Reports may be added between two candidates.
 ///
-/// Most integrals are never computed: candidates wait in the queue under a cheap upper bound, alone or a whole band of
-/// distances together, and are evaluated only when nobody else is known to be better than that bound.
+/// Most integrals are never computed: candidates wait by whole bands of distance from a reporter under a cheap upper bound,
+/// and are evaluated only when nobody else is known to be better than that bound.
 #[derive(Clone, Debug)]
 pub struct Ranking {
     correlation: Correlation,
@@ -57,34 +57,12 @@ impl Ranking {
         self.event += 1;
     }
 
-    /// Takes in the report of `device`, which is `d` metres, 0 ..= `d_max`, from the event, with `candidates`. A device that
-    /// was already given out for this event is not given out again.
-    pub fn add_reporter(&mut self, device: DeviceId, d: f64, candidates: impl IntoIterator<Item = DeviceId>) {
-        let reporter = self.add(device, d);
-        let Self {
-            correlation,
-            neighbours,
-            given_out,
-            event,
-            queue,
-            ..
-        } = self;
-        let (position, reach) = (neighbours.position(device), correlation.reach(d));
-        queue.extend(candidates.into_iter().filter_map(|j| {
-            let gamma = position.distance(neighbours.position(j));
-            let bound = (gamma <= reach && given_out[j.index()] != *event).then(|| correlation.bound(d, gamma))?;
-            (bound >= correlation.threshold()).then(|| Entry {
-                nano: nano(bound) + 1,
-                waiting: Waiting::Bounded { reporter },
-                number: j.0,
-            })
-        }));
-    }
-
-    /// The same with all devices as candidates.
-    pub fn add_reporter_to_all(&mut self, device: DeviceId, d: f64) {
-        let reporter = self.add(device, d);
-        self.queue.extend(band(&self.correlation, reporter, d, 0));
+    /// Takes in the report of `device`, which is `d` metres, 0 ..= `d_max`, from the event. A device that was already given out
+    /// for this event is not given out again.
+    pub fn add_reporter(&mut self, device: DeviceId, d: f64) {
+        let reporter = self.reporters.len() as u32;
+        self.reporters.push((device, d));
+        self.await_band(reporter, 0);
     }
 
     /// Gives out the candidate with the largest `P_4,2` for which `is_candidate` holds (one in S4 that the policy may
@@ -93,7 +71,6 @@ impl Ranking {
         while let Some(Entry { waiting, number, .. }) = self.queue.pop() {
             match waiting {
                 Waiting::Band { reporter } => self.open(reporter, number, &is_candidate),
-                Waiting::Bounded { reporter } => self.evaluate(reporter, DeviceId(number), &is_candidate),
                 Waiting::Evaluated => {
                     let device = DeviceId(number);
                     if self.given_out[device.index()] != self.event && is_candidate(device) {
@@ -110,11 +87,32 @@ impl Ranking {
     fn open(&mut self, reporter: u32, turn: u32, is_candidate: impl Fn(DeviceId) -> bool) {
         let (device, d) = self.reporters[reporter as usize];
         let column = self.correlation.bands(d)[turn as usize].column;
-        self.queue.extend(band(&self.correlation, reporter, d, turn + 1));
         for i in 0..self.neighbours.band(device, column).len() {
             let j = self.neighbours.band(device, column)[i];
             self.evaluate(reporter, j, &is_candidate);
         }
+        self.await_band(reporter, turn + 1);
+    }
+
+    /// Puts the first band of `reporter` from the `turn`-th on that holds anyone into the queue.
+    fn await_band(&mut self, reporter: u32, turn: u32) {
+        let Self {
+            correlation,
+            neighbours,
+            queue,
+            reporters,
+            ..
+        } = self;
+        let (device, d) = reporters[reporter as usize];
+        let bands = (0..).zip(correlation.bands(d)).skip(turn as usize);
+        let next = bands
+            .into_iter()
+            .find(|(_, band)| !neighbours.band(device, band.column).is_empty());
+        queue.extend(next.map(|(turn, band)| Entry {
+            nano: nano(band.bound) + 1,
+            waiting: Waiting::Band { reporter },
+            number: turn,
+        }));
     }
 
     fn evaluate(&mut self, reporter: u32, j: DeviceId, is_candidate: impl Fn(DeviceId) -> bool) {
@@ -132,20 +130,6 @@ impl Ranking {
             });
         }
     }
-
-    fn add(&mut self, device: DeviceId, d: f64) -> u32 {
-        self.reporters.push((device, d));
-        self.reporters.len() as u32 - 1
-    }
-}
-
-/// The `turn`-th band of `reporter`, `d` metres from the event, if it has that many.
-fn band(correlation: &Correlation, reporter: u32, d: f64, turn: u32) -> Option<Entry> {
-    correlation.bands(d).get(turn as usize).map(|band| Entry {
-        nano: nano(band.bound) + 1,
-        waiting: Waiting::Band { reporter },
-        number: turn,
-    })
 }
 
 /// `p` to the nearest 10⁻⁹. Probabilities that are closer are equal: on a grid, devices that stand alike differ only in
@@ -159,8 +143,6 @@ fn nano(p: f64) -> u32 {
 enum Waiting {
     /// A candidate with its probability; the number is the device's.
     Evaluated,
-    /// A candidate with an upper bound on its probability under a reporter; the number is the device's.
-    Bounded { reporter: u32 },
     /// All candidates in one band of distances from a reporter, with an upper bound on their probabilities; the number is
     /// the band's place among the reporter's.
     Band { reporter: u32 },
@@ -255,11 +237,7 @@ mod tests {
                     let reporter = DeviceId(stream.below(points.len() as u64) as u32);
                     let d = [0.0, 1.0, 4.0, 4.0 * stream.unit()][stream.below(4) as usize];
                     reporters.push((reporter, d));
-                    if case % 2 == 0 {
-                        ranking.add_reporter_to_all(reporter, d);
-                    } else {
-                        ranking.add_reporter(reporter, d, (0..points.len() as u32).map(DeviceId));
-                    }
+                    ranking.add_reporter(reporter, d);
                     for _ in 0..stream.below(3) {
                         let expected = sorted(&points, &reporters, |j| may(j) && !given.contains(&j));
                         let next = ranking.next(may);
@@ -287,7 +265,7 @@ mod tests {
         ];
         let mut ranking = ranking(&points);
         ranking.start();
-        ranking.add_reporter_to_all(DeviceId(6), 0.0);
+        ranking.add_reporter(DeviceId(6), 0.0);
         assert_eq!(all(&mut ranking), [6, 2, 3, 5, 0, 1]);
         ranking.start();
         assert_eq!(ranking.next(|_| true), None);
@@ -306,7 +284,7 @@ mod tests {
         );
         let mut ranking = ranking(&points);
         ranking.start();
-        ranking.add_reporter_to_all(DeviceId(4), 1.0);
+        ranking.add_reporter(DeviceId(4), 1.0);
         let corners = std::iter::from_fn(|| ranking.next(|j| j.0 < 4)).map(|j| j.0);
         assert_eq!(corners.collect::<Vec<_>>(), [0, 1, 2, 3]);
     }
