@@ -3,4 +3,5 @@
 pub mod adjusted;
 pub mod run;
 pub mod stats;
+pub mod sweep;
 pub mod table;
