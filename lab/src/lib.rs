@@ -1,4 +1,7 @@
-//! Runs of the Reveille machines in memory, without a bus.
+//! Runs of the Reveille machines in memory, without a bus: one, or a whole sweep with its result table.
 
 pub mod adjusted;
 pub mod run;
+pub mod stats;
+pub mod sweep;
+pub mod table;
