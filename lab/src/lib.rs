@@ -1,4 +1,5 @@
-//! Runs of the Reveille machines in memory, without a bus.
+//! Runs of the Reveille machines in memory, without a bus, and what the paper's analysis says of them.
 
 pub mod adjusted;
+pub mod analysis;
 pub mod run;
