@@ -4,6 +4,7 @@
 //! Everything measured comes from [`crate::run`] or from the device machine itself; nothing here is a second model. Closed
 //! forms are given as the paper prints them, and where what it prints is not a probability, that is said and not mended.
 
+pub mod battery;
 mod error;
 mod estimate;
 pub mod harvest;
