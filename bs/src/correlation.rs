@@ -30,7 +30,7 @@ pub struct Correlation {
 }
 
 /// Upper bounds of `P_4,2` on a grid of distances.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct Bounds {
     /// Grid points per metre.
     scale: f64,
@@ -38,6 +38,17 @@ struct Bounds {
     columns: usize,
     /// The bound for all pairs (d, γ) that are nearest to a grid point, row by row of d.
     values: Vec<f64>,
+    /// For each row of d the bands of γ with a bound of at least p(d_max), by falling bound.
+    bands: Vec<Vec<Band>>,
+}
+
+/// All γ that are nearest to one grid point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Band {
+    /// The number of the grid point.
+    pub(crate) column: usize,
+    /// No less than `P_4,2` of any pair with this γ.
+    pub(crate) bound: f64,
 }
 
 /// The grids of the sensing models used last, by η and d_max: runs of a sweep share theirs.
@@ -61,11 +72,7 @@ impl Correlation {
                 })
                 .collect(),
             threshold: sensing.p(sensing.d_max),
-            bounds: Arc::new(Bounds {
-                scale: 0.0,
-                columns: 1,
-                values: vec![1.0],
-            }),
+            bounds: Arc::default(),
         };
         correlation.bounds = correlation.grid();
         correlation
@@ -99,13 +106,35 @@ impl Correlation {
         let columns = (2.0 * d_max / step).round() as usize + 2;
         let factor = libm::exp(eta * step) * (1.0 + 1e-9);
         let value = |i: usize, j: usize| (self.p42(i as f64 * step, j as f64 * step) + QUADRATURE_ERROR) * factor;
+        let values: Vec<f64> = (0..rows * columns)
+            .map(|at| value(at / columns, at % columns))
+            .collect();
+        let bands = values.chunks(columns).map(|row| self.order(row)).collect();
         Bounds {
             scale: 1.0 / step,
             columns,
-            values: (0..rows * columns)
-                .map(|at| value(at / columns, at % columns))
-                .collect(),
+            values,
+            bands,
         }
+    }
+
+    /// The bands of γ of one row, by falling bound.
+    fn order(&self, row: &[f64]) -> Vec<Band> {
+        let all = row.iter().enumerate().map(|(column, &bound)| Band { column, bound });
+        let mut bands: Vec<Band> = all.filter(|band| band.bound >= self.threshold).collect();
+        bands.sort_by(|a, b| b.bound.total_cmp(&a.bound));
+        bands
+    }
+
+    /// The bands of γ that can hold a candidate if the reporter is `d` metres from the event, by falling bound.
+    pub(crate) fn bands(&self, d: f64) -> &[Band] {
+        let Bounds { scale, bands, .. } = &*self.bounds;
+        &bands[((d * scale + 0.5) as usize).min(bands.len() - 1)]
+    }
+
+    /// Bands per metre, and how many there are.
+    pub(crate) fn banding(&self) -> (f64, usize) {
+        (self.bounds.scale, self.bounds.columns)
     }
 
     /// Pr(`S_j` = S3 | `S_h` = S3), `[0, 1]`: the mean of p(√(d² + γ² − 2dγ cos φ)) over φ uniform on [0, 2π), for a
@@ -126,7 +155,9 @@ impl Correlation {
     /// No less than [`Correlation::p42`] for `d` up to `d_max`, and cheap.
     #[inline]
     pub(crate) fn bound(&self, d: f64, gamma: f64) -> f64 {
-        let Bounds { scale, columns, values } = &*self.bounds;
+        let Bounds {
+            scale, columns, values, ..
+        } = &*self.bounds;
         let at = (d * scale + 0.5) as usize * columns + (gamma * scale + 0.5) as usize;
         if gamma * scale < (columns - 1) as f64 && at < values.len() {
             values[at]
@@ -144,11 +175,6 @@ impl Correlation {
     /// which the comparison with the threshold decides.
     pub(crate) fn reach(&self, d: f64) -> f64 {
         (d + self.sensing.d_max) * (1.0 + 1e-9)
-    }
-
-    /// The sensing range `d_max`, metres.
-    pub(crate) fn range(&self) -> f64 {
-        self.sensing.d_max
     }
 }
 

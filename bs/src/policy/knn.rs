@@ -38,8 +38,7 @@ impl Knn {
         if let Some(d) = seen.sensing.distance(report.information) {
             let members = &self.clusters.members;
             let candidates = self.asked.iter().flat_map(|&cluster| &members[cluster as usize]);
-            self.ranking
-                .add_reporter(seen.positions[report.device.index()], d, candidates.copied());
+            self.ranking.add_reporter(report.device, d, candidates.copied());
         }
     }
 }
