@@ -1,5 +1,6 @@
 //! The command line.
 
+mod analyse;
 mod parse;
 mod run;
 mod tools;
@@ -7,6 +8,7 @@ mod tools;
 use clap::{Parser, Subcommand, ValueEnum};
 use reveille_common::logging::LogFormat;
 
+pub use analyse::{AnalyseCommand, BatteryArgs, HarvestArgs, IminArgs, RuntimeArgs, StudyArgs, TransitionsArgs};
 pub use run::{BsArgs, DeviceArgs, DriveArgs, OutputArgs, RunArgs, ScenarioArgs, UpArgs};
 pub use tools::{
     BenchCommand, BusBenchArgs, ClockArgs, InspectCommand, MemoryBenchArgs, ScenarioCommand, TailArgs, TargetArgs,
@@ -71,6 +73,9 @@ pub enum Command {
     Inspect(InspectCommand),
     /// Pause, step and resume the virtual clock of a run.
     Clock(ClockArgs),
+    /// Work through the paper's analysis: closed forms and Markov chains beside what the machines do.
+    #[command(subcommand)]
+    Analyse(AnalyseCommand),
     /// Measure the emulator's speed against stated baselines.
     #[command(subcommand)]
     Bench(BenchCommand),
