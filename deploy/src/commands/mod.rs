@@ -5,8 +5,10 @@ pub mod bs;
 pub mod clock;
 pub mod device;
 pub mod inspect;
+pub mod merge;
 pub mod run;
 pub mod scenario;
+pub mod sweep;
 pub mod up;
 
 use std::process::ExitCode;

@@ -15,7 +15,7 @@ use crate::table::{Hash, METRICS, Row};
 /// The form of the journal.
 const MAGIC: &str = "reveille-journal 1";
 /// Lines between two syncs to the disk.
-const SYNC_LINES: u32 = 512;
+const SYNC_LINES: u32 = 8192;
 /// Device-TTIs between two syncs: some seconds of work.
 const SYNC_DEVICE_TTIS: u64 = 1_000_000_000;
 
@@ -57,6 +57,8 @@ impl From<&Row> for Entry {
 pub struct Journal {
     path: PathBuf,
     file: File,
+    /// Bytes up to the end of the last whole line.
+    length: u64,
     runs: BTreeMap<Job, Entry>,
     dropped: usize,
     unsynced_lines: u32,
@@ -88,6 +90,7 @@ impl Journal {
         let mut journal = Self {
             path: path.to_owned(),
             file,
+            length: 0,
             runs: BTreeMap::new(),
             dropped: 0,
             unsynced_lines: 0,
@@ -129,7 +132,9 @@ impl Journal {
         self.file.seek(SeekFrom::End(0)).map_err(failed)?;
         if whole == 0 {
             self.file.write_all(header.as_bytes()).map_err(failed)?;
+            whole = header.len() as u64;
         }
+        self.length = whole;
         Ok(())
     }
 
@@ -149,9 +154,12 @@ impl Journal {
     /// It cannot be written; the runs before it are kept.
     pub fn add(&mut self, job: Job, entry: Entry, device_ttis: u64) -> Result<(), SweepError> {
         let line = line(job, &entry);
-        self.file
-            .write_all(line.as_bytes())
-            .map_err(|error| self.failed(error))?;
+        if let Err(error) = self.file.write_all(line.as_bytes()) {
+            // Another thread may find room again: its line must not follow half of this one.
+            let _ = self.file.set_len(self.length);
+            return Err(self.failed(error));
+        }
+        self.length += line.len() as u64;
         self.runs.insert(job, entry);
         self.unsynced_lines += 1;
         self.unsynced_device_ttis = self.unsynced_device_ttis.saturating_add(device_ttis);
