@@ -3,7 +3,9 @@
 pub mod bs;
 pub mod clock;
 pub mod device;
+pub mod figures;
 pub mod inspect;
+pub mod report;
 pub mod run;
 pub mod scenario;
 pub mod up;
