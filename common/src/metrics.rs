@@ -167,7 +167,7 @@ pub struct Totals {
 }
 
 /// The metrics of MODEL's table; those per event are NaN where no event was counted.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Metrics {
     /// Σ I_i / number of events.
     pub info_per_event: f64,

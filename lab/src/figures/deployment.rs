@@ -151,17 +151,17 @@ fn role(device: DeviceId, happened: &Happened, state: State) -> Role {
 pub fn scene(scenario: &Scenario, moment: &Moment) -> Scene {
     let mut scene = Scene::new(COLUMN, 0.0);
     scene.title = format!(
-        "Event {} in a deployment of {} devices, policy {}",
+        "Event {}, policy {}, N = {}",
         moment.event.event.0,
-        scenario.devices,
-        scenario.policy.name()
+        scenario.policy.name(),
+        scenario.devices
     );
     let mut y = EDGE + LARGE;
     for line in wrap(&scene.title.clone(), Weight::Bold, LARGE, COLUMN - 2.0 * EDGE) {
         scene.text(Text::new(line, (EDGE, y), LARGE).bold());
         y += LEADING + 1.0;
     }
-    let ground = Ground::new(scenario.area, y - 4.0);
+    let ground = Ground::new(scenario.area, y - 2.0);
     ground.cells(&mut scene, moment);
     ground.axes(&mut scene);
     ground.event(&mut scene, moment, scenario.sensing.d_max);
@@ -235,7 +235,7 @@ impl Ground {
         for tick in map::ticks(self.area.height) {
             let (x, y) = self.at(Point::new(0.0, tick.value));
             scene.line(Path::segment((x - 2.5, y), (x, y)), Stroke::solid(Paint::Ink, 0.7));
-            let at = (x - 4.0, (y + 0.36 * SMALL).max(self.top + 0.7 * SMALL));
+            let at = (x - 4.0, y + 0.36 * SMALL);
             scene.text(Text::new(tick.label, at, SMALL).anchored(Anchor::End));
         }
         let below = (0.5 * (self.left + right), self.bottom() + 2.0 * LEADING);
@@ -348,12 +348,12 @@ fn legend(scene: &mut Scene, moment: &Moment, mut y: f64) -> f64 {
     ];
     let mut x = EDGE;
     let mut place = |scene: &mut Scene, text: String| {
-        let needed = 12.0 + width(&text, Weight::Regular, SMALL);
+        let needed = 14.0 + width(&text, Weight::Regular, SMALL);
         if x > EDGE && x + needed > COLUMN - EDGE {
             (x, y) = (EDGE, y + LEADING + 2.0);
         }
-        scene.text(Text::new(text, (x + 12.0, y), SMALL));
-        let at = (x + 5.0, y - 0.35 * SMALL);
+        scene.text(Text::new(text, (x + 14.0, y), SMALL));
+        let at = (x + 6.0, y - 0.35 * SMALL);
         x += needed + 10.0;
         at
     };
@@ -376,9 +376,14 @@ fn caption(scenario: &Scenario, moment: &Moment) -> String {
         },
     );
     let information = tally.information_pico as f64 / PICO_PER_INFORMATION;
+    let wake_ups = match moment.wake_ups {
+        0 => "no wake-up".to_owned(),
+        1 => "one wake-up".to_owned(),
+        many => format!("{many} wake-ups"),
+    };
     format!(
-        "{ground} The event began in TTI {start} and ended in TTI {last}, which is shown. The BS sent {} wake-ups (numbered \
-         where they brought a report) and got information {information:.3}; it stops at I_min = {:.3}. Preset {}, seed {}.",
-        moment.wake_ups, moment.i_min, scenario.preset, scenario.seed
+        "{ground} The event began in TTI {start} and ended in TTI {last}, which is shown. The BS sent {wake_ups} (numbered \
+         where a report came of it) and got information {information:.3}; I_min of the deployment is {:.3}. Preset {}, seed {}.",
+        moment.i_min, scenario.preset, scenario.seed
     )
 }

@@ -180,7 +180,7 @@ pub fn scene(scenario: &Scenario, timeline: &Timeline) -> Scene {
         axis.states(&mut scene, moments, top + BATTERY);
     }
     axis.ticks(&mut scene, bottom);
-    let mut y = bottom + 3.0 * LEADING + 4.0;
+    let mut y = bottom + 3.0 * LEADING + 10.0;
     scene.description = caption(scenario, timeline);
     for line in wrap(&scene.description.clone(), Weight::Regular, SMALL, WIDE - 2.0 * EDGE) {
         scene.text(Text::new(line, (EDGE, y), SMALL));
@@ -332,7 +332,7 @@ impl Axis {
             let at = x.min(RIGHT - 4.0);
             scene.text(Text::new(tick.label, (at, y + LEADING), SMALL).anchored(Anchor::Middle));
         }
-        let middle = (0.5 * (LEFT + RIGHT), y + 2.0 * LEADING - 1.0);
+        let middle = (0.5 * (LEFT + RIGHT), y + 2.0 * LEADING);
         scene.text(Text::new("TTI k", middle, SMALL).anchored(Anchor::Middle));
     }
 }

@@ -1,0 +1,202 @@
+//! Means over the runs of a cell, with Student-t 95 % confidence intervals.
+
+use std::sync::Arc;
+
+use statrs::distribution::{ContinuousCDF, StudentsT};
+
+use crate::table::{Row, Table, Value};
+
+/// The confidence of the intervals.
+pub const CONFIDENCE: f64 = 0.95;
+
+/// A mean with its confidence interval.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimate {
+    /// Arithmetic mean.
+    pub mean: f64,
+    /// Sample standard deviation (divisor `runs - 1`); NaN for a single value.
+    pub deviation: f64,
+    /// Half the width of the 95 % interval, `t · deviation / √runs`; NaN for a single value.
+    pub half_width: f64,
+    /// Values that were averaged: runs in which the metric is defined.
+    pub runs: usize,
+}
+
+impl Estimate {
+    /// The estimate from `values`; those that are NaN are left out. `None` if no other is left.
+    pub fn of(values: impl IntoIterator<Item = f64>) -> Option<Self> {
+        let mut moments = Moments::default();
+        values.into_iter().for_each(|value| moments.add(value));
+        moments.estimate()
+    }
+
+    /// Half-width over the magnitude of the mean; 0 where all values are the same, infinite where it is not known.
+    pub fn relative(&self) -> f64 {
+        if self.half_width == 0.0 {
+            0.0
+        } else if self.half_width.is_nan() || self.mean == 0.0 {
+            f64::INFINITY
+        } else {
+            self.half_width / self.mean.abs()
+        }
+    }
+}
+
+/// Running mean and sum of squared differences (Welford), for values in a fixed order.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Moments {
+    runs: usize,
+    mean: f64,
+    squares: f64,
+}
+
+impl Moments {
+    /// Takes `value` in, unless it is NaN.
+    pub fn add(&mut self, value: f64) {
+        if value.is_nan() {
+            return;
+        }
+        self.runs += 1;
+        let before = value - self.mean;
+        self.mean += before / self.runs as f64;
+        self.squares += before * (value - self.mean);
+    }
+
+    /// The estimate so far; `None` before the first value.
+    pub fn estimate(&self) -> Option<Estimate> {
+        if self.runs == 0 {
+            return None;
+        }
+        let freedom = (self.runs - 1) as f64;
+        let deviation = if self.runs == 1 {
+            f64::NAN
+        } else {
+            (self.squares / freedom).sqrt()
+        };
+        Some(Estimate {
+            mean: self.mean,
+            deviation,
+            half_width: student_t(self.runs - 1) * deviation / (self.runs as f64).sqrt(),
+            runs: self.runs,
+        })
+    }
+}
+
+/// The two-sided 95 % quantile of Student's t with `freedom` degrees of freedom; NaN for none.
+pub fn student_t(freedom: usize) -> f64 {
+    StudentsT::new(0.0, 1.0, freedom as f64).map_or(f64::NAN, |t| t.inverse_cdf(f64::midpoint(1.0, CONFIDENCE)))
+}
+
+/// The runs of one cell: equal in everything but the seed.
+#[derive(Clone, Debug)]
+pub struct Cell<'t> {
+    /// The preset.
+    pub preset: &'t str,
+    /// The policy.
+    pub policy: &'t str,
+    /// Number of devices N.
+    pub n: u32,
+    /// Length of the runs K, TTIs.
+    pub ttis: u64,
+    /// The swept values, in the order of the table's schema.
+    pub swept: Arc<[Value]>,
+    /// The runs, in the order of the table.
+    pub rows: Vec<&'t Row>,
+}
+
+impl Cell<'_> {
+    /// The estimate of a metric over the runs in which it is defined; `None` if there is no such metric or run.
+    pub fn estimate(&self, metric: &str) -> Option<Estimate> {
+        Estimate::of(self.rows.iter().filter_map(|row| row.metric(metric)))
+    }
+
+    fn holds(&self, row: &Row) -> bool {
+        self.policy == &*row.policy
+            && self.n == row.n
+            && self.preset == &*row.preset
+            && self.ttis == row.ttis
+            && self.swept == row.swept
+    }
+}
+
+/// The rows of `table` by cell, in the order of their first rows.
+pub fn cells(table: &Table) -> Vec<Cell<'_>> {
+    let mut cells: Vec<Cell<'_>> = Vec::new();
+    for row in &table.rows {
+        // Tables are sorted by cell: it is nearly always the last.
+        match cells.iter_mut().rev().find(|cell| cell.holds(row)) {
+            Some(cell) => cell.rows.push(row),
+            None => cells.push(Cell {
+                preset: &row.preset,
+                policy: &row.policy,
+                n: row.n,
+                ttis: row.ttis,
+                swept: Arc::clone(&row.swept),
+                rows: vec![row],
+            }),
+        }
+    }
+    cells
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::table::fixtures;
+
+    /// Two-sided 95 % quantiles as tables print them.
+    const PRINTED: [(usize, f64); 6] = [
+        (1, 12.706),
+        (2, 4.303),
+        (9, 2.262),
+        (29, 2.045),
+        (99, 1.984),
+        (999, 1.962),
+    ];
+
+    #[test]
+    fn quantiles_are_those_of_the_printed_tables() {
+        for (freedom, printed) in PRINTED {
+            assert!(
+                (student_t(freedom) - printed).abs() < 6e-4,
+                "{freedom}: {}",
+                student_t(freedom)
+            );
+        }
+        assert!(student_t(0).is_nan());
+    }
+
+    #[test]
+    fn an_estimate_is_that_of_the_schoolbook() {
+        // Mean 5, squared differences 9+1+1+1+0+0+4+16 = 32, so the variance is 32/7; t(7) = 2.3646.
+        let e = Estimate::of([2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0]).expect("values");
+        let deviation = (32.0f64 / 7.0).sqrt();
+        assert!((e.mean - 5.0).abs() < 1e-12 && (e.deviation - deviation).abs() < 1e-12);
+        assert!((e.half_width - 2.364_624_25 * deviation / 8f64.sqrt()).abs() < 1e-7);
+        assert!((e.relative() - e.half_width / 5.0).abs() < 1e-15);
+        assert_eq!(e.runs, 8);
+    }
+
+    #[test]
+    fn undefined_values_are_left_out() {
+        assert_eq!(Estimate::of([f64::NAN, f64::NAN]), None);
+        let one = Estimate::of([3.0, f64::NAN]).expect("one value");
+        assert_eq!((one.mean, one.runs), (3.0, 1));
+        assert!(one.half_width.is_nan() && one.relative().is_infinite());
+        let same = Estimate::of([0.0, 0.0, 0.0]).expect("values");
+        assert!(same.relative() == 0.0, "three times nothing is known well");
+    }
+
+    #[test]
+    fn a_cell_holds_what_differs_in_the_seed_alone() {
+        let table = fixtures::table();
+        let cells = cells(&table);
+        let counts: Vec<(&str, u32, usize)> = cells.iter().map(|c| (c.policy, c.n, c.rows.len())).collect();
+        assert_eq!(counts, [("knn", 10, 2), ("knn", 50, 2), ("random", 10, 1)]);
+        let estimate = cells[0].estimate("info_p1").expect("defined");
+        assert_eq!((estimate.mean, estimate.runs), (1.5, 2));
+        assert_eq!(cells[0].estimate("info_per_event"), None, "in neither run");
+        assert_eq!(cells[0].estimate("colour"), None);
+        assert!(cells[1].estimate("events").is_some());
+    }
+}

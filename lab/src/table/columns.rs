@@ -1,0 +1,145 @@
+//! Which columns a result table has.
+
+use std::fmt;
+use std::sync::LazyLock;
+
+use reveille_common::metrics::Metrics;
+
+use super::Refusal;
+
+/// Metrics with a column of their own; `events` comes after them, as a whole number.
+pub const METRICS: usize = 14;
+
+/// The columns in front of the swept ones.
+pub(super) const IDENTITY: [&str; 6] = ["scenario_hash", "preset", "policy", "n", "ttis", "seed"];
+/// The columns behind the metrics.
+pub(super) const TAIL: [&str; 2] = ["events", "digest"];
+
+/// The names of the metrics with a column of their own, in order: those of [`Metrics::rows`] without `events`.
+pub fn metric_names() -> &'static [&'static str; METRICS] {
+    static NAMES: LazyLock<[&'static str; METRICS]> = LazyLock::new(|| {
+        let mut names = [""; METRICS];
+        let rows = Metrics::default().rows();
+        for (slot, (name, _, _)) in names.iter_mut().zip(rows) {
+            *slot = name;
+        }
+        names
+    });
+    &NAMES
+}
+
+/// The value of a swept field.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Value {
+    /// A whole number.
+    Int(i64),
+    /// A number.
+    Float(f64),
+    /// Anything else, a list as TOML.
+    Text(String),
+}
+
+impl fmt::Display for Value {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Int(value) => write!(f, "{value}"),
+            Self::Float(value) => write!(f, "{value}"),
+            Self::Text(value) => write!(f, "{value}"),
+        }
+    }
+}
+
+/// What a swept column holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Whole numbers.
+    Int,
+    /// Numbers.
+    Float,
+    /// Text.
+    Text,
+}
+
+impl Value {
+    /// What it is.
+    pub const fn kind(&self) -> Kind {
+        match self {
+            Self::Int(_) => Kind::Int,
+            Self::Float(_) => Kind::Float,
+            Self::Text(_) => Kind::Text,
+        }
+    }
+
+    /// The value as a column of `kind` holds it: whole numbers among numbers become numbers, anything among text text.
+    #[must_use]
+    pub fn into_kind(self, kind: Kind) -> Self {
+        match (kind, self) {
+            (Kind::Float, Self::Int(value)) => Self::Float(value as f64),
+            (Kind::Text, value) => Self::Text(value.to_string()),
+            (Kind::Int | Kind::Float, value) => value,
+        }
+    }
+}
+
+impl Kind {
+    /// The kind that holds both.
+    #[must_use]
+    pub const fn join(self, other: Self) -> Self {
+        match (self, other) {
+            (Self::Int, Self::Int) => Self::Int,
+            (Self::Text, _) | (_, Self::Text) => Self::Text,
+            (Self::Int | Self::Float, Self::Int | Self::Float) => Self::Float,
+        }
+    }
+}
+
+/// The columns that differ between tables: the swept fields. All others are fixed.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Schema {
+    /// Path and kind of each swept field beyond preset, policy, N and TTIs.
+    pub swept: Vec<(String, Kind)>,
+}
+
+impl Schema {
+    /// The names of all columns, in order.
+    pub fn names(&self) -> Vec<&str> {
+        let swept = self.swept.iter().map(|(name, _)| name.as_str());
+        let fixed = metric_names().iter().chain(&TAIL).copied();
+        IDENTITY.into_iter().chain(swept).chain(fixed).collect()
+    }
+
+    /// The number of the column of the swept field at `path`.
+    pub fn position(&self, path: &str) -> Option<usize> {
+        self.swept.iter().position(|(name, _)| name == path)
+    }
+
+    /// The names of the swept columns among `header`, after a check of all others.
+    pub(super) fn swept_among<'h>(header: &[&'h str]) -> Result<Vec<&'h str>, Refusal> {
+        let fixed = IDENTITY.len() + METRICS + TAIL.len();
+        let swept = header.len().checked_sub(fixed);
+        let Some(swept) = swept else {
+            return Err(mismatch(&Self::default().names(), header));
+        };
+        let names: Vec<&str> = header[IDENTITY.len()..IDENTITY.len() + swept].to_vec();
+        let own = Self {
+            swept: names.iter().map(|name| ((*name).to_owned(), Kind::Text)).collect(),
+        };
+        let expected = own.names();
+        if expected == header {
+            Ok(names)
+        } else {
+            Err(mismatch(&expected, header))
+        }
+    }
+}
+
+fn mismatch(expected: &[&str], found: &[&str]) -> Refusal {
+    if !found.contains(&IDENTITY[0]) {
+        return Refusal::NotOurs;
+    }
+    let missing = expected.iter().find(|name| !found.contains(name));
+    Refusal::Columns(missing.map_or_else(
+        || "they are in another order".to_owned(),
+        |name| format!("there is no column `{name}`, or there are columns of metrics that this version does not know"),
+    ))
+}

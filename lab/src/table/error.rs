@@ -1,0 +1,76 @@
+//! Why a result table cannot be read or written.
+
+use std::io;
+use std::path::PathBuf;
+
+use super::TABLE_VERSION;
+
+/// A result table that cannot be read or written, and why.
+#[derive(Debug, thiserror::Error)]
+pub enum TableError {
+    /// The operating system refuses.
+    #[error("{}: cannot be read: {error}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What it said.
+        #[source]
+        error: io::Error,
+    },
+    /// The operating system refuses, for example because the disk is full.
+    #[error("{}: cannot be written: {error}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What it said.
+        #[source]
+        error: io::Error,
+    },
+    /// The rows do not go into the format.
+    #[error("{}: the table cannot be encoded: {reason}", path.display())]
+    Encode {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
+    /// A file of somebody else.
+    #[error("{}: is not a result table of Reveille; `reveille sweep` and `reveille merge` write those", path.display())]
+    NotOurs {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A table of another version.
+    #[error(
+        "{}: is a result table of version {found}, written by reveille {by}; this reveille reads version {TABLE_VERSION}: \
+         use that one, or run the sweep again",
+        path.display()
+    )]
+    Version {
+        /// The file.
+        path: PathBuf,
+        /// Its version.
+        found: String,
+        /// Who wrote it.
+        by: String,
+    },
+    /// The columns are not those of this version.
+    #[error("{}: has not the columns of a result table: {reason}", path.display())]
+    Columns {
+        /// The file.
+        path: PathBuf,
+        /// What differs.
+        reason: String,
+    },
+    /// Cut off or corrupt.
+    #[error(
+        "{}: is cut off or corrupt ({reason}); run `reveille sweep` or `reveille merge` again to make it anew",
+        path.display()
+    )]
+    Broken {
+        /// The file.
+        path: PathBuf,
+        /// What the reader stumbled over.
+        reason: String,
+    },
+}

@@ -1,0 +1,53 @@
+//! A small table for tests.
+
+use std::sync::Arc;
+
+use super::{About, Hash, Kind, METRICS, Row, Schema, Table, Value};
+
+/// Five runs of three cells; `info_per_event` is undefined in the first two.
+pub(crate) fn table() -> Table {
+    let row = |policy: &str, n, seed, lambda: f64, kind: &str| {
+        let mut metrics = [0.0; METRICS];
+        for (at, value) in metrics.iter_mut().enumerate() {
+            *value = seed as f64 * if at == 1 { 1.0 } else { 0.1 + at as f64 / 3.0 };
+        }
+        if n == 10 && policy == "knn" {
+            metrics[0] = f64::NAN;
+        }
+        Row {
+            scenario_hash: Hash([seed as u8 + n as u8; 32]),
+            preset: Arc::from("paper"),
+            policy: Arc::from(policy),
+            n,
+            ttis: 1000,
+            seed,
+            swept: Arc::from([Value::Float(lambda), Value::Int(4), Value::Text(kind.to_owned())]),
+            metrics,
+            events: 100 + seed,
+            digest: Hash([0xA0 + seed as u8; 32]),
+        }
+    };
+    let path = |name: &str| name.to_owned();
+    Table {
+        about: About {
+            version: "0.1.0".to_owned(),
+            experiment: "devices = [10, 50]\nname = \"a \\\"quoted\\\" one\"\n".to_owned(),
+            grid: "00".repeat(32),
+            shard: None,
+        },
+        schema: Schema {
+            swept: vec![
+                (path("harvest.lambda"), Kind::Float),
+                (path("events.duration"), Kind::Int),
+                (path("sensing.kind"), Kind::Text),
+            ],
+        },
+        rows: vec![
+            row("knn", 10, 1, 1.0, "range"),
+            row("knn", 10, 2, 1.0, "range"),
+            row("knn", 50, 1, 1.0, "range"),
+            row("knn", 50, 2, 1.0, "range"),
+            row("random", 10, 1, 0.05, "a, \"b\""),
+        ],
+    }
+}

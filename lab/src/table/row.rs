@@ -1,0 +1,114 @@
+//! One run's row.
+
+use std::fmt;
+use std::str::FromStr;
+use std::sync::Arc;
+
+use reveille_bs::outcome::Outcome;
+use reveille_common::scenario::Scenario;
+
+use super::columns::{METRICS, Value, metric_names};
+
+/// A SHA-256 sum; shown and read as 64 hexadecimal digits.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Hash(pub [u8; 32]);
+
+impl fmt::Display for Hash {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+    }
+}
+
+impl fmt::Debug for Hash {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
+    }
+}
+
+impl FromStr for Hash {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || format!("\"{}\" is not 64 hexadecimal digits", text.escape_default());
+        if text.len() != 64 || !text.bytes().all(|byte| byte.is_ascii_hexdigit()) {
+            return Err(wrong());
+        }
+        let mut sum = [0; 32];
+        for (byte, at) in sum.iter_mut().zip((0..64).step_by(2)) {
+            *byte = u8::from_str_radix(&text[at..at + 2], 16).map_err(|_| wrong())?;
+        }
+        Ok(Self(sum))
+    }
+}
+
+/// One run: what it was and what came out.
+#[derive(Clone, Debug)]
+pub struct Row {
+    /// SHA-256 of everything that decides the run.
+    pub scenario_hash: Hash,
+    /// The preset that the scenario starts from.
+    pub preset: Arc<str>,
+    /// The policy's name.
+    pub policy: Arc<str>,
+    /// Number of devices N.
+    pub n: u32,
+    /// Length of the run K, TTIs.
+    pub ttis: u64,
+    /// The seed, `0 ..= 2⁶³-1`.
+    pub seed: u64,
+    /// The values of the swept fields, in the order of [`super::Schema::swept`].
+    pub swept: Arc<[Value]>,
+    /// The metrics, in the order of [`metric_names`]; NaN where not defined.
+    pub metrics: [f64; METRICS],
+    /// Events counted.
+    pub events: u64,
+    /// The run's fingerprint.
+    pub digest: Hash,
+}
+
+impl Row {
+    /// The row of a complete run of `scenario` with the swept values `swept`.
+    pub fn new(scenario: &Scenario, swept: Arc<[Value]>, outcome: &Outcome) -> Self {
+        let mut metrics = [f64::NAN; METRICS];
+        for (slot, (_, value, _)) in metrics.iter_mut().zip(outcome.metrics.rows()) {
+            *slot = value;
+        }
+        Self {
+            scenario_hash: Hash(scenario.hash()),
+            preset: Arc::from(scenario.preset.as_str()),
+            policy: Arc::from(scenario.policy.name()),
+            n: scenario.devices,
+            ttis: scenario.ttis,
+            seed: scenario.seed,
+            swept,
+            metrics,
+            events: outcome.metrics.events,
+            digest: Hash(outcome.digest.bytes()),
+        }
+    }
+
+    /// The metric called `name`, `events` included; `None` if there is no such metric or it is not defined for this run.
+    pub fn metric(&self, name: &str) -> Option<f64> {
+        if name == "events" {
+            return Some(self.events as f64);
+        }
+        let at = metric_names().iter().position(|known| *known == name)?;
+        Some(self.metrics[at]).filter(|value| !value.is_nan())
+    }
+}
+
+/// Bit for bit: an undefined metric equals an undefined metric.
+impl PartialEq for Row {
+    fn eq(&self, other: &Self) -> bool {
+        let identity = |row: &Self| (row.scenario_hash, row.n, row.ttis, row.seed, row.events, row.digest);
+        let bits = |row: &Self| {
+            row.metrics
+                .map(|value| if value.is_nan() { 0 } else { value.to_bits() })
+        };
+        identity(self) == identity(other)
+            && self.preset == other.preset
+            && self.policy == other.policy
+            && self.swept == other.swept
+            && bits(self) == bits(other)
+    }
+}

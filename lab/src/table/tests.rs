@@ -1,0 +1,122 @@
+//! Tables written, read back, and broken.
+
+use std::fs;
+use std::path::PathBuf;
+
+use super::*;
+
+/// A folder of its own, gone with it.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("reveille-table-{}-{name}", std::process::id()));
+        fs::create_dir_all(&path).expect("writable");
+        Self(path)
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.join(name)
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+#[test]
+fn names_of_metrics_are_those_of_the_contract() {
+    let rows = reveille_common::metrics::Metrics::default().rows();
+    assert_eq!(rows.len(), METRICS + 1);
+    assert_eq!(rows[METRICS].0, "events");
+    assert_eq!(metric_names()[..3], ["info_per_event", "info_p1", "misdetection_pct"]);
+}
+
+#[test]
+fn both_formats_give_back_what_was_written() {
+    let folder = Folder::new("formats");
+    let table = fixtures::table();
+    for name in ["t.parquet", "t.csv"] {
+        let path = folder.path(name);
+        table.write(&path, Format::of(&path)).expect("written");
+        assert_eq!(Table::read(&path).expect("read"), table, "{name}");
+        let first = fs::read(&path).expect("there");
+        table.write(&path, Format::of(&path)).expect("written");
+        assert_eq!(fs::read(&path).expect("there"), first, "the same bytes again");
+    }
+    assert!(!folder.path("t.parquet.part").exists());
+}
+
+#[test]
+fn an_empty_table_and_one_of_many_groups_are_read() {
+    let folder = Folder::new("sizes");
+    let path = folder.path("t.parquet");
+    let mut table = fixtures::table();
+    let rows = std::mem::take(&mut table.rows);
+    table.write(&path, Format::Parquet).expect("written");
+    assert_eq!(Table::read(&path).expect("read"), table);
+    table.rows = rows.iter().cycle().take(150_001).cloned().collect();
+    table.write(&path, Format::Parquet).expect("written");
+    assert!(Table::read(&path).expect("read") == table);
+}
+
+#[test]
+fn other_versions_and_other_files_are_refused() {
+    let folder = Folder::new("refused");
+    let path = folder.path("t.csv");
+    let table = fixtures::table();
+    table.write(&path, Format::Csv).expect("written");
+    let side = folder.path("t.csv.toml");
+    let text = fs::read_to_string(&side).expect("there");
+    let newer = text.replace("\"reveille.table\" = \"1\"", "\"reveille.table\" = \"7\"");
+    assert_ne!(newer, text);
+    fs::write(&side, newer).expect("written");
+    let message = Table::read(&path).expect_err("another version").to_string();
+    assert!(message.contains("version 7") && message.contains("t.csv"), "{message}");
+    fs::remove_file(&side).expect("there");
+    assert_eq!(Table::read(&path).expect("no side-car is needed").rows, table.rows);
+
+    for (text, part) in [
+        ("a,b\n1,2\n", "not a result table"),
+        ("", "cut off"),
+        ("scenario_hash,preset\n", "no column `policy`"),
+    ] {
+        fs::write(&path, text).expect("written");
+        let message = Table::read(&path).expect_err(text).to_string();
+        assert!(message.contains(part), "{text:?}: {message}");
+    }
+    let message = Table::read(&folder.path("none.parquet"))
+        .expect_err("not there")
+        .to_string();
+    assert!(message.contains("none.parquet: cannot be read"), "{message}");
+}
+
+#[test]
+fn a_cut_file_is_refused_at_every_length() {
+    let folder = Folder::new("cut");
+    for name in ["t.parquet", "t.csv"] {
+        let path = folder.path(name);
+        fixtures::table().write(&path, Format::of(&path)).expect("written");
+        let bytes = fs::read(&path).expect("there");
+        for length in 0..bytes.len() {
+            fs::write(&path, &bytes[..length]).expect("written");
+            match Table::read(&path) {
+                Err(_) => {}
+                // A CSV file that ends with a whole row looks whole.
+                Ok(table) => assert!(name == "t.csv" && bytes[length - 1] == b'\n' && table.rows.len() < 5),
+            }
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_written_leaves_the_old_file() {
+    let folder = Folder::new("write");
+    let message = fixtures::table()
+        .write(&folder.path("no/such/t.parquet"), Format::Parquet)
+        .expect_err("no such folder")
+        .to_string();
+    assert!(message.contains("t.parquet: cannot be written"), "{message}");
+}
