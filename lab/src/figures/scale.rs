@@ -87,9 +87,10 @@ impl Scale {
         match self {
             Self::Linear { from, to } => {
                 let step = step(to - from);
-                let count = floor((to - from) / step + 1e-6) as u32;
+                let first = -floor(-from / step + 1e-6);
+                let count = floor(to / step - first + 1e-6) as u32;
                 (0..=count)
-                    .map(|i| from + step * f64::from(i))
+                    .map(|i| step * (first + f64::from(i)))
                     .map(|value| Tick {
                         value,
                         label: label(value, step),
@@ -233,6 +234,12 @@ mod tests {
         assert_eq!(labels(Scale::log([2.0, 7.0]).expect("a scale")), ["1", "2", "5", "10"]);
         assert_eq!(Scale::log([0.0, -1.0]), None);
         assert_eq!(Scale::log([1.0]).map(Scale::ends), Some((1.0, 10.0)));
+    }
+
+    #[test]
+    fn ticks_are_round_where_the_ends_are_not() {
+        let axis = Scale::Linear { from: -15.0, to: 267.0 };
+        assert_eq!(labels(axis), ["0", "50", "100", "150", "200", "250"]);
     }
 
     #[test]

@@ -1,0 +1,14 @@
+//! The analytical part of the paper beside what the machines do: closed forms and chains on one side, runs in memory on the
+//! other.
+//!
+//! Everything measured comes from [`crate::run`] or from the device machine itself; nothing here is a second model. Closed
+//! forms are given as the paper prints them, and where what it prints is not a probability, that is said and not mended.
+
+pub mod battery;
+mod error;
+mod estimate;
+pub mod harvest;
+mod runs;
+
+pub use error::AnalysisError;
+pub use estimate::Estimate;
