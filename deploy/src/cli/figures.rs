@@ -35,8 +35,8 @@ pub struct FiguresArgs {
     /// Result tables of `reveille sweep`; runs that two of them hold count once.
     #[arg(required = true, value_name = "TABLE")]
     pub tables: Vec<PathBuf>,
-    /// Only these figures, separated by commas, of: information, energy, misdetection, low-energy, battery, wrong, wasted
-    /// [default: all].
+    /// Only these figures, separated by commas, of: information, energy, misdetection, low-energy, battery, wrong, wasted,
+    /// harvest, net [default: all].
     #[arg(long, value_delimiter = ',', value_name = "FIGURE")]
     pub only: Vec<String>,
     /// The pictures.

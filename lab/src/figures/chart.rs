@@ -37,7 +37,7 @@ pub struct Sample {
 /// A line of a chart.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Series {
-    /// Its name in the legend.
+    /// Its name in the legend; empty for one that has no entry.
     pub name: String,
     /// How it looks.
     pub style: Style,
@@ -137,7 +137,7 @@ impl Chart {
         };
         frame.axes(&mut scene);
         frame.data(&mut scene);
-        let mut y = frame.bottom + 2.0 * LEADING + 4.0 + LEADING;
+        let mut y = frame.bottom + 3.0 * LEADING + 6.0;
         y = self.legend(&mut scene, y);
         y += 1.0;
         for line in wrap(&self.caption, Weight::Regular, SMALL, COLUMN - 2.0 * EDGE) {
@@ -152,7 +152,7 @@ impl Chart {
     fn legend(&self, scene: &mut Scene, mut y: f64) -> f64 {
         const SWATCH: f64 = 22.0;
         let mut x = EDGE;
-        for series in &self.series {
+        for series in self.series.iter().filter(|s| !s.name.is_empty()) {
             let needed = SWATCH + width(&series.name, Weight::Regular, SMALL);
             if x > EDGE && x + needed > COLUMN - EDGE {
                 (x, y) = (EDGE, y + LEADING + 1.0);
@@ -201,7 +201,7 @@ impl Frame<'_> {
             let is_main = !tick.label.is_empty();
             if is_main {
                 scene.line(Path::segment((x, self.top), (x, self.bottom)), grid);
-                let at = (x, self.bottom + LEADING);
+                let at = (x, self.bottom + LEADING + 1.5);
                 scene.text(Text::new(tick.label, at, SMALL).anchored(Anchor::Middle));
             }
             let length = if is_main { 2.5 } else { 1.5 };
@@ -213,7 +213,7 @@ impl Frame<'_> {
             (self.right, self.bottom),
         ];
         scene.line(Path::polyline(corner, false), axis);
-        let below = (0.5 * (self.left + self.right), self.bottom + 2.0 * LEADING + 1.0);
+        let below = (0.5 * (self.left + self.right), self.bottom + 2.0 * LEADING + 2.5);
         scene.text(Text::new(self.chart.x_label.as_str(), below, SMALL).anchored(Anchor::Middle));
         let beside = (EDGE + 0.76 * SMALL, 0.5 * (self.top + self.bottom));
         let mut label = Text::new(self.chart.y_label.as_str(), beside, SMALL).anchored(Anchor::Middle);

@@ -9,6 +9,7 @@
 
 pub mod chart;
 pub mod deployment;
+pub mod energy;
 mod error;
 pub mod font;
 mod map;
@@ -23,4 +24,8 @@ pub mod svg;
 pub mod timeline;
 pub mod witness;
 
+#[cfg(test)]
+mod tests;
+#[cfg(test)]
+mod tmp;
 pub use error::FigureError;

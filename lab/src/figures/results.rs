@@ -3,11 +3,12 @@
 use std::collections::BTreeMap;
 
 use reveille_common::scenario::{Override, load};
+use sha2::{Digest as _, Sha256};
 
 use super::error::FigureError;
 use crate::report::claims::POLICIES;
 use crate::stats::{Estimate, cells};
-use crate::table::{About, Row, Table};
+use crate::table::{About, Hash, Row, Table};
 
 /// A table and its name.
 #[derive(Clone, Debug)]
@@ -16,8 +17,10 @@ pub struct Source {
     pub name: String,
     /// What it says about its origin.
     pub about: About,
-    /// Its runs.
+    /// How many runs it holds.
     pub rows: usize,
+    /// SHA-256 over the digests of its runs, in their order, hexadecimal.
+    pub digests: String,
 }
 
 /// Everything but policy, N and seed that runs have in common.
@@ -59,6 +62,7 @@ impl Results {
                 name: name.clone(),
                 about: table.about.clone(),
                 rows: table.rows.len(),
+                digests: digests(table),
             });
             results.add(name, table)?;
         }
@@ -104,6 +108,14 @@ impl Results {
         }
         Ok(())
     }
+}
+
+fn digests(table: &Table) -> String {
+    let mut sum = Sha256::new();
+    for row in &table.rows {
+        sum.update(row.digest.0);
+    }
+    Hash(sum.finalize().into()).to_string()
 }
 
 /// Whether the scenario of `row` is its preset with nothing changed but what the columns of the table say.
@@ -201,5 +213,59 @@ impl Setting {
             }
         };
         label.chars().map(keep).collect()
+    }
+}
+
+/// Tables for tests.
+#[cfg(test)]
+pub(crate) mod fixtures {
+    use std::sync::Arc;
+
+    use reveille_common::scenario::{Override, load};
+
+    use crate::table::{About, Hash, METRICS, Row, Schema, Table, metric_names};
+
+    /// A table of runs under `preset`: for each policy and N the values of `metric`, one a run. All other metrics are 1 more
+    /// than their number.
+    pub fn table(preset: &str, metric: &str, runs: &[(&str, u32, &[f64])]) -> (String, Table) {
+        let mut rows = Vec::new();
+        for (policy, n, values) in runs {
+            for (seed, value) in (1..).zip(*values) {
+                rows.push(row(preset, policy, *n, seed, metric, *value));
+            }
+        }
+        let about = About {
+            version: "0.1.0".to_owned(),
+            experiment: format!("preset = \"{preset}\"\n"),
+            ..About::default()
+        };
+        let schema = Schema::default();
+        (format!("{preset}.parquet"), Table { about, schema, rows })
+    }
+
+    fn row(preset: &str, policy: &str, n: u32, seed: u64, metric: &str, value: f64) -> Row {
+        let overrides = [format!("devices={n}"), "ttis=2000".to_owned(), format!("seed={seed}")];
+        // Policies that cannot be run yet can be drawn.
+        let is_known = ["knn", "adjusted", "random", "genie"].contains(&policy);
+        let policy_is = is_known.then(|| format!("policy.name={policy}"));
+        let overrides = overrides.into_iter().chain(policy_is);
+        let overrides: Vec<Override> = overrides.map(|o| Override::parse(&o).expect("an override")).collect();
+        let scenario = load(preset, &overrides).expect("a scenario");
+        let mut metrics = [0.0; METRICS];
+        for (at, (slot, name)) in metrics.iter_mut().zip(metric_names()).enumerate() {
+            *slot = if *name == metric { value } else { 1.0 + at as f64 };
+        }
+        Row {
+            scenario_hash: Hash(scenario.hash()),
+            preset: Arc::from(preset),
+            policy: Arc::from(policy),
+            n,
+            ttis: 2000,
+            seed,
+            swept: Arc::from([]),
+            metrics,
+            events: 300,
+            digest: Hash([seed as u8; 32]),
+        }
     }
 }

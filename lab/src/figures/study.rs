@@ -7,7 +7,7 @@ use super::error::FigureError;
 use super::results::Setting;
 use super::scale::Scale;
 use super::style::Style;
-use crate::report::claims::{Claim, Relation, topic};
+use crate::report::claims::{Claim, Relation, Sites, topic};
 
 /// One of the paper's figures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -282,8 +282,8 @@ impl Figure {
     }
 }
 
-fn mark(claim: &Claim, claims: &[Claim]) -> Option<Mark> {
-    use crate::report::claims::Sites;
+/// Where and how `claim`, one of `claims`, is marked; `None` if it is not about one N.
+pub(super) fn mark(claim: &Claim, claims: &[Claim]) -> Option<Mark> {
     let n = match claim.sites {
         Sites::At(n) => n,
         Sites::Under(_) | Sites::Everywhere => return None,

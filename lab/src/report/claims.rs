@@ -78,6 +78,8 @@ pub struct Topic {
     pub about: &'static str,
     /// Where the paper says so.
     pub source: &'static str,
+    /// What keeps all of them from being met as written, if that is known; empty otherwise.
+    pub remark: &'static str,
     /// The claims.
     pub claims: &'static [Claim],
 }
@@ -108,6 +110,7 @@ pub const TOPICS: &[Topic] = &[
         metric: "info_per_event",
         about: "information per event",
         source: "Fig. 7",
+        remark: "",
         claims: &[
             claim("knn", At(250), About(0.4)),
             claim("adjusted", At(250), About(0.4)),
@@ -120,6 +123,7 @@ pub const TOPICS: &[Topic] = &[
         metric: "energy_per_device_tti",
         about: "energy per device and TTI, units",
         source: "Fig. 8",
+        remark: "",
         claims: &[
             claim("knn", At(10), Between(0.45, 0.83)),
             claim("adjusted", At(10), Between(0.45, 0.83)),
@@ -139,6 +143,7 @@ pub const TOPICS: &[Topic] = &[
         metric: "misdetection_pct",
         about: "misdetections, % of events",
         source: "Fig. 9",
+        remark: "",
         claims: &[
             claim("knn", At(10), About(33.0)),
             claim("adjusted", At(10), About(58.0)),
@@ -155,6 +160,7 @@ pub const TOPICS: &[Topic] = &[
         metric: "low_energy_pct",
         about: "devices with B < E_Tx, %",
         source: "Fig. 10",
+        remark: "",
         claims: &[
             claim("knn", At(10), About(67.0)),
             claim("q-learning", At(10), About(67.0)),
@@ -168,6 +174,7 @@ pub const TOPICS: &[Topic] = &[
         metric: "mean_battery",
         about: "mean battery, units",
         source: "Fig. 11",
+        remark: "",
         claims: &[
             claim("knn", At(10), About(10.0)),
             claim("q-learning", At(10), About(10.0)),
@@ -182,6 +189,7 @@ pub const TOPICS: &[Topic] = &[
         metric: "wrong_activations_per_event",
         about: "wrong activations per event, devices",
         source: "Fig. 12a",
+        remark: "",
         claims: &[
             claim("adjusted", At(250), About(17.0)),
             claim("q-learning", At(250), About(9.5)),
