@@ -29,15 +29,24 @@ pub struct Correlation {
     bounds: Arc<Bounds>,
 }
 
-/// Upper bounds of `P_4,2` on a grid of distances.
-#[derive(Debug)]
+/// Upper bounds of `P_4,2` on a grid of distances, each good for all pairs (d, γ) that are nearest to its grid point.
+#[derive(Debug, Default)]
 struct Bounds {
     /// Grid points per metre.
     scale: f64,
     /// Grid points along γ, from 0 to twice the sensing range.
     columns: usize,
-    /// The bound for all pairs (d, γ) that are nearest to a grid point, row by row of d.
-    values: Vec<f64>,
+    /// For each row of d the bands of γ with a bound of at least p(d_max), by falling bound.
+    bands: Vec<Vec<Band>>,
+}
+
+/// All γ that are nearest to one grid point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Band {
+    /// The number of the grid point.
+    pub(crate) column: usize,
+    /// No less than `P_4,2` of any pair with this γ.
+    pub(crate) bound: f64,
 }
 
 /// The grids of the sensing models used last, by η and d_max: runs of a sweep share theirs.
@@ -61,11 +70,7 @@ impl Correlation {
                 })
                 .collect(),
             threshold: sensing.p(sensing.d_max),
-            bounds: Arc::new(Bounds {
-                scale: 0.0,
-                columns: 1,
-                values: vec![1.0],
-            }),
+            bounds: Arc::default(),
         };
         correlation.bounds = correlation.grid();
         correlation
@@ -90,7 +95,7 @@ impl Correlation {
         made
     }
 
-    /// A step of h in d or in γ moves the event by at most h against the device, and so changes ln p by at most ηh. A pair
+    /// The bands, best first, for each d of a grid. A step of h in d or in γ moves the event by at most h against the device, and so changes ln p by at most ηh. A pair
     /// is at most half a step from its grid point in each of the two, which makes ηh in all.
     fn make_grid(&self) -> Bounds {
         let Sensing { eta, d_max, .. } = self.sensing;
@@ -99,13 +104,32 @@ impl Correlation {
         let columns = (2.0 * d_max / step).round() as usize + 2;
         let factor = libm::exp(eta * step) * (1.0 + 1e-9);
         let value = |i: usize, j: usize| (self.p42(i as f64 * step, j as f64 * step) + QUADRATURE_ERROR) * factor;
+        let band = |i: usize, column: usize| Band {
+            column,
+            bound: value(i, column),
+        };
+        let row = |i: usize| {
+            let all = (0..columns).map(|column| band(i, column));
+            let mut bands: Vec<Band> = all.filter(|band| band.bound >= self.threshold).collect();
+            bands.sort_by(|a, b| b.bound.total_cmp(&a.bound));
+            bands
+        };
         Bounds {
             scale: 1.0 / step,
             columns,
-            values: (0..rows * columns)
-                .map(|at| value(at / columns, at % columns))
-                .collect(),
+            bands: (0..rows).map(row).collect(),
         }
+    }
+
+    /// The bands of γ that can hold a candidate if the reporter is `d` metres from the event, by falling bound.
+    pub(crate) fn bands(&self, d: f64) -> &[Band] {
+        let Bounds { scale, bands, .. } = &*self.bounds;
+        &bands[((d * scale + 0.5) as usize).min(bands.len() - 1)]
+    }
+
+    /// Bands per metre, and how many there are.
+    pub(crate) fn banding(&self) -> (f64, usize) {
+        (self.bounds.scale, self.bounds.columns)
     }
 
     /// Pr(`S_j` = S3 | `S_h` = S3), `[0, 1]`: the mean of p(√(d² + γ² − 2dγ cos φ)) over φ uniform on [0, 2π), for a
@@ -123,32 +147,9 @@ impl Correlation {
             .sum()
     }
 
-    /// No less than [`Correlation::p42`] for `d` up to `d_max`, and cheap.
-    #[inline]
-    pub(crate) fn bound(&self, d: f64, gamma: f64) -> f64 {
-        let Bounds { scale, columns, values } = &*self.bounds;
-        let at = (d * scale + 0.5) as usize * columns + (gamma * scale + 0.5) as usize;
-        if gamma * scale < (columns - 1) as f64 && at < values.len() {
-            values[at]
-        } else {
-            1.0
-        }
-    }
-
     /// The least probability for which a device is woken, p(`d_max`) (Algorithm 1, line 8).
     pub fn threshold(&self) -> f64 {
         self.threshold
-    }
-
-    /// How far from a reporter candidates can be, if it is `d` metres from the event: p(γ − d) ≥ p(d_max), up to rounding,
-    /// which the comparison with the threshold decides.
-    pub(crate) fn reach(&self, d: f64) -> f64 {
-        (d + self.sensing.d_max) * (1.0 + 1e-9)
-    }
-
-    /// The sensing range `d_max`, metres.
-    pub(crate) fn range(&self) -> f64 {
-        self.sensing.d_max
     }
 }
 
@@ -286,8 +287,13 @@ mod tests {
         for _ in 0..10_000 {
             let (d, gamma) = (4.0 * stream.unit(), 8.0 * stream.unit());
             let mean = correlation.p42(d, gamma);
+            assert!(mean >= model.p(d + gamma), "{d}, {gamma}");
+            let (scale, columns) = correlation.banding();
+            let column = (gamma * scale + 0.5) as usize;
+            assert!(column < columns, "{gamma}");
+            let band = correlation.bands(d).iter().find(|band| band.column == column);
             assert!(
-                mean <= correlation.bound(d, gamma) && mean >= model.p(d + gamma),
+                mean <= band.map_or(correlation.threshold(), |band| band.bound),
                 "{d}, {gamma}"
             );
         }

@@ -7,6 +7,7 @@ pub mod clock;
 pub mod clusters;
 mod correlation;
 pub mod cycle;
+mod neighbours;
 pub mod observation;
 pub mod outcome;
 pub mod policy;

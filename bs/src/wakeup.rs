@@ -3,11 +3,12 @@
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
-use reveille_common::geometry::{Area, Buckets, Point, farthest_cell_vertex};
+use reveille_common::geometry::{Area, Point, farthest_cell_vertex};
 use reveille_common::ids::DeviceId;
 use reveille_common::sensing::Sensing;
 
 pub use crate::correlation::Correlation;
+use crate::neighbours::Neighbours;
 
 /// The information per event that a deployment can give wherever the event is, `I_min` = p(d*), `[0, 1]`: the report of
 /// the closest device in the worst place, of which d* is the distance (Eq. (`E_Info3`); on a grid Eq. (`E_Info1`)).
@@ -18,19 +19,18 @@ pub fn i_min(points: &[Point], area: Area, sensing: &Sensing) -> f64 {
 /// The wake-up candidates of one event after another, each event's by falling `P_4,2` = max over its reporters h of
 /// Pr(`S_j` = S3 | `S_h` = S3), ties by device number.
 ///
-/// An event begins with [`Ranking::start`]; every report goes to one of the `add_reporter` methods; [`Ranking::next`]
-/// gives the candidate to wake next. Reports may be added between two candidates.
+/// An event begins with [`Ranking::start`]; every report goes to [`Ranking::add_reporter`]; [`Ranking::next`] gives
+/// the candidate to wake next. Reports may be added between two candidates.
 ///
-/// Most integrals are never computed: a pair of reporter and candidate enters the queue with a cheap upper bound, and
-/// is evaluated only when no other candidate is known to be better than that bound.
+/// Most integrals are never computed: candidates wait by whole bands of distance from a reporter under a cheap upper bound,
+/// and are evaluated only when nobody else is known to be better than that bound.
 #[derive(Clone, Debug)]
 pub struct Ranking {
     correlation: Correlation,
-    buckets: Buckets,
-    positions: Vec<Point>,
+    neighbours: Neighbours,
     queue: BinaryHeap<Entry>,
-    /// Where this event's reporters are, and how far from it.
-    reporters: Vec<(Point, f64)>,
+    /// This event's reporters, and how far it is from each, metres.
+    reporters: Vec<(DeviceId, f64)>,
     /// The number of the last event for which each device was given out.
     given_out: Vec<u64>,
     event: u64,
@@ -39,9 +39,9 @@ pub struct Ranking {
 impl Ranking {
     /// A ranking of the devices at `points` in `area`.
     pub fn new(points: &[Point], area: Area, correlation: Correlation) -> Self {
+        let (scale, bands) = correlation.banding();
         Self {
-            buckets: Buckets::new(points, area, correlation.range()),
-            positions: points.to_vec(),
+            neighbours: Neighbours::new(points, area, scale, bands),
             correlation,
             queue: BinaryHeap::new(),
             reporters: Vec::new(),
@@ -57,61 +57,78 @@ impl Ranking {
         self.event += 1;
     }
 
-    /// Takes in the report of a device at `position` that is `d` metres, 0 ..= `d_max`, from the event, with `candidates`.
-    /// A device that was already given out for this event is not given out again.
-    pub fn add_reporter(&mut self, position: Point, d: f64, candidates: impl IntoIterator<Item = DeviceId>) {
-        let reporter = self.add(position, d);
-        let (correlation, given_out, positions) = (&self.correlation, &self.given_out, &self.positions);
-        let (event, reach) = (self.event, correlation.reach(d));
-        self.queue.extend(candidates.into_iter().filter_map(|device| {
-            let gamma = position.distance(positions[device.index()]);
-            (gamma <= reach && given_out[device.index()] != event)
-                .then(|| Entry::bound(correlation, device, reporter, d, gamma))
-                .flatten()
-        }));
-    }
-
-    /// The same with all devices in reach as candidates.
-    pub fn add_reporter_to_all(&mut self, position: Point, d: f64) {
-        let reporter = self.add(position, d);
-        let (correlation, given_out, queue) = (&self.correlation, &self.given_out, &mut self.queue);
-        let event = self.event;
-        self.buckets.within(position, correlation.reach(d), |index, gamma| {
-            if given_out[index] != event {
-                queue.extend(Entry::bound(correlation, DeviceId(index as u32), reporter, d, gamma));
-            }
-        });
+    /// Takes in the report of `device`, which is `d` metres, 0 ..= `d_max`, from the event. A device that was already given out
+    /// for this event is not given out again.
+    pub fn add_reporter(&mut self, device: DeviceId, d: f64) {
+        let reporter = self.reporters.len() as u32;
+        self.reporters.push((device, d));
+        self.await_band(reporter, 0);
     }
 
     /// Gives out the candidate with the largest `P_4,2` for which `is_candidate` holds (one in S4 that the policy may
     /// wake), if any has at least p(`d_max`).
     pub fn next(&mut self, is_candidate: impl Fn(DeviceId) -> bool) -> Option<DeviceId> {
-        while let Some(Entry { device, reporter, .. }) = self.queue.pop() {
-            if self.given_out[device.index()] == self.event || !is_candidate(device) {
-                continue;
-            }
-            if reporter == EXACT {
-                self.given_out[device.index()] = self.event;
-                return Some(device);
-            }
-            let (position, d) = self.reporters[reporter as usize];
-            let value = self
-                .correlation
-                .p42(d, position.distance(self.positions[device.index()]));
-            if value >= self.correlation.threshold() {
-                self.queue.push(Entry {
-                    nano: nano(value),
-                    device,
-                    reporter: EXACT,
-                });
+        while let Some(Entry { waiting, number, .. }) = self.queue.pop() {
+            match waiting {
+                Waiting::Band { reporter } => self.open(reporter, number, &is_candidate),
+                Waiting::Evaluated => {
+                    let device = DeviceId(number);
+                    if self.given_out[device.index()] != self.event && is_candidate(device) {
+                        self.given_out[device.index()] = self.event;
+                        return Some(device);
+                    }
+                }
             }
         }
         None
     }
 
-    fn add(&mut self, position: Point, d: f64) -> u32 {
-        self.reporters.push((position, d));
-        self.reporters.len() as u32 - 1
+    /// Evaluates the candidates of the `turn`-th band of `reporter`; those of the next wait for theirs.
+    fn open(&mut self, reporter: u32, turn: u32, is_candidate: impl Fn(DeviceId) -> bool) {
+        let (device, d) = self.reporters[reporter as usize];
+        let column = self.correlation.bands(d)[turn as usize].column;
+        for i in 0..self.neighbours.band(device, column).len() {
+            let j = self.neighbours.band(device, column)[i];
+            self.evaluate(reporter, j, &is_candidate);
+        }
+        self.await_band(reporter, turn + 1);
+    }
+
+    /// Puts the first band of `reporter` from the `turn`-th on that holds anyone into the queue.
+    fn await_band(&mut self, reporter: u32, turn: u32) {
+        let Self {
+            correlation,
+            neighbours,
+            queue,
+            reporters,
+            ..
+        } = self;
+        let (device, d) = reporters[reporter as usize];
+        let bands = (0..).zip(correlation.bands(d)).skip(turn as usize);
+        let next = bands
+            .into_iter()
+            .find(|(_, band)| !neighbours.band(device, band.column).is_empty());
+        queue.extend(next.map(|(turn, band)| Entry {
+            nano: nano(band.bound) + 1,
+            waiting: Waiting::Band { reporter },
+            number: turn,
+        }));
+    }
+
+    fn evaluate(&mut self, reporter: u32, j: DeviceId, is_candidate: impl Fn(DeviceId) -> bool) {
+        if self.given_out[j.index()] == self.event || !is_candidate(j) {
+            return;
+        }
+        let (device, d) = self.reporters[reporter as usize];
+        let gamma = self.neighbours.position(device).distance(self.neighbours.position(j));
+        let value = self.correlation.p42(d, gamma);
+        if value >= self.correlation.threshold() {
+            self.queue.push(Entry {
+                nano: nano(value),
+                waiting: Waiting::Evaluated,
+                number: j.0,
+            });
+        }
     }
 }
 
@@ -121,40 +138,32 @@ fn nano(p: f64) -> u32 {
     (p * 1e9 + 0.5) as u32
 }
 
-/// In place of a reporter: the entry holds the probability itself.
-const EXACT: u32 = u32::MAX;
+/// What an entry of the queue stands for, and what its number means.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Waiting {
+    /// A candidate with its probability; the number is the device's.
+    Evaluated,
+    /// All candidates in one band of distances from a reporter, with an upper bound on their probabilities; the number is
+    /// the band's place among the reporter's.
+    Band { reporter: u32 },
+}
 
-/// A candidate's probability under one reporter, or an upper bound on it.
+/// Candidates, and a probability that they do not exceed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Entry {
     /// In 10⁻⁹.
     nano: u32,
-    device: DeviceId,
-    /// The reporter of a bound, or [`EXACT`].
-    reporter: u32,
-}
-
-impl Entry {
-    /// The bound for a candidate `gamma` metres from a reporter, unless it falls short of p(`d_max`).
-    fn bound(correlation: &Correlation, device: DeviceId, reporter: u32, d: f64, gamma: f64) -> Option<Self> {
-        let bound = correlation.bound(d, gamma);
-        (bound >= correlation.threshold()).then(|| Self {
-            nano: nano(bound) + 1,
-            device,
-            reporter,
-        })
-    }
+    waiting: Waiting,
+    number: u32,
 }
 
 impl Ord for Entry {
     /// The largest value comes first. At equal values bounds come before probabilities, as they may hide a device with
     /// a lower number; then lower numbers come first.
     fn cmp(&self, other: &Self) -> Ordering {
-        self.nano
-            .cmp(&other.nano)
-            .then_with(|| (self.reporter != EXACT).cmp(&(other.reporter != EXACT)))
-            .then_with(|| other.device.cmp(&self.device))
-            .then_with(|| other.reporter.cmp(&self.reporter))
+        (self.nano, self.waiting)
+            .cmp(&(other.nano, other.waiting))
+            .then_with(|| other.number.cmp(&self.number))
     }
 }
 
@@ -196,13 +205,13 @@ mod tests {
     }
 
     /// The definition: all candidates that may be woken with their largest probability, sorted.
-    fn sorted(points: &[Point], reporters: &[(Point, f64)], candidate: impl Fn(DeviceId) -> bool) -> Vec<DeviceId> {
+    fn sorted(points: &[Point], reporters: &[(DeviceId, f64)], candidate: impl Fn(DeviceId) -> bool) -> Vec<DeviceId> {
         let correlation = Correlation::new(&paper());
         let mut ranked: Vec<_> = (0..points.len() as u32)
             .map(DeviceId)
             .filter(|&j| candidate(j))
             .map(|j| {
-                let by = |&(h, d): &(Point, f64)| correlation.p42(d, h.distance(points[j.index()]));
+                let by = |&(h, d): &(DeviceId, f64)| correlation.p42(d, points[h.index()].distance(points[j.index()]));
                 (reporters.iter().map(by).fold(0.0, f64::max), j)
             })
             .filter(|&(probability, _)| probability >= paper().p(4.0))
@@ -225,14 +234,10 @@ mod tests {
                 let (mut reporters, mut given) = (Vec::new(), Vec::new());
                 ranking.start();
                 for _report in 0..=stream.below(4) {
-                    let position = points[stream.below(points.len() as u64) as usize];
+                    let reporter = DeviceId(stream.below(points.len() as u64) as u32);
                     let d = [0.0, 1.0, 4.0, 4.0 * stream.unit()][stream.below(4) as usize];
-                    reporters.push((position, d));
-                    if case % 2 == 0 {
-                        ranking.add_reporter_to_all(position, d);
-                    } else {
-                        ranking.add_reporter(position, d, (0..points.len() as u32).map(DeviceId));
-                    }
+                    reporters.push((reporter, d));
+                    ranking.add_reporter(reporter, d);
                     for _ in 0..stream.below(3) {
                         let expected = sorted(&points, &reporters, |j| may(j) && !given.contains(&j));
                         let next = ranking.next(may);
@@ -256,11 +261,12 @@ mod tests {
             at(-1.0, 0.0),
             at(4.001, 0.0),
             at(1.0, 0.0),
+            at(0.0, 0.0),
         ];
         let mut ranking = ranking(&points);
         ranking.start();
-        ranking.add_reporter_to_all(at(0.0, 0.0), 0.0);
-        assert_eq!(all(&mut ranking), [2, 3, 5, 0, 1]);
+        ranking.add_reporter(DeviceId(6), 0.0);
+        assert_eq!(all(&mut ranking), [6, 2, 3, 5, 0, 1]);
         ranking.start();
         assert_eq!(ranking.next(|_| true), None);
     }
@@ -268,19 +274,19 @@ mod tests {
     #[test]
     fn devices_that_stand_alike_come_in_the_order_of_their_numbers() {
         // The four corners around the middle, where the distances differ by rounding alone.
-        let points: Vec<Point> = [(0.1, 0.1), (0.3, 0.3), (0.3, 0.1), (0.1, 0.3)]
+        let points: Vec<Point> = [(0.1, 0.1), (0.3, 0.3), (0.3, 0.1), (0.1, 0.3), (0.1 + 0.1, 0.2)]
             .map(|(x, y)| Point::new(x, y))
             .to_vec();
-        let middle = Point::new(0.1 + 0.1, 0.2);
-        let distances: Vec<u64> = points.iter().map(|p| p.distance(middle).to_bits()).collect();
+        let distances: Vec<u64> = points[..4].iter().map(|p| p.distance(points[4]).to_bits()).collect();
         assert!(
             distances.iter().any(|&d| d != distances[0]),
             "the case has lost its point"
         );
         let mut ranking = ranking(&points);
         ranking.start();
-        ranking.add_reporter_to_all(middle, 1.0);
-        assert_eq!(all(&mut ranking), [0, 1, 2, 3]);
+        ranking.add_reporter(DeviceId(4), 1.0);
+        let corners = std::iter::from_fn(|| ranking.next(|j| j.0 < 4)).map(|j| j.0);
+        assert_eq!(corners.collect::<Vec<_>>(), [0, 1, 2, 3]);
     }
 
     #[test]

@@ -6,6 +6,7 @@
 //! see the same pilot events and harvests.
 
 use std::borrow::Cow;
+use std::collections::VecDeque;
 use std::sync::{Mutex, PoisonError};
 
 use reveille_bs::wakeup::i_min;
@@ -23,7 +24,7 @@ const WARM_UP: f64 = 0.25;
 const REMEMBERED: usize = 1024;
 
 /// What was found before, by the hash of the pilot scenario: runs that differ in nothing but their length share a search.
-static FOUND: Mutex<Vec<([u8; 32], DutyChoice)>> = Mutex::new(Vec::new());
+static FOUND: Mutex<VecDeque<([u8; 32], DutyChoice)>> = Mutex::new(VecDeque::new());
 
 /// One pair of the grid and how its pilot run went.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,18 +49,26 @@ pub fn resolve(scenario: &Scenario) -> Cow<'_, Scenario> {
     }
     let pilot = pilot(scenario, settings);
     let key = pilot.hash();
-    let known = FOUND.lock().unwrap_or_else(PoisonError::into_inner);
-    let known = known.iter().find(|(known, _)| *known == key).map(|(_, choice)| *choice);
-    let choice = known.unwrap_or_else(|| {
+    let choice = recall(&key).unwrap_or_else(|| {
         let choice = search(scenario, settings);
-        let mut found = FOUND.lock().unwrap_or_else(PoisonError::into_inner);
-        if found.len() >= REMEMBERED {
-            found.remove(0);
-        }
-        found.push((key, choice));
+        remember(key, choice);
         choice
     });
     Cow::Owned(with_choice(scenario, settings, choice))
+}
+
+fn recall(key: &[u8; 32]) -> Option<DutyChoice> {
+    let found = FOUND.lock().unwrap_or_else(PoisonError::into_inner);
+    found.iter().find(|(known, _)| known == key).map(|(_, choice)| *choice)
+}
+
+/// Two threads that searched for the same deployment have found the same.
+fn remember(key: [u8; 32], choice: DutyChoice) {
+    let mut found = FOUND.lock().unwrap_or_else(PoisonError::into_inner);
+    if found.len() == REMEMBERED {
+        found.pop_front();
+    }
+    found.push_back((key, choice));
 }
 
 /// All pairs of the grid with their pilot runs, in the order of the grid.

@@ -76,6 +76,17 @@ proptest! {
     }
 
     #[test]
+    fn a_device_that_is_left_alone_ends_as_one_that_is_stepped(text in scenarios::small()) {
+        let scenario = scenarios::scenario(&text);
+        // A window per TTI brings every device up to date in every TTI; without windows a sleeper is touched when needed.
+        let (lazy, events) = compare::outcome(&scenario, true, u64::MAX);
+        let (stepped, same) = compare::outcome(&scenario, false, 1);
+        prop_assert_eq!(&lazy.digest, &stepped.digest);
+        prop_assert_eq!(&lazy.totals, &stepped.totals);
+        prop_assert_eq!(events, same);
+    }
+
+    #[test]
     fn how_ttis_are_granted_changes_nothing(text in scenarios::small(), window in 1..50u64) {
         let scenario = scenarios::scenario(&text);
         let (plain, events) = compare::outcome(&scenario, false, u64::MAX);
@@ -216,6 +227,6 @@ fn clusters(scenario: &Scenario) -> Vec<Vec<DeviceId>> {
             let d_max = scenario.sensing.d_max;
             Clusters::form(&positions, scenario.area, d_max, settings, scenario.seed).members
         }
-        PolicyConfig::Random | PolicyConfig::Genie => Vec::new(),
+        PolicyConfig::Random | PolicyConfig::Adjusted(_) | PolicyConfig::Genie => Vec::new(),
     }
 }

@@ -37,8 +37,7 @@ impl Adjusted {
 
     fn add_reporter(&mut self, seen: &Observation<'_>, report: &Report) {
         if let Some(d) = seen.sensing.distance(report.information) {
-            self.ranking
-                .add_reporter_to_all(seen.positions[report.device.index()], d);
+            self.ranking.add_reporter(report.device, d);
         }
     }
 }

@@ -36,10 +36,7 @@ impl Knn {
 
     fn add_reporter(&mut self, seen: &Observation<'_>, report: &Report) {
         if let Some(d) = seen.sensing.distance(report.information) {
-            let members = &self.clusters.members;
-            let candidates = self.asked.iter().flat_map(|&cluster| &members[cluster as usize]);
-            self.ranking
-                .add_reporter(seen.positions[report.device.index()], d, candidates.copied());
+            self.ranking.add_reporter(report.device, d);
         }
     }
 }
@@ -85,7 +82,13 @@ impl Policy for Knn {
         if seen.information >= self.i_min {
             None
         } else {
-            self.ranking.next(|device| seen.is_asleep(device))
+            let Self {
+                clusters,
+                ranking,
+                asked,
+                ..
+            } = self;
+            ranking.next(|device| asked.contains(&clusters.of[device.index()]) && seen.is_asleep(device))
         }
     }
 

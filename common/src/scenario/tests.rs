@@ -276,7 +276,7 @@ fn overrides_are_checked_like_files() {
         ("area={widht=3}", "unknown field `area.widht`; did you mean `width`?"),
         (
             "policy.name=nkn",
-            "policy.name = nkn: must be one of `knn`, `random`, `genie`; did you mean `knn`?",
+            "policy.name = nkn: must be one of `knn`, `adjusted`, `random`, `genie`; did you mean `knn`?",
         ),
         ("ttis=1.5", "ttis = 1.5: must be a whole number"),
         (

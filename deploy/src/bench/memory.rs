@@ -2,7 +2,7 @@
 
 use std::process::ExitCode;
 
-use reveille_common::scenario::{Override, load};
+use reveille_common::scenario::{Override, Scenario, load};
 use reveille_lab::run;
 
 use super::median;
@@ -12,11 +12,15 @@ use crate::now;
 
 /// Repetitions of each measurement.
 const REPEAT: usize = 3;
+/// The devices that `--keep-density` leaves on the preset's area, and its side in metres.
+const DENSE: f64 = 250.0;
+const SIDE: f64 = 20.0;
 
 /// Measures, one row for each policy and number of devices.
 pub fn run(args: &MemoryBenchArgs) -> anyhow::Result<ExitCode> {
+    let area = if args.keep_density { ", density kept" } else { "" };
     display::out(&format!(
-        "preset paper, {} TTIs, one core; medians of {REPEAT} runs\n",
+        "preset paper{area}, {} TTIs, one core; medians of {REPEAT} runs\n",
         args.ttis
     ))?;
     display::out(&format!(
@@ -25,12 +29,7 @@ pub fn run(args: &MemoryBenchArgs) -> anyhow::Result<ExitCode> {
     ))?;
     for policy in &args.policies {
         for devices in &args.devices {
-            let overrides = [
-                Override::flag("a policy of --policies", "policy.name", policy)?,
-                Override::flag("--devices", "devices", &devices.to_string())?,
-                Override::flag("--ttis", "ttis", &args.ttis.to_string())?,
-            ];
-            let scenario = load("paper", &overrides)?;
+            let scenario = scenario(args, policy, *devices)?;
             let rates = (0..REPEAT)
                 .map(|_| {
                     let started = now();
@@ -46,4 +45,19 @@ pub fn run(args: &MemoryBenchArgs) -> anyhow::Result<ExitCode> {
         }
     }
     Ok(ExitCode::SUCCESS)
+}
+
+fn scenario(args: &MemoryBenchArgs, policy: &str, devices: u32) -> anyhow::Result<Scenario> {
+    let mut overrides = vec![
+        Override::flag("a policy of --policies", "policy.name", policy)?,
+        Override::flag("--devices", "devices", &devices.to_string())?,
+        Override::flag("--ttis", "ttis", &args.ttis.to_string())?,
+    ];
+    if args.keep_density {
+        let side = (f64::from(devices) / DENSE).sqrt() * SIDE;
+        for field in ["area.width", "area.height"] {
+            overrides.push(Override::flag("--keep-density", field, &format!("{side:?}"))?);
+        }
+    }
+    Ok(load("paper", &overrides)?)
 }

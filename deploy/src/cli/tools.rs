@@ -165,6 +165,9 @@ pub struct MemoryBenchArgs {
     /// TTIs of each run.
     #[arg(long, default_value_t = 100_000)]
     pub ttis: u64,
+    /// Let the area grow with the number of devices, as dense as 250 of them on the preset's area.
+    #[arg(long)]
+    pub keep_density: bool,
 }
 
 /// A plane on the bus.
