@@ -46,6 +46,7 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
         Command::Clock(args) => runtime(1)?.block_on(commands::clock::run(&args)),
         Command::Figures(args) => commands::figures::run(&args),
         Command::Report(args) => commands::report::run(&args),
+        Command::Analyse(command) => commands::analyse::run(&command),
         Command::Bench(command) => bench::run(&command),
     }
 }

@@ -93,6 +93,17 @@ impl Run {
         &self.machines
     }
 
+    /// The devices where the last granted TTI has left them, in the order of ids, S1 or S4 where nothing else has happened.
+    /// Looking brings them all up to date and changes nothing else.
+    ///
+    /// # Panics
+    /// Before the first grant.
+    pub fn look(&mut self) -> &[Machine] {
+        let last = Tti(self.cycle.next_tti().0.checked_sub(1).expect("a TTI has been granted"));
+        self.machines.iter_mut().for_each(|machine| machine.begin(last));
+        &self.machines
+    }
+
     /// The base station.
     pub const fn cycle(&self) -> &Cycle {
         &self.cycle

@@ -22,7 +22,8 @@ pub fn run(command: &BenchCommand) -> anyhow::Result<ExitCode> {
     }
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
+/// The middle of `values`, NaN without any.
+pub fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     let n = values.len();
     match n {

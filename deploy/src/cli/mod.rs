@@ -1,5 +1,6 @@
 //! The command line.
 
+mod analyse;
 mod figures;
 mod parse;
 mod run;
@@ -8,6 +9,7 @@ mod tools;
 use clap::{Parser, Subcommand, ValueEnum};
 use reveille_common::logging::LogFormat;
 
+pub use analyse::{AnalyseCommand, BatteryArgs, HarvestArgs, IminArgs, RuntimeArgs, StudyArgs, TransitionsArgs};
 pub use figures::{DeploymentArgs, FiguresArgs, FiguresCommand, FormatArg, PictureArgs, ReportArgs, TimelineArgs};
 pub use run::{BsArgs, DeviceArgs, DriveArgs, OutputArgs, RunArgs, ScenarioArgs, UpArgs};
 pub use tools::{
@@ -85,6 +87,9 @@ pub enum Command {
     /// Hold result tables against every claim of the paper: a page of HTML and one of Markdown.
     #[command(after_help = "Example:\n  reveille report results/paper.parquet results/literal.parquet --out report")]
     Report(ReportArgs),
+    /// Work through the paper's analysis: closed forms and Markov chains beside what the machines do.
+    #[command(subcommand)]
+    Analyse(AnalyseCommand),
     /// Measure the emulator's speed against stated baselines.
     #[command(subcommand)]
     Bench(BenchCommand),

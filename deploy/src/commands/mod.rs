@@ -1,5 +1,6 @@
 //! One file for each subcommand.
 
+pub mod analyse;
 pub mod bs;
 pub mod clock;
 pub mod device;

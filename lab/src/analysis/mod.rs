@@ -8,7 +8,10 @@ pub mod battery;
 mod error;
 mod estimate;
 pub mod harvest;
+pub mod imin;
 mod runs;
+pub mod runtime;
+pub mod transitions;
 
 pub use error::AnalysisError;
 pub use estimate::Estimate;

@@ -1,0 +1,265 @@
+//! `reveille analyse battery`.
+
+use std::process::ExitCode;
+
+use anyhow::bail;
+use reveille_common::scenario::{DeviceClass, Harvest, Scenario};
+use reveille_lab::analysis::battery::{Comparison, Sample, Study, compare};
+use reveille_lab::analysis::harvest::Reading;
+
+use super::lists::{duties, energies, numbers, scenario};
+use super::sheet::{Cell, Findings, Sheet};
+use crate::cli::BatteryArgs;
+
+const CHAIN: &[&str] = &[
+    "e_b",
+    "duty",
+    "activation",
+    "total_variation",
+    "chain_mean",
+    "measured_mean",
+    "half_width",
+    "residual",
+    "ttis_to_steady",
+];
+const AVAILABILITY: &[&str] = &[
+    "event",
+    "e_b",
+    "duty",
+    "activation",
+    "chain",
+    "measured",
+    "half_width",
+    "eq8_printed",
+    "eq8_sum_by_beta",
+    "eq8_beta_as_named",
+];
+const LEVELS: &[&str] = &["e_b", "duty", "activation", "battery_from", "chain", "measured"];
+
+/// Solves, measures, compares.
+pub fn run(args: &BatteryArgs) -> anyhow::Result<ExitCode> {
+    let scenario = scenario(&args.study, &[])?;
+    let class = only_class(&scenario)?;
+    let (reading, lambda) = source(&class.harvest)?;
+    let base = |(t_on, t_drx), e_b, activation| Study {
+        model: class.energy,
+        reading,
+        lambda,
+        tau: scenario.tau,
+        e_b,
+        t_on,
+        t_drx,
+        activation,
+        sample: Sample {
+            seed: scenario.seed,
+            devices: args.devices,
+            ttis: args.ttis,
+            warm_up: args.ttis / 10,
+        },
+        bin: args.bin,
+    };
+    let (duties, energies) = (duties(&args.duty)?, energies(&args.e_b)?);
+    let activations = numbers("--activation", &args.activation, "0,0.01")?;
+    let mut found = Vec::new();
+    for &duty in &duties {
+        for &activation in &activations {
+            for &e_b in &energies {
+                let study = base(duty, e_b, activation);
+                found.push((study, compare(&study)?));
+            }
+        }
+    }
+    let findings = Findings {
+        title: format!(
+            "Battery level · {} λ {lambda} · E_max {} · {} devices × {} TTIs · seed {}",
+            reading.name(),
+            class.energy.e_max,
+            args.devices,
+            args.ttis,
+            scenario.seed
+        ),
+        sheets: sheets(&found, args),
+        notes: notes(&found, args.bin),
+    };
+    findings.present(&args.study)
+}
+
+fn only_class(scenario: &Scenario) -> anyhow::Result<&DeviceClass> {
+    match &scenario.classes[..] {
+        [class] => Ok(class),
+        many => bail!(
+            "the scenario has {} device classes, and the chain is of one battery; study a scenario with one class",
+            many.len()
+        ),
+    }
+}
+
+fn source(harvest: &Harvest) -> anyhow::Result<(Reading, f64)> {
+    match harvest {
+        Harvest::Eq5 { lambda, .. } => Ok((Reading::Eq5, *lambda)),
+        Harvest::ExpMinusLambda { lambda, .. } => Ok((Reading::ExpMinusLambda, *lambda)),
+        Harvest::Mpp { .. } | Harvest::Trace(_) => bail!(
+            "the chain needs arrivals that do not depend on each other; use --set harvest.kind=eq5 or exp-minus-lambda"
+        ),
+    }
+}
+
+type Found = [(Study, Comparison)];
+
+/// The distribution comes first, for --csv, where only one battery is studied.
+fn sheets(found: &Found, args: &BatteryArgs) -> Vec<Sheet> {
+    let chain = Sheet {
+        name: "chain",
+        title: format!(
+            "Chain and machines: total variation over bins of {} units, mean battery.",
+            args.bin
+        ),
+        columns: CHAIN,
+        rows: found.iter().map(chain_row).collect(),
+    };
+    let availability = Sheet {
+        name: "availability",
+        title: "Pr(B ≥ E) at the end of a TTI, four ways.".to_owned(),
+        columns: AVAILABILITY,
+        rows: found.iter().flat_map(availability_rows).collect(),
+    };
+    let levels = Sheet {
+        name: "levels",
+        title: "The distribution of the battery level.".to_owned(),
+        columns: LEVELS,
+        rows: found.iter().flat_map(level_rows).collect(),
+    };
+    if args.study.csv.is_some() && found.len() == 1 {
+        vec![levels, chain, availability]
+    } else if args.study.json {
+        vec![chain, availability, levels]
+    } else {
+        vec![chain, availability]
+    }
+}
+
+fn key(study: &Study) -> [Cell; 3] {
+    [
+        study.e_b.units().into(),
+        format!("{}/{}", study.t_on, study.t_drx).into(),
+        study.activation.into(),
+    ]
+}
+
+fn chain_row((study, found): &(Study, Comparison)) -> Vec<Cell> {
+    let values: [Cell; 6] = [
+        found.total_variation.into(),
+        found.chain_mean.into(),
+        found.measured_mean.mean.into(),
+        found.measured_mean.half_width.into(),
+        found.steady.residual.into(),
+        found.steady.ttis.into(),
+    ];
+    key(study).into_iter().chain(values).collect()
+}
+
+fn availability_rows((study, found): &(Study, Comparison)) -> Vec<Vec<Cell>> {
+    let names = ["B ≥ E_Tx", "B ≥ E_idle"];
+    let rows = names.into_iter().zip(&found.availability);
+    rows.map(|(name, a)| {
+        let values: [Cell; 6] = [
+            a.chain.into(),
+            a.measured.mean.into(),
+            a.measured.half_width.into(),
+            a.eq8.sum.into(),
+            a.eq8.sum_by_beta.into(),
+            a.eq8.printed_beta.into(),
+        ];
+        [name.into()].into_iter().chain(key(study)).chain(values).collect()
+    })
+    .collect()
+}
+
+fn level_rows((study, found): &(Study, Comparison)) -> Vec<Vec<Cell>> {
+    let row = |&(from, chain, measured): &(f64, f64, f64)| {
+        let values: [Cell; 3] = [from.into(), chain.into(), measured.into()];
+        key(study).into_iter().chain(values).collect()
+    };
+    found.bins.iter().map(row).collect()
+}
+
+fn notes(found: &Found, bin: f64) -> Vec<String> {
+    let largest = found.iter().map(|(_, c)| c.total_variation).fold(0.0, f64::max);
+    let mut notes = vec![format!(
+        "Largest total variation distance of chain and machines: {largest:.4}."
+    )];
+    if let Some((study, first)) = found.first() {
+        let per_unit = first.lattice.per_unit;
+        notes.push(format!(
+            "The chain counts in 1/{per_unit} of a unit; E_WuR is {} micro-units in the machines and {} such quanta in the chain. \
+             Levels of both go to the nearest quantum, then into bins [0, {bin}), [{bin}, {}), … of units.",
+            study.model.e_wur.micro(),
+            first.lattice.e_wur,
+            2.0 * bin
+        ));
+    }
+    let above: Vec<String> = found.iter().flat_map(|(study, c)| above_one(study, c)).collect();
+    if let Some(example) = above.first() {
+        notes.push(format!(
+            "Eq. (8) as printed is not a probability: {example} ({} rows above 1). Its terms belong to different numbers of \
+             trials, so the sum is Pr(E+1 successes within M+1 trials)/P and tends to 1/P.",
+            above.len()
+        ));
+    }
+    if let Some(example) = found.iter().find_map(|one| falls_with_harvest(one, found)) {
+        notes.push(format!(
+            "Eq. (8) as printed falls where more energy comes: {example}. A larger E_B makes M = ⌈E_max/E_λ⌉ smaller, while B and \
+             E count units; and P, the chance to spend, is its chance of success."
+        ));
+    }
+    notes.push(
+        "eq8_sum_by_beta is the incomplete beta form that the printed sum has, I_P(E+1, M−E+1)/P. The one that the paper names, \
+         β_{1−P}(E+1, E_max+1), lies in [0, 1] but is another function: it is 1 at P = 0 whatever the harvest, which it does not \
+         contain."
+            .to_owned(),
+    );
+    notes
+}
+
+fn above_one(study: &Study, found: &Comparison) -> Vec<String> {
+    let above = found.availability.iter().filter(|a| a.eq8.sum > 1.0);
+    above
+        .map(|a| {
+            format!(
+                "{:.3} for E = {} units, E_B = {}, P = {}",
+                a.eq8.sum,
+                a.threshold,
+                study.e_b.units(),
+                study.activation
+            )
+        })
+        .collect()
+}
+
+/// A pair of studies that differ in E_B alone, where the printed sum falls while the chain's probability rises.
+fn falls_with_harvest((study, found): &(Study, Comparison), all: &Found) -> Option<String> {
+    let same = |other: &Study| {
+        (other.t_on, other.t_drx) == (study.t_on, study.t_drx)
+            && other.activation.to_bits() == study.activation.to_bits()
+    };
+    all.iter().filter(|(other, _)| same(other) && other.e_b > study.e_b).find_map(|(other, more)| {
+        let pairs = found.availability.iter().zip(&more.availability);
+        pairs
+            .filter(|(a, b)| b.eq8.sum < a.eq8.sum * (1.0 - 1e-6) && b.chain > a.chain)
+            .map(|(a, b)| {
+                format!(
+                    "for E = {} units and P = {} from {:.2e} with E_B = {} to {:.2e} with E_B = {}, where the chain rises from \
+                     {:.3} to {:.3}",
+                    a.threshold,
+                    study.activation,
+                    a.eq8.sum,
+                    study.e_b.units(),
+                    b.eq8.sum,
+                    other.e_b.units(),
+                    a.chain,
+                    b.chain
+                )
+            })
+            .next()
+    })
+}

@@ -1,0 +1,175 @@
+//! `reveille analyse harvest`.
+
+use std::process::ExitCode;
+
+use reveille_common::units::Energy;
+use reveille_lab::analysis::Estimate;
+use reveille_lab::analysis::harvest::{Point, Reading, STATED, Study, consumption, demand, measure, positive_net};
+
+use super::lists::{energies, numbers, readings, scenario, words};
+use super::sheet::{Cell, Findings, Sheet};
+use crate::cli::HarvestArgs;
+
+const POINTS: &[&str] = &[
+    "reading",
+    "e_b",
+    "lambda",
+    "closed_form",
+    "harvested",
+    "harvested_half_width",
+    "spent",
+    "net",
+    "net_half_width",
+];
+const CROSSINGS: &[&str] = &[
+    "n",
+    "policy",
+    "consumption",
+    "units",
+    "half_width",
+    "e_b",
+    "reading",
+    "net_positive_from",
+    "net_positive_to",
+    "paper",
+];
+
+/// Measures the curves, and where they cross the consumptions.
+pub fn run(args: &HarvestArgs) -> anyhow::Result<ExitCode> {
+    let policies = words("--policies", &args.policies, "random,adjusted")?;
+    let (readings, energies) = (readings(&args.readings)?, energies(&args.e_b)?);
+    let base = scenario(
+        &args.study,
+        &[
+            ("--policies", "policy.name", policies.first().copied()),
+            ("--ttis", "ttis", args.ttis.as_deref()),
+        ],
+    )?;
+    let study = Study {
+        scenario: base,
+        readings: readings.clone(),
+        lambdas: numbers("--lambda", &args.lambda, "0.05,0.1,0.2")?,
+        e_b: energies.clone(),
+        seeds: args.seeds,
+    };
+    let points = measure(&study)?;
+    let findings = Findings {
+        title: format!(
+            "Harvest against λ, Figs. 13 and 14 · {} · {} devices · {} TTIs · preset {} · {} runs a point",
+            study.scenario.policy.name(),
+            study.scenario.devices,
+            study.scenario.ttis,
+            study.scenario.preset,
+            args.seeds
+        ),
+        sheets: vec![
+            Sheet {
+                name: "points",
+                title: "Units per device and TTI; closed form E_B · Pr(arrival), runs ± 95 %.".to_owned(),
+                columns: POINTS,
+                rows: points.iter().map(point).collect(),
+            },
+            Sheet {
+                name: "crossings",
+                title: "λ between which the mean harvest exceeds a fixed consumption; `paper`: the λ that it states for these N, E_B."
+                    .to_owned(),
+                columns: CROSSINGS,
+                rows: crossings(args, &policies, &readings, &energies)?,
+            },
+        ],
+        notes: notes(&points),
+    };
+    findings.present(&args.study)
+}
+
+fn point(p: &Point) -> Vec<Cell> {
+    vec![
+        p.reading.name().into(),
+        p.e_b.into(),
+        p.lambda.into(),
+        p.closed_form.into(),
+        p.harvested.mean.into(),
+        p.harvested.half_width.into(),
+        p.spent.mean.into(),
+        p.net.mean.into(),
+        p.net.half_width.into(),
+    ]
+}
+
+fn crossings(
+    args: &HarvestArgs,
+    policies: &[&str],
+    readings: &[Reading],
+    energies: &[Energy],
+) -> anyhow::Result<Vec<Vec<Cell>>> {
+    let mut rows = Vec::new();
+    for devices in words("--devices", &args.devices, "10,100,250")? {
+        for policy in policies {
+            let scenario = scenario(
+                &args.study,
+                &[
+                    ("--devices", "devices", Some(devices)),
+                    ("--policies", "policy.name", Some(policy)),
+                    ("--ttis", "ttis", args.ttis.as_deref()),
+                ],
+            )?;
+            let spent = [
+                ("as in the scenario", consumption(&scenario, args.seeds)?),
+                ("never short", demand(&scenario, args.seeds)?),
+            ];
+            for (kind, spent) in spent {
+                for reading in readings {
+                    for e_b in energies {
+                        let key = [scenario.devices.into(), (*policy).into(), kind.into()];
+                        let row = crossing(&spent, *reading, e_b.units(), scenario.tau, scenario.devices);
+                        rows.push(key.into_iter().chain(row).collect());
+                    }
+                }
+            }
+        }
+    }
+    Ok(rows)
+}
+
+fn crossing(spent: &Estimate, reading: Reading, e_b: f64, tau: f64, devices: u32) -> [Cell; 7] {
+    let (from, to) = positive_net(reading, e_b, spent.mean, tau).unwrap_or((f64::NAN, f64::NAN));
+    [
+        spent.mean.into(),
+        spent.half_width.into(),
+        e_b.into(),
+        reading.name().into(),
+        from.into(),
+        to.into(),
+        stated(devices, e_b).into(),
+    ]
+}
+
+fn stated(devices: u32, e_b: f64) -> String {
+    let same = |s: &&reveille_lab::analysis::harvest::Stated| s.devices == devices && (s.e_b - e_b).abs() < 1e-9;
+    match STATED.iter().find(same) {
+        Some(s) if s.low.is_nan() => format!("{} ({})", s.high, s.source),
+        Some(s) => format!("{}–{} ({})", s.low, s.high, s.source),
+        None => "–".to_owned(),
+    }
+}
+
+fn notes(points: &[Point]) -> Vec<String> {
+    let missed = points
+        .iter()
+        .filter(|p| (p.harvested.mean - p.closed_form).abs() > p.harvested.half_width)
+        .count();
+    vec![
+        format!(
+            "The closed form lies outside the 95 % interval of {missed} of {} points; one in twenty is to be expected.",
+            points.len()
+        ),
+        "A run's own net (harvested less spent, at the same λ) cannot stay below 0: a device spends no more than it has. It is the \
+         overflow of full batteries, and what is left of the initial charge. The paper's net is the harvest less a consumption \
+         that does not depend on λ, and so is net_positive_from/to."
+            .to_owned(),
+        "`as in the scenario`: what the policy spends with the scenario's own λ and E_B, as in Fig. 8. `never short`: what it would \
+         spend with full batteries. Under Eq. (5) no λ brings more than E_B/e a TTI, and beyond λ = 1/τ more λ brings less; under \
+         exp(-λ) the harvest only falls with λ, so the statement `positive above λ` cannot be meant that way."
+            .to_owned(),
+    ]
+}

@@ -1,0 +1,134 @@
+//! Lists on the command line, and the scenarios that they make.
+
+use anyhow::bail;
+use reveille_common::scenario::{Override, Scenario, load};
+use reveille_common::units::{Energy, MAX_UNITS};
+use reveille_lab::analysis::harvest::Reading;
+
+use crate::cli::StudyArgs;
+
+/// The words of the list `text` given by `flag`.
+///
+/// # Errors
+/// If there are none.
+pub fn words<'a>(flag: &str, text: &'a str, example: &str) -> anyhow::Result<Vec<&'a str>> {
+    let words: Vec<&str> = text.split(',').map(str::trim).filter(|word| !word.is_empty()).collect();
+    if words.is_empty() {
+        bail!(
+            "{flag} {text:?}: the list is empty, so there is nothing to study; give values separated by commas, for example {flag} {example}"
+        );
+    }
+    Ok(words)
+}
+
+/// The numbers of the list `text` given by `flag`.
+///
+/// # Errors
+/// If there are none, or a word is no number.
+pub fn numbers(flag: &str, text: &str, example: &str) -> anyhow::Result<Vec<f64>> {
+    let read = |word: &str| match word.parse::<f64>() {
+        Ok(number) if number.is_finite() => Ok(number),
+        Ok(_) | Err(_) => bail!(
+            "{flag} {text}: `{word}` is not a number; give numbers separated by commas, for example {flag} {example}"
+        ),
+    };
+    words(flag, text, example)?.into_iter().map(read).collect()
+}
+
+/// The energies E_B of `--e-b`, units.
+///
+/// # Errors
+/// If there are none, or one is out of its range.
+pub fn energies(text: &str) -> anyhow::Result<Vec<Energy>> {
+    let in_range = |units: f64| match Energy::from_units(units) {
+        Some(energy) if energy > Energy::ZERO => Ok(energy),
+        Some(_) | None => bail!("--e-b {text}: {units} must be above 0 and at most {MAX_UNITS} units an arrival"),
+    };
+    numbers("--e-b", text, "1,5,10")?.into_iter().map(in_range).collect()
+}
+
+/// The readings of `--readings`.
+///
+/// # Errors
+/// If there are none, or one is unknown.
+pub fn readings(text: &str) -> anyhow::Result<Vec<Reading>> {
+    let known = |word: &str| match Reading::ALL.into_iter().find(|r| r.name() == word) {
+        Some(reading) => Ok(reading),
+        None => bail!("--readings {text}: `{word}` is no reading of λ; must be eq5 or exp-minus-lambda"),
+    };
+    words("--readings", text, "eq5")?.into_iter().map(known).collect()
+}
+
+/// The duty cycles (t_on, t_DRX) of `--duty`.
+///
+/// # Errors
+/// If there are none, or one is not of the form t_on/t_DRX.
+pub fn duties(text: &str) -> anyhow::Result<Vec<(u32, u32)>> {
+    let read = |word: &str| {
+        let pair = word
+            .split_once('/')
+            .and_then(|(on, drx)| Some((on.trim().parse().ok()?, drx.trim().parse().ok()?)));
+        match pair {
+            Some((t_on, t_drx)) if t_drx > 0 && t_on <= t_drx => Ok((t_on, t_drx)),
+            Some((t_on, t_drx)) => bail!(
+                "--duty {text}: t_on = {t_on} must be at most t_DRX = {t_drx}, and t_DRX at least 1, both in TTIs"
+            ),
+            None => bail!("--duty {text}: `{word}` must be t_on/t_DRX in TTIs, for example 1/8"),
+        }
+    };
+    words("--duty", text, "1/2,1/8")?.into_iter().map(read).collect()
+}
+
+/// The scenario of `study` with `fields` on top: the option that says so, the field, its value.
+///
+/// # Errors
+/// If it cannot be used; the message names the field and the option.
+pub fn scenario(study: &StudyArgs, fields: &[(&str, &str, Option<&str>)]) -> anyhow::Result<Scenario> {
+    let mut overrides: Vec<Override> = study
+        .set
+        .iter()
+        .map(|text| Override::parse(text))
+        .collect::<Result<_, _>>()?;
+    let seed = [("--seed", "seed", study.seed.as_deref())];
+    for (flag, field, value) in seed.iter().chain(fields) {
+        if let Some(value) = value {
+            overrides.push(Override::flag(flag, field, value)?);
+        }
+    }
+    Ok(load(&study.scenario, &overrides)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lists_are_read() {
+        assert_eq!(numbers("--lambda", "0.1, 2,", "1").expect("numbers"), [0.1, 2.0]);
+        assert_eq!(duties("1/2, 3/3").expect("duties"), [(1, 2), (3, 3)]);
+        assert_eq!(
+            readings("exp-minus-lambda").expect("a reading"),
+            [Reading::ExpMinusLambda]
+        );
+        assert_eq!(energies("0.5").expect("an energy"), [Energy::from_micro(500_000)]);
+    }
+
+    #[test]
+    fn what_is_no_list_is_refused_with_the_option_and_a_way_out() {
+        let refused = |result: anyhow::Result<()>, part: &str| {
+            let message = result.expect_err(part).to_string();
+            assert!(message.contains(part), "{message}");
+        };
+        refused(
+            numbers("--lambda", " ,", "0.1").map(drop),
+            "--lambda \" ,\": the list is empty",
+        );
+        refused(numbers("--lambda", "0.1,x", "0.1").map(drop), "`x` is not a number");
+        refused(numbers("--lambda", "nan", "0.1").map(drop), "`nan` is not a number");
+        refused(duties("3/2").map(drop), "t_on = 3 must be at most t_DRX = 2");
+        refused(duties("0/0").map(drop), "t_DRX at least 1");
+        refused(duties("8").map(drop), "must be t_on/t_DRX");
+        refused(readings("eq6").map(drop), "must be eq5 or exp-minus-lambda");
+        refused(energies("0").map(drop), "must be above 0");
+    }
+}

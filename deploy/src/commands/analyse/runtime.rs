@@ -1,0 +1,137 @@
+//! `reveille analyse runtime`: the one study that reads the wall clock.
+
+use std::process::ExitCode;
+
+use reveille_common::scenario::Scenario;
+use reveille_lab::analysis::runtime::{Work, paper_claim, power_law};
+
+use super::lists::{scenario, words};
+use super::sheet::{Cell, Findings, Sheet};
+use crate::bench::median;
+use crate::cli::RuntimeArgs;
+use crate::now;
+
+const TIMES: &[&str] = &[
+    "policy",
+    "n",
+    "set_up_ms",
+    "run_us_per_tti",
+    "decision_us",
+    "wake_ups_per_decision",
+];
+const FITS: &[&str] = &["policy", "what", "exponent", "half_width", "paper"];
+
+/// The times of one policy with one N.
+struct Times {
+    n: f64,
+    set_up_s: f64,
+    tti_s: f64,
+    decision_s: f64,
+    wake_ups: f64,
+}
+
+/// Times every policy with every N, and fits.
+pub fn run(args: &RuntimeArgs) -> anyhow::Result<ExitCode> {
+    let (mut rows, mut fits) = (Vec::new(), Vec::new());
+    for policy in words("--policies", &args.policies, "knn,random")? {
+        let mut times = Vec::new();
+        let mut claim = "–";
+        for devices in words("--devices", &args.devices, "10,100,1000")? {
+            let scenario = scenario(
+                &args.study,
+                &[
+                    ("--policies", "policy.name", Some(policy)),
+                    ("--devices", "devices", Some(devices)),
+                    ("--ttis", "ttis", Some(&args.ttis)),
+                ],
+            )?;
+            claim = paper_claim(&scenario.policy);
+            let measured = measure(&scenario, args);
+            rows.push(row(policy, &measured));
+            times.push(measured);
+        }
+        fits.extend(fit(policy, claim, &times));
+    }
+    let findings = Findings {
+        title: format!(
+            "Wall time against N · preset {} · {} TTIs · {} events · medians of {}",
+            args.study.scenario, args.ttis, args.events, args.repeat
+        ),
+        sheets: vec![
+            Sheet {
+                name: "times",
+                title: "One core.".to_owned(),
+                columns: TIMES,
+                rows,
+            },
+            Sheet {
+                name: "fits",
+                title: "time ∝ N^exponent, ± 95 % by least squares of the logarithms; `paper`: its worst case for configuring a policy."
+                    .to_owned(),
+                columns: FITS,
+                rows: fits,
+            },
+        ],
+        notes: vec![
+            "adjusted searches one (t_on, t_DRX) for all devices, so its set-up is ϱ pilot runs and not the ϱ^N of a search that \
+             gives each device its own. knn finds neighbours by a k-d tree, not by all N(N−1)/2 distances."
+                .to_owned(),
+            "The area is fixed, so density grows with N, and with it the devices that a report concerns.".to_owned(),
+        ],
+    };
+    findings.present(&args.study)
+}
+
+fn measure(scenario: &Scenario, args: &RuntimeArgs) -> Times {
+    let (mut set_ups, mut runs, mut decisions) = (Vec::new(), Vec::new(), Vec::new());
+    let mut wake_ups = 0;
+    for repetition in 0..args.repeat {
+        // A seed of its own: what a search found for another deployment is no help.
+        let work = Work::new(Scenario {
+            seed: scenario.seed.wrapping_add(repetition),
+            ..scenario.clone()
+        });
+        let started = now();
+        let run = work.set_up();
+        set_ups.push(started.elapsed().as_secs_f64());
+        let started = now();
+        Work::run(run);
+        runs.push(started.elapsed().as_secs_f64() / scenario.ttis as f64);
+        let mut decide = work.decide(args.events);
+        let started = now();
+        wake_ups += decide.run();
+        decisions.push(started.elapsed().as_secs_f64() / args.events as f64);
+    }
+    Times {
+        n: f64::from(scenario.devices),
+        set_up_s: median(set_ups),
+        tti_s: median(runs),
+        decision_s: median(decisions),
+        wake_ups: wake_ups as f64 / (args.events * args.repeat) as f64,
+    }
+}
+
+fn row(policy: &str, times: &Times) -> Vec<Cell> {
+    vec![
+        policy.into(),
+        (times.n as u64).into(),
+        (times.set_up_s * 1e3).into(),
+        (times.tti_s * 1e6).into(),
+        (times.decision_s * 1e6).into(),
+        times.wake_ups.into(),
+    ]
+}
+
+/// One row for each kind of time; without an exponent where there is none to be fitted.
+fn fit(policy: &str, claim: &str, times: &[Times]) -> Vec<Vec<Cell>> {
+    let fitted = |what: &str, time: fn(&Times) -> f64, claim: &str| {
+        let points: Vec<(f64, f64)> = times.iter().map(|t| (t.n, time(t))).collect();
+        let law = power_law(&points).map_or((f64::NAN, f64::NAN), |law| (law.exponent, law.half_width));
+        vec![policy.into(), what.into(), law.0.into(), law.1.into(), claim.into()]
+    };
+    vec![
+        fitted("set-up", |t| t.set_up_s, claim),
+        fitted("run, per TTI", |t| t.tti_s, "–"),
+        fitted("decision", |t| t.decision_s, "–"),
+    ]
+}

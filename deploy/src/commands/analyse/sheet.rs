@@ -1,0 +1,235 @@
+//! What a study has to show: tables, and sentences about them; for people, as JSON, as CSV.
+
+use std::process::ExitCode;
+
+use anyhow::Context;
+use comfy_table::presets::UTF8_FULL_CONDENSED;
+use comfy_table::{CellAlignment, Table};
+use serde_json::{Map, Value};
+
+use crate::cli::StudyArgs;
+use crate::display;
+
+/// Widest line of a note.
+const WIDTH: usize = 118;
+
+/// One value of a table.
+#[derive(Clone, Debug)]
+pub enum Cell {
+    /// Words.
+    Text(String),
+    /// A whole number.
+    Whole(u64),
+    /// Any other; NaN for one that is not defined.
+    Number(f64),
+}
+
+impl From<&str> for Cell {
+    fn from(text: &str) -> Self {
+        Self::Text(text.to_owned())
+    }
+}
+
+impl From<String> for Cell {
+    fn from(text: String) -> Self {
+        Self::Text(text)
+    }
+}
+
+impl From<u64> for Cell {
+    fn from(n: u64) -> Self {
+        Self::Whole(n)
+    }
+}
+
+impl From<u32> for Cell {
+    fn from(n: u32) -> Self {
+        Self::Whole(n.into())
+    }
+}
+
+impl From<f64> for Cell {
+    fn from(x: f64) -> Self {
+        Self::Number(x)
+    }
+}
+
+impl Cell {
+    /// For people: four significant digits or so.
+    fn shown(&self) -> String {
+        match self {
+            Self::Text(text) => text.clone(),
+            Self::Whole(n) => n.to_string(),
+            Self::Number(x) if x.is_nan() => "–".to_owned(),
+            Self::Number(x) if *x != 0.0 && !(1e-4..1e6).contains(&x.abs()) => format!("{x:.2e}"),
+            Self::Number(x) => format!("{x:.4}"),
+        }
+    }
+
+    /// For machines: in full, empty where not defined.
+    fn exact(&self) -> String {
+        match self {
+            Self::Text(text) => text.clone(),
+            Self::Whole(n) => n.to_string(),
+            Self::Number(x) if x.is_nan() => String::new(),
+            Self::Number(x) => x.to_string(),
+        }
+    }
+
+    fn json(&self) -> Value {
+        match self {
+            Self::Text(text) => text.as_str().into(),
+            Self::Whole(n) => (*n).into(),
+            Self::Number(x) => (*x).into(),
+        }
+    }
+}
+
+/// A table.
+#[derive(Clone, Debug)]
+pub struct Sheet {
+    /// Its key in JSON.
+    pub name: &'static str,
+    /// What its rows are, for people.
+    pub title: String,
+    /// Its columns: keys in JSON and headers elsewhere.
+    pub columns: &'static [&'static str],
+    /// Its rows, each as long as `columns`.
+    pub rows: Vec<Vec<Cell>>,
+}
+
+impl Sheet {
+    fn table(&self) -> String {
+        let mut table = Table::new();
+        table
+            .load_style(UTF8_FULL_CONDENSED)
+            .set_header(self.columns.iter().copied());
+        for row in &self.rows {
+            table.add_row(row.iter().map(Cell::shown));
+        }
+        for column in 0..self.columns.len() {
+            let is_number = |row: &Vec<Cell>| !matches!(row[column], Cell::Text(_));
+            if self.rows.iter().any(is_number)
+                && let Some(column) = table.column_mut(column)
+            {
+                column.set_cell_alignment(CellAlignment::Right);
+            }
+        }
+        table.to_string()
+    }
+
+    fn json(&self) -> Value {
+        let object = |row: &Vec<Cell>| {
+            let pairs = self.columns.iter().zip(row);
+            Value::Object(pairs.map(|(key, cell)| ((*key).to_owned(), cell.json())).collect())
+        };
+        self.rows.iter().map(object).collect()
+    }
+
+    fn csv(&self) -> anyhow::Result<Vec<u8>> {
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        writer.write_record(self.columns)?;
+        for row in &self.rows {
+            writer.write_record(row.iter().map(Cell::exact))?;
+        }
+        Ok(writer.into_inner()?)
+    }
+}
+
+/// The results of a study.
+#[derive(Clone, Debug)]
+pub struct Findings {
+    /// One line that says what was studied.
+    pub title: String,
+    /// The tables; the first is what --csv writes.
+    pub sheets: Vec<Sheet>,
+    /// What to know about them.
+    pub notes: Vec<String>,
+}
+
+impl Findings {
+    /// Writes and prints them as asked.
+    ///
+    /// # Errors
+    /// If a file or standard output cannot be written.
+    pub fn present(&self, args: &StudyArgs) -> anyhow::Result<ExitCode> {
+        if let (Some(path), Some(first)) = (&args.csv, self.sheets.first()) {
+            let written = std::fs::write(path, first.csv()?);
+            written.with_context(|| {
+                format!(
+                    "--csv {}: cannot be written; name a file in a folder that exists",
+                    path.display()
+                )
+            })?;
+        }
+        let text = if args.json { self.json()? } else { self.text() };
+        display::out(&text)?;
+        Ok(ExitCode::SUCCESS)
+    }
+
+    fn json(&self) -> anyhow::Result<String> {
+        let mut all = Map::new();
+        all.insert("title".to_owned(), self.title.as_str().into());
+        for sheet in &self.sheets {
+            all.insert(sheet.name.to_owned(), sheet.json());
+        }
+        all.insert("notes".to_owned(), self.notes.iter().map(String::as_str).collect());
+        Ok(serde_json::to_string_pretty(&Value::Object(all))? + "\n")
+    }
+
+    fn text(&self) -> String {
+        let mut text = format!("{}\n", self.title);
+        for sheet in &self.sheets {
+            text.extend(["\n", &sheet.title, "\n", &sheet.table(), "\n"]);
+        }
+        if !self.notes.is_empty() {
+            text.push('\n');
+        }
+        for note in &self.notes {
+            text += &wrapped(note);
+        }
+        text
+    }
+}
+
+/// `note` as an item of a list, broken into lines.
+fn wrapped(note: &str) -> String {
+    let (mut text, mut line) = (String::new(), "-".to_owned());
+    for word in note.split_whitespace() {
+        if line.chars().count() + 1 + word.chars().count() > WIDTH {
+            text += &line;
+            text.push('\n');
+            " ".clone_into(&mut line);
+        }
+        line.push(' ');
+        line += word;
+    }
+    text + &line + "\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn undefined_numbers_are_empty_or_null_and_others_come_back() {
+        let sheet = Sheet {
+            name: "points",
+            title: "Points.".to_owned(),
+            columns: &["x", "y"],
+            rows: vec![vec!["a,b".into(), 0.1.into()], vec![7_u64.into(), f64::NAN.into()]],
+        };
+        let csv = String::from_utf8(sheet.csv().expect("CSV")).expect("UTF-8");
+        assert_eq!(csv, "x,y\n\"a,b\",0.1\n7,\n");
+        assert_eq!(sheet.json().to_string(), r#"[{"x":"a,b","y":0.1},{"x":7,"y":null}]"#);
+        assert!(sheet.table().contains("0.1000"));
+    }
+
+    #[test]
+    fn notes_are_broken_between_words() {
+        let note = "word ".repeat(60);
+        let text = wrapped(&note);
+        assert!(text.lines().all(|line| line.chars().count() <= WIDTH) && text.lines().count() == 3);
+        assert_eq!(text.matches("word").count(), 60);
+    }
+}

@@ -1,0 +1,101 @@
+//! `reveille analyse transitions`.
+
+use std::process::ExitCode;
+
+use reveille_lab::analysis::transitions::{Transition, Transitions, measure};
+
+use super::lists::scenario;
+use super::sheet::{Cell, Findings, Sheet};
+use crate::cli::TransitionsArgs;
+
+const COLUMNS: &[&str] = &[
+    "transition",
+    "printed",
+    "printed_min",
+    "printed_max",
+    "not_a_probability",
+    "by_duty_cycle",
+    "measured",
+    "half_width",
+    "wilson_low",
+    "wilson_high",
+    "count",
+    "visits",
+];
+
+/// Counts transitions.
+pub fn run(args: &TransitionsArgs) -> anyhow::Result<ExitCode> {
+    let scenario = scenario(
+        &args.study,
+        &[
+            ("--devices", "devices", args.devices.as_deref()),
+            ("--policy", "policy.name", args.policy.as_deref()),
+            ("--ttis", "ttis", args.ttis.as_deref()),
+        ],
+    )?;
+    let found = measure(&scenario, args.seeds)?;
+    let findings = Findings {
+        title: format!(
+            "P_m,n of Sec. IV · {} · {} devices · {} TTIs · preset {} · {} runs",
+            scenario.policy.name(),
+            scenario.devices,
+            scenario.ttis,
+            scenario.preset,
+            args.seeds
+        ),
+        sheets: vec![Sheet {
+            name: "transitions",
+            title: "Printed: mean and range over devices. Measured: share of the visits of S_m, ± 95 % between runs."
+                .to_owned(),
+            columns: COLUMNS,
+            rows: found.transitions.iter().map(row).collect(),
+        }],
+        notes: notes(&found),
+    };
+    findings.present(&args.study)
+}
+
+fn row(t: &Transition) -> Vec<Cell> {
+    vec![
+        format!("P_{},{}", t.from, t.to).into(),
+        t.printed.into(),
+        t.printed_range.0.into(),
+        t.printed_range.1.into(),
+        (t.improper as u64).into(),
+        t.by_duty.unwrap_or(f64::NAN).into(),
+        t.measured.mean.into(),
+        t.measured.half_width.into(),
+        t.wilson.0.into(),
+        t.wilson.1.into(),
+        t.count.into(),
+        t.visits.into(),
+    ]
+}
+
+fn notes(found: &Transitions) -> Vec<String> {
+    let mut notes = vec![
+        "A measured frequency is the share of the visits of S_m whose next state is S_n, over all devices and measured TTIs, \
+         with or without an event. Wilson's interval takes visits for independent; the half-width is Student's t between runs \
+         and is the one to trust."
+            .to_owned(),
+        "The printed forms condition otherwise: P_4,1 = t_on/t_DRX is the share of all TTIs that are spent in S1, not of those \
+         in S4 (by_duty_cycle is that); P_1,2 = α p(d), averaged over the area, is for the TTI in which an event starts; P_4,2 \
+         takes for granted that the closest device has just reported."
+            .to_owned(),
+    ];
+    for t in found.transitions.iter().filter(|t| t.improper > 0) {
+        let why = match (t.from, t.to) {
+            (1 | 3, 1) => {
+                "a sum of several conditional probabilities of one and the same event; 0/0 where t_on = t_DRX"
+            }
+            (1 | 3, 4) => "the complement of a sum that is none",
+            (4, 4) => "t_on/t_DRX + P_4,2 exceeds 1: the two are not of disjoint events",
+            _ => "Eq. (8) as printed; see `reveille analyse battery`",
+        };
+        notes.push(format!(
+            "P_{},{} as printed is not a probability for {} of {} devices: {why}.",
+            t.from, t.to, t.improper, found.devices
+        ));
+    }
+    notes
+}

@@ -1,0 +1,162 @@
+//! `reveille analyse`: what it prints is what the machines do, and what it cannot study it refuses with a way out.
+
+use reveille_tests::process::{Finished, Folder};
+use serde_json::Value;
+
+/// Runs `reveille analyse ARGS --json` and reads what it prints.
+fn analyse(folder: &Folder, args: &str) -> Value {
+    let end = folder.run(&format!("analyse {args} --json"));
+    assert!(end.is_success(), "{end}");
+    serde_json::from_str(&end.stdout).expect("--json prints JSON")
+}
+
+fn rows<'a>(findings: &'a Value, sheet: &str) -> &'a Vec<Value> {
+    findings[sheet].as_array().expect("rows")
+}
+
+fn number(row: &Value, column: &str) -> f64 {
+    row[column].as_f64().unwrap_or_else(|| panic!("{column} of {row}"))
+}
+
+fn assert_refused(end: &Finished, code: i32, parts: &[&str]) {
+    assert_eq!(end.code(), Some(code), "{end}");
+    for part in parts {
+        assert!(end.stderr.contains(part), "no {part:?}: {end}");
+    }
+    assert!(end.stdout.is_empty() && !end.stderr.contains("panicked"), "{end}");
+}
+
+#[test]
+fn the_battery_chain_agrees_with_the_machines() {
+    let folder = Folder::new();
+    let found = analyse(
+        &folder,
+        "battery --duty 1/2,1/8 --e-b 1,5,10 --activation 0,0.02 --devices 8 --ttis 100000",
+    );
+    assert_eq!(rows(&found, "chain").len(), 12);
+    for row in rows(&found, "chain") {
+        assert!(number(row, "total_variation") <= 0.02, "{row}");
+        assert!(number(row, "residual") <= 1e-10, "{row}");
+    }
+    for row in rows(&found, "availability") {
+        assert!((number(row, "chain") - number(row, "measured")).abs() <= 0.02, "{row}");
+        assert!(
+            (number(row, "eq8_printed") - number(row, "eq8_sum_by_beta")).abs() <= 1e-9,
+            "{row}"
+        );
+    }
+    let notes = found["notes"].to_string();
+    assert!(notes.contains("falls where more energy comes"), "{notes}");
+}
+
+#[test]
+fn the_distribution_of_one_battery_goes_to_csv() {
+    let folder = Folder::new();
+    let end = folder
+        .run("analyse battery --duty 1/4 --e-b 5 --activation 0 --devices 4 --ttis 20000 --bin 10 --csv levels.csv");
+    assert!(end.is_success(), "{end}");
+    let text = std::fs::read_to_string(folder.join("levels.csv")).expect("written");
+    let lines: Vec<&str> = text.lines().collect();
+    assert_eq!(lines[0], "e_b,duty,activation,battery_from,chain,measured");
+    let share = |line: &&str| {
+        line.split(',')
+            .nth(4)
+            .and_then(|x| x.parse::<f64>().ok())
+            .expect("a number")
+    };
+    let sum: f64 = lines[1..].iter().map(share).sum();
+    assert!(lines.len() == 12 && (sum - 1.0).abs() < 1e-9, "{text}");
+}
+
+#[test]
+fn transitions_say_which_forms_are_no_probabilities() {
+    let folder = Folder::new();
+    let found = analyse(
+        &folder,
+        "transitions --policy random --devices 100 --ttis 400 --seeds 3",
+    );
+    assert_eq!(rows(&found, "transitions").len(), 10);
+    let of_s1: f64 = rows(&found, "transitions")
+        .iter()
+        .filter(|row| row["transition"].as_str().is_some_and(|name| name.starts_with("P_1,")))
+        .map(|row| number(row, "count") / number(row, "visits"))
+        .sum();
+    assert!((of_s1 - 1.0).abs() < 1e-12);
+    let notes = found["notes"].to_string();
+    assert!(notes.contains("P_1,1 as printed is not a probability for"), "{notes}");
+}
+
+#[test]
+fn the_grid_has_the_papers_i_min() {
+    let folder = Folder::new();
+    let found = analyse(&folder, "imin --layouts grid,uniform --devices 25,100 --seeds 20");
+    for row in rows(&found, "imin") {
+        let off = number(row, "mean") - number(row, "grid_formula");
+        if row["layout"] == "grid" {
+            assert!(off.abs() < 1e-12, "{row}");
+        } else {
+            assert!(off < 0.0 && number(row, "sd") > 0.0, "{row}");
+        }
+    }
+}
+
+#[test]
+fn harvest_crosses_the_consumption_where_its_closed_form_does() {
+    let folder = Folder::new();
+    let found = analyse(
+        &folder,
+        "harvest --lambda 0.1 --policies random --devices 10 --seeds 3 --ttis 500 --readings eq5",
+    );
+    assert_eq!(rows(&found, "points").len(), 3);
+    for row in rows(&found, "crossings") {
+        if let Some(from) = row["net_positive_from"].as_f64() {
+            let harvest = number(row, "e_b") * from * (-from).exp();
+            assert!((harvest - number(row, "units")).abs() < 1e-9, "{row}");
+        }
+    }
+}
+
+#[test]
+fn run_times_come_with_exponents() {
+    let folder = Folder::new();
+    let found = analyse(
+        &folder,
+        "runtime --policies knn,random --devices 10,40,160 --ttis 200 --events 50 --repeat 2",
+    );
+    assert_eq!((rows(&found, "times").len(), rows(&found, "fits").len()), (6, 6));
+    for row in rows(&found, "fits") {
+        assert!(number(row, "exponent").is_finite(), "{row}");
+    }
+}
+
+#[test]
+fn what_cannot_be_studied_is_refused() {
+    let folder = Folder::new();
+    for (args, parts) in [
+        ("harvest --lambda ,", &["--lambda", "the list is empty"][..]),
+        ("harvest --lambda 0.1,-1", &["lambda = -1", "must be a rate"]),
+        ("harvest --readings eq6", &["`eq6`", "must be eq5 or exp-minus-lambda"]),
+        ("harvest --seeds 0", &["seeds = 0"]),
+        ("transitions --devices 0", &["devices = 0", "--devices"]),
+        ("imin --devices 0", &["devices = 0", "--devices"]),
+        ("imin --layouts hexx", &["layout.kind", "hexx", "--layouts"]),
+        ("battery --duty 9/8", &["t_on = 9 must be at most t_DRX = 8"]),
+        ("battery --e-b 0", &["--e-b 0", "above 0"]),
+        ("battery --activation 2", &["activation = 2"]),
+        ("battery --bin 0", &["bin = 0", "at least a quantum"]),
+        (
+            "battery --set harvest.kind=mpp",
+            &["arrivals that do not depend on each other"],
+        ),
+        ("battery --set energy.e_wur=0.0712345", &["common quantum"]),
+        ("runtime --policies knn,nobody", &["nobody"]),
+        (
+            "transitions --ttis 100 --devices 5 --csv no/such/folder.csv",
+            &["no/such/folder.csv"],
+        ),
+    ] {
+        assert_refused(&folder.run(&format!("analyse {args}")), 1, parts);
+    }
+    assert_refused(&folder.run("analyse"), 2, &["Usage"]);
+    assert_refused(&folder.run("analyse runtime --repeat 0"), 2, &["--repeat"]);
+}
