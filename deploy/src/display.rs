@@ -55,6 +55,21 @@ impl<'a> tracing_subscriber::fmt::MakeWriter<'a> for LogWriter {
     }
 }
 
+/// A progress bar among the others, unless `hidden` or standard error is no terminal.
+pub fn bar(length: u64, template: &str, hidden: bool) -> ProgressBar {
+    let bar = if hidden {
+        ProgressBar::hidden()
+    } else {
+        BARS.add(ProgressBar::with_draw_target(
+            Some(length),
+            ProgressDrawTarget::stderr(),
+        ))
+    };
+    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+    bar.set_style(style.progress_chars("━╸ "));
+    bar
+}
+
 /// A progress bar with a thread that keeps it up to date; gone when dropped.
 pub struct Bar {
     line: ProgressBar,
@@ -65,17 +80,8 @@ pub struct Bar {
 impl Bar {
     /// Shows `progress` of a run of `scenario`, unless `hidden` or standard error is no terminal.
     pub fn start(progress: &Arc<Progress>, scenario: &Scenario, hidden: bool) -> Self {
-        let bar = if hidden {
-            ProgressBar::hidden()
-        } else {
-            BARS.add(ProgressBar::with_draw_target(
-                Some(scenario.ttis),
-                ProgressDrawTarget::stderr(),
-            ))
-        };
         let template = "{bar:30} TTI {pos}/{len}  {msg}  {eta} left";
-        let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
-        bar.set_style(style.progress_chars("━╸ "));
+        let bar = bar(scenario.ttis, template, hidden);
         let done = Arc::new(std::sync::atomic::AtomicBool::new(false));
         let (thread_bar, thread_done, progress) = (bar.clone(), Arc::clone(&done), Arc::clone(progress));
         let devices = scenario.devices;

@@ -26,9 +26,11 @@ fn main() -> ExitCode {
         Ok(code) => code,
         Err(error) => {
             eprintln!("reveille: {error:#}");
-            match error.downcast_ref::<BsError>() {
-                Some(why) if why.is_interruption() => ExitCode::from(INTERRUPTED),
-                Some(_) | None => ExitCode::FAILURE,
+            let by_bs = error.downcast_ref::<BsError>().is_some_and(BsError::is_interruption);
+            if by_bs || error.is::<commands::sweep::Interrupted>() {
+                ExitCode::from(INTERRUPTED)
+            } else {
+                ExitCode::FAILURE
             }
         }
     }
@@ -39,6 +41,8 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
     match cli.command {
         Command::Scenario(command) => commands::scenario::run(&command),
         Command::Run(args) => commands::run::run(&args),
+        Command::Sweep(args) => commands::sweep::run(&args),
+        Command::Merge(args) => commands::merge::run(&args),
         Command::Up(args) => runtime(2)?.block_on(commands::up::run(&args, &log)),
         Command::Bs(args) => runtime(2)?.block_on(commands::bs::run(&args)),
         Command::Device(args) => runtime(1)?.block_on(commands::device::run(&args)),

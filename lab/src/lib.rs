@@ -7,4 +7,5 @@ pub mod figures;
 pub mod report;
 pub mod run;
 pub mod stats;
+pub mod sweep;
 pub mod table;

@@ -4,6 +4,7 @@ mod analyse;
 mod figures;
 mod parse;
 mod run;
+mod sweep;
 mod tools;
 
 use clap::{Parser, Subcommand, ValueEnum};
@@ -12,6 +13,7 @@ use reveille_common::logging::LogFormat;
 pub use analyse::{AnalyseCommand, BatteryArgs, HarvestArgs, IminArgs, RuntimeArgs, StudyArgs, TransitionsArgs};
 pub use figures::{DeploymentArgs, FiguresArgs, FiguresCommand, FormatArg, PictureArgs, ReportArgs, TimelineArgs};
 pub use run::{BsArgs, DeviceArgs, DriveArgs, OutputArgs, RunArgs, ScenarioArgs, UpArgs};
+pub use sweep::{MergeArgs, SweepArgs};
 pub use tools::{
     BenchCommand, BusBenchArgs, ClockArgs, InspectCommand, MemoryBenchArgs, ScenarioCommand, TailArgs, TargetArgs,
 };
@@ -59,6 +61,17 @@ pub enum Command {
     Up(UpArgs),
     /// Run in memory: the same run and the same digest as `up`, without processes or a network.
     Run(RunArgs),
+    /// Run a grid of scenario fields × policies × seeds in memory, one row per run, and give means with intervals.
+    #[command(
+        after_help = "Examples:\n  reveille sweep --policies knn,random --devices 10,50,250 --seeds 100\n  \
+        reveille sweep --grid harvest.lambda=0.05,0.1,0.2 --set harvest.e_b=10 --until-ci 1%\n  \
+        reveille sweep experiment.toml --shard 2/8 --out shard-2\n\n\
+        A sweep that was cut short, even by kill -9, goes on when the same command is given again."
+    )]
+    Sweep(SweepArgs),
+    /// Put the tables of the shards of a sweep together.
+    #[command(after_help = "Example:\n  reveille merge shard-1 shard-2 shard-3 --out results.parquet")]
+    Merge(MergeArgs),
     /// Start only the base station, and wait for devices to connect.
     #[command(
         after_help = "Example, on two machines:\n  reveille bs --listen tcp/0.0.0.0:7447 --run demo --devices 50\n  \

@@ -6,9 +6,11 @@ pub mod clock;
 pub mod device;
 pub mod figures;
 pub mod inspect;
+pub mod merge;
 pub mod report;
 pub mod run;
 pub mod scenario;
+pub mod sweep;
 pub mod up;
 
 use std::process::ExitCode;

@@ -1,0 +1,130 @@
+//! The options of sweeps.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use reveille_lab::sweep::Shard;
+use reveille_lab::table::Format;
+
+/// `reveille sweep`.
+#[derive(Args)]
+pub struct SweepArgs {
+    /// An experiment file; see deploy/examples/experiment.toml. Options win over what it says.
+    pub experiment: Option<PathBuf>,
+
+    /// Which runs.
+    #[command(flatten)]
+    pub grid: GridArgs,
+
+    /// The folder of the sweep. Give the same command again to go on with a sweep that was cut short [default:
+    /// runs/sweep-HASH, the same for the same experiment].
+    #[arg(long, short, help_heading = "Output")]
+    pub out: Option<PathBuf>,
+
+    /// The form of the table, one row per run: results.parquet or results.csv.
+    #[arg(long, value_enum, default_value = "parquet", help_heading = "Output")]
+    pub format: FormatArg,
+
+    /// Print what came out as JSON instead of the table.
+    #[arg(long, help_heading = "Output")]
+    pub json: bool,
+
+    /// No progress bar and no table, only where the results are.
+    #[arg(long, short, help_heading = "Output")]
+    pub quiet: bool,
+
+    /// Check every scenario, show the grid and the number of runs, and run nothing.
+    #[arg(long, help_heading = "Output")]
+    pub dry_run: bool,
+
+    /// Threads [default: as many as there are cores].
+    #[arg(long, short = 'j', help_heading = "Running", value_parser = clap::value_parser!(u16).range(1..=4096))]
+    pub threads: Option<u16>,
+
+    /// Make only the I-th of N shares, for several machines; `reveille merge` puts their tables together.
+    #[arg(long, value_name = "I/N", help_heading = "Running")]
+    pub shard: Option<Shard>,
+}
+
+/// Which runs a sweep makes.
+#[derive(Args)]
+pub struct GridArgs {
+    /// A preset's name or a TOML file, the base of all cells [default: paper].
+    #[arg(long, short, help_heading = "Grid")]
+    pub scenario: Option<String>,
+
+    /// Policies, separated by commas: knn, adjusted, random, genie [default: the scenario's].
+    #[arg(long, short, value_delimiter = ',', help_heading = "Grid")]
+    pub policies: Option<Vec<String>>,
+
+    /// Numbers of devices N, separated by commas [default: the scenario's].
+    #[arg(long, short = 'n', value_delimiter = ',', help_heading = "Grid")]
+    pub devices: Option<Vec<String>>,
+
+    /// Lengths of the runs K in TTIs, warm-up included, separated by commas [default: the scenario's].
+    #[arg(long, short = 'k', value_delimiter = ',', help_heading = "Grid")]
+    pub ttis: Option<Vec<String>>,
+
+    /// Sweep any field of the scenario, for example --grid harvest.lambda=0.05,0.1. May be repeated.
+    #[arg(long, value_name = "FIELD=VALUE,VALUE…", help_heading = "Grid")]
+    pub grid: Vec<String>,
+
+    /// Set one field in all cells, for example --set sensing.d_max=5. May be repeated.
+    #[arg(long, value_name = "FIELD=VALUE", help_heading = "Grid")]
+    pub set: Vec<String>,
+
+    /// Seeds of each cell, the same in all; with --until-ci the most of them [default: 100].
+    #[arg(long, help_heading = "Seeds")]
+    pub seeds: Option<u64>,
+
+    /// The first seed; the others follow one by one [default: 1].
+    #[arg(long, help_heading = "Seeds")]
+    pub first_seed: Option<u64>,
+
+    /// Stop a cell as soon as the 95 % intervals of its metrics are this narrow: half-width over mean, such as 1%.
+    #[arg(long, value_name = "WIDTH", help_heading = "Seeds")]
+    pub until_ci: Option<String>,
+
+    /// The metrics that --until-ci looks at, separated by commas [default: all that are defined, but for
+    /// net_per_device_tti, whose mean may be 0].
+    #[arg(long, value_delimiter = ',', value_name = "METRIC,…", help_heading = "Seeds")]
+    pub ci_metrics: Option<Vec<String>>,
+
+    /// Runs of a cell before --until-ci looks for the first time [default: 30].
+    #[arg(long, help_heading = "Seeds")]
+    pub min_seeds: Option<u64>,
+}
+
+/// `reveille merge`.
+#[derive(Args)]
+pub struct MergeArgs {
+    /// Tables of shards (results.parquet, results.csv), or the folders of their sweeps.
+    #[arg(required = true, value_name = "SHARD")]
+    pub shards: Vec<PathBuf>,
+
+    /// The merged table; .csv for CSV, anything else is Parquet.
+    #[arg(long, short)]
+    pub out: PathBuf,
+
+    /// Merge although shards are missing; the table says which are in it.
+    #[arg(long)]
+    pub partial: bool,
+}
+
+/// The form of a table.
+#[derive(Clone, Copy, ValueEnum)]
+pub enum FormatArg {
+    /// Apache Parquet.
+    Parquet,
+    /// CSV, and beside it a .toml with what Parquet keeps in its metadata.
+    Csv,
+}
+
+impl From<FormatArg> for Format {
+    fn from(arg: FormatArg) -> Self {
+        match arg {
+            FormatArg::Parquet => Self::Parquet,
+            FormatArg::Csv => Self::Csv,
+        }
+    }
+}

@@ -1,0 +1,112 @@
+//! `reveille sweep`: many runs in memory.
+
+mod grid;
+mod progress;
+mod report;
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::bail;
+use reveille_lab::sweep::{Grid, Shard, Sweep, identity};
+
+use crate::cli::SweepArgs;
+use crate::display;
+use progress::Progress;
+use report::Report;
+
+/// Runs a sweep, or goes on with it.
+pub fn run(args: &SweepArgs) -> anyhow::Result<ExitCode> {
+    let grid = Grid::new(grid::experiment(args)?)?;
+    let shard = args.shard.unwrap_or(Shard::WHOLE);
+    let folder = folder(args, &grid, shard);
+    if args.dry_run {
+        display::out(&report::dry_run(args, &grid, shard, &folder)?)?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let threads = threads(args)?;
+    let mut sweep = Sweep::open(&grid, shard, &folder)?;
+    announce(args, &sweep, &folder);
+    let runtime = crate::runtime(1)?;
+    let stop = runtime.block_on(async { crate::interrupt::watch() })?;
+    let progress = Progress::start(&grid, shard, threads, sweep.found(), &stop, args.quiet);
+    let started = crate::now();
+    let ended = sweep.run(threads, args.format.into(), &progress);
+    let seconds = started.elapsed().as_secs_f64();
+    let device_ttis = progress.finish();
+    let Some(finished) = ended? else {
+        bail!(Interrupted {
+            done: sweep.done(),
+            folder,
+        });
+    };
+    let report = Report {
+        grid: &grid,
+        finished: &finished,
+        folder: &folder,
+        found: sweep.found(),
+        seconds,
+        device_ttis,
+        threads,
+    };
+    if args.json {
+        display::out(&report.to_json()?)?;
+    } else if args.quiet {
+        display::out(&format!("{}\n", finished.path.display()))?;
+    } else {
+        display::out(&report.to_text())?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Ctrl-C has ended a sweep.
+#[derive(Debug)]
+pub struct Interrupted {
+    done: usize,
+    folder: PathBuf,
+}
+
+impl std::fmt::Display for Interrupted {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let (done, folder) = (self.done, self.folder.display());
+        write!(
+            f,
+            "interrupted; the {done} finished runs are kept in {folder}: give the same command again to go on"
+        )
+    }
+}
+
+impl std::error::Error for Interrupted {}
+
+/// Says what was found in the folder, on standard error: standard output is for results.
+fn announce(args: &SweepArgs, sweep: &Sweep<'_>, folder: &Path) {
+    if sweep.dropped() > 0 {
+        tracing::warn!(
+            "{} rows of {} were torn or garbled; their runs are made again",
+            sweep.dropped(),
+            folder.display()
+        );
+    }
+    if sweep.found() > 0 && !args.quiet {
+        eprintln!("{} finished runs found in {}", sweep.found(), folder.display());
+    }
+}
+
+fn threads(args: &SweepArgs) -> anyhow::Result<usize> {
+    Ok(match args.threads {
+        Some(threads) => usize::from(threads),
+        None => std::thread::available_parallelism()?.get(),
+    })
+}
+
+/// The folder that the command line names, or one named after the experiment.
+fn folder(args: &SweepArgs, grid: &Grid, shard: Shard) -> PathBuf {
+    args.out.clone().unwrap_or_else(|| {
+        let hash = identity(grid);
+        let mut name = format!("sweep-{}", &hash[..12]);
+        if shard != Shard::WHOLE {
+            name += &format!("-{}of{}", shard.index(), shard.count());
+        }
+        Path::new("runs").join(name)
+    })
+}

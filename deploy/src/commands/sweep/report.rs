@@ -1,0 +1,229 @@
+//! What a sweep came to, for people and for machines.
+
+use std::path::Path;
+
+use comfy_table::presets::UTF8_FULL_CONDENSED;
+use comfy_table::{CellAlignment, Table};
+use reveille_lab::stats::{self, Estimate};
+use reveille_lab::sweep::{CellEnd, Finished, Grid, Shard};
+use reveille_lab::table::{Value, metric_names};
+use serde_json::{Map, Value as Json, json};
+
+use crate::cli::SweepArgs;
+
+/// The metrics of the closing table, with shorter heads.
+const SHOWN: [(&str, &str); 5] = [
+    ("info_per_event", "info/event"),
+    ("misdetection_pct", "missed %"),
+    ("energy_per_device_tti", "energy"),
+    ("low_energy_pct", "low energy %"),
+    ("mean_battery", "battery"),
+];
+
+/// A finished sweep.
+pub struct Report<'r> {
+    /// What was run.
+    pub grid: &'r Grid,
+    /// What came out.
+    pub finished: &'r Finished,
+    /// Where.
+    pub folder: &'r Path,
+    /// Runs that were there before.
+    pub found: usize,
+    /// How long the others took.
+    pub seconds: f64,
+    /// Their device-TTIs.
+    pub device_ttis: u64,
+    /// On how many threads.
+    pub threads: usize,
+}
+
+impl Report<'_> {
+    /// A row per cell, and where the table of all runs is.
+    pub fn to_text(&self) -> String {
+        let swept = &self.finished.table.schema.swept;
+        let mut table = Table::new();
+        let mut head = vec![
+            "preset".to_owned(),
+            "policy".to_owned(),
+            "N".to_owned(),
+            "TTIs".to_owned(),
+        ];
+        head.extend(swept.iter().map(|(name, _)| name.clone()));
+        head.push("runs".to_owned());
+        let fixed = head.len();
+        head.extend(SHOWN.iter().map(|(_, head)| (*head).to_owned()));
+        table.load_style(UTF8_FULL_CONDENSED).set_header(head);
+        for cell in stats::cells(&self.finished.table) {
+            let mut row = vec![
+                cell.preset.to_owned(),
+                cell.policy.to_owned(),
+                cell.n.to_string(),
+                cell.ttis.to_string(),
+            ];
+            row.extend(cell.swept.iter().map(ToString::to_string));
+            row.push(cell.rows.len().to_string());
+            row.extend(SHOWN.iter().map(|(metric, _)| shown(cell.estimate(metric))));
+            table.add_row(row);
+        }
+        for column in fixed - 1..fixed + SHOWN.len() {
+            if let Some(column) = table.column_mut(column) {
+                column.set_cell_alignment(CellAlignment::Right);
+            }
+        }
+        let mut lines = vec![
+            table.to_string(),
+            "mean ± half-width of the 95 % interval over the runs".to_owned(),
+        ];
+        lines.extend(self.wide());
+        lines.push(self.speed());
+        lines.push(format!("a row per run in {}\n", self.finished.path.display()));
+        lines.join("\n")
+    }
+
+    /// Runs in this sitting, and how fast they were.
+    fn speed(&self) -> String {
+        let rows = self.finished.table.rows.len();
+        let found = match self.found {
+            0 => String::new(),
+            found => format!(", {found} of them found"),
+        };
+        let rate = self.device_ttis as f64 / self.seconds.max(1e-9) / 1e6;
+        let plural = if self.threads == 1 { "" } else { "s" };
+        format!(
+            "{rows} runs{found} in {:.1} s on {} thread{plural}: {rate:.0} million device-TTIs/s",
+            self.seconds, self.threads
+        )
+    }
+
+    /// The cells whose intervals are wider than `until_ci` asks for although all seeds were run.
+    fn wide(&self) -> Vec<String> {
+        let Some(until) = &self.grid.experiment.until_ci else {
+            return Vec::new();
+        };
+        let cells = self.grid.cells.iter().zip(&self.finished.cells);
+        let wide = cells.filter_map(|(cell, CellEnd { widest, .. })| {
+            let (metric, width) = widest.as_ref().filter(|(_, width)| *width > until.target)?;
+            let width = if width.is_finite() {
+                format!("is {:.1} % of the mean", 100.0 * width)
+            } else {
+                "has no relative width".to_owned()
+            };
+            Some(format!(
+                "not narrow after all {} seeds: {}: the interval of {metric} {width}",
+                self.grid.experiment.seeds.count, cell.label
+            ))
+        });
+        wide.collect()
+    }
+
+    /// The same for machines.
+    ///
+    /// # Errors
+    /// Never in practice.
+    pub fn to_json(&self) -> anyhow::Result<String> {
+        let schema = &self.finished.table.schema;
+        let cells: Vec<Json> = stats::cells(&self.finished.table)
+            .iter()
+            .map(|cell| {
+                let names = metric_names().iter().chain(&["events"]);
+                let metrics: Map<String, Json> = names
+                    .map(|name| ((*name).to_owned(), cell.estimate(name).map_or(Json::Null, estimate)))
+                    .collect();
+                let values = schema.swept.iter().zip(cell.swept.iter());
+                let swept: Map<String, Json> = values.map(|((name, _), value)| (name.clone(), plain(value))).collect();
+                json!({
+                    "preset": cell.preset, "policy": cell.policy, "n": cell.n, "ttis": cell.ttis,
+                    "swept": swept, "runs": cell.rows.len(), "metrics": metrics,
+                })
+            })
+            .collect();
+        let report = json!({
+            "status": "complete",
+            "folder": self.folder, "table": self.finished.path,
+            "runs": self.finished.table.rows.len(), "found": self.found,
+            "threads": self.threads, "seconds": self.seconds, "device_ttis": self.device_ttis,
+            "cells": cells,
+        });
+        Ok(serde_json::to_string_pretty(&report)? + "\n")
+    }
+}
+
+fn plain(value: &Value) -> Json {
+    match value {
+        Value::Int(value) => json!(value),
+        Value::Float(value) => json!(value),
+        Value::Text(value) => json!(value),
+    }
+}
+
+fn estimate(estimate: Estimate) -> Json {
+    let Estimate {
+        mean,
+        deviation,
+        half_width,
+        runs,
+    } = estimate;
+    json!({ "mean": mean, "deviation": deviation, "half_width": half_width, "runs": runs })
+}
+
+/// `0.1473 ± 0.0012`, to as many digits as the interval is worth.
+fn shown(estimate: Option<Estimate>) -> String {
+    let Some(Estimate { mean, half_width, .. }) = estimate else {
+        return "–".to_owned();
+    };
+    if half_width.is_nan() {
+        return format!("{mean:.4}");
+    }
+    let digits = if half_width > 0.0 {
+        (1.0 - half_width.log10().floor()).clamp(0.0, 6.0) as usize
+    } else {
+        4
+    };
+    format!("{mean:.digits$} ± {half_width:.digits$}")
+}
+
+/// The grid and what it would cost.
+pub fn dry_run(args: &SweepArgs, grid: &Grid, shard: Shard, folder: &Path) -> anyhow::Result<String> {
+    let seeds = grid.experiment.seeds;
+    let runs = (0..grid.runs()).filter(|&number| shard.holds(number)).count();
+    let device_ttis: u128 = grid
+        .cells
+        .iter()
+        .map(|cell| u128::from(cell.device_ttis()) * u128::from(seeds.count))
+        .sum::<u128>()
+        / u128::from(shard.count());
+    if args.json {
+        let labels: Vec<&str> = grid.cells.iter().map(|cell| cell.label.as_str()).collect();
+        let plan = json!({
+            "status": "dry-run", "folder": folder, "cells": labels, "seeds_first": seeds.first,
+            "seeds_count": seeds.count, "shard": shard.to_string(), "runs": runs, "device_ttis": device_ttis as f64,
+            "experiment": grid.experiment.to_toml(),
+        });
+        return Ok(serde_json::to_string_pretty(&plan)? + "\n");
+    }
+    let mut lines = vec![grid.experiment.to_toml()];
+    lines.extend(grid.cells.iter().map(|cell| format!("  {}", cell.label)));
+    let most = if grid.experiment.until_ci.is_some() {
+        "at most "
+    } else {
+        ""
+    };
+    lines.push(format!(
+        "\n{} cells × {} seeds from {}: {most}{runs} runs{}, {:.3} billion device-TTIs",
+        grid.cells.len(),
+        seeds.count,
+        seeds.first,
+        if shard == Shard::WHOLE {
+            String::new()
+        } else {
+            format!(" in shard {shard}")
+        },
+        device_ttis as f64 / 1e9
+    ));
+    lines.push(format!(
+        "every scenario is valid; results would go to {}\n",
+        folder.display()
+    ));
+    Ok(lines.join("\n"))
+}

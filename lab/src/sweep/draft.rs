@@ -1,0 +1,287 @@
+//! What an experiment file and the command line say, before it is put together.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+use toml::{Table, Value};
+
+use super::error::SweepError;
+use super::experiment::{Axis, Experiment, Seeds, UntilCi, is_metric};
+use crate::table::metric_names;
+
+/// Bytes of the longest experiment that is read.
+const LONGEST: u64 = 1 << 20;
+
+/// The TOML form of an experiment.
+#[derive(Debug, Default, Deserialize)]
+#[serde(default, deny_unknown_fields, expecting = "an experiment")]
+struct Raw {
+    scenario: Option<String>,
+    preset: Option<Value>,
+    policies: Option<Value>,
+    devices: Option<Value>,
+    ttis: Option<Value>,
+    seeds: Option<RawSeeds>,
+    until_ci: Option<Value>,
+    ci_metrics: Option<Vec<String>>,
+    min_seeds: Option<u64>,
+    set: Table,
+    grid: Table,
+}
+
+/// `seeds = 1000`, or `seeds = { first = 501, count = 500 }`.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(
+    untagged,
+    expecting = "`seeds` must be a number of seeds, or { first = …, count = … }"
+)]
+enum RawSeeds {
+    Count(u64),
+    Range { first: u64, count: u64 },
+}
+
+/// An experiment in the making. What is not given keeps the value of the draft below, then the default.
+#[derive(Clone, Debug, Default)]
+pub struct Draft {
+    /// A preset's name or a scenario file [default: paper].
+    pub scenario: Option<String>,
+    /// Where a relative scenario file is looked for.
+    pub base_dir: PathBuf,
+    /// Fields set in all cells: by path, the value and who set it.
+    pub set: BTreeMap<String, (Value, String)>,
+    /// Fields with a list of values, by path.
+    pub axes: BTreeMap<String, Axis>,
+    /// Seeds of each cell, or the most of them with `until_ci` [default: 100].
+    pub count: Option<u64>,
+    /// The first seed [default: 1].
+    pub first: Option<u64>,
+    /// The relative half-width of the 95 % interval at which a cell stops, such as `1%`.
+    pub until_ci: Option<String>,
+    /// The metrics that must be that narrow [default: see [`UntilCi::default_metrics`]].
+    pub ci_metrics: Option<Vec<String>>,
+    /// The fewest seeds of a cell [default: 30].
+    pub min_seeds: Option<u64>,
+}
+
+impl Draft {
+    /// Reads the experiment file at `path`.
+    ///
+    /// # Errors
+    /// It cannot be read, is no TOML, or has unknown fields or values of wrong types; the message names file and line.
+    pub fn load(path: &Path) -> Result<Self, SweepError> {
+        let read = || {
+            let size = std::fs::metadata(path)?;
+            if !size.is_file() || size.len() > LONGEST {
+                return Err(std::io::Error::other("it is no file, or too long for an experiment"));
+            }
+            std::fs::read_to_string(path)
+        };
+        let text = read().map_err(|error| SweepError::Read {
+            path: path.to_owned(),
+            error,
+        })?;
+        Self::parse(&text, &path.to_string_lossy(), path.parent().unwrap_or(Path::new("")))
+    }
+
+    /// The experiment in the TOML `text`. `name` names it in messages; its scenario file is relative to `base_dir`.
+    ///
+    /// # Errors
+    /// As [`Draft::load`].
+    pub fn parse(text: &str, name: &str, base_dir: &Path) -> Result<Self, SweepError> {
+        let raw: Raw = toml::from_str(text).map_err(|error| {
+            let before = error.span().map_or(0, |span| span.start.min(text.len()));
+            SweepError::Syntax {
+                name: name.to_owned(),
+                line: text.get(..before).unwrap_or(text).matches('\n').count() + 1,
+                reason: error.message().to_owned(),
+            }
+        })?;
+        let mut draft = Self {
+            scenario: raw.scenario,
+            base_dir: base_dir.to_owned(),
+            ci_metrics: raw.ci_metrics,
+            min_seeds: raw.min_seeds,
+            ..Self::default()
+        };
+        (draft.first, draft.count) = match raw.seeds {
+            None => (None, None),
+            Some(RawSeeds::Count(count)) => (None, Some(count)),
+            Some(RawSeeds::Range { first, count }) => (Some(first), Some(count)),
+        };
+        draft.until_ci = raw
+            .until_ci
+            .map(|value| value.as_str().map_or_else(|| value.to_string(), str::to_owned));
+        let lists = [
+            ("preset", "preset", raw.preset),
+            ("policies", "policy.name", raw.policies),
+            ("devices", "devices", raw.devices),
+            ("ttis", "ttis", raw.ttis),
+        ];
+        for (field, path, value) in lists {
+            match value {
+                None => {}
+                Some(Value::Array(values)) => draft.axis(&format!("`{field}` of {name}"), path, values)?,
+                Some(value) => draft.axis(&format!("`{field}` of {name}"), path, vec![value])?,
+            }
+        }
+        for (path, value) in leaves(raw.grid) {
+            let origin = format!("`grid` of {name}");
+            let Value::Array(values) = value else {
+                let allowed = format!("must be a list of values, such as [{value}]; set by {origin}");
+                return Err(SweepError::invalid(format!("grid.{path}"), &value, allowed));
+            };
+            draft.axis(&origin, &path, values)?;
+        }
+        for (path, value) in leaves(raw.set) {
+            draft.set.insert(path, (value, format!("`set` of {name}")));
+        }
+        Ok(draft)
+    }
+
+    /// Sweeps the field at `path` over `values`; `origin` says who asks for it.
+    ///
+    /// # Errors
+    /// The list is empty, or the field is swept twice.
+    pub fn axis(&mut self, origin: &str, path: &str, values: Vec<Value>) -> Result<(), SweepError> {
+        if values.is_empty() {
+            let allowed = format!("an empty list leaves no runs; give at least one value; set by {origin}");
+            return Err(SweepError::invalid(path, "[]", allowed));
+        }
+        let axis = Axis {
+            path: path.to_owned(),
+            values,
+            origin: origin.to_owned(),
+        };
+        if let Some(before) = self.axes.insert(path.to_owned(), axis) {
+            let allowed = format!(
+                "is swept twice, by {} and by {origin}; give all values at once",
+                before.origin
+            );
+            return Err(SweepError::invalid(path, "…", allowed));
+        }
+        Ok(())
+    }
+
+    /// This draft with what only `below` says.
+    #[must_use]
+    pub fn over(self, below: Self) -> Self {
+        let (mut set, mut axes) = (below.set, below.axes);
+        set.extend(self.set);
+        axes.extend(self.axes);
+        let (scenario, base_dir) = match self.scenario {
+            Some(own) => (Some(own), self.base_dir),
+            None => (below.scenario, below.base_dir),
+        };
+        Self {
+            scenario,
+            base_dir,
+            set,
+            axes,
+            count: self.count.or(below.count),
+            first: self.first.or(below.first),
+            until_ci: self.until_ci.or(below.until_ci),
+            ci_metrics: self.ci_metrics.or(below.ci_metrics),
+            min_seeds: self.min_seeds.or(below.min_seeds),
+        }
+    }
+
+    /// The experiment.
+    ///
+    /// # Errors
+    /// Something is out of its range or contradicts something else.
+    pub fn finish(self) -> Result<Experiment, SweepError> {
+        let paths = self.set.iter().map(|(path, (_, origin))| (path, origin));
+        let swept = self.axes.iter().map(|(path, axis)| (path, &axis.origin));
+        for (path, origin) in paths.chain(swept) {
+            if path == "seed" {
+                let allowed = "a sweep counts its seeds itself: see --seeds and --first-seed";
+                return Err(SweepError::invalid("seed", "…", format!("{allowed}; set by {origin}")));
+            }
+        }
+        if let Some((path, (value, by))) = self.set.iter().find(|(path, _)| self.axes.contains_key(*path)) {
+            let origin = &self.axes[path].origin;
+            let allowed = format!("is set by {by} and swept by {origin}; leave one of them out");
+            return Err(SweepError::invalid(path, value, allowed));
+        }
+        let seeds = Seeds {
+            first: self.first.unwrap_or(1),
+            count: self.count.unwrap_or(100),
+        };
+        seeds.check()?;
+        let until_ci = until(self.until_ci.as_deref(), self.ci_metrics, self.min_seeds, seeds)?;
+        let mut axes: Vec<Axis> = self.axes.into_values().collect();
+        axes.sort_by(|a, b| a.rank().cmp(&b.rank()));
+        Ok(Experiment {
+            scenario: self.scenario.unwrap_or_else(|| "paper".to_owned()),
+            base_dir: self.base_dir,
+            set: self
+                .set
+                .into_iter()
+                .map(|(path, (value, by))| (path, value, by))
+                .collect(),
+            axes,
+            seeds,
+            until_ci,
+        })
+    }
+}
+
+fn until(
+    target: Option<&str>,
+    metrics: Option<Vec<String>>,
+    min_seeds: Option<u64>,
+    seeds: Seeds,
+) -> Result<Option<UntilCi>, SweepError> {
+    let Some(text) = target else {
+        if metrics.is_some() || min_seeds.is_some() {
+            let allowed = "counts only with until_ci (--until-ci), which says how narrow the intervals must be";
+            return Err(SweepError::invalid("ci_metrics or min_seeds", "…", allowed));
+        }
+        return Ok(None);
+    };
+    let number = match text.strip_suffix('%') {
+        Some(percent) => percent.trim().parse::<f64>().map(|percent| percent / 100.0),
+        None => text.parse::<f64>(),
+    };
+    let target = number.ok().filter(|target| *target > 0.0 && *target <= 1.0);
+    let target = target.ok_or_else(|| {
+        let allowed =
+            "must be the half-width of the 95 % interval over the mean: above 0 and at most 100 %, such as 1% or 0.01";
+        SweepError::invalid("until_ci", text, allowed)
+    })?;
+    let metrics = metrics.unwrap_or_else(UntilCi::default_metrics);
+    if metrics.is_empty() {
+        let allowed = "name at least one metric, or leave it out for all";
+        return Err(SweepError::invalid("ci_metrics", "[]", allowed));
+    }
+    if let Some(unknown) = metrics.iter().find(|name| !is_metric(name)) {
+        let names = metric_names().join(", ");
+        let allowed = format!("there is no such metric; there are {names}, events");
+        return Err(SweepError::invalid("ci_metrics", unknown, allowed));
+    }
+    let min_seeds = min_seeds.unwrap_or(30).min(seeds.count);
+    if min_seeds < 2 {
+        let allowed = "an interval needs at least two runs; raise min_seeds and seeds";
+        return Err(SweepError::invalid("min_seeds", min_seeds, allowed));
+    }
+    Ok(Some(UntilCi {
+        target,
+        metrics,
+        min_seeds,
+    }))
+}
+
+/// The values of a table with their dotted paths; tables within it are walked.
+fn leaves(table: Table) -> Vec<(String, Value)> {
+    let mut found = Vec::new();
+    for (name, value) in table {
+        if let Value::Table(inner) = value {
+            let inner = leaves(inner).into_iter();
+            found.extend(inner.map(|(path, value)| (format!("{name}.{path}"), value)));
+        } else {
+            found.push((name, value));
+        }
+    }
+    found
+}

@@ -1,0 +1,171 @@
+//! An experiment: a scenario, fields with lists of values, and seeds.
+
+use std::path::PathBuf;
+
+use toml::Value;
+
+use super::error::SweepError;
+use crate::table::metric_names;
+
+/// The most seeds of a cell.
+const MOST_SEEDS: u64 = 10_000_000;
+/// Runs between two looks at the intervals, at the least.
+const BATCH: u64 = 10;
+
+/// A field of the scenario and the values that it takes in turn.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Axis {
+    /// The field's dotted path, such as `harvest.lambda`.
+    pub path: String,
+    /// Its values, at least one.
+    pub values: Vec<Value>,
+    /// Who asks for it, for messages.
+    pub origin: String,
+}
+
+impl Axis {
+    /// The place among the axes: preset, policy, N, TTIs, then the others by path; the first varies slowest.
+    pub(super) fn rank(&self) -> (usize, &str) {
+        let known = Self::COLUMNS.iter().position(|(path, _)| *path == self.path);
+        (known.unwrap_or(Self::COLUMNS.len()), &self.path)
+    }
+
+    /// Fields that have a column in every table, with its name.
+    pub(super) const COLUMNS: [(&'static str, &'static str); 4] = [
+        ("preset", "preset"),
+        ("policy.name", "policy"),
+        ("devices", "n"),
+        ("ttis", "ttis"),
+    ];
+
+    /// Whether the field has a column in every table.
+    pub fn is_built_in(&self) -> bool {
+        Self::COLUMNS.iter().any(|(path, _)| *path == self.path)
+    }
+}
+
+/// The seeds of every cell: `first ..= first + count - 1`. All cells have the same (common random numbers).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Seeds {
+    /// The first.
+    pub first: u64,
+    /// How many.
+    pub count: u64,
+}
+
+impl Seeds {
+    pub(super) fn check(self) -> Result<(), SweepError> {
+        if self.count == 0 || self.count > MOST_SEEDS {
+            let allowed = format!("must be a number of seeds from 1 to {MOST_SEEDS}");
+            return Err(SweepError::invalid("seeds", self.count, allowed));
+        }
+        let last = self.first.checked_add(self.count - 1);
+        if last.is_none_or(|last| i64::try_from(last).is_err()) {
+            let allowed = format!("with {} seeds the last one would be above {}", self.count, i64::MAX);
+            return Err(SweepError::invalid("first_seed", self.first, allowed));
+        }
+        Ok(())
+    }
+}
+
+/// When a cell has enough runs: as soon as the 95 % interval of each of these metrics is narrow, looked at in the order of
+/// seeds after `min_seeds` runs, then after every quarter more (at least ten).
+#[derive(Clone, Debug, PartialEq)]
+pub struct UntilCi {
+    /// The half-width over the mean, `(0, 1]`.
+    pub target: f64,
+    /// The metrics that must be that narrow; one that is not defined in any run does not count.
+    pub metrics: Vec<String>,
+    /// Runs before the first look, ≥ 2.
+    pub min_seeds: u64,
+}
+
+impl UntilCi {
+    /// All metrics but `net_per_device_tti`: a difference whose mean may be 0 has no relative width.
+    pub fn default_metrics() -> Vec<String> {
+        let names = metric_names().iter().filter(|name| **name != "net_per_device_tti");
+        names.map(|name| (*name).to_owned()).collect()
+    }
+
+    /// The number of runs at the look after the one at `runs`, of at most `count`.
+    pub fn next_look(&self, runs: u64, count: u64) -> u64 {
+        if runs < self.min_seeds {
+            return self.min_seeds.min(count);
+        }
+        let more = (runs / 4).next_multiple_of(BATCH).max(BATCH);
+        (runs + more).min(count)
+    }
+}
+
+/// Whether `name` is a metric's.
+pub(super) fn is_metric(name: &str) -> bool {
+    name == "events" || metric_names().contains(&name)
+}
+
+/// What a sweep runs.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Experiment {
+    /// A preset's name or a scenario file.
+    pub scenario: String,
+    /// Where a relative scenario file is looked for.
+    pub base_dir: PathBuf,
+    /// Fields set in all cells: path, value and who set it.
+    pub set: Vec<(String, Value, String)>,
+    /// The swept fields; the first varies slowest.
+    pub axes: Vec<Axis>,
+    /// The seeds of every cell, or the most of them with `until_ci`.
+    pub seeds: Seeds,
+    /// When a cell has enough runs; `None` for all seeds.
+    pub until_ci: Option<UntilCi>,
+}
+
+impl Experiment {
+    /// Cells of the grid: the product of the axes' lengths.
+    pub fn cell_count(&self) -> u64 {
+        let lengths = self.axes.iter().map(|axis| axis.values.len() as u64);
+        lengths.fold(1, u64::saturating_mul)
+    }
+
+    /// The experiment as TOML that reads back as the same experiment. Equal experiments have equal texts, whoever asked for
+    /// them.
+    pub fn to_toml(&self) -> String {
+        let mut lines = vec![format!("scenario = {}", Value::String(self.scenario.clone()))];
+        let list = |axis: &Axis| Value::Array(axis.values.clone()).to_string();
+        for (field, path) in [
+            ("preset", "preset"),
+            ("policies", "policy.name"),
+            ("devices", "devices"),
+            ("ttis", "ttis"),
+        ] {
+            let axis = self.axes.iter().find(|axis| axis.path == path);
+            lines.extend(axis.map(|axis| format!("{field} = {}", list(axis))));
+        }
+        let Seeds { first, count } = self.seeds;
+        lines.push(format!("seeds = {{ first = {first}, count = {count} }}"));
+        if let Some(until) = &self.until_ci {
+            lines.push(format!("until_ci = {}", Value::Float(until.target)));
+            let names = until.metrics.iter().cloned().map(Value::String);
+            lines.push(format!("ci_metrics = {}", Value::Array(names.collect())));
+            lines.push(format!("min_seeds = {}", until.min_seeds));
+        }
+        if !self.set.is_empty() {
+            lines.push("\n[set]".to_owned());
+            let set = self.set.iter();
+            lines.extend(set.map(|(path, value, _)| format!("{} = {value}", quoted(path))));
+        }
+        let others: Vec<&Axis> = self.axes.iter().filter(|axis| !axis.is_built_in()).collect();
+        if !others.is_empty() {
+            lines.push("\n[grid]".to_owned());
+            lines.extend(
+                others
+                    .iter()
+                    .map(|axis| format!("{} = {}", quoted(&axis.path), list(axis))),
+            );
+        }
+        lines.join("\n") + "\n"
+    }
+}
+
+fn quoted(path: &str) -> String {
+    Value::String(path.to_owned()).to_string()
+}

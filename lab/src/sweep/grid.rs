@@ -1,0 +1,193 @@
+//! The cells of an experiment, each with its scenario checked.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use reveille_common::scenario::{Override, PRESETS, PolicyConfig, Scenario, ScenarioError, load};
+use sha2::{Digest as _, Sha256};
+use toml::Value as Toml;
+
+use super::error::SweepError;
+use super::experiment::{Axis, Experiment};
+use crate::table::{Hash, Kind, Schema, Value};
+
+/// The most cells of a grid.
+const MOST_CELLS: u64 = 100_000;
+
+/// One cell: a scenario but for its seed.
+#[derive(Clone, Debug)]
+pub struct Cell {
+    /// How it is called in messages and tables: `knn, devices = 50, harvest.lambda = 0.05`.
+    pub label: String,
+    /// The values of the swept columns.
+    pub swept: Arc<[Value]>,
+    /// Its scenario with the first seed.
+    pub scenario: Scenario,
+}
+
+impl Cell {
+    /// The scenario of the run with `seed`.
+    pub fn with_seed(&self, seed: u64) -> Scenario {
+        Scenario {
+            seed,
+            ..self.scenario.clone()
+        }
+    }
+
+    /// Device-TTIs of a run, those of a search before it included.
+    pub fn device_ttis(&self) -> u64 {
+        let searched = match &self.scenario.policy {
+            PolicyConfig::Adjusted(settings) => settings.pairs().count() as u64 * settings.pilot_ttis,
+            PolicyConfig::Knn(_) | PolicyConfig::Random | PolicyConfig::Genie => 0,
+        };
+        u64::from(self.scenario.devices) * (self.scenario.ttis + searched)
+    }
+}
+
+/// All cells of an experiment, in its order.
+#[derive(Clone, Debug)]
+pub struct Grid {
+    /// The experiment.
+    pub experiment: Experiment,
+    /// The columns of its table.
+    pub schema: Schema,
+    /// The cells.
+    pub cells: Vec<Cell>,
+}
+
+impl Grid {
+    /// The grid of `experiment`. Every scenario is checked.
+    ///
+    /// # Errors
+    /// A value stands in a list twice, the grid is too large, or a cell's scenario cannot be used; the message names the
+    /// field.
+    pub fn new(experiment: Experiment) -> Result<Self, SweepError> {
+        if experiment.cell_count() > MOST_CELLS {
+            let allowed = format!("a grid has at most {MOST_CELLS} cells; sweep fewer fields at once");
+            return Err(SweepError::invalid("cells", experiment.cell_count(), allowed));
+        }
+        let columns: Vec<(String, Vec<Value>)> = experiment.axes.iter().map(column).collect::<Result<_, _>>()?;
+        let schema = Schema {
+            swept: experiment
+                .axes
+                .iter()
+                .zip(&columns)
+                .filter(|(axis, _)| !axis.is_built_in())
+                .map(|(axis, (_, values))| (axis.path.clone(), values[0].kind()))
+                .collect(),
+        };
+        let base = base_overrides(&experiment)?;
+        let source = source(&experiment);
+        let mut cells = Vec::new();
+        for number in 0..experiment.cell_count() {
+            cells.push(cell(&experiment, &columns, &base, &source, number)?);
+        }
+        Ok(Self {
+            experiment,
+            schema,
+            cells,
+        })
+    }
+
+    /// SHA-256 over the scenarios of all cells: equal exactly if the grids run the same.
+    pub fn fingerprint(&self) -> Hash {
+        let mut sum = Sha256::new();
+        for cell in &self.cells {
+            sum.update(cell.scenario.hash());
+        }
+        Hash(sum.finalize().into())
+    }
+
+    /// Runs of the whole experiment; with `until_ci` the most there can be.
+    pub fn runs(&self) -> u64 {
+        self.cells.len() as u64 * self.experiment.seeds.count
+    }
+}
+
+/// The values of an axis as its column holds them.
+fn column(axis: &Axis) -> Result<(String, Vec<Value>), SweepError> {
+    let values: Vec<Value> = axis.values.iter().map(value).collect();
+    let kind = values.iter().map(Value::kind).reduce(Kind::join).unwrap_or(Kind::Text);
+    let values: Vec<Value> = values.into_iter().map(|value| value.into_kind(kind)).collect();
+    for (at, value) in values.iter().enumerate() {
+        if values[..at].contains(value) {
+            let allowed = format!("is listed twice; set by {}", axis.origin);
+            return Err(SweepError::invalid(&axis.path, value, allowed));
+        }
+    }
+    Ok((axis.path.clone(), values))
+}
+
+fn value(given: &Toml) -> Value {
+    match given {
+        Toml::Integer(value) => Value::Int(*value),
+        Toml::Float(value) => Value::Float(*value),
+        Toml::String(value) => Value::Text(value.clone()),
+        Toml::Boolean(_) | Toml::Datetime(_) | Toml::Array(_) | Toml::Table(_) => Value::Text(given.to_string()),
+    }
+}
+
+fn base_overrides(experiment: &Experiment) -> Result<Vec<Override>, SweepError> {
+    let set = experiment.set.iter();
+    set.map(|(path, value, by)| Override::flag(by, path, &value.to_string()))
+        .collect::<Result<_, _>>()
+        .map_err(|error| refused("of every seed", error))
+}
+
+fn refused(cell: &str, error: ScenarioError) -> SweepError {
+    SweepError::Scenario {
+        cell: cell.to_owned(),
+        error: Box::new(error),
+    }
+}
+
+/// The scenario's name for [`load`]: a preset's, or the path of a file.
+fn source(experiment: &Experiment) -> String {
+    let given = &experiment.scenario;
+    if PRESETS.iter().any(|(name, _)| name == given) || experiment.base_dir == Path::new("") {
+        given.clone()
+    } else {
+        experiment.base_dir.join(given).to_string_lossy().into_owned()
+    }
+}
+
+fn cell(
+    experiment: &Experiment,
+    columns: &[(String, Vec<Value>)],
+    base: &[Override],
+    source: &str,
+    number: u64,
+) -> Result<Cell, SweepError> {
+    let mut rest = usize::try_from(number).unwrap_or(usize::MAX);
+    let mut at = vec![0; experiment.axes.len()];
+    for (place, axis) in at.iter_mut().zip(&experiment.axes).rev() {
+        *place = rest % axis.values.len();
+        rest /= axis.values.len();
+    }
+    let mut overrides = base.to_vec();
+    let (mut label, mut swept) = (Vec::new(), Vec::new());
+    for ((axis, (_, values)), &at) in experiment.axes.iter().zip(columns).zip(&at) {
+        label.push(match axis.path.as_str() {
+            "preset" | "policy.name" => values[at].to_string(),
+            path => format!("{path} = {}", values[at]),
+        });
+        if !axis.is_built_in() {
+            swept.push(values[at].clone());
+        }
+        let given = Override::flag(&axis.origin, &axis.path, &axis.values[at].to_string());
+        overrides.push(given.map_err(|error| refused(&label.join(", "), error))?);
+    }
+    let label = if label.is_empty() {
+        "of the scenario as it is".to_owned()
+    } else {
+        label.join(", ")
+    };
+    let seed = experiment.seeds.first.to_string();
+    overrides.push(Override::flag("--first-seed", "seed", &seed).map_err(|error| refused(&label, error))?);
+    let scenario = load(source, &overrides).map_err(|error| refused(&label, error))?;
+    Ok(Cell {
+        label,
+        swept: Arc::from(swept),
+        scenario,
+    })
+}

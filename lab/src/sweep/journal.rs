@@ -1,0 +1,368 @@
+//! The journal of a sweep: an append-only file with a line for every finished run.
+//!
+//! Each line ends with a checksum of itself. A line is handed to the operating system as soon as its run has finished, so
+//! that a killed process loses the runs under way and no other; it reaches the disk now and then, so that a power cut loses
+//! little. Lines that are torn or garbled are left out on reading, and their runs are done again.
+
+use std::collections::BTreeMap;
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::{self, BufRead, BufReader, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+use super::error::SweepError;
+use crate::table::{Hash, METRICS, Row};
+
+/// The form of the journal.
+const MAGIC: &str = "reveille-journal 1";
+/// Lines between two syncs to the disk.
+const SYNC_LINES: u32 = 8192;
+/// Device-TTIs between two syncs: some seconds of work.
+const SYNC_DEVICE_TTIS: u64 = 1_000_000_000;
+
+/// A run's place: its cell and the number of its seed, both from 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Job {
+    /// The cell.
+    pub cell: u32,
+    /// The seed's number.
+    pub seed: u32,
+}
+
+/// What the journal keeps of a run: what does not follow from its place.
+#[derive(Clone, Debug)]
+pub struct Entry {
+    /// Hash of its scenario.
+    pub scenario_hash: Hash,
+    /// The metrics, NaN where not defined.
+    pub metrics: [f64; METRICS],
+    /// Events counted.
+    pub events: u64,
+    /// The run's fingerprint.
+    pub digest: Hash,
+}
+
+impl From<&Row> for Entry {
+    fn from(row: &Row) -> Self {
+        Self {
+            scenario_hash: row.scenario_hash,
+            metrics: row.metrics,
+            events: row.events,
+            digest: row.digest,
+        }
+    }
+}
+
+/// An open journal, locked against other processes.
+#[derive(Debug)]
+pub struct Journal {
+    path: PathBuf,
+    file: File,
+    /// Bytes up to the end of the last whole line.
+    length: u64,
+    runs: BTreeMap<Job, Entry>,
+    dropped: usize,
+    unsynced_lines: u32,
+    unsynced_device_ttis: u64,
+}
+
+impl Journal {
+    /// Opens the journal at `path` or begins one. `identity` names the sweep that it belongs to; `cells` and `seeds` bound
+    /// the places of its runs.
+    ///
+    /// # Errors
+    /// Another process has it open, it belongs to another sweep, or it cannot be read or written. The reason stands alone;
+    /// the caller knows the folder.
+    pub fn open(path: &Path, identity: &str, cells: u64, seeds: u64) -> Result<Self, String> {
+        let options = OpenOptions::new().read(true).append(true).create(true).clone();
+        let file = options.open(path).map_err(|error| unusable(path, &error))?;
+        match file.try_lock() {
+            // Some network file systems cannot lock; there, who starts two sweeps in one folder is on their own.
+            Ok(()) => {}
+            Err(TryLockError::Error(error)) if error.kind() == io::ErrorKind::Unsupported => {}
+            Err(TryLockError::Error(error)) => return Err(unusable(path, &error)),
+            Err(TryLockError::WouldBlock) => {
+                return Err(
+                    "another `reveille sweep` is at work in this folder; wait for its end, or choose another"
+                        .to_owned(),
+                );
+            }
+        }
+        let mut journal = Self {
+            path: path.to_owned(),
+            file,
+            length: 0,
+            runs: BTreeMap::new(),
+            dropped: 0,
+            unsynced_lines: 0,
+            unsynced_device_ttis: 0,
+        };
+        let header = format!("{MAGIC} {identity}\n");
+        journal.recover(&header, cells, seeds)?;
+        Ok(journal)
+    }
+
+    /// Reads what is there and cuts off a torn end.
+    fn recover(&mut self, header: &str, cells: u64, seeds: u64) -> Result<(), String> {
+        let failed = |error: io::Error| unusable(&self.path, &error);
+        let mut reader = BufReader::new(&self.file);
+        let mut line = Vec::new();
+        let (mut whole, mut length) = (0, 0);
+        while reader.read_until(b'\n', &mut line).map_err(failed)? > 0 {
+            length += line.len() as u64;
+            if whole == 0 {
+                if line.ends_with(b"\n") && line != header.as_bytes() {
+                    return Err(foreign(&line));
+                }
+                if line != header.as_bytes() {
+                    break;
+                }
+                whole = length;
+            } else if let Some((job, entry)) = parse(&line, cells, seeds) {
+                self.runs.insert(job, entry);
+                whole = length;
+            } else {
+                self.dropped += 1;
+                if line.ends_with(b"\n") {
+                    whole = length;
+                }
+            }
+            line.clear();
+        }
+        self.file.set_len(whole).map_err(failed)?;
+        self.file.seek(SeekFrom::End(0)).map_err(failed)?;
+        if whole == 0 {
+            self.file.write_all(header.as_bytes()).map_err(failed)?;
+            whole = header.len() as u64;
+        }
+        self.length = whole;
+        Ok(())
+    }
+
+    /// The finished runs.
+    pub fn runs(&self) -> &BTreeMap<Job, Entry> {
+        &self.runs
+    }
+
+    /// Lines that were torn or garbled when the journal was opened.
+    pub fn dropped(&self) -> usize {
+        self.dropped
+    }
+
+    /// Adds a finished run that took `device_ttis`.
+    ///
+    /// # Errors
+    /// It cannot be written; the runs before it are kept.
+    pub fn add(&mut self, job: Job, entry: Entry, device_ttis: u64) -> Result<(), SweepError> {
+        let line = line(job, &entry);
+        if let Err(error) = self.file.write_all(line.as_bytes()) {
+            // Another thread may find room again: its line must not follow half of this one.
+            let _ = self.file.set_len(self.length);
+            return Err(self.failed(error));
+        }
+        self.length += line.len() as u64;
+        self.runs.insert(job, entry);
+        self.unsynced_lines += 1;
+        self.unsynced_device_ttis = self.unsynced_device_ttis.saturating_add(device_ttis);
+        if self.unsynced_lines >= SYNC_LINES || self.unsynced_device_ttis >= SYNC_DEVICE_TTIS {
+            self.sync()?;
+        }
+        Ok(())
+    }
+
+    /// Brings everything to the disk.
+    ///
+    /// # Errors
+    /// It cannot.
+    pub fn sync(&mut self) -> Result<(), SweepError> {
+        (self.unsynced_lines, self.unsynced_device_ttis) = (0, 0);
+        self.file.sync_data().map_err(|error| self.failed(error))
+    }
+
+    fn failed(&self, error: io::Error) -> SweepError {
+        SweepError::Journal {
+            path: self.path.clone(),
+            kept: self.runs.len(),
+            error,
+        }
+    }
+}
+
+fn unusable(path: &Path, error: &io::Error) -> String {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    format!("its {name} cannot be used: {error}; free some space, mend the permissions, or choose another folder")
+}
+
+fn foreign(line: &[u8]) -> String {
+    let line = String::from_utf8_lossy(line);
+    if line.starts_with("reveille-journal ") {
+        "holds the runs of another experiment, shard or version of reveille (see experiment.toml there); \
+         give the same command again to go on with it, or choose another folder"
+            .to_owned()
+    } else {
+        "holds a runs.journal that is none, or one with a damaged first line; choose another folder".to_owned()
+    }
+}
+
+/// The line of a run, with its end.
+fn line(job: Job, entry: &Entry) -> String {
+    let Job { cell, seed } = job;
+    let metrics = entry.metrics.map(|value| {
+        if value.is_nan() {
+            "-".to_owned()
+        } else {
+            value.to_string()
+        }
+    });
+    let (hash, events, digest) = (entry.scenario_hash, entry.events, entry.digest);
+    let text = format!("{cell} {seed} {hash} {} {events} {digest}", metrics.join(" "));
+    format!("{text} {:08x}\n", crc32fast::hash(text.as_bytes()))
+}
+
+/// The run of a line, if the line is whole.
+fn parse(line: &[u8], cells: u64, seeds: u64) -> Option<(Job, Entry)> {
+    let (text, sum) = std::str::from_utf8(line).ok()?.strip_suffix('\n')?.rsplit_once(' ')?;
+    if sum.len() != 8 || u32::from_str_radix(sum, 16).ok()? != crc32fast::hash(text.as_bytes()) {
+        return None;
+    }
+    let mut fields = text.split(' ');
+    let job = Job {
+        cell: fields.next()?.parse().ok()?,
+        seed: fields.next()?.parse().ok()?,
+    };
+    if u64::from(job.cell) >= cells || u64::from(job.seed) >= seeds {
+        return None;
+    }
+    let scenario_hash = fields.next()?.parse().ok()?;
+    let mut metrics = [f64::NAN; METRICS];
+    for slot in &mut metrics {
+        match fields.next()? {
+            "-" => {}
+            number => *slot = number.parse().ok()?,
+        }
+    }
+    let entry = Entry {
+        scenario_hash,
+        metrics,
+        events: fields.next()?.parse().ok()?,
+        digest: fields.next()?.parse().ok()?,
+    };
+    fields.next().is_none().then_some((job, entry))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    struct Place(PathBuf);
+
+    impl Place {
+        fn new(name: &str) -> Self {
+            let path = std::env::temp_dir().join(format!("reveille-journal-{}-{name}", std::process::id()));
+            let _ = fs::remove_file(&path);
+            Self(path)
+        }
+
+        fn open(&self) -> Journal {
+            Journal::open(&self.0, "me", 3, 5).expect("usable")
+        }
+    }
+
+    impl Drop for Place {
+        fn drop(&mut self) {
+            let _ = fs::remove_file(&self.0);
+        }
+    }
+
+    fn entry(number: u8) -> Entry {
+        let mut metrics = [f64::NAN; METRICS];
+        metrics[1] = f64::from(number) / 3.0;
+        metrics[2] = 1e-300;
+        Entry {
+            scenario_hash: Hash([number; 32]),
+            metrics,
+            events: u64::from(number),
+            digest: Hash([!number; 32]),
+        }
+    }
+
+    const JOBS: [Job; 3] = [
+        Job { cell: 0, seed: 0 },
+        Job { cell: 2, seed: 4 },
+        Job { cell: 1, seed: 3 },
+    ];
+
+    fn filled(name: &str) -> (Place, Vec<u8>) {
+        let place = Place::new(name);
+        let mut journal = place.open();
+        for (job, number) in JOBS.into_iter().zip(7..) {
+            journal.add(job, entry(number), 1).expect("written");
+        }
+        drop(journal);
+        let bytes = fs::read(&place.0).expect("there");
+        (place, bytes)
+    }
+
+    fn same(a: &Entry, b: &Entry) -> bool {
+        line(JOBS[0], a) == line(JOBS[0], b) && a.metrics[1].to_bits() == b.metrics[1].to_bits()
+    }
+
+    #[test]
+    fn runs_are_found_again_bit_for_bit() {
+        let (place, _) = filled("whole");
+        let journal = place.open();
+        assert_eq!((journal.runs().len(), journal.dropped()), (3, 0));
+        for (job, number) in JOBS.into_iter().zip(7..) {
+            assert!(same(&journal.runs()[&job], &entry(number)));
+        }
+    }
+
+    #[test]
+    fn a_journal_cut_anywhere_loses_the_torn_line_alone_and_goes_on() {
+        let (place, bytes) = filled("cut");
+        let ends: Vec<usize> = (0..bytes.len())
+            .filter(|&at| bytes[at] == b'\n')
+            .map(|at| at + 1)
+            .collect();
+        for length in 0..=bytes.len() {
+            fs::write(&place.0, &bytes[..length]).expect("written");
+            let mut journal = place.open();
+            let whole = ends.iter().filter(|&&end| end <= length).count();
+            assert_eq!(journal.runs().len(), whole.saturating_sub(1), "cut at {length}");
+            journal.add(JOBS[2], entry(9), 1).expect("written");
+            drop(journal);
+            let journal = place.open();
+            assert!(same(&journal.runs()[&JOBS[2]], &entry(9)), "cut at {length}");
+            assert_eq!(journal.dropped(), 0, "cut at {length}");
+        }
+    }
+
+    #[test]
+    fn a_garbled_line_is_dropped_and_no_other() {
+        let (place, bytes) = filled("garbled");
+        let header = bytes.iter().position(|&byte| byte == b'\n').expect("a line") + 1;
+        let second = header + bytes[header..].iter().position(|&byte| byte == b'\n').expect("a line") + 1;
+        for at in (header..second - 1).step_by(3) {
+            let mut garbled = bytes.clone();
+            garbled[at] ^= 1;
+            fs::write(&place.0, &garbled).expect("written");
+            let journal = place.open();
+            assert_eq!((journal.runs().len(), journal.dropped()), (2, 1), "byte {at}");
+        }
+    }
+
+    #[test]
+    fn another_sweep_and_a_second_process_are_refused() {
+        let (place, _) = filled("refused");
+        let first = place.open();
+        let reason = Journal::open(&place.0, "me", 3, 5).expect_err("locked");
+        assert!(reason.contains("another `reveille sweep`"), "{reason}");
+        drop(first);
+        let reason = Journal::open(&place.0, "you", 3, 5).expect_err("another");
+        assert!(reason.contains("another experiment"), "{reason}");
+        fs::write(&place.0, "letters\n").expect("written");
+        let reason = Journal::open(&place.0, "me", 3, 5).expect_err("no journal");
+        assert!(reason.contains("is none"), "{reason}");
+    }
+}

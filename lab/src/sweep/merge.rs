@@ -1,0 +1,148 @@
+//! Puts the tables of shards together.
+
+use std::path::{Path, PathBuf};
+
+use super::draft::Draft;
+use super::error::SweepError;
+use super::experiment::Experiment;
+use super::shard::Shard;
+use crate::table::{About, Row, Table};
+
+/// The table of the whole sweep from those of its shards, in any order: the same as that of an undivided sweep. With
+/// `partial`, shards may be missing, and the table says which are there.
+///
+/// # Errors
+/// The tables are of different experiments or versions, are no shards, overlap, or (without `partial`) are not all there.
+pub fn merge(tables: Vec<(PathBuf, Table)>, partial: bool) -> Result<Table, SweepError> {
+    let mut shards = Vec::new();
+    for (path, table) in tables {
+        let shard = shard_of(&path, &table)?;
+        shards.push((shard, path, table));
+    }
+    shards.sort_by_key(|(shard, _, _)| shard.index());
+    let Some((first_shard, first_path, first)) = shards.first() else {
+        return Err(SweepError::invalid(
+            "tables",
+            "none",
+            "name at least one table or folder of a shard",
+        ));
+    };
+    for (shard, path, table) in &shards[1..] {
+        fits(first_path, first, path, table)?;
+        if shard.count() != first_shard.count() {
+            let reason = format!("is shard {shard}, but {} is shard {first_shard}", first_path.display());
+            return Err(wrong(path, reason));
+        }
+    }
+    for pair in shards.windows(2) {
+        let [(a, path_a, _), (b, path_b, _)] = pair else {
+            continue;
+        };
+        if a == b {
+            let reason = format!(
+                "is shard {b} again, which {} is already; name each shard once",
+                path_a.display()
+            );
+            return Err(wrong(path_b, reason));
+        }
+    }
+    let count = first_shard.count();
+    let present: Vec<u64> = shards.iter().map(|(shard, _, _)| shard.index()).collect();
+    let missing: Vec<String> = (1..=count)
+        .filter(|index| present.binary_search(index).is_err())
+        .map(|index| format!("{index}/{count}"))
+        .collect();
+    if !missing.is_empty() && !partial {
+        let shown = missing.iter().take(20).cloned().collect::<Vec<_>>().join(", ");
+        let reason = format!(
+            "{} of {count} shards are missing: {shown}; add them, or merge what is there with --partial",
+            missing.len()
+        );
+        return Err(wrong(first_path, reason));
+    }
+    let experiment = Draft::parse(&first.about.experiment, "its experiment", Path::new(""))?.finish()?;
+    for (shard, path, table) in &shards {
+        complete(&experiment, *shard, path, table)?;
+    }
+    let indices: Vec<String> = present.iter().map(ToString::to_string).collect();
+    let about = About {
+        shard: (!missing.is_empty()).then(|| format!("{}/{count}", indices.join(","))),
+        ..first.about.clone()
+    };
+    let schema = first.schema.clone();
+    Ok(Table {
+        about,
+        schema,
+        rows: interleave(shards.into_iter().map(|(_, _, table)| table.rows).collect()),
+    })
+}
+
+fn wrong(path: &Path, reason: String) -> SweepError {
+    SweepError::Merge {
+        path: path.to_owned(),
+        reason,
+    }
+}
+
+fn shard_of(path: &Path, table: &Table) -> Result<Shard, SweepError> {
+    if table.about.experiment.is_empty() {
+        let reason =
+            "does not say which experiment it belongs to; a CSV file needs its side-car, NAME.csv.toml, beside it";
+        return Err(wrong(path, reason.to_owned()));
+    }
+    let Some(shard) = &table.about.shard else {
+        return Err(wrong(
+            path,
+            "is the table of a whole sweep, not of a shard: there is nothing to merge".to_owned(),
+        ));
+    };
+    shard.parse().map_err(|_| {
+        let reason =
+            format!("holds shards {shard} and was merged with --partial; merge the tables of the shards themselves");
+        wrong(path, reason)
+    })
+}
+
+fn fits(first_path: &Path, first: &Table, path: &Path, table: &Table) -> Result<(), SweepError> {
+    let (a, b) = (&first.about, &table.about);
+    let what = if a.version != b.version {
+        format!("was made by reveille {}, but that one by {}", b.version, a.version)
+    } else if a.experiment != b.experiment {
+        let differing = a.experiment.lines().zip(b.experiment.lines()).find(|(a, b)| a != b);
+        let (theirs, own) = differing.unwrap_or(("", ""));
+        format!("its experiment differs: `{own}` here, `{theirs}` there")
+    } else if a.grid != b.grid || first.schema != table.schema {
+        "the scenario files or traces behind its experiment differ".to_owned()
+    } else {
+        return Ok(());
+    };
+    let reason = format!("does not belong to the sweep of {}: {what}", first_path.display());
+    Err(wrong(path, reason))
+}
+
+/// Checks that the table holds its share and nothing else: by the number and the seeds of its rows.
+fn complete(experiment: &Experiment, shard: Shard, path: &Path, table: &Table) -> Result<(), SweepError> {
+    let count = experiment.seeds.count;
+    let runs = experiment.cell_count().saturating_mul(count);
+    let own: Vec<u64> = (shard.index() - 1..runs).step_by(shard.count() as usize).collect();
+    let seeds = own.iter().map(|number| experiment.seeds.first + number % count);
+    if own.len() != table.rows.len() || !seeds.eq(table.rows.iter().map(|row| row.seed)) {
+        let (rows, own) = (table.rows.len(), own.len());
+        let reason = format!("holds {rows} rows that are not the {own} runs of shard {shard}; run the shard again");
+        return Err(wrong(path, reason));
+    }
+    Ok(())
+}
+
+/// One row of each table in turn.
+fn interleave(tables: Vec<Vec<Row>>) -> Vec<Row> {
+    let mut rows = Vec::with_capacity(tables.iter().map(Vec::len).sum());
+    let mut tables: Vec<_> = tables.into_iter().map(Vec::into_iter).collect();
+    loop {
+        let before = rows.len();
+        rows.extend(tables.iter_mut().filter_map(Iterator::next));
+        if rows.len() == before {
+            return rows;
+        }
+    }
+}

@@ -1,0 +1,353 @@
+//! Experiments read, expanded, run and put together.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use super::*;
+use crate::run;
+use crate::stats;
+use crate::table::{Format, Kind, Table, Value};
+
+/// A folder of its own, gone with it.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("reveille-sweep-{}-{name}", std::process::id()));
+        let _ = fs::remove_dir_all(&path);
+        fs::create_dir_all(&path).expect("writable");
+        Self(path)
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+/// Stops after some runs have begun.
+struct Until(AtomicU64);
+
+impl Observer for Until {
+    fn planned(&self, _: usize, _: u64) {}
+    fn started(&self, _: usize) {
+        let _ = self
+            .0
+            .try_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1));
+    }
+    fn finished(&self, _: usize) {}
+    fn stop(&self) -> bool {
+        self.0.load(Ordering::Relaxed) == 0
+    }
+}
+
+fn never() -> Until {
+    Until(AtomicU64::new(u64::MAX))
+}
+
+fn draft(text: &str) -> Result<Draft, SweepError> {
+    Draft::parse(text, "e.toml", Path::new(""))
+}
+
+fn grid(text: &str) -> Result<Grid, SweepError> {
+    Grid::new(draft(text)?.finish()?)
+}
+
+const SMALL: &str = r#"
+policies = ["random", "knn"]
+devices = [5, 12]
+ttis = 300
+seeds = { first = 3, count = 7 }
+[grid]
+harvest.lambda = [0.1, 1]
+"#;
+
+fn swept(grid: &Grid, shard: &str, threads: usize, folder: &Path) -> (Finished, Vec<u8>) {
+    let mut sweep = Sweep::open(grid, shard.parse().expect("a shard"), folder).expect("a folder");
+    let ended = sweep.run(threads, Format::Parquet, &never());
+    let finished = ended.expect("no failure").expect("not stopped");
+    let bytes = fs::read(&finished.path).expect("written");
+    (finished, bytes)
+}
+
+#[test]
+fn cells_come_in_the_order_of_the_contract() {
+    let grid = grid(SMALL).expect("valid");
+    let labels: Vec<&str> = grid.cells.iter().map(|cell| cell.label.as_str()).collect();
+    assert_eq!(labels[0], "random, devices = 5, ttis = 300, harvest.lambda = 0.1");
+    assert_eq!(labels[1], "random, devices = 5, ttis = 300, harvest.lambda = 1");
+    assert_eq!(labels[2], "random, devices = 12, ttis = 300, harvest.lambda = 0.1");
+    assert_eq!(labels[7], "knn, devices = 12, ttis = 300, harvest.lambda = 1");
+    assert_eq!(grid.schema.swept, [("harvest.lambda".to_owned(), Kind::Float)]);
+    assert_eq!(*grid.cells[7].swept, [Value::Float(1.0)]);
+    assert_eq!((grid.cells.len(), grid.runs()), (8, 56));
+    assert_eq!(grid.cells[0].scenario.seed, 3);
+}
+
+#[test]
+fn an_experiment_reads_back_from_its_own_text() {
+    let more = format!(
+        "until_ci = \"2 %\"\nci_metrics = [\"events\"]\n{SMALL}[set]\nsensing.d_max = 5\n\"class.a.b\" = [1, 2]\n"
+    );
+    for text in [SMALL, &more] {
+        let experiment = draft(text).expect("valid").finish().expect("valid");
+        let own = experiment.to_toml();
+        let again = draft(&own).expect("valid").finish().expect("valid");
+        assert_eq!(again.to_toml(), own);
+        assert_eq!(again.axes.len(), experiment.axes.len());
+        assert_eq!((again.seeds, again.until_ci), (experiment.seeds, experiment.until_ci));
+    }
+}
+
+#[test]
+fn what_cannot_be_run_is_refused_with_its_field() {
+    for (text, part) in [
+        ("polices = [\"knn\"]", "line 1: unknown field `polices`"),
+        ("\n[grid]\nharvest.lamda = [1]", "harvest.lamda"),
+        ("devices = []", "an empty list leaves no runs"),
+        ("[grid]\nharvest.lambda = []", "harvest.lambda = []"),
+        ("[grid]\nharvest.lambda = 1", "such as [1]"),
+        ("devices = [10, 10]", "devices = 10: is listed twice"),
+        ("devices = [10, 0]", "the cell devices = 0: devices = 0"),
+        ("policies = [\"kmm\"]", "policy.name"),
+        ("scenario = \"papr\"", "no scenario `papr`"),
+        ("seeds = 0", "seeds = 0: must be"),
+        ("seeds = { first = 9223372036854775807, count = 2 }", "first_seed"),
+        ("seeds = \"many\"", "seeds"),
+        ("until_ci = \"0%\"", "until_ci = 0%"),
+        ("until_ci = 2", "until_ci = 2"),
+        (
+            "until_ci = \"1%\"\nci_metrics = [\"colour\"]",
+            "there are info_per_event, info_p1",
+        ),
+        ("until_ci = \"1%\"\nci_metrics = []", "at least one metric"),
+        ("until_ci = \"1%\"\nseeds = 1", "at least two runs"),
+        ("min_seeds = 4", "only with until_ci"),
+        (
+            "devices = [10]\n[set]\ndevices = 5",
+            "is set by `set` of e.toml and swept by",
+        ),
+        ("[grid]\nseed = [1, 2]", "--first-seed"),
+        ("devices = [10]\n[grid]\ndevices = [20]", "swept twice"),
+        ("devices = 10\nttis", "line 2"),
+    ] {
+        let message = grid(text).expect_err(text).to_string();
+        assert!(message.contains(part), "{text}: {message}");
+    }
+}
+
+#[test]
+fn the_command_line_wins_over_the_file() {
+    let mut above = Draft {
+        count: Some(2),
+        ..Draft::default()
+    };
+    above
+        .axis("--devices", "devices", vec![toml::Value::Integer(9)])
+        .expect("valid");
+    let experiment = above.over(draft(SMALL).expect("valid")).finish().expect("valid");
+    assert_eq!(experiment.seeds, Seeds { first: 3, count: 2 });
+    assert_eq!(experiment.cell_count(), 4);
+}
+
+#[test]
+fn rows_are_those_of_single_runs() {
+    let folder = Folder::new("rows");
+    let grid = grid(SMALL).expect("valid");
+    let (finished, _) = swept(&grid, "1/1", 1, &folder.0);
+    assert_eq!(finished.table.rows.len(), 56);
+    let mut rows = finished.table.rows.iter();
+    for cell in &grid.cells {
+        for seed in 3..10 {
+            let row = rows.next().expect("a row per run");
+            let scenario = cell.with_seed(seed);
+            let outcome = run::run(&scenario);
+            assert_eq!(
+                (row.seed, row.n, &*row.policy),
+                (seed, scenario.devices, scenario.policy.name())
+            );
+            assert_eq!(row.digest.to_string(), outcome.digest.to_string());
+            assert_eq!(row.scenario_hash.to_string(), scenario.hash_hex());
+            for (name, value, _) in outcome.metrics.rows() {
+                assert_eq!(row.metric(name), Some(value).filter(|value| !value.is_nan()), "{name}");
+            }
+        }
+    }
+    assert_eq!(Table::read(&finished.path).expect("readable"), finished.table);
+}
+
+#[test]
+fn threads_interruptions_and_shards_change_nothing() {
+    let (whole, threaded, cut) = (Folder::new("whole"), Folder::new("threads"), Folder::new("interrupted"));
+    let grid = grid(SMALL).expect("valid");
+    let (_, expected) = swept(&grid, "1/1", 1, &whole.0);
+    assert!(swept(&grid, "1/1", 2, &threaded.0).1 == expected, "two threads");
+
+    let mut found = 0;
+    for round in 0.. {
+        let mut sweep = Sweep::open(&grid, Shard::WHOLE, &cut.0).expect("a folder");
+        assert!(sweep.found() >= found, "runs were lost");
+        found = sweep.found();
+        let ended = sweep
+            .run(2, Format::Parquet, &Until(AtomicU64::new(7)))
+            .expect("no failure");
+        assert_eq!(ended.is_some(), cut.0.join("results.parquet").exists(), "round {round}");
+        if ended.is_some() {
+            assert!(round >= 56 / 7, "it was never interrupted");
+            break;
+        }
+    }
+    assert!(
+        fs::read(cut.0.join("results.parquet")).expect("finished") == expected,
+        "interrupted"
+    );
+
+    let shards = Folder::new("shards");
+    let tables = |of: &[u64], count: u64| -> Vec<(PathBuf, Table)> {
+        let one = |index: &u64| {
+            let folder = shards.0.join(format!("{index}-{count}"));
+            let (finished, _) = swept(&grid, &format!("{index}/{count}"), 1, &folder);
+            (finished.path.clone(), Table::read(&finished.path).expect("readable"))
+        };
+        of.iter().map(one).collect()
+    };
+    for count in [2, 3, 5] {
+        let mut order: Vec<u64> = (1..=count).collect();
+        order.rotate_left(1);
+        let merged = merge(tables(&order, count), false).expect("whole");
+        let path = shards.0.join("merged.parquet");
+        merged.write(&path, Format::Parquet).expect("written");
+        assert!(fs::read(&path).expect("there") == expected, "{count} shards");
+    }
+    let missing = merge(tables(&[1, 4], 5), false).expect_err("missing").to_string();
+    assert!(
+        missing.contains("3 of 5 shards are missing: 2/5, 3/5, 5/5"),
+        "{missing}"
+    );
+    let partial = merge(tables(&[1, 4], 5), true).expect("partial");
+    assert_eq!(
+        (partial.rows.len(), partial.about.shard.as_deref()),
+        (12 + 11, Some("1,4/5"))
+    );
+    let twice = merge(tables(&[2, 2], 2), true).expect_err("twice").to_string();
+    assert!(twice.contains("shard 2/2 again"), "{twice}");
+    let mixed = [tables(&[1], 2), tables(&[2], 3)].concat();
+    let mixed = merge(mixed, true).expect_err("mixed").to_string();
+    assert!(mixed.contains("is shard 2/3, but"), "{mixed}");
+}
+
+#[test]
+fn tables_that_do_not_fit_are_not_merged() {
+    let folder = Folder::new("misfits");
+    let table = |text: &str, shard: &str, name: &str| {
+        let (finished, _) = swept(&grid(text).expect("valid"), shard, 1, &folder.0.join(name));
+        (finished.path, finished.table)
+    };
+    let first = table(SMALL, "1/2", "first");
+    let refused = |other: (PathBuf, Table), part: &str| {
+        let message = merge(vec![first.clone(), other], false).expect_err(part).to_string();
+        assert!(message.contains(part), "{message}");
+    };
+    refused(table(&SMALL.replace("12", "13"), "2/2", "other"), "devices = [5, 13]");
+    refused(table(SMALL, "1/1", "whole"), "nothing to merge");
+    let second = table(SMALL, "2/2", "second");
+    let mut version = second.clone();
+    version.1.about.version = "9.9.9".to_owned();
+    refused(version, "reveille 9.9.9");
+    let mut scenario = second.clone();
+    scenario.1.about.grid = "0".repeat(64);
+    refused(scenario, "scenario files or traces");
+    let mut short = second;
+    short.1.rows.pop();
+    refused(short, "27 rows that are not the 28 runs");
+}
+
+#[test]
+fn a_folder_of_another_sweep_is_refused() {
+    let folder = Folder::new("foreign");
+    let small = grid(SMALL).expect("valid");
+    swept(&small, "1/1", 1, &folder.0);
+    let other = grid(&SMALL.replace("300", "301")).expect("valid");
+    for (grid, shard) in [(&other, "1/1"), (&small, "1/2")] {
+        let refused = Sweep::open(grid, shard.parse().expect("a shard"), &folder.0);
+        let message = refused.expect_err("another").to_string();
+        assert!(message.contains("another experiment, shard or version"), "{message}");
+    }
+    let elsewhere = Folder::new("elsewhere");
+    fs::write(elsewhere.0.join("thesis.tex"), "").expect("writable");
+    let message = Sweep::open(&small, Shard::WHOLE, &elsewhere.0)
+        .expect_err("not empty")
+        .to_string();
+    assert!(message.contains("thesis.tex"), "{message}");
+}
+
+#[test]
+fn a_cell_stops_at_the_first_look_at_which_it_is_narrow() {
+    let text = "policies = [\"knn\", \"genie\"]\ndevices = 12\nttis = 2000\nseeds = 200\nmin_seeds = 5\n\
+                until_ci = \"8%\"\nci_metrics = [\"energy_per_device_tti\", \"info_per_event\"]\n";
+    let grid = grid(text).expect("valid");
+    let (one, two, cut) = (Folder::new("ci-1"), Folder::new("ci-2"), Folder::new("ci-cut"));
+    let (finished, expected) = swept(&grid, "1/1", 1, &one.0);
+    assert!(swept(&grid, "1/1", 2, &two.0).1 == expected, "two threads");
+    loop {
+        let mut sweep = Sweep::open(&grid, Shard::WHOLE, &cut.0).expect("a folder");
+        if sweep
+            .run(2, Format::Parquet, &Until(AtomicU64::new(9)))
+            .expect("no failure")
+            .is_some()
+        {
+            break;
+        }
+    }
+    assert!(
+        fs::read(cut.0.join("results.parquet")).expect("finished") == expected,
+        "interrupted"
+    );
+
+    // The same by hand: all prefixes at the looks, with the two-pass formulas.
+    let looks = [5u64, 15, 25, 35, 45, 65, 85, 115, 145, 185, 200];
+    let until = grid.experiment.until_ci.as_ref().expect("set");
+    let steps: Vec<u64> = std::iter::successors(Some(5), |&runs| Some(until.next_look(runs, 200)))
+        .take(11)
+        .collect();
+    assert_eq!(steps, looks);
+    let cells = stats::cells(&finished.table);
+    for (cell, end) in cells.iter().zip(&finished.cells) {
+        assert_eq!(cell.rows.len() as u64, end.runs);
+        let narrow = |runs: u64| {
+            until.metrics.iter().all(|name| {
+                let values: Vec<f64> = cell
+                    .rows
+                    .iter()
+                    .take(runs as usize)
+                    .filter_map(|row| row.metric(name))
+                    .collect();
+                let count = values.len() as f64;
+                let mean = values.iter().sum::<f64>() / count;
+                let variance = values.iter().map(|value| (value - mean) * (value - mean)).sum::<f64>() / (count - 1.0);
+                stats::student_t(values.len() - 1) * (variance / count).sqrt() / mean <= 0.08
+            })
+        };
+        let first = looks
+            .into_iter()
+            .find(|&runs| runs == 200 || (runs <= end.runs && narrow(runs)));
+        assert_eq!(first, Some(end.runs), "{}", cell.policy);
+    }
+    assert!(
+        finished.cells[0].runs < 200 && finished.cells[0].runs > 5,
+        "{:?}",
+        finished.cells
+    );
+}
+
+#[test]
+fn shards_cannot_tell_when_a_cell_has_enough() {
+    let folder = Folder::new("ci-shard");
+    let grid = grid("until_ci = \"1%\"").expect("valid");
+    let message = Sweep::open(&grid, "1/2".parse().expect("a shard"), &folder.0)
+        .expect_err("both")
+        .to_string();
+    assert!(message.contains("shard = 1/2: cannot go with until_ci"), "{message}");
+}

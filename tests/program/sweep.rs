@@ -1,0 +1,406 @@
+//! Sweeps as their users see them: the same table whatever happens to them, and clear words for what cannot be.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+use std::time::Duration;
+
+use reveille_tests::process::{Finished, Folder, PATIENCE, wait_until};
+use rustix::process::Signal;
+use serde_json::Value;
+
+/// A sweep of some hundred short runs over all policies.
+const GRID: &str = "--policies knn,random,adjusted,genie --devices 8,20 --ttis 600 --seeds 12 --first-seed 5 \
+    --grid harvest.lambda=0.05,0.1 --set policy.adjusted.pilot_ttis=200";
+/// Its runs.
+const RUNS: usize = 4 * 2 * 12 * 2;
+
+/// Checks a refusal: its exit code, one paragraph with all of `parts`.
+fn assert_refused(end: &Finished, code: i32, parts: &[&str]) {
+    assert_eq!(end.code(), Some(code), "{end}");
+    for part in parts {
+        assert!(end.stderr.contains(part), "no {part:?}: {end}");
+    }
+    assert!(!end.stderr.contains("panicked"), "{end}");
+    if code == 1 {
+        assert!(end.stderr.starts_with("reveille: "), "{end}");
+        assert_eq!(end.stderr.trim().lines().count(), 1, "one paragraph: {end}");
+    }
+}
+
+/// Runs `reveille sweep ARGS --out OUT` and gives its table's bytes.
+fn swept(folder: &Folder, args: &str, out: &str) -> Vec<u8> {
+    let end = folder.run(&format!("sweep {args} --out {out} --quiet"));
+    assert!(end.is_success(), "{end}");
+    fs::read(folder.join(&format!("{out}/results.parquet"))).expect("a table")
+}
+
+/// Finished runs in the journal of a sweep.
+fn journal_lines(folder: &Folder, out: &str) -> usize {
+    let text = fs::read_to_string(folder.join(&format!("{out}/runs.journal"))).unwrap_or_default();
+    text.matches('\n').count().saturating_sub(1)
+}
+
+/// The rows of a CSV file as names and values.
+fn rows(path: &Path) -> Vec<Vec<(String, String)>> {
+    let text = fs::read_to_string(path).expect("a table");
+    let mut lines = text.lines();
+    let names: Vec<&str> = lines.next().expect("a header").split(',').collect();
+    let row = |line: &str| {
+        let values = line.split(',');
+        names
+            .iter()
+            .map(|name| (*name).to_owned())
+            .zip(values.map(str::to_owned))
+            .collect()
+    };
+    lines.map(row).collect()
+}
+
+#[test]
+fn threads_shards_and_both_together_give_the_same_bytes() {
+    let folder = Folder::new();
+    let expected = swept(&folder, &format!("{GRID} --threads 1"), "one");
+    assert!(
+        swept(&folder, &format!("{GRID} --threads 2"), "two") == expected,
+        "2 threads"
+    );
+    for (index, threads) in [(1, 2), (2, 1), (3, 2)] {
+        swept(
+            &folder,
+            &format!("{GRID} --threads {threads} --shard {index}/3"),
+            &format!("s{index}"),
+        );
+    }
+    let merged = folder.run("merge s3 s1/results.parquet s2 --out merged.parquet");
+    assert!(merged.is_success(), "{merged}");
+    assert!(merged.stdout.starts_with(&format!("{RUNS} runs")), "{merged}");
+    assert!(
+        fs::read(folder.join("merged.parquet")).expect("a table") == expected,
+        "3 shards"
+    );
+
+    let lacking = folder.run("merge s1 s3 --out lacking.parquet");
+    assert_refused(&lacking, 1, &["1 of 3 shards are missing: 2/3", "--partial"]);
+    assert!(!folder.join("lacking.parquet").exists());
+    let partial = folder.run("merge s1 s3 --partial --out partial.parquet");
+    assert!(partial.stdout.contains("of shards 1,3/3 alone"), "{partial}");
+    let again = folder.run("merge s1 s1 --out twice.parquet");
+    assert_refused(&again, 1, &["s1/results.parquet", "again"]);
+}
+
+#[test]
+fn rows_are_those_of_single_runs() {
+    let folder = Folder::new();
+    let end = folder.run(&format!("sweep {GRID} --format csv --quiet --out s"));
+    assert!(end.is_success(), "{end}");
+    let rows = rows(&folder.join("s/results.csv"));
+    assert_eq!(rows.len(), RUNS);
+    for (number, at) in [0, 17, 60, 101, 133, RUNS - 1].into_iter().enumerate() {
+        let get = |name: &str| {
+            let field = rows[at].iter().find(|(known, _)| known == name);
+            &field.unwrap_or_else(|| panic!("no column {name}")).1
+        };
+        let command = format!(
+            "run --policy {} --devices {} --ttis {} --seed {} --set harvest.lambda={} \
+             --set policy.adjusted.pilot_ttis=200 --quiet --json --out run{number}",
+            get("policy"),
+            get("n"),
+            get("ttis"),
+            get("seed"),
+            get("harvest.lambda")
+        );
+        let single = folder.run(&command);
+        let summary: Value = serde_json::from_str(&single.stdout).expect("JSON");
+        assert_eq!(summary["digest"], *get("digest"), "{command}");
+        assert_eq!(summary["scenario_hash"], *get("scenario_hash"), "{command}");
+        let metrics = summary["metrics"].as_object().expect("metrics");
+        assert_eq!(metrics.len(), 15);
+        for (name, value) in metrics {
+            let own = get(name).parse::<f64>().ok();
+            assert_eq!(value.as_f64(), own, "{name} of {command}");
+        }
+    }
+}
+
+#[test]
+fn a_killed_sweep_goes_on_and_ends_the_same() {
+    let folder = Folder::new();
+    let expected = swept(&folder, GRID, "undisturbed");
+    // Moments spread over the sweep: by the number of finished runs, so that the machine's speed does not matter.
+    let mut found = 0;
+    for moment in [0, 1, 23, 40, 77, 101, 150, 180] {
+        let sweep = folder.start(&format!("sweep {GRID} --threads 2 --out killed"));
+        wait_until("the sweep to get on", PATIENCE, || {
+            (folder.join("killed/runs.journal").exists() && journal_lines(&folder, "killed") >= moment).then_some(())
+        });
+        sweep.signal(Signal::KILL);
+        sweep.finish();
+        let lines = journal_lines(&folder, "killed");
+        assert!(lines >= found, "finished runs were lost");
+        found = lines;
+    }
+    let end = folder.run(&format!("sweep {GRID} --out killed"));
+    assert!(end.is_success(), "{end}");
+    assert!(end.stderr.contains(" finished runs found in killed"), "{end}");
+    let table = fs::read(folder.join("killed/results.parquet")).expect("a table");
+    assert!(table == expected, "the table of a killed sweep differs");
+    // Once more, with nothing left to do.
+    let end = folder.run(&format!("sweep {GRID} --out killed --json"));
+    let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
+    assert_eq!(
+        (&report["found"], &report["runs"]),
+        (&Value::from(RUNS), &Value::from(RUNS))
+    );
+    assert_eq!(report["device_ttis"], 0);
+}
+
+#[test]
+fn torn_and_garbled_rows_are_made_again() {
+    let folder = Folder::new();
+    let expected = swept(&folder, GRID, "s");
+    let journal = folder.join("s/runs.journal");
+    let mut bytes = fs::read(&journal).expect("there");
+    let length = bytes.len();
+    bytes[length / 2] ^= 4;
+    bytes.truncate(length - 37);
+    fs::write(&journal, bytes).expect("written");
+    fs::remove_file(folder.join("s/results.parquet")).expect("there");
+    let end = folder.run(&format!("sweep {GRID} --out s"));
+    assert!(end.stderr.contains("2 rows of s were torn or garbled"), "{end}");
+    assert!(
+        end.stderr.contains(&format!("{} finished runs found", RUNS - 2)),
+        "{end}"
+    );
+    let table = fs::read(folder.join("s/results.parquet")).expect("a table");
+    assert!(table == expected);
+}
+
+#[test]
+fn ctrl_c_ends_a_sweep_and_says_how_to_go_on() {
+    let folder = Folder::new();
+    // One run of hours: it is given up in its middle.
+    let endless = "sweep --devices 5000 --ttis 1000000000 --seeds 2 --out s";
+    for signal in [Signal::INT, Signal::TERM] {
+        let sweep = folder.start(endless);
+        wait_until("the sweep to begin", PATIENCE, || {
+            folder.join("s/experiment.toml").exists().then_some(())
+        });
+        std::thread::sleep(Duration::from_millis(300));
+        sweep.signal(signal);
+        let end = sweep.finish();
+        assert_refused(
+            &end,
+            130,
+            &["0 finished runs are kept in s", "give the same command again"],
+        );
+    }
+    assert!(!folder.join("s/results.parquet").exists());
+}
+
+#[test]
+fn two_sweeps_do_not_share_a_folder() {
+    let folder = Folder::new();
+    let endless = "sweep --devices 5000 --ttis 1000000000 --seeds 2 --out s";
+    let first = folder.start(endless);
+    wait_until("the sweep to begin", PATIENCE, || {
+        folder.join("s/experiment.toml").exists().then_some(())
+    });
+    assert_refused(
+        &folder.run(endless),
+        1,
+        &["--out s", "another `reveille sweep` is at work"],
+    );
+    first.signal(Signal::KILL);
+    first.finish();
+    let other = folder.run("sweep --devices 5 --ttis 50 --seeds 2 --out s");
+    assert_refused(&other, 1, &["--out s", "another experiment, shard or version"]);
+}
+
+#[test]
+fn a_table_of_another_version_is_not_merged() {
+    let folder = Folder::new();
+    for index in 1..=2 {
+        let end = folder.run(&format!(
+            "sweep --devices 5 --ttis 50 --seeds 4 --shard {index}/2 --format csv -q --out s{index}"
+        ));
+        assert!(end.is_success(), "{end}");
+    }
+    let side = folder.join("s2/results.csv.toml");
+    let text = fs::read_to_string(&side).expect("there");
+    fs::write(
+        &side,
+        text.replace("\"reveille.table\" = \"1\"", "\"reveille.table\" = \"2\""),
+    )
+    .expect("written");
+    let end = folder.run("merge s1 s2 --out m.csv");
+    assert_refused(&end, 1, &["s2/results.csv", "version 2", "reads version 1"]);
+    fs::write(&side, text.replace("0.1.0", "0.0.9")).expect("written");
+    assert_refused(&folder.run("merge s1 s2 --out m.csv"), 1, &["reveille 0.0.9"]);
+    fs::write(&side, text).expect("written");
+    assert!(folder.run("merge s1 s2 --out m.csv").is_success());
+
+    // Parquet: cut off, and somebody else's.
+    let table = swept(&folder, "--devices 5 --ttis 50 --seeds 4 --shard 1/2", "p1");
+    folder.write("p2.parquet", "not a table");
+    assert_refused(
+        &folder.run("merge p1 p2.parquet --out m"),
+        1,
+        &["p2.parquet", "cut off or corrupt"],
+    );
+    fs::write(folder.join("p2.parquet"), &table[..table.len() - 9]).expect("written");
+    assert_refused(
+        &folder.run("merge p1 p2.parquet --out m"),
+        1,
+        &["p2.parquet", "cut off or corrupt"],
+    );
+}
+
+#[test]
+fn what_cannot_be_run_is_refused_before_the_first_run() {
+    let folder = Folder::new();
+    folder.write("typo.toml", "devices = [10]\npolicees = [\"knn\"]\n");
+    folder.write("empty.toml", "devices = []\n");
+    for (args, parts) in [
+        ("typo.toml", &["typo.toml, line 2", "unknown field `policees`"][..]),
+        ("empty.toml", &["devices = []", "no runs"]),
+        ("none.toml", &["none.toml", "cannot be read"]),
+        ("--grid harvest.lambda=", &["harvest.lambda = []", "no runs"]),
+        (
+            "--grid harvest.lamda=1,2",
+            &["harvest.lamda", "did you mean `lambda`", "--grid harvest.lamda"],
+        ),
+        ("--devices 10,20,0", &["devices = 0", "at least 1", "--devices"]),
+        ("--policies knn,kmm", &["policy.name", "kmm"]),
+        (
+            "--until-ci 1% --ci-metrics events,colour",
+            &["colour", "no such metric", "info_per_event"],
+        ),
+        ("--until-ci 200%", &["until_ci = 200%", "at most 100 %"]),
+        ("--until-ci 1% --shard 1/2", &["shard = 1/2", "until_ci"]),
+        ("--seeds 0", &["seeds = 0"]),
+        ("--set seed=4", &["--first-seed"]),
+        ("--set devices", &["--set devices: must be FIELD=VALUE"]),
+    ] {
+        assert_refused(&folder.run(&format!("sweep {args} --out s")), 1, parts);
+        assert!(!folder.join("s").exists(), "{args}");
+    }
+    for shard in ["5/4", "0/3", "x/y", "2", "1/0"] {
+        assert_refused(
+            &folder.run(&format!("sweep --shard {shard} --out s")),
+            2,
+            &["1 ≤ i ≤ n", shard],
+        );
+    }
+    assert!(!folder.join("s").exists());
+}
+
+#[test]
+fn a_dry_run_shows_the_grid_and_runs_nothing() {
+    let folder = Folder::new();
+    let end = folder.run(&format!("sweep {GRID} --dry-run --out s"));
+    assert!(end.is_success(), "{end}");
+    for part in [
+        "genie, devices = 20, ttis = 600, harvest.lambda = 0.1",
+        "16 cells × 12 seeds from 5: 192 runs",
+    ] {
+        assert!(end.stdout.contains(part), "{end}");
+    }
+    assert!(!folder.join("s").exists());
+}
+
+#[test]
+fn an_experiment_file_and_options_mean_the_same() {
+    let folder = Folder::new();
+    folder.write(
+        "e.toml",
+        "policies = [\"knn\", \"random\", \"adjusted\", \"genie\"]\ndevices = [8]\nttis = 600\nseeds = { first = 5, count = 3 }\n\
+         [set]\npolicy.adjusted.pilot_ttis = 200\n[grid]\nharvest.lambda = [0.05, 0.1]\n",
+    );
+    let by_file = swept(&folder, "e.toml --devices 8,20 --seeds 12", "file");
+    assert!(by_file == swept(&folder, GRID, "options"));
+    assert!(
+        by_file == swept(&folder, "options/experiment.toml", "again"),
+        "its own experiment.toml"
+    );
+}
+
+#[test]
+fn a_cell_stops_when_it_is_narrow_enough() {
+    let folder = Folder::new();
+    let args = "--policies genie --devices 20 --ttis 2000 --seeds 400 --until-ci 5% --ci-metrics energy_per_device_tti";
+    let end = folder.run(&format!("sweep {args} --json --out s"));
+    let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
+    let cell = &report["cells"][0];
+    let (mean, half) = (
+        &cell["metrics"]["energy_per_device_tti"]["mean"],
+        &cell["metrics"]["energy_per_device_tti"]["half_width"],
+    );
+    let width = half.as_f64().expect("a number") / mean.as_f64().expect("a number");
+    assert!(width <= 0.05 && cell["runs"].as_u64() < Some(400), "{report}");
+}
+
+/// A file system of 256 kB, gone with it.
+struct SmallDisk<'f>(&'f Path);
+
+impl<'f> SmallDisk<'f> {
+    fn mount(path: &'f Path) -> Option<Self> {
+        fs::create_dir_all(path).ok()?;
+        let mut mount = Command::new("mount");
+        mount.args(["-t", "tmpfs", "-o", "size=256k", "none"]).arg(path);
+        mount
+            .output()
+            .is_ok_and(|end| end.status.success())
+            .then_some(Self(path))
+    }
+}
+
+impl Drop for SmallDisk<'_> {
+    fn drop(&mut self) {
+        let _ = Command::new("umount").arg("-l").arg(self.0).status();
+    }
+}
+
+#[test]
+fn a_full_disk_loses_no_finished_run() {
+    let folder = Folder::new();
+    let expected = swept(&folder, GRID, "elsewhere");
+    let path = folder.join("disk");
+    let Some(_disk) = SmallDisk::mount(&path) else {
+        eprintln!("not tested: a small tmpfs cannot be mounted here (it takes root)");
+        return;
+    };
+    let ballast = path.join("ballast");
+    fs::write(&ballast, vec![0; 220 * 1024]).expect("there is room for it");
+    let end = folder.run(&format!("sweep {GRID} --out disk/s"));
+    assert_refused(
+        &end,
+        1,
+        &[
+            "disk/s/runs.journal",
+            "No space left on device",
+            "are kept",
+            "give the same command again",
+        ],
+    );
+    let kept = journal_lines(&folder, "disk/s");
+    assert!(kept > 20 && kept < RUNS, "{kept} runs");
+    fs::remove_file(ballast).expect("there");
+    let end = folder.run(&format!("sweep {GRID} --out disk/s"));
+    assert!(
+        end.is_success() && end.stderr.contains(&format!("{kept} finished runs found")),
+        "{end}"
+    );
+    assert!(fs::read(path.join("s/results.parquet")).expect("a table") == expected);
+
+    // Room for the journal, but not for the table: the runs are there, and so they are when there is room.
+    fs::remove_file(path.join("s/results.parquet")).expect("there");
+    let full = fs::write(&ballast, vec![0; 256 * 1024]);
+    assert!(full.is_err(), "the disk is larger than it should be");
+    let end = folder.run(&format!("sweep {GRID} --out disk/s"));
+    assert_refused(&end, 1, &["disk/s", "No space left on device"]);
+    fs::remove_file(ballast).expect("there");
+    let end = folder.run(&format!("sweep {GRID} --out disk/s --json"));
+    assert!(end.is_success() && end.stdout.contains("\"device_ttis\": 0"), "{end}");
+    assert!(fs::read(path.join("s/results.parquet")).expect("a table") == expected);
+}
