@@ -26,6 +26,4 @@ pub mod witness;
 
 #[cfg(test)]
 mod tests;
-#[cfg(test)]
-mod tmp;
 pub use error::FigureError;
