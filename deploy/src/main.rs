@@ -48,6 +48,8 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
         Command::Device(args) => runtime(1)?.block_on(commands::device::run(&args)),
         Command::Inspect(command) => runtime(1)?.block_on(commands::inspect::run(&command)),
         Command::Clock(args) => runtime(1)?.block_on(commands::clock::run(&args)),
+        Command::Figures(args) => commands::figures::run(&args),
+        Command::Report(args) => commands::report::run(&args),
         Command::Analyse(command) => commands::analyse::run(&command),
         Command::Bench(command) => bench::run(&command),
     }

@@ -1,8 +1,10 @@
-//! Runs of the Reveille machines in memory, without a bus: one, or a whole sweep with its result table; and what the paper's
-//! analysis says of them.
+//! Runs of the Reveille machines in memory, without a bus: one, or a whole sweep with its result table; what the paper's
+//! analysis says of them; and figures and a report that hold them against the paper.
 
 pub mod adjusted;
 pub mod analysis;
+pub mod figures;
+pub mod report;
 pub mod run;
 pub mod stats;
 pub mod sweep;

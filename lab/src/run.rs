@@ -1,12 +1,12 @@
 //! One run in memory: the same device and BS machines as in the emulator, driven by a loop.
 
 use crate::adjusted::resolve;
-use reveille_bs::cycle::{Cycle, Step};
+use reveille_bs::cycle::{Cycle, Grant, Step};
 use reveille_bs::outcome::{Accounts, Outcome, Watcher};
 use reveille_bs::schedule::Schedule;
 use reveille_common::deployment::Deployment;
-use reveille_common::ids::Tti;
-use reveille_common::message::{Failure, Report};
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::{Failure, Report, WakeOutcome};
 use reveille_common::metrics::DeviceTotals;
 use reveille_common::scenario::Scenario;
 use reveille_device::machine::{Machine, Sensed, World};
@@ -31,6 +31,19 @@ impl Default for Options {
         }
     }
 }
+
+/// Sees everything that happens in a run, as nobody in it can. It changes nothing.
+pub trait Observer {
+    /// These TTIs come next.
+    fn granted(&mut self, _grant: &Grant) {}
+    /// The devices with δ = 1 have done the last of them; these reported and these failed to.
+    fn gathered(&mut self, _reports: &[Report], _failures: &[Failure]) {}
+    /// The BS has woken `device`.
+    fn woken(&mut self, _device: DeviceId, _outcome: &WakeOutcome) {}
+}
+
+/// An observer that does not look.
+impl Observer for () {}
 
 /// A run under way.
 pub struct Run {
@@ -112,6 +125,11 @@ impl Run {
 
     /// One grant of the clock: all its TTIs, with the reports and wake-ups of the last.
     pub fn grant(&mut self) {
+        self.grant_seen(&mut ());
+    }
+
+    /// The same as [`Self::grant`], before the eyes of `observer`.
+    pub fn grant_seen(&mut self, observer: &mut impl Observer) {
         let k = self.cycle.next_tti();
         if let Some(update) = self.cycle.announce() {
             for machine in &mut self.machines {
@@ -124,6 +142,7 @@ impl Run {
             k + 1
         };
         let grant = self.cycle.grant(horizon);
+        observer.granted(&grant);
         self.reports.clear();
         self.failures.clear();
         if let Some(stimulus) = &grant.stimulus {
@@ -135,10 +154,12 @@ impl Run {
                 }
             }
         }
+        observer.gathered(&self.reports, &self.failures);
         let mut step = self.cycle.gathered(&mut self.reports, &self.failures);
         while let Step::WakeUp(device) = step {
             let stimulus = grant.stimulus.as_ref().expect("only an event makes the BS wake anyone");
             let outcome = self.machines[device.index()].wake(grant.last, stimulus, &self.world);
+            observer.woken(device, &outcome);
             step = self.cycle.woken(&outcome);
         }
     }

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 pub use buckets::Buckets;
 pub use layout::{Layout, place};
-pub use voronoi::farthest_cell_vertex;
+pub use voronoi::{cells, farthest_cell_vertex};
 
 /// A point of the area, in metres from its south-west corner.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -11,9 +11,33 @@ pub fn farthest_cell_vertex(points: &[Point], area: Area) -> f64 {
     if sites.is_empty() {
         return f64::INFINITY;
     }
-    let edges = delaunay_edges(&sites, area);
-    let (mut cell, mut spare) = (Vec::new(), Vec::new());
     let mut farthest = 0.0_f64;
+    each_cell(&sites, area, |site, cell| {
+        farthest = cell.iter().map(|v| v.distance_squared(site)).fold(farthest, f64::max);
+    });
+    farthest.sqrt()
+}
+
+/// The Voronoi cell of each of `points`, clipped to `area`: the corners of a convex polygon, anticlockwise seen with y
+/// upwards, in metres. Devices at the same place have the same cell.
+pub fn cells(points: &[Point], area: Area) -> Vec<Vec<Point>> {
+    let sites = distinct(points);
+    let mut of_site = vec![Vec::new(); sites.len()];
+    let by_place = |a: Point, b: Point| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y));
+    let find = |p: Point| sites.binary_search_by(|site| by_place(*site, p));
+    each_cell(&sites, area, |site, cell| {
+        if let Ok(i) = find(site) {
+            of_site[i] = cell.to_vec();
+        }
+    });
+    let cell = |p: &Point| find(Point::new(p.x + 0.0, p.y + 0.0)).map(|i| of_site[i].clone());
+    points.iter().map(|p| cell(p).unwrap_or_default()).collect()
+}
+
+/// Shows `visit` each of `sites`, in order, with the corners of its cell.
+fn each_cell(sites: &[Point], area: Area, mut visit: impl FnMut(Point, &[Point])) {
+    let edges = delaunay_edges(sites, area);
+    let (mut cell, mut spare) = (Vec::new(), Vec::new());
     for around in edges.chunk_by(|a, b| a.0 == b.0) {
         // The bisectors towards the far sites lie outside the area.
         let Some(&site) = sites.get(around[0].0) else { continue };
@@ -28,9 +52,8 @@ pub fn farthest_cell_vertex(points: &[Point], area: Area) -> f64 {
             clip(&cell, site, other, &mut spare);
             std::mem::swap(&mut cell, &mut spare);
         }
-        farthest = cell.iter().map(|v| v.distance_squared(site)).fold(farthest, f64::max);
+        visit(site, &cell);
     }
-    farthest.sqrt()
 }
 
 /// `points` in order of their coordinates, each place once.
@@ -218,6 +241,33 @@ mod tests {
             }
             assert!(reached <= bound && reached > 0.93 * bound, "{reached} of {bound}");
         }
+    }
+
+    #[test]
+    fn cells_cover_the_area_and_hold_what_is_closest_to_their_device() {
+        let mut stream = Stream::new(14, Purpose::Epicentre, 0);
+        for (seed, n) in [(1, 1), (2, 2), (3, 60), (4, 250)] {
+            let points = place(&Layout::Uniform, SQUARE, n, seed);
+            let cells = cells(&points, SQUARE);
+            let doubled = |cell: &[Point]| -> f64 {
+                let next = cell.iter().cycle().skip(1);
+                cell.iter().zip(next).map(|(a, b)| a.x * b.y - b.x * a.y).sum()
+            };
+            let surface: f64 = cells.iter().map(|cell| 0.5 * doubled(cell)).sum();
+            assert!((surface - SQUARE.surface()).abs() < 1e-6, "{surface}");
+            for _ in 0..2_000 {
+                let v = Point::new(stream.unit() * 20.0, stream.unit() * 20.0);
+                let closest =
+                    (0..points.len()).min_by(|a, b| points[*a].distance(v).total_cmp(&points[*b].distance(v)));
+                let cell = &cells[closest.expect("devices")];
+                let next = cell.iter().cycle().skip(1);
+                let inside = |(a, b): (&Point, &Point)| (b.x - a.x) * (v.y - a.y) - (b.y - a.y) * (v.x - a.x) > -1e-6;
+                assert!(cell.iter().zip(next).all(inside), "{v:?} in {cell:?}");
+            }
+        }
+        let twins = [Point::new(3.0, 4.0), Point::new(3.0, 4.0)];
+        assert_eq!(cells(&twins, SQUARE).iter().map(Vec::len).collect::<Vec<_>>(), [4, 4]);
+        assert!(cells(&[], SQUARE).is_empty());
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The command line.
 
 mod analyse;
+mod figures;
 mod parse;
 mod run;
 mod sweep;
@@ -10,6 +11,7 @@ use clap::{Parser, Subcommand, ValueEnum};
 use reveille_common::logging::LogFormat;
 
 pub use analyse::{AnalyseCommand, BatteryArgs, HarvestArgs, IminArgs, RuntimeArgs, StudyArgs, TransitionsArgs};
+pub use figures::{DeploymentArgs, FiguresArgs, FiguresCommand, FormatArg, PictureArgs, ReportArgs, TimelineArgs};
 pub use run::{BsArgs, DeviceArgs, DriveArgs, OutputArgs, RunArgs, ScenarioArgs, UpArgs};
 pub use sweep::{MergeArgs, SweepArgs};
 pub use tools::{
@@ -86,6 +88,18 @@ pub enum Command {
     Inspect(InspectCommand),
     /// Pause, step and resume the virtual clock of a run.
     Clock(ClockArgs),
+    /// Draw the paper's figures from result tables, or a picture of a deployment, or of batteries and states over time.
+    #[command(
+        args_conflicts_with_subcommands = true,
+        subcommand_negates_reqs = true,
+        after_help = "Examples:\n  reveille figures results/table.parquet --out figures\n  \
+        reveille figures results/table.parquet --only information,energy --format svg\n  \
+        reveille figures deployment --policy knn -n 80\n  reveille figures timeline --policy random --show 3,7"
+    )]
+    Figures(FiguresArgs),
+    /// Hold result tables against every claim of the paper: a page of HTML and one of Markdown.
+    #[command(after_help = "Example:\n  reveille report results/paper.parquet results/literal.parquet --out report")]
+    Report(ReportArgs),
     /// Work through the paper's analysis: closed forms and Markov chains beside what the machines do.
     #[command(subcommand)]
     Analyse(AnalyseCommand),

@@ -1,0 +1,154 @@
+//! `reveille figures`: pictures as SVG and PNG.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::Context as _;
+use reveille_lab::figures::results::{Results, Setting};
+use reveille_lab::figures::scene::Scene;
+use reveille_lab::figures::timeline::Timeline;
+use reveille_lab::figures::{deployment, energy, png, study, svg, timeline};
+use reveille_lab::table::Table;
+
+use super::resolve;
+use crate::cli::{DeploymentArgs, FiguresArgs, FiguresCommand, FormatArg, PictureArgs, TimelineArgs};
+use crate::display;
+
+/// Draws what is asked for.
+pub fn run(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
+    match &args.command {
+        Some(FiguresCommand::Deployment(args)) => draw_deployment(args),
+        Some(FiguresCommand::Timeline(args)) => draw_timeline(args),
+        None => draw_study(args),
+    }
+}
+
+fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
+    let chosen = study::chosen(&args.only, &energy::NAMES)?;
+    let results = read(&args.tables)?;
+    for setting in &results.settings {
+        for figure in &chosen {
+            let name = format!("{}-{}", figure.name, label(&results, setting));
+            let Some(drawing) = figure.draw(setting) else {
+                eprintln!(
+                    "{}: not drawn, no run of {} has a value of {}",
+                    figure.name,
+                    setting.label(),
+                    figure.metric
+                );
+                continue;
+            };
+            for policy in &drawing.undefined {
+                eprintln!(
+                    "{name}: without {policy}, none of whose runs has a value of {}",
+                    figure.metric
+                );
+            }
+            write(&args.pictures, &name, &drawing.chart.scene())?;
+            save(
+                &args.pictures.out,
+                &format!("{name}.csv"),
+                figure.csv(setting, &drawing).as_bytes(),
+            )?;
+        }
+        draw_energy(args, &results, setting)?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Figs. 13 and 14.
+fn draw_energy(args: &FiguresArgs, results: &Results, setting: &Setting) -> anyhow::Result<()> {
+    let is_chosen = |name: &str| args.only.is_empty() || args.only.iter().any(|only| only == name);
+    let [harvest, net] = energy::NAMES.map(|name| (is_chosen(name), format!("{name}-{}", label(results, setting))));
+    if let (true, name) = harvest {
+        let points = energy::harvests(&setting.preset)?;
+        write(&args.pictures, &name, &energy::harvest_chart(setting, &points).scene())?;
+        save(
+            &args.pictures.out,
+            &format!("{name}.csv"),
+            energy::harvest_csv(&points).as_bytes(),
+        )?;
+    }
+    if let (true, name) = net {
+        match energy::net_chart(setting) {
+            Some(chart) => {
+                write(&args.pictures, &name, &chart.scene())?;
+                save(
+                    &args.pictures.out,
+                    &format!("{name}.csv"),
+                    energy::net_csv(&chart).as_bytes(),
+                )?;
+            }
+            None => eprintln!("{name}: not drawn, it needs runs of adjusted and random with 100 devices"),
+        }
+    }
+    Ok(())
+}
+
+/// Reads the tables and puts them together.
+pub fn read(paths: &[PathBuf]) -> anyhow::Result<Results> {
+    let read = |path: &PathBuf| Table::read(path).map(|table| (path.display().to_string(), table));
+    let tables = paths.iter().map(read).collect::<Result<Vec<_>, _>>()?;
+    Ok(Results::new(&tables)?)
+}
+
+/// The part of a file's name that sets `setting` apart from others.
+fn label(results: &Results, setting: &Setting) -> String {
+    let has_lengths = results.settings.iter().any(|s| s.ttis != setting.ttis);
+    let label = setting.file_label();
+    if has_lengths {
+        format!("{label}-k{}", setting.ttis)
+    } else {
+        label
+    }
+}
+
+fn draw_deployment(args: &DeploymentArgs) -> anyhow::Result<ExitCode> {
+    let scenario = resolve(&args.scenario)?;
+    let moment = deployment::Moment::of(&scenario, args.event)?;
+    let name = format!(
+        "deployment-{}-n{}-s{}-e{}",
+        scenario.policy.name(),
+        scenario.devices,
+        scenario.seed,
+        moment.event.event.0
+    );
+    write(&args.pictures, &name, &deployment::scene(&scenario, &moment))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn draw_timeline(args: &TimelineArgs) -> anyhow::Result<ExitCode> {
+    let scenario = resolve(&args.scenario)?;
+    let from = args.from.unwrap_or(scenario.warm_up_end().0);
+    let shown = Timeline::of(&scenario, &args.show, from, args.length)?;
+    let name = format!(
+        "timeline-{}-n{}-s{}-k{from}",
+        scenario.policy.name(),
+        scenario.devices,
+        scenario.seed
+    );
+    write(&args.pictures, &name, &timeline::scene(&scenario, &shown))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Writes a picture in all formats asked for, and says where.
+pub fn write(args: &PictureArgs, name: &str, scene: &Scene) -> anyhow::Result<()> {
+    for format in &args.format {
+        let (ending, bytes) = match format {
+            FormatArg::Svg => ("svg", svg::svg(scene, name).into_bytes()),
+            FormatArg::Png => ("png", png::png(scene)),
+        };
+        save(&args.out, &format!("{name}.{ending}"), &bytes)?;
+    }
+    Ok(())
+}
+
+/// Writes a file into `folder`, which is made if need be, and says so.
+pub fn save(folder: &Path, name: &str, bytes: &[u8]) -> anyhow::Result<()> {
+    fs::create_dir_all(folder).with_context(|| format!("{}: the folder cannot be made", folder.display()))?;
+    let path = folder.join(name);
+    fs::write(&path, bytes).with_context(|| format!("{}: cannot be written", path.display()))?;
+    display::out(&format!("{}\n", path.display()))?;
+    Ok(())
+}

@@ -1,0 +1,72 @@
+//! `reveille report`: the paper's claims beside the tables, as HTML and as Markdown.
+
+use std::process::ExitCode;
+
+use reveille_lab::figures::results::Setting;
+use reveille_lab::figures::scene::Scene;
+use reveille_lab::figures::{energy, study, svg};
+use reveille_lab::report::markdown::markdown;
+use reveille_lab::report::page::page;
+use reveille_lab::report::{Column, Report};
+
+use super::figures::{read, save};
+use crate::cli::ReportArgs;
+
+/// Judges the claims and writes the report.
+pub fn run(args: &ReportArgs) -> anyhow::Result<ExitCode> {
+    let results = read(&args.tables)?;
+    let report = Report::new(&results);
+    let mut pictures = Vec::new();
+    let mut files = Vec::new();
+    for (number, column) in (1..).zip(&report.columns) {
+        let Column { label, setting } = column;
+        let Some(setting) = setting else {
+            eprintln!("report: no table of preset {label}, its claims are marked as not run");
+            continue;
+        };
+        for (name, scene) in scenes(setting)? {
+            let name = format!("{name}-{number}");
+            let file = format!("{name}.svg");
+            let picture = svg::svg(&scene, &name);
+            save(&args.out, &file, picture.as_bytes())?;
+            files.push((format!("{}, {label}", scene.title), file));
+            pictures.push((scene.title, number, picture));
+        }
+    }
+    // A figure under one preset stands beside itself under the other.
+    pictures.sort_by_key(|(title, number, _)| (order(title), *number));
+    let pictures: Vec<String> = pictures.into_iter().map(|(_, _, picture)| picture).collect();
+    let command = command(args);
+    save(&args.out, "report.md", markdown(&report, &files, &command).as_bytes())?;
+    save(&args.out, "report.html", page(&report, &pictures, &command).as_bytes())?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// All figures of a setting, with their names.
+fn scenes(setting: &Setting) -> anyhow::Result<Vec<(&'static str, Scene)>> {
+    let mut scenes = Vec::new();
+    for figure in study::FIGURES {
+        if let Some(drawing) = figure.draw(setting) {
+            scenes.push((figure.name, drawing.chart.scene()));
+        }
+    }
+    let [harvest, net] = energy::NAMES;
+    let points = energy::harvests(&setting.preset)?;
+    scenes.push((harvest, energy::harvest_chart(setting, &points).scene()));
+    if let Some(chart) = energy::net_chart(setting) {
+        scenes.push((net, chart.scene()));
+    }
+    Ok(scenes)
+}
+
+/// Where a picture stands among the others: the paper's order.
+fn order(title: &str) -> usize {
+    let known = study::FIGURES.iter().position(|figure| title.starts_with(figure.title));
+    known.unwrap_or(study::FIGURES.len() + usize::from(title.starts_with("Net")))
+}
+
+/// The command line that makes this report again.
+fn command(args: &ReportArgs) -> String {
+    let tables: Vec<String> = args.tables.iter().map(|path| path.display().to_string()).collect();
+    format!("reveille report {} --out {}", tables.join(" "), args.out.display())
+}

@@ -1,0 +1,121 @@
+//! A scene as PNG.
+
+use tiny_skia::{Color, FillRule, LineJoin, Mask, Paint as Brush, PathBuilder, Pixmap, StrokeDash, Transform};
+
+use super::font::{outline, set, units_per_em};
+use super::path::{Path, Step};
+use super::scene::{Item, Paint, Rgb, Scene, Shape, Stroke, Text};
+
+/// Pixels per inch.
+pub const DPI: f64 = 300.0;
+/// Points per inch.
+const POINTS: f64 = 72.0;
+/// The colour of ink.
+const INK: Rgb = Rgb(0x1a, 0x1a, 0x1a);
+/// No clipping.
+const WHOLE: Option<&Mask> = None;
+
+/// The PNG of `scene` at [`DPI`], dark on white.
+pub fn png(scene: &Scene) -> Vec<u8> {
+    let scale = DPI / POINTS;
+    let (w, h) = (
+        (scene.width * scale).ceil() as u32,
+        (scene.height * scale).ceil() as u32,
+    );
+    let mut pixmap = Pixmap::new(w.max(1), h.max(1)).expect("a canvas of a few inches");
+    pixmap.fill(Color::WHITE);
+    let ground = Transform::from_scale(scale as f32, scale as f32);
+    for item in &scene.items {
+        match item {
+            Item::Shape(shape) => draw_shape(&mut pixmap, shape, ground),
+            Item::Text(text) => draw_text(&mut pixmap, text, ground),
+        }
+    }
+    encode(&pixmap)
+}
+
+fn encode(pixmap: &Pixmap) -> Vec<u8> {
+    // The ground is opaque, so alpha says nothing.
+    let rgb: Vec<u8> = pixmap.data().chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
+    let mut file = Vec::new();
+    let mut encoder = png::Encoder::new(&mut file, pixmap.width(), pixmap.height());
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_depth(png::BitDepth::Eight);
+    let per_metre = (DPI / 0.0254).round() as u32;
+    encoder.set_pixel_dims(Some(png::PixelDimensions {
+        xppu: per_metre,
+        yppu: per_metre,
+        unit: png::Unit::Meter,
+    }));
+    let mut writer = encoder.write_header().expect("memory takes everything");
+    writer.write_image_data(&rgb).expect("memory takes everything");
+    writer.finish().expect("memory takes everything");
+    file
+}
+
+fn brush(paint: Paint, opacity: f64) -> Brush<'static> {
+    let Rgb(r, g, b) = match paint {
+        Paint::Ink => INK,
+        Paint::Paper => Rgb(255, 255, 255),
+        Paint::Colour(rgb) => rgb,
+    };
+    let mut brush = Brush::default();
+    brush.set_color_rgba8(r, g, b, (opacity * 255.0).round() as u8);
+    brush.anti_alias = true;
+    brush
+}
+
+fn build(path: &Path) -> Option<tiny_skia::Path> {
+    let mut builder = PathBuilder::new();
+    for step in &path.0 {
+        match *step {
+            Step::Move(x, y) => builder.move_to(x as f32, y as f32),
+            Step::Line(x, y) => builder.line_to(x as f32, y as f32),
+            Step::Quad(a, b, x, y) => builder.quad_to(a as f32, b as f32, x as f32, y as f32),
+            Step::Cubic(a, b, c, d, x, y) => {
+                builder.cubic_to(a as f32, b as f32, c as f32, d as f32, x as f32, y as f32);
+            }
+            Step::Close => builder.close(),
+        }
+    }
+    builder.finish()
+}
+
+fn draw_shape(pixmap: &mut Pixmap, shape: &Shape, ground: Transform) {
+    let Some(path) = build(&shape.path) else { return };
+    if let Some((paint, opacity)) = shape.fill {
+        pixmap.fill_path(&path, &brush(paint, opacity), FillRule::Winding, ground, WHOLE);
+    }
+    if let Some(Stroke {
+        paint,
+        opacity,
+        width,
+        dashes,
+    }) = shape.stroke
+    {
+        let dashes: Vec<f32> = dashes.iter().map(|d| *d as f32).collect();
+        let stroke = tiny_skia::Stroke {
+            width: width as f32,
+            line_join: LineJoin::Round,
+            dash: StrokeDash::new(dashes, 0.0),
+            ..tiny_skia::Stroke::default()
+        };
+        pixmap.stroke_path(&path, &brush(paint, opacity), &stroke, ground, WHOLE);
+    }
+}
+
+fn draw_text(pixmap: &mut Pixmap, text: &Text, ground: Transform) {
+    let (x, y) = text.start();
+    let scale = (text.size / units_per_em(text.weight)) as f32;
+    let mut place = ground.pre_translate(x as f32, y as f32);
+    if text.upwards {
+        place = place.pre_concat(Transform::from_row(0.0, -1.0, 1.0, 0.0, 0.0, 0.0));
+    }
+    let place = place.pre_scale(scale, -scale);
+    for (glyph, at) in set(&text.text, text.weight).0 {
+        if let Some(path) = build(&outline(glyph)) {
+            let place = place.pre_translate(at as f32, 0.0);
+            pixmap.fill_path(&path, &brush(text.paint, 1.0), FillRule::Winding, place, WHOLE);
+        }
+    }
+}

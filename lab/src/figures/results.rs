@@ -1,0 +1,271 @@
+//! Result tables put together for drawing and judging: runs by setting, policy and N.
+
+use std::collections::BTreeMap;
+
+use reveille_common::scenario::{Override, load};
+use sha2::{Digest as _, Sha256};
+
+use super::error::FigureError;
+use crate::report::claims::POLICIES;
+use crate::stats::{Estimate, cells};
+use crate::table::{About, Hash, Row, Table};
+
+/// A table and its name.
+#[derive(Clone, Debug)]
+pub struct Source {
+    /// Where it was read from.
+    pub name: String,
+    /// What it says about its origin.
+    pub about: About,
+    /// How many runs it holds.
+    pub rows: usize,
+    /// SHA-256 over the digests of its runs, in their order, hexadecimal.
+    pub digests: String,
+}
+
+/// Everything but policy, N and seed that runs have in common.
+#[derive(Clone, Debug)]
+pub struct Setting {
+    /// The preset.
+    pub preset: String,
+    /// Length of the runs K, TTIs.
+    pub ttis: u64,
+    /// Swept fields with their values.
+    pub swept: Vec<(String, String)>,
+    /// The table, if its scenarios differ from the preset in more than that.
+    pub changed_in: Option<String>,
+    /// The runs by policy and N, each in the order of seeds.
+    runs: BTreeMap<(String, u32), BTreeMap<u64, Row>>,
+}
+
+/// All tables together.
+#[derive(Clone, Debug)]
+pub struct Results {
+    /// The tables.
+    pub sources: Vec<Source>,
+    /// The settings, in the order in which tables bring them up.
+    pub settings: Vec<Setting>,
+}
+
+impl Results {
+    /// Puts `tables` together. A run that several of them hold counts once.
+    ///
+    /// # Errors
+    /// No runs at all, or two outcomes of one run.
+    pub fn new(tables: &[(String, Table)]) -> Result<Self, FigureError> {
+        let mut results = Self {
+            sources: Vec::new(),
+            settings: Vec::new(),
+        };
+        for (name, table) in tables {
+            results.sources.push(Source {
+                name: name.clone(),
+                about: table.about.clone(),
+                rows: table.rows.len(),
+                digests: digests(table),
+            });
+            results.add(name, table)?;
+        }
+        if results.settings.is_empty() {
+            let names: Vec<&str> = tables.iter().map(|(name, _)| name.as_str()).collect();
+            return Err(FigureError::Empty {
+                tables: names.join(", "),
+            });
+        }
+        Ok(results)
+    }
+
+    fn add(&mut self, name: &str, table: &Table) -> Result<(), FigureError> {
+        for cell in cells(table) {
+            let fields = table.schema.swept.iter().map(|(path, _)| path.clone());
+            let swept = fields.zip(cell.swept.iter().map(ToString::to_string)).collect();
+            let first = cell.rows[0];
+            let wanted = Setting {
+                preset: cell.preset.to_owned(),
+                ttis: cell.ttis,
+                changed_in: (!is_of_preset(first, &swept)).then(|| name.to_owned()),
+                swept,
+                runs: BTreeMap::new(),
+            };
+            let found = self.settings.iter().position(|s| s.is_like(&wanted));
+            let at = found.unwrap_or_else(|| {
+                self.settings.push(wanted);
+                self.settings.len() - 1
+            });
+            let runs = &mut self.settings[at].runs;
+            let runs = runs.entry((cell.policy.to_owned(), cell.n)).or_default();
+            for row in cell.rows {
+                if let Some(known) = runs.insert(row.seed, row.clone())
+                    && known.digest != row.digest
+                {
+                    return Err(FigureError::Contradiction {
+                        scenario: row.scenario_hash.to_string(),
+                        first: known.digest.to_string(),
+                        second: row.digest.to_string(),
+                    });
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+fn digests(table: &Table) -> String {
+    let mut sum = Sha256::new();
+    for row in &table.rows {
+        sum.update(row.digest.0);
+    }
+    Hash(sum.finalize().into()).to_string()
+}
+
+/// Whether the scenario of `row` is its preset with nothing changed but what the columns of the table say.
+fn is_of_preset(row: &Row, swept: &Vec<(String, String)>) -> bool {
+    let mut overrides = vec![
+        format!("policy.name={}", row.policy),
+        format!("devices={}", row.n),
+        format!("ttis={}", row.ttis),
+        format!("seed={}", row.seed),
+    ];
+    overrides.extend(swept.iter().map(|(path, value)| format!("{path}={value}")));
+    let overrides: Result<Vec<Override>, _> = overrides.iter().map(|text| Override::parse(text)).collect();
+    overrides
+        .and_then(|overrides| load(&row.preset, &overrides))
+        .is_ok_and(|scenario| scenario.hash() == row.scenario_hash.0)
+}
+
+impl Setting {
+    fn is_like(&self, other: &Self) -> bool {
+        self.preset == other.preset
+            && self.ttis == other.ttis
+            && self.swept == other.swept
+            && self.changed_in == other.changed_in
+    }
+
+    /// The policies that were run, the paper's in its order and then others by name.
+    pub fn policies(&self) -> Vec<&str> {
+        let has = |name: &&str| self.runs.keys().any(|(policy, _)| policy == name);
+        let mut names: Vec<&str> = POLICIES.into_iter().filter(has).collect();
+        for (policy, _) in self.runs.keys() {
+            if !names.contains(&policy.as_str()) {
+                names.push(policy);
+            }
+        }
+        names
+    }
+
+    /// The values of N that were run with `policy`, rising.
+    pub fn sizes(&self, policy: &str) -> Vec<u32> {
+        let own = self.runs.keys().filter(|(name, _)| name == policy);
+        own.map(|(_, n)| *n).collect()
+    }
+
+    /// The estimate of `metric` for `policy` with `n` devices; `None` without runs in which it is defined.
+    pub fn estimate(&self, policy: &str, n: u32, metric: &str) -> Option<Estimate> {
+        let runs = self.runs.get(&(policy.to_owned(), n))?;
+        Estimate::of(runs.values().filter_map(|row| row.metric(metric)))
+    }
+
+    /// The runs of a cell, in the order of seeds.
+    pub fn runs(&self, policy: &str, n: u32) -> impl Iterator<Item = &Row> {
+        let runs = self.runs.get(&(policy.to_owned(), n));
+        runs.into_iter().flat_map(BTreeMap::values)
+    }
+
+    /// The least and the largest number of runs of a cell.
+    pub fn runs_per_cell(&self) -> (usize, usize) {
+        let counts = || self.runs.values().map(BTreeMap::len);
+        (counts().min().unwrap_or(0), counts().max().unwrap_or(0))
+    }
+
+    /// The first and the last seed.
+    pub fn seeds(&self) -> (u64, u64) {
+        let seeds = || self.runs.values().flat_map(BTreeMap::keys);
+        (seeds().min().copied().unwrap_or(0), seeds().max().copied().unwrap_or(0))
+    }
+
+    /// What it is, in words.
+    pub fn label(&self) -> String {
+        let mut label = self.preset.clone();
+        for (path, value) in &self.swept {
+            label = format!("{label}, {path} = {value}");
+        }
+        match &self.changed_in {
+            None => label,
+            Some(table) => format!("{label}, changed as in {table}"),
+        }
+    }
+
+    /// What it is, as part of a file's name.
+    pub fn file_label(&self) -> String {
+        let mut label = self.preset.clone();
+        for (path, value) in &self.swept {
+            label = format!("{label}-{path}-{value}");
+        }
+        if let Some(table) = &self.changed_in {
+            let stem = std::path::Path::new(table).file_stem();
+            label = format!("{label}-{}", stem.unwrap_or_default().to_string_lossy());
+        }
+        let keep = |c: char| {
+            if c.is_ascii_alphanumeric() || matches!(c, '.' | '-') {
+                c
+            } else {
+                '_'
+            }
+        };
+        label.chars().map(keep).collect()
+    }
+}
+
+/// Tables for tests.
+#[cfg(test)]
+pub(crate) mod fixtures {
+    use std::sync::Arc;
+
+    use reveille_common::scenario::{Override, load};
+
+    use crate::table::{About, Hash, METRICS, Row, Schema, Table, metric_names};
+
+    /// A table of runs under `preset`: for each policy and N the values of `metric`, one a run. All other metrics are 1 more
+    /// than their number.
+    pub fn table(preset: &str, metric: &str, runs: &[(&str, u32, &[f64])]) -> (String, Table) {
+        let mut rows = Vec::new();
+        for (policy, n, values) in runs {
+            for (seed, value) in (1..).zip(*values) {
+                rows.push(row(preset, policy, *n, seed, metric, *value));
+            }
+        }
+        let about = About {
+            version: "0.1.0".to_owned(),
+            experiment: format!("preset = \"{preset}\"\n"),
+            ..About::default()
+        };
+        let schema = Schema::default();
+        (format!("{preset}.parquet"), Table { about, schema, rows })
+    }
+
+    fn row(preset: &str, policy: &str, n: u32, seed: u64, metric: &str, value: f64) -> Row {
+        let overrides = [format!("devices={n}"), "ttis=2000".to_owned(), format!("seed={seed}")];
+        // Policies that cannot be run yet can be drawn.
+        let is_known = ["knn", "adjusted", "random", "genie"].contains(&policy);
+        let policy_is = is_known.then(|| format!("policy.name={policy}"));
+        let overrides = overrides.into_iter().chain(policy_is);
+        let overrides: Vec<Override> = overrides.map(|o| Override::parse(&o).expect("an override")).collect();
+        let scenario = load(preset, &overrides).expect("a scenario");
+        let mut metrics = [0.0; METRICS];
+        for (at, (slot, name)) in metrics.iter_mut().zip(metric_names()).enumerate() {
+            *slot = if *name == metric { value } else { 1.0 + at as f64 };
+        }
+        Row {
+            scenario_hash: Hash(scenario.hash()),
+            preset: Arc::from(preset),
+            policy: Arc::from(policy),
+            n,
+            ttis: 2000,
+            seed,
+            swept: Arc::from([]),
+            metrics,
+            events: 300,
+            digest: Hash([seed as u8; 32]),
+        }
+    }
+}

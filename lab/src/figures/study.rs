@@ -1,0 +1,311 @@
+//! The paper's Figs. 7 to 12: a metric against N, a line for each policy.
+
+use std::fmt::Write as _;
+
+use super::chart::{Chart, Mark, Sample, Series, Stated, spread};
+use super::error::FigureError;
+use super::results::Setting;
+use super::scale::Scale;
+use super::style::Style;
+use crate::report::claims::{Claim, Relation, Sites, topic};
+
+/// One of the paper's figures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Figure {
+    /// Its name in commands and files.
+    pub name: &'static str,
+    /// The metric.
+    pub metric: &'static str,
+    /// Its title.
+    pub title: &'static str,
+    /// What y is, with its unit.
+    pub y: &'static str,
+    /// Which figure of the paper shows the same.
+    pub paper: &'static str,
+    /// Whether y is logarithmic.
+    pub is_log: bool,
+}
+
+/// The figures against N, in the paper's order.
+pub const FIGURES: [Figure; 7] = {
+    const fn figure(
+        name: &'static str,
+        metric: &'static str,
+        title: &'static str,
+        y: &'static str,
+        paper: &'static str,
+        is_log: bool,
+    ) -> Figure {
+        Figure {
+            name,
+            metric,
+            title,
+            y,
+            paper,
+            is_log,
+        }
+    }
+    [
+        figure(
+            "information",
+            "info_per_event",
+            "Information per event",
+            "information per event",
+            "Fig. 7",
+            false,
+        ),
+        figure(
+            "energy",
+            "energy_per_device_tti",
+            "Energy consumption",
+            "units per device and TTI",
+            "Fig. 8",
+            false,
+        ),
+        figure(
+            "misdetection",
+            "misdetection_pct",
+            "Misdetections",
+            "% of events",
+            "Fig. 9",
+            true,
+        ),
+        figure(
+            "low-energy",
+            "low_energy_pct",
+            "Devices too low to transmit",
+            "% of devices, B < E_Tx",
+            "Fig. 10",
+            false,
+        ),
+        figure(
+            "battery",
+            "mean_battery",
+            "Mean battery level",
+            "units",
+            "Fig. 11",
+            false,
+        ),
+        figure(
+            "wrong",
+            "wrong_activations_per_event",
+            "Wrong activations",
+            "devices per event",
+            "Fig. 12a",
+            false,
+        ),
+        figure(
+            "wasted",
+            "wasted_energy_per_event",
+            "Energy wasted by wrong activations",
+            "units per event",
+            "Fig. 12b",
+            false,
+        ),
+    ]
+};
+
+/// The figures called `names`, all of them if there is none, in the paper's order. `others` are names that somebody else
+/// draws.
+///
+/// # Errors
+/// A name that neither knows.
+pub fn chosen(names: &[String], others: &[&str]) -> Result<Vec<Figure>, FigureError> {
+    let known = |name: &String| FIGURES.iter().any(|f| f.name == name) || others.contains(&name.as_str());
+    if let Some(unknown) = names.iter().find(|name| !known(name)) {
+        let all: Vec<&str> = FIGURES.iter().map(|f| f.name).chain(others.iter().copied()).collect();
+        return Err(FigureError::Unknown {
+            name: unknown.clone(),
+            known: all.join(", "),
+        });
+    }
+    let is_chosen = |f: &Figure| names.is_empty() || names.iter().any(|name| name == f.name);
+    Ok(FIGURES.into_iter().filter(is_chosen).collect())
+}
+
+/// A figure ready to be drawn, and what it lacks.
+#[derive(Clone, Debug)]
+pub struct Drawing {
+    /// The chart.
+    pub chart: Chart,
+    /// Policies that were run and have no value of the metric.
+    pub undefined: Vec<String>,
+}
+
+impl Figure {
+    /// The figure for the runs of `setting`; `None` if none of them has the metric.
+    pub fn draw(&self, setting: &Setting) -> Option<Drawing> {
+        let mut series = Vec::new();
+        let mut undefined = Vec::new();
+        for policy in setting.policies() {
+            let samples = self.samples(setting, policy);
+            if samples.is_empty() {
+                undefined.push(policy.to_owned());
+                continue;
+            }
+            series.push(Series {
+                name: policy.to_owned(),
+                style: Style::of_policy(policy),
+                joined: true,
+                marked: true,
+                samples,
+            });
+        }
+        if series.is_empty() {
+            return None;
+        }
+        let marks = self.marks(&series);
+        let largest = series.iter().flat_map(|s| &s.samples).map(|s| s.x);
+        let largest = largest.chain(marks.iter().map(|m| m.x)).fold(0.0, f64::max);
+        let chart = Chart {
+            title: format!("{} ({} of the paper)", self.title, self.paper),
+            x_label: "number of devices N".to_owned(),
+            y_label: self.y.to_owned(),
+            x: Scale::Linear {
+                from: -0.06 * largest,
+                to: 1.07 * largest,
+            },
+            y: self.y_scale(&series, &marks),
+            caption: self.caption(setting, &series, &marks, &undefined),
+            series,
+            marks,
+        };
+        Some(Drawing { chart, undefined })
+    }
+
+    fn samples(&self, setting: &Setting, policy: &str) -> Vec<Sample> {
+        let sizes = setting.sizes(policy).into_iter();
+        let sample = |n: u32| {
+            let estimate = setting.estimate(policy, n, self.metric)?;
+            Some(Sample {
+                x: f64::from(n),
+                y: estimate.mean,
+                half: estimate.half_width,
+            })
+        };
+        sizes.filter_map(sample).collect()
+    }
+
+    /// What the paper states of the policies drawn, at one N or as a ratio to something stated at one N.
+    fn marks(&self, series: &[Series]) -> Vec<Mark> {
+        let claims = topic(self.metric).map_or(&[][..], |topic| topic.claims);
+        let drawn = claims.iter().filter(|c| series.iter().any(|s| s.name == c.policy));
+        let mut marks: Vec<Mark> = drawn.filter_map(|claim| mark(claim, claims)).collect();
+        marks.sort_by(|a, b| a.x.total_cmp(&b.x));
+        spread(&mut marks);
+        marks
+    }
+
+    fn y_scale(&self, series: &[Series], marks: &[Mark]) -> Scale {
+        let ends = |s: &Sample| {
+            let half = if s.half.is_finite() { s.half } else { 0.0 };
+            [s.y - half, s.y + half]
+        };
+        let measured = series.iter().flat_map(|s| &s.samples);
+        let stated = marks.iter().flat_map(|m| m.stated.values());
+        if !self.is_log {
+            return Scale::linear(measured.flat_map(ends).chain(stated), true);
+        }
+        // The lower ends of intervals may go below zero; the axis holds all means.
+        let values = measured.clone().flat_map(|s| [s.y, ends(s)[1]]).chain(stated);
+        let scale = Scale::log(values).unwrap_or(Scale::Log { from: 0.01, to: 100.0 });
+        let (from, to) = scale.ends();
+        let has_zero = measured.clone().any(|s| s.y <= 0.0);
+        Scale::Log {
+            from: if has_zero { from / 10.0 } else { from },
+            to,
+        }
+    }
+
+    fn caption(&self, setting: &Setting, series: &[Series], marks: &[Mark], undefined: &[String]) -> String {
+        let runs = match setting.runs_per_cell() {
+            (1, 1) => "one run".to_owned(),
+            (least, most) if least == most => format!("{most} runs"),
+            (least, most) => format!("{least} to {most} runs"),
+        };
+        let mut text = format!(
+            "Preset {}; {runs} of {} TTIs a point, mean with its 95 % interval as band and bar.",
+            setting.label(),
+            setting.ttis
+        );
+        if !marks.is_empty() {
+            text.push_str(" Hollow, beside their N: what the paper states; box: a range, arrow: a bound.");
+        }
+        if self.is_log && series.iter().flat_map(|s| &s.samples).any(|s| s.y <= 0.0) {
+            text.push_str(" At the lower border: none seen.");
+        }
+        if !undefined.is_empty() {
+            let _ = write!(text, " Not defined for {}.", undefined.join(", "));
+        }
+        text
+    }
+
+    /// What is drawn, as CSV: measured means and the paper's statements.
+    pub fn csv(&self, setting: &Setting, drawing: &Drawing) -> String {
+        let mut out = String::from("kind,setting,policy,n,metric,mean,half_width_95,runs,paper_low,paper_high\n");
+        let label = setting.label();
+        let label = if label.contains([',', '"']) {
+            format!("\"{}\"", label.replace('"', "\"\""))
+        } else {
+            label
+        };
+        for series in &drawing.chart.series {
+            for n in setting.sizes(&series.name) {
+                if let Some(e) = setting.estimate(&series.name, n, self.metric) {
+                    let half = if e.half_width.is_nan() {
+                        String::new()
+                    } else {
+                        e.half_width.to_string()
+                    };
+                    let (policy, metric) = (&series.name, self.metric);
+                    let _ = writeln!(
+                        out,
+                        "measured,{label},{policy},{n},{metric},{},{half},{},,",
+                        e.mean, e.runs
+                    );
+                }
+            }
+        }
+        let claims = topic(self.metric).map_or(&[][..], |topic| topic.claims);
+        for claim in claims {
+            if let Some(Mark { x, stated, .. }) = mark(claim, claims) {
+                let (low, high) = match stated {
+                    Stated::Value(v) => (v.to_string(), v.to_string()),
+                    Stated::Range(low, high) => (low.to_string(), high.to_string()),
+                    Stated::Below(v) => (String::new(), v.to_string()),
+                    Stated::Above(v) => (v.to_string(), String::new()),
+                };
+                let _ = writeln!(out, "paper,,{},{x},{},,,,{low},{high}", claim.policy, self.metric);
+            }
+        }
+        out
+    }
+}
+
+/// Where and how `claim`, one of `claims`, is marked; `None` if it is not about one N.
+pub(super) fn mark(claim: &Claim, claims: &[Claim]) -> Option<Mark> {
+    let n = match claim.sites {
+        Sites::At(n) => n,
+        Sites::Under(_) | Sites::Everywhere => return None,
+    };
+    let stated = match claim.relation {
+        Relation::About(v) => Stated::Value(v),
+        Relation::Between(low, high) => Stated::Range(low, high),
+        Relation::Below(v) => Stated::Below(v),
+        Relation::Above(v) => Stated::Above(v),
+        Relation::Times(factor, other) => {
+            let base = claims.iter().find(|c| c.policy == other && c.sites == claim.sites)?;
+            match base.relation {
+                Relation::About(v) => Stated::Value(factor * v),
+                Relation::Between(low, high) => Stated::Range(factor * low, factor * high),
+                Relation::Below(_) | Relation::Above(_) | Relation::Times(..) => return None,
+            }
+        }
+    };
+    Some(Mark {
+        x: f64::from(n),
+        aside: 0.0,
+        stated,
+        style: Style::of_policy(claim.policy),
+    })
+}

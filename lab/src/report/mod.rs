@@ -1,0 +1,214 @@
+//! The report: every claim of the paper beside what the lab measured, with a verdict by a stated rule.
+//!
+//! [`claims`] is what the paper says, [`judge`] the rule, [`Report`] both applied to result tables; [`page`] and
+//! [`markdown`] write it down.
+
+pub mod claims;
+pub mod judge;
+mod lambda;
+pub mod markdown;
+pub mod page;
+mod words;
+
+use reveille_common::scenario::{Override, load};
+
+use self::claims::{Claim, Sites, TOPICS, Topic};
+use self::judge::{Judgement, Verdict, judge};
+use self::words::{number, plus_minus, relation};
+use crate::figures::results::{Results, Setting};
+
+/// The presets that the report always has columns for.
+pub const PRESETS: [&str; 2] = ["paper", "paper-literal"];
+
+/// Our side of a claim under one setting.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Ours {
+    /// What we found, with its 95 % interval; empty without runs.
+    pub found: String,
+    /// The verdict.
+    pub verdict: Verdict,
+    /// Whether it holds throughout the interval.
+    pub firm: bool,
+    /// Why it is not met, as far as that is known; empty where it is met.
+    pub why: String,
+}
+
+/// A claim and what became of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Line {
+    /// Where the paper says so.
+    pub source: &'static str,
+    /// The metric in words.
+    pub about: String,
+    /// The policy.
+    pub policy: String,
+    /// For which N.
+    pub sites: String,
+    /// What the paper says.
+    pub paper: String,
+    /// Ours, one for each of [`Report::columns`].
+    pub ours: Vec<Ours>,
+}
+
+/// A column: one of [`PRESETS`], or another setting that the tables hold.
+#[derive(Clone, Debug)]
+pub struct Column<'r> {
+    /// What it is.
+    pub label: String,
+    /// Its runs, if there are any.
+    pub setting: Option<&'r Setting>,
+}
+
+/// The whole report, before it is a page.
+#[derive(Clone, Debug)]
+pub struct Report<'r> {
+    /// The tables behind it.
+    pub results: &'r Results,
+    /// The columns.
+    pub columns: Vec<Column<'r>>,
+    /// The claims, by figure of the paper.
+    pub lines: Vec<Line>,
+}
+
+impl<'r> Report<'r> {
+    /// Judges every claim by `results`.
+    pub fn new(results: &'r Results) -> Self {
+        let columns = columns(results);
+        let mut lines = Vec::new();
+        for topic in TOPICS {
+            lines.extend(topic.claims.iter().map(|claim| line(topic, claim, &columns)));
+        }
+        lines.extend(lambda::lines(&columns));
+        Self {
+            results,
+            columns,
+            lines,
+        }
+    }
+
+    /// How many claims have `verdict` in column `column`.
+    pub fn count(&self, column: usize, verdict: Verdict) -> usize {
+        self.lines
+            .iter()
+            .filter(|line| line.ours[column].verdict == verdict)
+            .count()
+    }
+}
+
+/// The presets' columns, each with its longest runs, and then all other settings.
+fn columns(results: &Results) -> Vec<Column<'_>> {
+    let is_plain = |s: &&Setting| s.swept.is_empty() && s.changed_in.is_none();
+    let mut columns: Vec<Column<'_>> = Vec::new();
+    for preset in PRESETS {
+        let own = results.settings.iter().filter(is_plain).filter(|s| s.preset == preset);
+        columns.push(Column {
+            label: preset.to_owned(),
+            setting: own.max_by_key(|s| s.ttis),
+        });
+    }
+    for setting in &results.settings {
+        let is_shown = columns
+            .iter()
+            .any(|c| c.setting.is_some_and(|s| std::ptr::eq(s, setting)));
+        if !is_shown {
+            columns.push(Column {
+                label: format!("{}, K = {}", setting.label(), setting.ttis),
+                setting: Some(setting),
+            });
+        }
+    }
+    columns
+}
+
+fn line(topic: &'static Topic, claim: &Claim, columns: &[Column<'_>]) -> Line {
+    let ours = |column: &Column<'_>| match column.setting {
+        Some(setting) => ours(topic, claim, &judge(topic, claim, setting)),
+        None => Ours {
+            found: String::new(),
+            verdict: Verdict::NotRun,
+            firm: true,
+            why: "No table of this preset was given.".to_owned(),
+        },
+    };
+    Line {
+        source: topic.source,
+        about: topic.about.to_owned(),
+        policy: claim.policy.to_owned(),
+        sites: match claim.sites {
+            Sites::At(n) => format!("N = {n}"),
+            Sites::Under(n) => format!("N < {n}"),
+            Sites::Everywhere => "all N".to_owned(),
+        },
+        paper: relation(claim.relation),
+        ours: columns.iter().map(ours).collect(),
+    }
+}
+
+fn ours(topic: &Topic, claim: &Claim, judgement: &Judgement) -> Ours {
+    let findings = &judgement.findings;
+    let least = findings.iter().min_by(|a, b| a.value.total_cmp(&b.value));
+    let most = findings.iter().max_by(|a, b| a.value.total_cmp(&b.value));
+    let found = match (least, most) {
+        (Some(only), Some(_)) if findings.len() == 1 => plus_minus(only.value, only.half),
+        (Some(least), Some(most)) => format!(
+            "{} (N = {}) to {} (N = {})",
+            number(least.value),
+            least.n,
+            number(most.value),
+            most.n
+        ),
+        (None, _) | (_, None) => String::new(),
+    };
+    Ours {
+        found,
+        verdict: judgement.verdict,
+        firm: judgement.firm,
+        why: why(topic, claim, judgement),
+    }
+}
+
+/// What is known of why a claim is not met, in sentences.
+fn why(topic: &Topic, claim: &Claim, judgement: &Judgement) -> String {
+    let mut reasons: Vec<String> = Vec::new();
+    match judgement.verdict {
+        Verdict::Reproduced => {}
+        Verdict::NotRun if !is_built(claim.policy) => {
+            reasons.push(format!("The policy {} is not built yet.", claim.policy));
+        }
+        Verdict::NotRun => reasons.push("The tables hold no such runs.".to_owned()),
+        Verdict::OrderReproduced | Verdict::NotReproduced => {
+            reasons.extend(words::distance(claim.relation, &judgement.findings));
+            let wrong: Vec<String> = judgement
+                .order
+                .iter()
+                .filter(|(_, _, same)| !same)
+                .map(|(n, other, _)| format!("{other} (N = {n})"))
+                .collect();
+            if !wrong.is_empty() {
+                reasons.push(format!("Not on the paper's side of {}.", wrong.join(", ")));
+            }
+            if judgement.order.is_empty() {
+                reasons.push("The paper states no other figure to compare the order with.".to_owned());
+            }
+            if !claim.caveat.is_empty() {
+                reasons.push(claim.caveat.to_owned());
+            }
+            if !topic.remark.is_empty() {
+                reasons.push(topic.remark.to_owned());
+            }
+        }
+    }
+    if !judgement.firm {
+        reasons.push("Our interval reaches across the border of this verdict: more runs would decide.".to_owned());
+    }
+    reasons.join(" ")
+}
+
+/// Whether this version of Reveille has the policy.
+fn is_built(policy: &str) -> bool {
+    let policy = Override::parse(&format!("policy.name={policy}"));
+    policy.and_then(|policy| load(PRESETS[0], &[policy])).is_ok()
+}
+
+#[cfg(test)]
+mod tests;

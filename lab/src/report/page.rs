@@ -1,0 +1,149 @@
+//! The report as one page of HTML that needs nothing but itself.
+
+use std::fmt::Write as _;
+
+use super::judge::Verdict;
+use super::markdown::{RULE, origins};
+use super::{Line, Report};
+use crate::figures::svg::escape;
+
+const STYLE: &str = include_str!("page.css");
+
+/// The page. `pictures` are SVGs.
+pub fn page(report: &Report<'_>, pictures: &[String], command: &str) -> String {
+    let mut out = format!(
+        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" \
+         content=\"width=device-width, initial-scale=1\">\n<title>Reveille beside the paper</title>\n<style>\n{STYLE}</style>\n\
+         </head>\n<body>\n<h1>What the paper claims and what Reveille measures</h1>\n<p>{}</p>\n",
+        escape(RULE)
+    );
+    out.push_str(&tally(report));
+    out.push_str("<h2>Claims</h2>\n");
+    let mut source = "";
+    for line in &report.lines {
+        if line.source != source {
+            if !source.is_empty() {
+                out.push_str("</tbody></table></div>\n");
+            }
+            source = line.source;
+            out.push_str(&head(report, source));
+        }
+        out.push_str(&row(report, line));
+    }
+    out.push_str("</tbody></table></div>\n<h2>Figures</h2>\n<div class=\"figures\">\n");
+    for picture in pictures {
+        let _ = writeln!(out, "<figure>{picture}</figure>");
+    }
+    out.push_str("</div>\n<h2>How it was made</h2>\n");
+    let _ = writeln!(
+        out,
+        "<p>By Reveille {}: <code>{}</code></p>\n<ul>",
+        env!("CARGO_PKG_VERSION"),
+        escape(command)
+    );
+    for line in origins(report) {
+        let _ = writeln!(out, "<li>{}</li>", escape(&line));
+    }
+    out.push_str("</ul>\n");
+    for source in &report.results.sources {
+        if !source.about.experiment.trim().is_empty() {
+            let (name, text) = (escape(&source.name), escape(source.about.experiment.trim_end()));
+            let _ = writeln!(
+                out,
+                "<details><summary>The experiment of {name}</summary><pre>{text}</pre></details>"
+            );
+        }
+    }
+    out.push_str("</body>\n</html>\n");
+    out
+}
+
+const fn class(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::Reproduced => "yes",
+        Verdict::OrderReproduced => "order",
+        Verdict::NotReproduced => "no",
+        Verdict::NotRun => "none",
+    }
+}
+
+/// A sign in front of the words, for those who do not see colours.
+const fn sign(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::Reproduced => "✓",
+        Verdict::OrderReproduced => "≷",
+        Verdict::NotReproduced => "✗",
+        Verdict::NotRun => "–",
+    }
+}
+
+fn tally(report: &Report<'_>) -> String {
+    let all = [
+        Verdict::Reproduced,
+        Verdict::OrderReproduced,
+        Verdict::NotReproduced,
+        Verdict::NotRun,
+    ];
+    let mut out = String::from("<table class=\"tally\"><thead><tr><th>claims</th>");
+    for column in &report.columns {
+        let _ = write!(out, "<th>{}</th>", escape(&column.label));
+    }
+    out.push_str("</tr></thead><tbody>\n");
+    for verdict in all {
+        let _ = write!(
+            out,
+            "<tr><td class=\"{}\">{} {}</td>",
+            class(verdict),
+            sign(verdict),
+            verdict.words()
+        );
+        for column in 0..report.columns.len() {
+            let _ = write!(out, "<td>{}</td>", report.count(column, verdict));
+        }
+        out.push_str("</tr>\n");
+    }
+    out.push_str("</tbody></table>\n");
+    out
+}
+
+fn head(report: &Report<'_>, source: &str) -> String {
+    let mut out = format!(
+        "<h3>{}</h3>\n<div class=\"wide\"><table><thead><tr><th></th><th>policy</th><th>N</th><th>paper</th>",
+        escape(source)
+    );
+    for column in &report.columns {
+        let _ = write!(out, "<th>{}</th><th>verdict</th>", escape(&column.label));
+    }
+    out.push_str("<th>why</th></tr></thead><tbody>\n");
+    out
+}
+
+fn row(report: &Report<'_>, line: &Line) -> String {
+    let mut out = format!(
+        "<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td>",
+        escape(&line.about),
+        escape(&line.policy),
+        escape(&line.sites),
+        escape(&line.paper)
+    );
+    for ours in &line.ours {
+        let doubt = if ours.firm { "" } else { " ?" };
+        let (class, sign, words) = (class(ours.verdict), sign(ours.verdict), ours.verdict.words());
+        let _ = write!(
+            out,
+            "<td>{}</td><td class=\"{class}\">{sign} {words}{doubt}</td>",
+            escape(&ours.found)
+        );
+    }
+    let mut reasons: Vec<String> = Vec::new();
+    let is_same = line.ours.iter().all(|ours| ours.why == line.ours[0].why);
+    for (column, ours) in report.columns.iter().zip(&line.ours) {
+        if is_same {
+            reasons = vec![escape(&ours.why)];
+        } else if !ours.why.is_empty() {
+            reasons.push(format!("<b>{}</b>: {}", escape(&column.label), escape(&ours.why)));
+        }
+    }
+    let _ = writeln!(out, "<td class=\"why\">{}</td></tr>", reasons.join("<br>"));
+    out
+}

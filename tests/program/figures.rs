@@ -1,0 +1,100 @@
+//! `reveille figures` and `reveille report`: pictures and pages that are whole and the same each time, and clear words where
+//! there is nothing to draw.
+
+use std::fs;
+
+use reveille_tests::process::{Finished, Folder};
+
+/// Checks a refusal: one paragraph with all of `parts`, and exit code 1.
+fn assert_refused(end: &Finished, parts: &[&str]) {
+    assert_eq!(end.code(), Some(1), "{end}");
+    for part in parts {
+        assert!(end.stderr.contains(part), "no {part:?}: {end}");
+    }
+    assert!(!end.stderr.contains("panicked"), "{end}");
+    assert_eq!(end.stderr.trim().lines().count(), 1, "one paragraph: {end}");
+}
+
+/// A small table at `NAME` in `folder`.
+fn sweep(folder: &Folder, name: &str, options: &str) {
+    let end = folder.run(&format!(
+        "sweep --policies knn,adjusted,random,genie --devices 10,100 --seeds 2 --ttis 300 \
+         --set policy.adjusted.pilot_ttis=60 --quiet --out {name} {options}"
+    ));
+    assert_eq!(end.code(), Some(0), "{end}");
+}
+
+fn bytes(folder: &Folder, path: &str) -> Vec<u8> {
+    fs::read(folder.join(path)).unwrap_or_else(|error| panic!("{path}: {error}"))
+}
+
+#[test]
+fn pictures_of_a_deployment_and_a_timeline_are_the_same_twice() {
+    let folder = Folder::new();
+    for out in ["a", "b"] {
+        for picture in [
+            "deployment -n 30 -k 500",
+            "timeline -n 30 -k 500 --show 3,7 --from 100 --length 60",
+        ] {
+            let end = folder.run(&format!("figures {picture} --out {out}"));
+            assert_eq!(end.code(), Some(0), "{end}");
+        }
+    }
+    let names = folder.list("a");
+    assert_eq!(names.len(), 4, "{names:?}");
+    for name in names {
+        assert_eq!(
+            bytes(&folder, &format!("a/{name}")),
+            bytes(&folder, &format!("b/{name}")),
+            "{name}"
+        );
+    }
+}
+
+#[test]
+fn wishes_that_no_run_can_meet_are_refused() {
+    let folder = Folder::new();
+    let refused = |args: &str, parts: &[&str]| {
+        assert_refused(&folder.run(&format!("figures {args} --out out")), parts);
+        assert!(!folder.join("out").exists(), "{args} left something");
+    };
+    refused(
+        "deployment -k 100 --event 999",
+        &["event 999", "events, numbered from 0", "--ttis"],
+    );
+    refused(
+        "deployment -k 10 -n 2000",
+        &["2000 devices", "1000 at the most", "--devices"],
+    );
+    refused("timeline -k 500 --show 50", &["device 50", "numbered 0 to 49"]);
+    refused("timeline -k 500 --from 450 --length 100", &["450 to 549", "0 to 499"]);
+    refused("timeline -k 500 --from 0 --length 5", &["10 to 2000"]);
+    refused(
+        "timeline -k 500 --show 0,1,2,3,4,5,6,7,8",
+        &["9 devices", "8 at the most"],
+    );
+    refused("deployment -n 0", &["devices = 0"]);
+}
+
+#[test]
+fn tables_that_are_none_are_refused() {
+    let folder = Folder::new();
+    folder.write("junk.parquet", "PAR1 this is no table PAR1");
+    folder.write("junk.csv", "a,b\n1,2\n");
+    for command in ["figures", "report"] {
+        let refused = |args: &str, parts: &[&str]| {
+            assert_refused(&folder.run(&format!("{command} {args} --out out")), parts);
+            assert!(!folder.join("out").exists(), "{command} {args} left something");
+        };
+        refused("nowhere.parquet", &["nowhere.parquet"]);
+        refused("junk.parquet", &["junk.parquet"]);
+        refused("junk.csv", &["junk.csv"]);
+    }
+    let end = folder.run("figures junk.parquet --only energy,speed");
+    assert_refused(
+        &end,
+        &["figure `speed`", "information, energy, misdetection", "harvest, net"],
+    );
+    let end = folder.run("figures");
+    assert_eq!(end.code(), Some(2), "{end}");
+}
