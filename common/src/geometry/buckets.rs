@@ -54,12 +54,18 @@ impl Buckets {
     /// the indices.
     pub fn within(&self, centre: Point, radius: f64, mut visit: impl FnMut(usize, f64)) {
         let reach = radius * (1.0 + 1e-12) + self.slack;
+        // Certainly too far, whatever rounding does to the square.
+        let beyond = reach * reach * (1.0 + 1e-12);
         let (west, east) = (self.column(centre.x - reach), self.column(centre.x + reach));
         let (south, north) = (self.row(centre.y - reach), self.row(centre.y + reach));
         for row in south..=north {
             let first = self.starts[row * self.columns + west] as usize;
             let last = self.starts[row * self.columns + east + 1] as usize;
             for &(index, p) in &self.items[first..last] {
+                let (x, y) = (p.x - centre.x, p.y - centre.y);
+                if x * x + y * y > beyond {
+                    continue;
+                }
                 let distance = centre.distance(p);
                 if distance <= radius {
                     visit(index as usize, distance);
