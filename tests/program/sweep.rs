@@ -11,7 +11,8 @@ use serde_json::Value;
 
 /// A sweep of some hundred short runs over all policies.
 const GRID: &str = "--policies knn,random,adjusted,genie --devices 8,20 --ttis 600 --seeds 12 --first-seed 5 \
-    --grid harvest.lambda=0.05,0.1 --set policy.adjusted.pilot_ttis=200";
+    --grid harvest.lambda=0.05,0.1 --set policy.adjusted.pilot_ttis=100 --set policy.adjusted.t_on=[1,2] \
+    --set policy.adjusted.t_drx=[2,8]";
 /// Its runs.
 const RUNS: usize = 4 * 2 * 12 * 2;
 
@@ -103,7 +104,8 @@ fn rows_are_those_of_single_runs() {
         };
         let command = format!(
             "run --policy {} --devices {} --ttis {} --seed {} --set harvest.lambda={} \
-             --set policy.adjusted.pilot_ttis=200 --quiet --json --out run{number}",
+             --set policy.adjusted.pilot_ttis=100 --set policy.adjusted.t_on=[1,2] \
+             --set policy.adjusted.t_drx=[2,8] --quiet --json --out run{number}",
             get("policy"),
             get("n"),
             get("ttis"),
@@ -315,7 +317,7 @@ fn an_experiment_file_and_options_mean_the_same() {
     folder.write(
         "e.toml",
         "policies = [\"knn\", \"random\", \"adjusted\", \"genie\"]\ndevices = [8]\nttis = 600\nseeds = { first = 5, count = 3 }\n\
-         [set]\npolicy.adjusted.pilot_ttis = 200\n[grid]\nharvest.lambda = [0.05, 0.1]\n",
+         [set]\npolicy.adjusted = { pilot_ttis = 100, t_on = [1, 2], t_drx = [2, 8] }\n[grid]\nharvest.lambda = [0.05, 0.1]\n",
     );
     let by_file = swept(&folder, "e.toml --devices 8,20 --seeds 12", "file");
     assert!(by_file == swept(&folder, GRID, "options"));
@@ -385,7 +387,7 @@ fn a_full_disk_loses_no_finished_run() {
     );
     let kept = journal_lines(&folder, "disk/s");
     assert!(kept > 20 && kept < RUNS, "{kept} runs");
-    fs::remove_file(ballast).expect("there");
+    fs::remove_file(&ballast).expect("there");
     let end = folder.run(&format!("sweep {GRID} --out disk/s"));
     assert!(
         end.is_success() && end.stderr.contains(&format!("{kept} finished runs found")),

@@ -17,7 +17,6 @@ pub enum SweepError {
         /// The file.
         path: PathBuf,
         /// What the operating system said.
-        #[source]
         error: io::Error,
     },
     /// The experiment file is not TOML, or has fields that experiments do not have.
@@ -46,7 +45,6 @@ pub enum SweepError {
         /// The cell.
         cell: String,
         /// What is wrong with its scenario.
-        #[source]
         error: Box<ScenarioError>,
     },
     /// The output folder cannot be used.
@@ -69,7 +67,6 @@ pub enum SweepError {
         /// Runs that it holds.
         kept: usize,
         /// What the operating system said.
-        #[source]
         error: io::Error,
     },
     /// The result table cannot be read or written.

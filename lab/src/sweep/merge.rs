@@ -69,7 +69,9 @@ pub fn merge(tables: Vec<(PathBuf, Table)>, partial: bool) -> Result<Table, Swee
         shard: (!missing.is_empty()).then(|| format!("{}/{count}", indices.join(","))),
         ..first.about.clone()
     };
-    let schema = first.schema.clone();
+    // A CSV file without rows does not tell what its columns hold.
+    let telling = shards.iter().find(|(_, _, table)| !table.rows.is_empty());
+    let schema = telling.map_or_else(|| first.schema.clone(), |(_, _, table)| table.schema.clone());
     Ok(Table {
         about,
         schema,
@@ -111,7 +113,7 @@ fn fits(first_path: &Path, first: &Table, path: &Path, table: &Table) -> Result<
         let differing = a.experiment.lines().zip(b.experiment.lines()).find(|(a, b)| a != b);
         let (theirs, own) = differing.unwrap_or(("", ""));
         format!("its experiment differs: `{own}` here, `{theirs}` there")
-    } else if a.grid != b.grid || first.schema != table.schema {
+    } else if a.grid != b.grid {
         "the scenario files or traces behind its experiment differ".to_owned()
     } else {
         return Ok(());
