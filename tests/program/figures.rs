@@ -18,8 +18,7 @@ fn assert_refused(end: &Finished, parts: &[&str]) {
 /// A small table at `NAME` in `folder`.
 fn sweep(folder: &Folder, name: &str, options: &str) {
     let end = folder.run(&format!(
-        "sweep --policies knn,adjusted,random,genie --devices 10,100 --seeds 2 --ttis 300 \
-         --set policy.adjusted.pilot_ttis=60 --quiet --out {name} {options}"
+        "sweep --policies knn,adjusted,random,genie --devices 10,100 --seeds 2 --ttis 300 --quiet --out {name} {options}"
     ));
     assert_eq!(end.code(), Some(0), "{end}");
 }

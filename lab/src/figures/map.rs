@@ -56,11 +56,8 @@ pub fn tints(neighbours: &BTreeSet<(usize, usize)>, of: &[u32], count: usize) ->
         }
     }
     let mut tints: Vec<usize> = Vec::with_capacity(clusters);
-    for cluster in 0..clusters {
-        let taken: Vec<usize> = touching[cluster]
-            .iter()
-            .filter_map(|other| tints.get(*other).copied())
-            .collect();
+    for (cluster, touched) in touching.iter().enumerate() {
+        let taken: Vec<usize> = touched.iter().filter_map(|other| tints.get(*other).copied()).collect();
         let free = (0..count).find(|tint| !taken.contains(tint));
         tints.push(free.unwrap_or(cluster % count));
     }

@@ -105,8 +105,8 @@ const REACH: &str = "Ten devices of d_max = 4 m at random places leave a quarter
                      event there is lost whoever is woken.";
 const SPARING: &str = "Of the duty cycles of its grid, adjusted takes the one that spends least among those that reach I_min; \
                        the paper states neither its grid nor the cycle it found, and its devices must sense more often.";
-const UNSEEN: &str = "With an event of one TTI and the dozen devices that sense at a time, a share of the area far above \
-                      0.01 % is out of everyone's reach; and no fewer than 10 000 events can show such a rate.";
+const UNSEEN: &str = "A dozen or so devices sense at a time, which leaves part of the area unwatched in any one TTI; and a rate of \
+                      0.01 % shows itself only in far more than 10 000 events.";
 
 /// All of them, by figure.
 pub const TOPICS: &[Topic] = &[
@@ -199,6 +199,16 @@ pub const TOPICS: &[Topic] = &[
             claim("q-learning", At(250), About(9.5)),
             claim("knn", At(250), Below(6.0)),
             claim("dt", At(250), Times(0.5, "q-learning")),
+        ],
+    },
+    Topic {
+        metric: "wasted_energy_per_event",
+        about: "energy wasted per event, units",
+        source: "Fig. 12b",
+        remark: "",
+        claims: &[
+            claim("genie", Everywhere, About(0.0)),
+            claim("dt", Everywhere, Below(1.5)),
         ],
     },
 ];

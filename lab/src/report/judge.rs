@@ -93,14 +93,15 @@ pub fn judge(topic: &Topic, claim: &Claim, setting: &Setting) -> Judgement {
         return judgement;
     }
     let surely_not = fits.iter().any(|(fits, firm)| !fits && *firm);
-    let mut order_firm = true;
+    let (mut all_firm, mut surely_wrong) = (true, false);
     for &n in &sizes {
         for other in rivals(topic, claim, n) {
             let (Some(own), Some(theirs)) = (estimate(claim.policy, n), estimate(other.policy, n)) else {
                 continue;
             };
             let (as_stated, firm) = stands(claim, other, own, theirs);
-            order_firm &= firm;
+            all_firm &= firm;
+            surely_wrong |= firm && !as_stated;
             judgement.order.push((n, other.policy, as_stated));
         }
     }
@@ -110,7 +111,12 @@ pub fn judge(topic: &Topic, claim: &Claim, setting: &Setting) -> Judgement {
     } else {
         Verdict::NotReproduced
     };
-    judgement.firm = surely_not && (order_firm || judgement.order.is_empty());
+    let order_firm = if has_order {
+        all_firm
+    } else {
+        surely_wrong || judgement.order.is_empty()
+    };
+    judgement.firm = surely_not && order_firm;
     judgement
 }
 

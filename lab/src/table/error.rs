@@ -14,7 +14,6 @@ pub enum TableError {
         /// The file.
         path: PathBuf,
         /// What it said.
-        #[source]
         error: io::Error,
     },
     /// The operating system refuses, for example because the disk is full.
@@ -23,7 +22,6 @@ pub enum TableError {
         /// The file.
         path: PathBuf,
         /// What it said.
-        #[source]
         error: io::Error,
     },
     /// The rows do not go into the format.
