@@ -101,6 +101,14 @@ mod tests {
     }
 
     #[test]
+    fn the_edge_of_the_area_is_no_border() {
+        let points = [Point::new(9.5, 10.0), Point::new(10.5, 10.0)];
+        let lines = borders(&points, &cells(&points, SQUARE), &[0, 1]);
+        assert_eq!(lines.len(), 1, "{lines:?}");
+        assert!((lines[0].0.distance(lines[0].1) - 20.0).abs() < 1e-9);
+    }
+
+    #[test]
     fn touching_clusters_have_different_tints() {
         let points = place(&Layout::Uniform, SQUARE, 120, 5);
         let cells = cells(&points, SQUARE);
