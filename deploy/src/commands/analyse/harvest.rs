@@ -4,7 +4,9 @@ use std::process::ExitCode;
 
 use reveille_common::units::Energy;
 use reveille_lab::analysis::Estimate;
-use reveille_lab::analysis::harvest::{Point, Reading, STATED, Study, consumption, demand, measure, positive_net};
+use reveille_lab::analysis::harvest::{
+    Point, Reading, STATED, Stated, Study, consumption, demand, measure, positive_net,
+};
 
 use super::lists::{energies, numbers, readings, scenario, words};
 use super::sheet::{Cell, Findings, Sheet};
@@ -140,12 +142,13 @@ fn crossing(spent: &Estimate, reading: Reading, e_b: f64, tau: f64, devices: u32
         reading.name().into(),
         from.into(),
         to.into(),
-        stated(devices, e_b).into(),
+        stated(reading, devices, e_b).into(),
     ]
 }
 
-fn stated(devices: u32, e_b: f64) -> String {
-    let same = |s: &&reveille_lab::analysis::harvest::Stated| s.devices == devices && (s.e_b - e_b).abs() < 1e-9;
+/// What the paper states, where `reading` can be meant.
+fn stated(reading: Reading, devices: u32, e_b: f64) -> String {
+    let same = |s: &&Stated| reading == Reading::Eq5 && s.devices == devices && (s.e_b - e_b).abs() < 1e-9;
     match STATED.iter().find(same) {
         Some(s) if s.low.is_nan() => format!("{} ({})", s.high, s.source),
         Some(s) => format!("{}–{} ({})", s.low, s.high, s.source),

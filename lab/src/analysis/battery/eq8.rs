@@ -9,10 +9,14 @@
 use statrs::function::beta::beta_reg;
 use statrs::function::gamma::ln_gamma;
 
-/// Eq. (8) for one threshold and one P.
+/// The largest M for which Eq. (8) is evaluated.
+const MOST_STATES: u64 = 1_000_000;
+
+/// Eq. (8) for one threshold and one P. All of it is NaN where P is no probability, as P_1,2 + P_4,2 need not be.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Eq8 {
-    /// The sum as printed; NaN where E is not a whole number of units, for which it is not defined.
+    /// The sum as printed; NaN where E is not a whole number of units, for which it is not defined, and with more than 10⁶
+    /// states.
     pub sum: f64,
     /// The sum as I_P(E + 1, M − E + 1) / P, which it equals.
     pub sum_by_beta: f64,
@@ -21,8 +25,15 @@ pub struct Eq8 {
 }
 
 impl Eq8 {
-    /// For the threshold `e` and the battery `e_max` (units), with M = `states` and P = `activation`, `[0, 1]`.
+    /// For the threshold `e` and the battery `e_max` (units), with M = `states` and P = `activation`.
     pub fn new(e: f64, e_max: f64, states: u64, activation: f64) -> Self {
+        if !(0.0..=1.0).contains(&activation) {
+            return Self {
+                sum: f64::NAN,
+                sum_by_beta: f64::NAN,
+                printed_beta: f64::NAN,
+            };
+        }
         Self {
             sum: sum(e, states, activation),
             sum_by_beta: sum_by_beta(e, states, activation),
@@ -36,13 +47,13 @@ impl Eq8 {
     }
 }
 
-/// The number of the highest battery state, M = ⌈E_max/E_λ⌉ with E_λ = E_B exp(-λ); energies in units, > 0.
+/// The number of the highest battery state, M = ⌈E_max/E_λ⌉ with E_λ = E_B exp(-λ); energies in units, `e_max` > 0.
 pub fn states(e_max: f64, e_b: f64, lambda: f64) -> u64 {
     (e_max / (e_b * libm::exp(-lambda))).ceil() as u64
 }
 
 fn sum(e: f64, states: u64, p: f64) -> f64 {
-    if e.fract() != 0.0 || e < 0.0 {
+    if e.fract() != 0.0 || e < 0.0 || states > MOST_STATES {
         return f64::NAN;
     }
     let e = e as u64;
@@ -60,7 +71,9 @@ fn binomial_term(b: u64, e: u64, p: f64) -> f64 {
 
 fn sum_by_beta(e: f64, states: u64, p: f64) -> f64 {
     let b = states as f64 - e + 1.0;
-    if b <= 0.0 {
+    if states > MOST_STATES {
+        f64::NAN
+    } else if b <= 0.0 {
         0.0
     } else if p <= 0.0 {
         if e > 0.0 { 0.0 } else { states as f64 + 1.0 }
@@ -122,6 +135,13 @@ mod tests {
             );
         }
         assert!(Eq8::new(2.5, 100.0, 111, 0.1).sum.is_nan());
+        for p in [-0.1, 1.1, f64::NAN] {
+            assert!(Eq8::new(10.0, 100.0, 111, p).sum.is_nan());
+        }
+        // A source that all but never gives anything: E_λ next to nothing, or nothing.
+        for endless in [states(100.0, 5.0, 40.0), states(100.0, 0.0, 0.1)] {
+            assert!(Eq8::new(10.0, 100.0, endless, 0.1).sum.is_nan());
+        }
         assert_eq!(states(100.0, 5.0, 0.1), 23);
     }
 }

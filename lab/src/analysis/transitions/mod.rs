@@ -8,7 +8,8 @@
 //!
 //! **Not probabilities.** P_1,1 and P_3,1 are sums of several conditional probabilities of the same event and leave [0, 1]
 //! once t_on is a large part of t_DRX (and are 0/0 where they are equal); P_1,4 and P_3,4, the complements, then turn
-//! negative; P_4,4 is negative where t_on/t_DRX + P_4,2 exceeds 1; P_2,3 is Eq. (8), see [`super::battery::Eq8`].
+//! negative; P_4,4 is negative where t_on/t_DRX + P_4,2 exceeds 1; P_2,3 is Eq. (8), see
+//! [`super::battery::Eq8`], with P_1,2 + P_4,2 for P, which may itself exceed 1.
 
 mod closed;
 mod counted;
