@@ -161,6 +161,35 @@ fn order_counts_where_the_value_does_not_fit() {
 }
 
 #[test]
+fn a_ratio_takes_part_in_the_order_by_the_figure_it_stands_for() {
+    const RATIO: &[Claim] = &[
+        about(0.4),
+        Claim {
+            policy: "random",
+            relation: Relation::Times(0.25, "genie"),
+            ..about(0.0)
+        },
+        Claim {
+            policy: "genie",
+            ..about(0.8)
+        },
+    ];
+    let of = |knn: &[f64], random: &[f64]| {
+        verdict(
+            RATIO,
+            &[("knn", 250, knn), ("random", 250, random), ("genie", 250, &[0.8; 2])],
+        )
+        .0
+    };
+    assert_eq!(of(&[0.2; 2], &[0.1; 2]), Verdict::OrderReproduced);
+    assert_eq!(
+        of(&[0.2; 2], &[0.3; 2]),
+        Verdict::NotReproduced,
+        "random, a quarter of genie, must be below"
+    );
+}
+
+#[test]
 fn an_order_is_firm_if_intervals_are_apart_and_its_lack_if_one_pair_is_surely_wrong() {
     const THREE: &[Claim] = &[
         about(10.0),
