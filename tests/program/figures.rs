@@ -18,8 +18,7 @@ fn assert_refused(end: &Finished, parts: &[&str]) {
 /// A small table at `NAME` in `folder`.
 fn sweep(folder: &Folder, name: &str, options: &str) {
     let end = folder.run(&format!(
-        "sweep --policies knn,adjusted,random,genie --devices 10,100 --seeds 2 --ttis 300 \
-         --set policy.adjusted.pilot_ttis=60 --quiet --out {name} {options}"
+        "sweep --policies knn,adjusted,random,genie --devices 10,100 --seeds 2 --ttis 300 --quiet --out {name} {options}"
     ));
     assert_eq!(end.code(), Some(0), "{end}");
 }
@@ -97,4 +96,75 @@ fn tables_that_are_none_are_refused() {
     );
     let end = folder.run("figures");
     assert_eq!(end.code(), Some(2), "{end}");
+}
+
+#[test]
+fn a_sweep_becomes_figures_and_a_report_the_same_twice() {
+    let folder = Folder::new();
+    sweep(&folder, "paper", "--scenario paper");
+    sweep(&folder, "literal", "--scenario paper-literal");
+    let tables = "paper/results.parquet literal/results.parquet";
+    for out in ["a", "b"] {
+        let end = folder.run(&format!("figures {tables} --only misdetection,energy,net --out {out}"));
+        assert_eq!(end.code(), Some(0), "{end}");
+    }
+    let names = folder.list("a");
+    for figure in ["misdetection", "energy", "net"] {
+        for preset in ["paper", "paper-literal"] {
+            for ending in ["svg", "png", "csv"] {
+                let name = format!("{figure}-{preset}.{ending}");
+                assert!(names.contains(&name), "{name} in {names:?}");
+            }
+        }
+    }
+    assert_eq!(names.len(), 18, "{names:?}");
+    for name in names {
+        assert_eq!(
+            bytes(&folder, &format!("a/{name}")),
+            bytes(&folder, &format!("b/{name}")),
+            "{name}"
+        );
+    }
+    for _ in 0..2 {
+        let end = folder.run(&format!("report {tables} --out report"));
+        assert_eq!(end.code(), Some(0), "{end}");
+    }
+    let html = String::from_utf8(bytes(&folder, "report/report.html")).expect("text");
+    assert_eq!(html.matches("<svg").count(), 18, "nine figures for each preset");
+    assert!(!html.contains("src=") && html.contains("not built yet") && html.contains("seeds 1 to 2"));
+    let markdown = String::from_utf8(bytes(&folder, "report/report.md")).expect("text");
+    for file in folder.list("report").iter().filter(|name| name.ends_with(".svg")) {
+        assert!(markdown.contains(&format!("]({file})")), "{file} is not shown");
+    }
+}
+
+#[test]
+fn tables_without_runs_or_of_another_version_are_refused_and_a_lone_one_is_enough() {
+    let folder = Folder::new();
+    sweep(&folder, "paper", "--format csv --set events.alpha=0.3");
+    let end = folder.run("report paper/results.csv --out report");
+    assert_eq!(end.code(), Some(0), "{end}");
+    assert!(end.stderr.contains("no table of preset paper-literal"), "{end}");
+    let markdown = String::from_utf8(bytes(&folder, "report/report.md")).expect("text");
+    assert!(
+        markdown.contains("changed as in paper/results.csv"),
+        "a changed preset is not the preset"
+    );
+
+    let text = String::from_utf8(bytes(&folder, "paper/results.csv")).expect("text");
+    let side_car = String::from_utf8(bytes(&folder, "paper/results.csv.toml")).expect("text");
+    let header = text.lines().next().expect("a header");
+    folder.write("empty.csv", &format!("{header}\n"));
+    folder.write("empty.csv.toml", &side_car);
+    folder.write("later.csv", &text);
+    let later = side_car.replace("\"reveille.table\" = \"1\"", "\"reveille.table\" = \"2\"");
+    assert_ne!(later, side_car);
+    folder.write("later.csv.toml", &later);
+    for command in ["figures", "report"] {
+        let end = folder.run(&format!("{command} empty.csv --out out"));
+        assert_refused(&end, &["empty.csv", "no rows", "reveille sweep"]);
+        let end = folder.run(&format!("{command} paper/results.csv later.csv --out out"));
+        assert_refused(&end, &["later.csv", "version 2"]);
+        assert!(!folder.join("out").exists());
+    }
 }

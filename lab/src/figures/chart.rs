@@ -4,7 +4,7 @@
 
 use super::font::{Weight, width, wrap};
 use super::path::Path;
-use super::scale::Scale;
+use super::scale::{Scale, Tick};
 use super::scene::{Anchor, Paint, Scene, Stroke, Text};
 use super::style::{LINE, MARKER, Style};
 
@@ -20,6 +20,8 @@ pub const LEADING: f64 = 10.5;
 pub const EDGE: f64 = 6.0;
 /// Height of the plot, points.
 const PLOT: f64 = 158.0;
+/// The legend of marks.
+const STATED: &str = "hollow: stated in the paper";
 /// How pale grid lines are.
 const GRID: f64 = 0.14;
 
@@ -47,6 +49,13 @@ pub struct Series {
     pub marked: bool,
     /// Its points, by rising x.
     pub samples: Vec<Sample>,
+}
+
+impl Series {
+    /// Whether it is a range of values rather than a line: it has intervals and no markers.
+    fn is_band(&self) -> bool {
+        self.joined && !self.marked && self.samples.iter().all(|s| s.half.is_finite())
+    }
 }
 
 /// What the paper says of a point.
@@ -102,6 +111,8 @@ pub struct Chart {
     pub series: Vec<Series>,
     /// What the paper says.
     pub marks: Vec<Mark>,
+    /// Whether values of zero stand at the lower border, which then says so.
+    pub zero_below: bool,
     /// How to read marks and intervals, and what the runs were.
     pub caption: String,
 }
@@ -126,7 +137,7 @@ impl Chart {
             scene.text(Text::new(line, (EDGE, y), LARGE).bold());
             y += LEADING + 1.0;
         }
-        let labels = self.y.ticks().into_iter().map(|tick| tick.label);
+        let labels = self.y_ticks().into_iter().map(|tick| tick.label);
         let widest = labels.map(|l| width(&l, Weight::Regular, SMALL)).fold(0.0, f64::max);
         let frame = Frame {
             chart: self,
@@ -148,6 +159,14 @@ impl Chart {
         scene
     }
 
+    fn y_ticks(&self) -> Vec<Tick> {
+        let mut ticks = self.y.ticks();
+        if let Some(lowest) = ticks.first_mut().filter(|_| self.zero_below) {
+            "0".clone_into(&mut lowest.label);
+        }
+        ticks
+    }
+
     /// Rows of as many entries as fit; gives the base line of what follows.
     fn legend(&self, scene: &mut Scene, mut y: f64) -> f64 {
         const SWATCH: f64 = 22.0;
@@ -167,6 +186,18 @@ impl Chart {
             scene.text(Text::new(series.name.as_str(), (x + SWATCH, y), SMALL));
             x += needed + 9.0;
         }
+        if let Some(mark) = self.marks.first() {
+            let needed = 10.0 + width(STATED, Weight::Regular, SMALL);
+            if x + needed > COLUMN - EDGE {
+                (x, y) = (EDGE, y + LEADING + 1.0);
+            }
+            let hollow = Style {
+                paint: Paint::Ink,
+                ..mark.style
+            };
+            hollow.mark_hollow(scene, (x + 4.0, y - 0.35 * SMALL));
+            scene.text(Text::new(STATED, (x + 11.0, y), SMALL));
+        }
         y + LEADING + 2.0
     }
 }
@@ -185,7 +216,7 @@ impl Frame<'_> {
             Stroke::solid(Paint::Ink, 0.7),
             Stroke::solid(Paint::Ink, 0.5).faded(GRID),
         );
-        for tick in self.chart.y.ticks() {
+        for tick in self.chart.y_ticks() {
             let y = self.y(tick.value);
             let is_main = !tick.label.is_empty();
             if is_main {
@@ -228,7 +259,7 @@ impl Frame<'_> {
         for mark in &self.chart.marks {
             self.range(scene, mark);
         }
-        for series in self.chart.series.iter().filter(|s| s.joined) {
+        for series in self.chart.series.iter().filter(|s| s.joined && !s.is_band()) {
             let points = series.samples.iter().map(|s| (self.x(s.x), self.y(s.y)));
             scene.line(Path::polyline(points, false), series.style.line());
         }
@@ -249,6 +280,13 @@ impl Frame<'_> {
             let upper = known.iter().map(|s| (self.x(s.x), self.y(s.y + s.half)));
             let lower = known.iter().rev().map(|s| (self.x(s.x), self.y(s.y - s.half)));
             scene.area(Path::polyline(upper.chain(lower), true), series.style.paint, 0.25);
+        }
+        if series.is_band() {
+            for sign in [1.0, -1.0] {
+                let edge = known.iter().map(|s| (self.x(s.x), self.y(s.y + sign * s.half)));
+                scene.line(Path::polyline(edge, false), series.style.line());
+            }
+            return;
         }
         let bar = Stroke::solid(series.style.paint, 0.7);
         for sample in known {

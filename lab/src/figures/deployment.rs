@@ -378,12 +378,12 @@ fn caption(scenario: &Scenario, moment: &Moment) -> String {
     let information = tally.information_pico as f64 / PICO_PER_INFORMATION;
     let wake_ups = match moment.wake_ups {
         0 => "no wake-up".to_owned(),
-        1 => "one wake-up".to_owned(),
-        many => format!("{many} wake-ups"),
+        1 => "one wake-up (numbered if a report came of it)".to_owned(),
+        many => format!("{many} wake-ups (numbered where a report came of it)"),
     };
     format!(
-        "{ground} The event began in TTI {start} and ended in TTI {last}, which is shown. The BS sent {wake_ups} (numbered \
-         where a report came of it) and got information {information:.3}; I_min of the deployment is {:.3}. Preset {}, seed {}.",
+        "{ground} The event began in TTI {start} and ended in TTI {last}, which is shown. The BS sent {wake_ups} and \
+         got information {information:.3}; I_min of the deployment is {:.3}. Preset {}, seed {}.",
         moment.i_min, scenario.preset, scenario.seed
     )
 }

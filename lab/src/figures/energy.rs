@@ -130,11 +130,12 @@ pub fn harvest_chart(setting: &Setting, points: &[Point]) -> Chart {
         x: axis(),
         y: Scale::Log { from: 0.01, to: 10.0 },
         caption: format!(
-            "Lines: closed form λ·exp(-λ)·E_B, Eq. (5); points: runs, 95 % intervals. Preset {}.{bands}",
+            "Lines: closed form λ·exp(−λ)·E_B, Eq. (5); points: runs, 95 % intervals. Preset {}.{bands}",
             setting.label()
         ),
         series,
         marks: Vec::new(),
+        zero_below: false,
     }
 }
 
@@ -142,10 +143,10 @@ pub fn harvest_chart(setting: &Setting, points: &[Point]) -> Chart {
 pub fn net_chart(setting: &Setting) -> Option<Chart> {
     let spent = |policy| Some(setting.estimate(policy, NET_N, "energy_per_device_tti")?.mean);
     let mut series = Vec::new();
-    let mut figures = String::new();
+    let mut figures = Vec::new();
     for policy in NET_POLICIES {
         let spent = spent(policy)?;
-        let _ = write!(figures, " {policy} spends {spent:.3}.");
+        figures.push(format!("{policy} spends {spent:.3}"));
         for (e_b, style) in E_B.into_iter().zip([Style::nth(0), Style::nth(3), Style::nth(4)]) {
             let net = lambdas().map(|x| Sample {
                 x,
@@ -181,10 +182,12 @@ pub fn net_chart(setting: &Setting) -> Option<Chart> {
             to: NET_ENDS.1,
         },
         marks: marks.collect(),
+        zero_below: false,
         caption: format!(
-            "Closed form λ·exp(-λ)·E_B, Eq. (5), less what the policy spends with {NET_N} devices, preset {}:{figures} Hollow, at \
-             zero: where the paper says that it turns positive.",
-            setting.label()
+            "Closed form λ·exp(−λ)·E_B, Eq. (5), less what the policy spends with {NET_N} devices, preset {}: \
+             {}. Hollow, at zero: where the paper says that it turns positive.",
+            setting.label(),
+            figures.join(", ")
         ),
         series,
     })

@@ -56,11 +56,8 @@ pub fn tints(neighbours: &BTreeSet<(usize, usize)>, of: &[u32], count: usize) ->
         }
     }
     let mut tints: Vec<usize> = Vec::with_capacity(clusters);
-    for cluster in 0..clusters {
-        let taken: Vec<usize> = touching[cluster]
-            .iter()
-            .filter_map(|other| tints.get(*other).copied())
-            .collect();
+    for (cluster, touched) in touching.iter().enumerate() {
+        let taken: Vec<usize> = touched.iter().filter_map(|other| tints.get(*other).copied()).collect();
         let free = (0..count).find(|tint| !taken.contains(tint));
         tints.push(free.unwrap_or(cluster % count));
     }
@@ -101,6 +98,14 @@ mod tests {
         let lines = borders(&points, &cells, &halves);
         let length: f64 = lines.iter().map(|(a, b)| a.distance(*b)).sum();
         assert!((length - 20.0).abs() < 1e-6, "one line across the area");
+    }
+
+    #[test]
+    fn the_edge_of_the_area_is_no_border() {
+        let points = [Point::new(9.5, 10.0), Point::new(10.5, 10.0)];
+        let lines = borders(&points, &cells(&points, SQUARE), &[0, 1]);
+        assert_eq!(lines.len(), 1, "{lines:?}");
+        assert!((lines[0].0.distance(lines[0].1) - 20.0).abs() < 1e-9);
     }
 
     #[test]

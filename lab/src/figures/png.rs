@@ -83,7 +83,10 @@ fn build(path: &Path) -> Option<tiny_skia::Path> {
 
 fn draw_shape(pixmap: &mut Pixmap, shape: &Shape, ground: Transform) {
     let Some(path) = build(&shape.path) else { return };
-    if let Some((paint, opacity)) = shape.fill {
+    let [left, top, right, bottom] = shape.path.bounds();
+    // An interval of no width has nothing to fill.
+    let has_surface = right - left > 1e-6 && bottom - top > 1e-6;
+    if let Some((paint, opacity)) = shape.fill.filter(|_| has_surface) {
         pixmap.fill_path(&path, &brush(paint, opacity), FillRule::Winding, ground, WHOLE);
     }
     if let Some(Stroke {

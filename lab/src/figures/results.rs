@@ -7,7 +7,7 @@ use sha2::{Digest as _, Sha256};
 
 use super::error::FigureError;
 use crate::report::claims::POLICIES;
-use crate::stats::{Estimate, cells};
+use crate::stats::{Cell, Estimate, cells};
 use crate::table::{About, Hash, Row, Table};
 
 /// A table and its name.
@@ -32,7 +32,7 @@ pub struct Setting {
     pub ttis: u64,
     /// Swept fields with their values.
     pub swept: Vec<(String, String)>,
-    /// The table, if its scenarios differ from the preset in more than that.
+    /// The table, if scenarios of it differ from their preset in more than that.
     pub changed_in: Option<String>,
     /// The runs by policy and N, each in the order of seeds.
     runs: BTreeMap<(String, u32), BTreeMap<u64, Row>>,
@@ -76,15 +76,21 @@ impl Results {
     }
 
     fn add(&mut self, name: &str, table: &Table) -> Result<(), FigureError> {
-        for cell in cells(table) {
+        let cells = cells(table);
+        let swept_of = |cell: &Cell<'_>| {
             let fields = table.schema.swept.iter().map(|(path, _)| path.clone());
-            let swept = fields.zip(cell.swept.iter().map(ToString::to_string)).collect();
-            let first = cell.rows[0];
+            fields
+                .zip(cell.swept.iter().map(ToString::to_string))
+                .collect::<Vec<_>>()
+        };
+        // A change may concern one policy alone; a table's policies stay together all the same.
+        let is_changed = cells.iter().any(|cell| !is_of_preset(cell.rows[0], &swept_of(cell)));
+        for cell in cells {
             let wanted = Setting {
                 preset: cell.preset.to_owned(),
                 ttis: cell.ttis,
-                changed_in: (!is_of_preset(first, &swept)).then(|| name.to_owned()),
-                swept,
+                changed_in: is_changed.then(|| name.to_owned()),
+                swept: swept_of(&cell),
                 runs: BTreeMap::new(),
             };
             let found = self.settings.iter().position(|s| s.is_like(&wanted));
@@ -119,7 +125,7 @@ fn digests(table: &Table) -> String {
 }
 
 /// Whether the scenario of `row` is its preset with nothing changed but what the columns of the table say.
-fn is_of_preset(row: &Row, swept: &Vec<(String, String)>) -> bool {
+fn is_of_preset(row: &Row, swept: &[(String, String)]) -> bool {
     let mut overrides = vec![
         format!("policy.name={}", row.policy),
         format!("devices={}", row.n),

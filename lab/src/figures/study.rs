@@ -97,7 +97,7 @@ pub const FIGURES: [Figure; 7] = {
         figure(
             "wasted",
             "wasted_energy_per_event",
-            "Energy wasted by wrong activations",
+            "Energy wasted",
             "units per event",
             "Fig. 12b",
             false,
@@ -167,6 +167,7 @@ impl Figure {
             },
             y: self.y_scale(&series, &marks),
             caption: self.caption(setting, &series, &marks, &undefined),
+            zero_below: self.is_log && has_zero(&series),
             series,
             marks,
         };
@@ -199,7 +200,8 @@ impl Figure {
     fn y_scale(&self, series: &[Series], marks: &[Mark]) -> Scale {
         let ends = |s: &Sample| {
             let half = if s.half.is_finite() { s.half } else { 0.0 };
-            [s.y - half, s.y + half]
+            // None of these metrics can be negative, whatever an interval says.
+            [(s.y - half).max(s.y.min(0.0)), s.y + half]
         };
         let measured = series.iter().flat_map(|s| &s.samples);
         let stated = marks.iter().flat_map(|m| m.stated.values());
@@ -210,9 +212,8 @@ impl Figure {
         let values = measured.clone().flat_map(|s| [s.y, ends(s)[1]]).chain(stated);
         let scale = Scale::log(values).unwrap_or(Scale::Log { from: 0.01, to: 100.0 });
         let (from, to) = scale.ends();
-        let has_zero = measured.clone().any(|s| s.y <= 0.0);
         Scale::Log {
-            from: if has_zero { from / 10.0 } else { from },
+            from: if has_zero(series) { from / 10.0 } else { from },
             to,
         }
     }
@@ -229,10 +230,10 @@ impl Figure {
             setting.ttis
         );
         if !marks.is_empty() {
-            text.push_str(" Hollow, beside their N: what the paper states; box: a range, arrow: a bound.");
+            text.push_str(" What the paper states stands beside its N; box: a range, arrow: a bound.");
         }
-        if self.is_log && series.iter().flat_map(|s| &s.samples).any(|s| s.y <= 0.0) {
-            text.push_str(" At the lower border: none seen.");
+        if self.is_log && has_zero(series) {
+            text.push_str(" Not one seen: at the lower border.");
         }
         if !undefined.is_empty() {
             let _ = write!(text, " Not defined for {}.", undefined.join(", "));
@@ -280,6 +281,10 @@ impl Figure {
         }
         out
     }
+}
+
+fn has_zero(series: &[Series]) -> bool {
+    series.iter().flat_map(|s| &s.samples).any(|s| s.y <= 0.0)
 }
 
 /// Where and how `claim`, one of `claims`, is marked; `None` if it is not about one N.

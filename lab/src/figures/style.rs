@@ -111,10 +111,9 @@ impl Style {
         scene.area(self.marker.path(at, MARKER), self.paint, 1.0);
     }
 
-    /// Puts a hollow marker on `scene`, larger, so that it shows around a full one.
+    /// Puts a hollow marker on `scene`, larger, so that it shows around a full one, and what is under it shows through.
     pub fn mark_hollow(self, scene: &mut Scene, at: (f64, f64)) {
-        let stroke = Stroke::solid(self.paint, 0.9);
-        scene.outlined(self.marker.path(at, 1.45 * MARKER), Paint::Paper, stroke);
+        scene.line(self.marker.path(at, 1.45 * MARKER), Stroke::solid(self.paint, 0.9));
     }
 }
 

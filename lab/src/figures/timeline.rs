@@ -169,7 +169,7 @@ pub fn scene(scenario: &Scenario, timeline: &Timeline) -> Scene {
         ttis: (timeline.end - timeline.from) as f64,
     };
     let top = EDGE + LARGE + LEADING + 4.0;
-    axis.legend(&mut scene, top);
+    legend(&mut scene, top);
     let top = top + 8.0;
     let height = BATTERY + 4.0 * LANE + GAP;
     let bottom = top + height * timeline.devices.len() as f64 - GAP;
@@ -190,6 +190,39 @@ pub fn scene(scenario: &Scenario, timeline: &Timeline) -> Scene {
     scene
 }
 
+fn legend(scene: &mut Scene, y: f64) {
+    let mut x = EDGE;
+    let middle = y - 0.35 * SMALL;
+    let mut entry = |scene: &mut Scene, text: &str, draw: &dyn Fn(&mut Scene, f64)| {
+        draw(scene, x);
+        scene.text(Text::new(text, (x + 13.0, y), SMALL));
+        x += 13.0 + super::font::width(text, Weight::Regular, SMALL) + 11.0;
+    };
+    entry(scene, "event", &|scene, x| {
+        let span = [x, middle - 4.0, x + 10.0, middle + 4.0];
+        scene.area(Path::rectangle(span), Paint::Colour(ORANGE), 0.35);
+    });
+    entry(scene, "event nobody reported", &|scene, x| {
+        let span = [x, middle - 4.0, x + 10.0, middle + 4.0];
+        scene.area(Path::rectangle(span), Paint::Ink, 0.25);
+    });
+    entry(scene, "battery", &|scene, x| {
+        let line = Path::segment((x, middle), (x + 10.0, middle));
+        scene.line(line, Stroke::solid(Paint::Colour(BLUE), 1.2));
+    });
+    entry(scene, "E_Tx", &|scene, x| {
+        scene.line(Path::segment((x, middle), (x + 10.0, middle)), threshold());
+    });
+    entry(scene, "wake-up", &|scene, x| wake_up(scene, x + 5.0, middle + 4.0));
+    entry(scene, "S2 without the energy for a report", &|scene, x| {
+        failure(scene, x + 5.0, middle);
+    });
+    entry(scene, "no power", &|scene, x| {
+        let span = [x, middle - 3.0, x + 10.0, middle + 3.0];
+        scene.outlined(Path::rectangle(span), Paint::Paper, Stroke::solid(Paint::Ink, 0.5));
+    });
+}
+
 struct Axis {
     from: f64,
     ttis: f64,
@@ -199,39 +232,6 @@ impl Axis {
     /// Where TTI `k` begins.
     fn x(&self, k: f64) -> f64 {
         LEFT + ((k - self.from) / self.ttis).clamp(0.0, 1.0) * (RIGHT - LEFT)
-    }
-
-    fn legend(&self, scene: &mut Scene, y: f64) {
-        let mut x = EDGE;
-        let middle = y - 0.35 * SMALL;
-        let mut entry = |scene: &mut Scene, text: &str, draw: &dyn Fn(&mut Scene, f64)| {
-            draw(scene, x);
-            scene.text(Text::new(text, (x + 13.0, y), SMALL));
-            x += 13.0 + super::font::width(text, Weight::Regular, SMALL) + 11.0;
-        };
-        entry(scene, "event", &|scene, x| {
-            let span = [x, middle - 4.0, x + 10.0, middle + 4.0];
-            scene.area(Path::rectangle(span), Paint::Colour(ORANGE), 0.35);
-        });
-        entry(scene, "event nobody reported", &|scene, x| {
-            let span = [x, middle - 4.0, x + 10.0, middle + 4.0];
-            scene.area(Path::rectangle(span), Paint::Ink, 0.25);
-        });
-        entry(scene, "battery", &|scene, x| {
-            let line = Path::segment((x, middle), (x + 10.0, middle));
-            scene.line(line, Stroke::solid(Paint::Colour(BLUE), 1.2));
-        });
-        entry(scene, "E_Tx", &|scene, x| {
-            scene.line(Path::segment((x, middle), (x + 10.0, middle)), threshold());
-        });
-        entry(scene, "wake-up", &|scene, x| wake_up(scene, x + 5.0, middle + 4.0));
-        entry(scene, "S2 without the energy for a report", &|scene, x| {
-            failure(scene, x + 5.0, middle)
-        });
-        entry(scene, "no power", &|scene, x| {
-            let span = [x, middle - 3.0, x + 10.0, middle + 3.0];
-            scene.outlined(Path::rectangle(span), Paint::Paper, Stroke::solid(Paint::Ink, 0.5));
-        });
     }
 
     fn events(&self, scene: &mut Scene, events: &[EventRecord], top: f64, bottom: f64) {

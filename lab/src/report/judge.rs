@@ -93,15 +93,16 @@ pub fn judge(topic: &Topic, claim: &Claim, setting: &Setting) -> Judgement {
         return judgement;
     }
     let surely_not = fits.iter().any(|(fits, firm)| !fits && *firm);
-    let mut order_firm = true;
+    let (mut all_firm, mut surely_wrong) = (true, false);
     for &n in &sizes {
-        for other in rivals(topic, claim, n) {
-            let (Some(own), Some(theirs)) = (estimate(claim.policy, n), estimate(other.policy, n)) else {
+        for (other, is_lower) in rivals(topic, claim, n) {
+            let (Some(own), Some(theirs)) = (estimate(claim.policy, n), estimate(other, n)) else {
                 continue;
             };
-            let (as_stated, firm) = stands(claim, other, own, theirs);
-            order_firm &= firm;
-            judgement.order.push((n, other.policy, as_stated));
+            let (as_stated, firm) = stands(is_lower, own, theirs);
+            all_firm &= firm;
+            surely_wrong |= firm && !as_stated;
+            judgement.order.push((n, other, as_stated));
         }
     }
     let has_order = !judgement.order.is_empty() && judgement.order.iter().all(|(_, _, same)| *same);
@@ -110,7 +111,12 @@ pub fn judge(topic: &Topic, claim: &Claim, setting: &Setting) -> Judgement {
     } else {
         Verdict::NotReproduced
     };
-    judgement.firm = surely_not && (order_firm || judgement.order.is_empty());
+    let order_firm = if has_order {
+        all_firm
+    } else {
+        surely_wrong || judgement.order.is_empty()
+    };
+    judgement.firm = surely_not && order_firm;
     judgement
 }
 
@@ -170,21 +176,35 @@ fn firm_within(result: bool, from: f64, to: f64, low: f64, high: f64) -> bool {
     }
 }
 
-/// The other claims of `topic` that hold for `n`, state figures of another policy, and exclude those of `claim`.
-fn rivals<'t>(topic: &'t Topic, claim: &Claim, n: u32) -> impl Iterator<Item = &'t Claim> {
-    let own = claim.relation.range();
-    topic.claims.iter().filter(move |other| {
-        let apart = own
-            .zip(other.relation.range())
-            .is_some_and(|((a, b), (c, d))| b < c || d < a);
-        other.sites.holds(n) && apart
-    })
+/// What the paper states of the policy of `claim` at `n`, from and to; a ratio stands for its multiple of what is stated of
+/// the other policy.
+fn stated(topic: &Topic, claim: &Claim, n: u32) -> Option<(f64, f64)> {
+    let Relation::Times(factor, other) = claim.relation else {
+        return claim.relation.range();
+    };
+    let base = topic.claims.iter().find(|c| c.policy == other && c.sites.holds(n))?;
+    let (low, high) = base.relation.range()?;
+    Some((factor * low, factor * high))
 }
 
-/// Whether `own` stands to `theirs` as the claims have it, and whether their intervals leave no doubt.
-fn stands(claim: &Claim, other: &Claim, own: Estimate, theirs: Estimate) -> (bool, bool) {
-    let ends = |claim: &Claim| claim.relation.range().unwrap_or((f64::NAN, f64::NAN));
-    let is_lower = ends(claim).1 < ends(other).0;
+/// The policies of which the paper states figures at `n` that exclude those of `claim`, and whether `claim` is the lower.
+fn rivals(topic: &Topic, claim: &Claim, n: u32) -> Vec<(&'static str, bool)> {
+    let Some((low, high)) = stated(topic, claim, n) else {
+        return Vec::new();
+    };
+    let others = topic
+        .claims
+        .iter()
+        .filter(|other| other.policy != claim.policy && other.sites.holds(n));
+    let apart = others.filter_map(|other| {
+        let (least, most) = stated(topic, other, n)?;
+        (high < least || most < low).then_some((other.policy, high < least))
+    });
+    apart.collect()
+}
+
+/// Whether `own` stands to `theirs` as stated, and whether their intervals leave no doubt.
+fn stands(is_lower: bool, own: Estimate, theirs: Estimate) -> (bool, bool) {
     let difference = own.mean - theirs.mean;
     let as_stated = if is_lower { difference < 0.0 } else { difference > 0.0 };
     (as_stated, difference.abs() > own.half_width + theirs.half_width)

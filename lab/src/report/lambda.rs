@@ -92,7 +92,10 @@ fn judge(e_b: f64, stated: f64, policy: &str, spent: &Estimate) -> Ours {
         };
     };
     let fits = within(found, stated, stated);
-    let half = low.zip(high).map_or(f64::NAN, |(low, high)| 0.5 * (high - low));
+    let measured = match (low, high) {
+        (Some(low), Some(high)) => plus_minus(found, 0.5 * (high - low)),
+        (Some(_) | None, None) | (None, Some(_)) => format!("{}, perhaps never", number(found)),
+    };
     let firm = low
         .zip(high)
         .is_some_and(|(a, b)| within(a, stated, stated) == fits && within(b, stated, stated) == fits);
@@ -112,7 +115,7 @@ fn judge(e_b: f64, stated: f64, policy: &str, spent: &Estimate) -> Ours {
         )
     };
     Ours {
-        found: format!("{} ({policy})", plus_minus(found, half)),
+        found: format!("{measured} ({policy})"),
         verdict: if fits {
             Verdict::Reproduced
         } else {

@@ -77,7 +77,7 @@ fn tally(report: &Report<'_>) -> String {
 }
 
 fn head(report: &Report<'_>, source: &str) -> String {
-    let mut out = format!("\n## {source}\n\n| | policy | N | paper |");
+    let mut out = format!("\n## {source}\n\n| | policy | N | stated |");
     for column in &report.columns {
         let _ = write!(out, " {} | verdict |", cell(&column.label));
     }

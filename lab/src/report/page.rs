@@ -108,7 +108,7 @@ fn tally(report: &Report<'_>) -> String {
 
 fn head(report: &Report<'_>, source: &str) -> String {
     let mut out = format!(
-        "<h3>{}</h3>\n<div class=\"wide\"><table><thead><tr><th></th><th>policy</th><th>N</th><th>paper</th>",
+        "<h3>{}</h3>\n<div class=\"wide\"><table><thead><tr><th></th><th>policy</th><th>N</th><th>stated</th>",
         escape(source)
     );
     for column in &report.columns {

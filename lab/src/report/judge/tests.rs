@@ -39,6 +39,7 @@ const fn about(v: f64) -> Claim {
 #[test]
 fn twenty_percent_is_within_and_a_hair_more_is_not() {
     const ONE: &[Claim] = &[about(10.0)];
+    const TENTH: &[Claim] = &[about(0.1)];
     for (value, expected) in [
         (12.0, Verdict::Reproduced),
         (12.000_01, Verdict::NotReproduced),
@@ -48,7 +49,6 @@ fn twenty_percent_is_within_and_a_hair_more_is_not() {
         assert_eq!(verdict(ONE, &[("knn", 250, &[value, value])]).0, expected, "{value}");
     }
     // 0.1 · 1.2 is not 0.12 in binary.
-    const TENTH: &[Claim] = &[about(0.1)];
     assert_eq!(verdict(TENTH, &[("knn", 250, &[0.12, 0.12])]).0, Verdict::Reproduced);
 }
 
@@ -58,13 +58,6 @@ fn ranges_are_widened_at_both_ends_and_bounds_are_not() {
         relation: Relation::Between(10.0, 20.0),
         ..about(0.0)
     }];
-    for (value, fits) in [(8.0, true), (7.9, false), (24.0, true), (24.1, false), (15.0, true)] {
-        assert_eq!(
-            verdict(RANGE, &[("knn", 250, &[value; 2])]).0 == Verdict::Reproduced,
-            fits,
-            "{value}"
-        );
-    }
     const BELOW: &[Claim] = &[Claim {
         relation: Relation::Below(6.0),
         ..about(0.0)
@@ -73,6 +66,13 @@ fn ranges_are_widened_at_both_ends_and_bounds_are_not() {
         relation: Relation::Above(6.0),
         ..about(0.0)
     }];
+    for (value, fits) in [(8.0, true), (7.9, false), (24.0, true), (24.1, false), (15.0, true)] {
+        assert_eq!(
+            verdict(RANGE, &[("knn", 250, &[value; 2])]).0 == Verdict::Reproduced,
+            fits,
+            "{value}"
+        );
+    }
     for (value, below, above) in [(5.99, true, false), (6.0, false, false), (6.01, false, true)] {
         assert_eq!(
             verdict(BELOW, &[("knn", 250, &[value; 2])]).0 == Verdict::Reproduced,
@@ -128,6 +128,13 @@ fn order_counts_where_the_value_does_not_fit() {
             ..about(0.0)
         },
     ];
+    const EQUALS: &[Claim] = &[
+        about(10.0),
+        Claim {
+            policy: "random",
+            ..about(10.0)
+        },
+    ];
     let of = |knn, random, genie| {
         let runs: [(&str, u32, &[f64]); 3] = [
             ("knn", 250, &[knn; 2]),
@@ -145,19 +152,70 @@ fn order_counts_where_the_value_does_not_fit() {
         Verdict::NotReproduced,
         "nobody to compare with"
     );
-    const EQUALS: &[Claim] = &[
-        about(10.0),
-        Claim {
-            policy: "random",
-            ..about(10.0)
-        },
-    ];
     let runs: [(&str, u32, &[f64]); 2] = [("knn", 250, &[50.0; 2]), ("random", 250, &[60.0; 2])];
     assert_eq!(
         verdict(EQUALS, &runs).0,
         Verdict::NotReproduced,
         "the paper states no order of equals"
     );
+}
+
+#[test]
+fn a_ratio_takes_part_in_the_order_by_the_figure_it_stands_for() {
+    const RATIO: &[Claim] = &[
+        about(0.4),
+        Claim {
+            policy: "random",
+            relation: Relation::Times(0.25, "genie"),
+            ..about(0.0)
+        },
+        Claim {
+            policy: "genie",
+            ..about(0.8)
+        },
+    ];
+    let of = |knn: &[f64], random: &[f64]| {
+        verdict(
+            RATIO,
+            &[("knn", 250, knn), ("random", 250, random), ("genie", 250, &[0.8; 2])],
+        )
+        .0
+    };
+    assert_eq!(of(&[0.2; 2], &[0.1; 2]), Verdict::OrderReproduced);
+    assert_eq!(
+        of(&[0.2; 2], &[0.3; 2]),
+        Verdict::NotReproduced,
+        "random, a quarter of genie, must be below"
+    );
+}
+
+#[test]
+fn an_order_is_firm_if_intervals_are_apart_and_its_lack_if_one_pair_is_surely_wrong() {
+    const THREE: &[Claim] = &[
+        about(10.0),
+        Claim {
+            policy: "random",
+            ..about(20.0)
+        },
+        Claim {
+            policy: "genie",
+            ..about(1.0)
+        },
+    ];
+    let of = |random: &'static [f64], genie: &'static [f64]| {
+        verdict(
+            THREE,
+            &[
+                ("knn", 250, &[50.0, 50.1]),
+                ("random", 250, random),
+                ("genie", 250, genie),
+            ],
+        )
+    };
+    assert_eq!(of(&[60.0, 60.1], &[40.0, 40.1]), (Verdict::OrderReproduced, true));
+    assert_eq!(of(&[50.2, 50.3], &[40.0, 40.1]), (Verdict::OrderReproduced, false));
+    assert_eq!(of(&[49.9, 50.0], &[40.0, 40.1]), (Verdict::NotReproduced, false));
+    assert_eq!(of(&[49.9, 50.0], &[60.0, 60.1]), (Verdict::NotReproduced, true));
 }
 
 #[test]
