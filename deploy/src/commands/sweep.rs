@@ -103,10 +103,11 @@ fn threads(args: &SweepArgs) -> anyhow::Result<usize> {
 fn folder(args: &SweepArgs, grid: &Grid, shard: Shard) -> PathBuf {
     args.out.clone().unwrap_or_else(|| {
         let hash = identity(grid);
-        let mut name = format!("sweep-{}", &hash[..12]);
-        if shard != Shard::WHOLE {
-            name += &format!("-{}of{}", shard.index(), shard.count());
-        }
-        Path::new("runs").join(name)
+        let share = if shard == Shard::WHOLE {
+            String::new()
+        } else {
+            format!("-{}of{}", shard.index(), shard.count())
+        };
+        Path::new("runs").join(format!("sweep-{}{share}", &hash[..12]))
     })
 }
