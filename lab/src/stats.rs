@@ -30,6 +30,26 @@ impl Estimate {
         moments.estimate()
     }
 
+    /// The same, with NaN for everything if no value is left.
+    pub fn over(values: impl IntoIterator<Item = f64>) -> Self {
+        Self::of(values).unwrap_or(Self {
+            mean: f64::NAN,
+            deviation: f64::NAN,
+            half_width: f64::NAN,
+            runs: 0,
+        })
+    }
+
+    /// The ends of the interval.
+    pub fn interval(&self) -> (f64, f64) {
+        (self.mean - self.half_width, self.mean + self.half_width)
+    }
+
+    /// Whether `value` lies in the interval.
+    pub fn covers(&self, value: f64) -> bool {
+        (value - self.mean).abs() <= self.half_width
+    }
+
     /// Half-width over the magnitude of the mean; 0 where all values are the same, infinite where it is not known.
     pub fn relative(&self) -> f64 {
         if self.half_width == 0.0 {
@@ -185,6 +205,16 @@ mod tests {
         assert!(one.half_width.is_nan() && one.relative().is_infinite());
         let same = Estimate::of([0.0, 0.0, 0.0]).expect("values");
         assert!(same.relative() == 0.0, "three times nothing is known well");
+    }
+
+    #[test]
+    fn an_interval_is_as_wide_as_it_says() {
+        let estimate = Estimate::over([1.0, f64::NAN, 2.0, 3.0]);
+        let half = 4.302_653 / 3.0_f64.sqrt();
+        let (low, high) = estimate.interval();
+        assert!((low - (2.0 - half)).abs() < 1e-5 && (high - (2.0 + half)).abs() < 1e-5);
+        assert!(estimate.covers(4.4) && !estimate.covers(4.5));
+        assert!(Estimate::over([]).mean.is_nan() && !Estimate::over([4.0]).covers(4.0));
     }
 
     #[test]

@@ -9,9 +9,10 @@ use reveille_common::harvest::eq5_probability;
 use reveille_common::scenario::{Harvest, Scenario};
 use reveille_common::units::Energy;
 
+use super::AnalysisError;
 use super::runs::{check_seeds, over_seeds};
-use super::{AnalysisError, Estimate};
 use crate::run::run;
+use crate::stats::Estimate;
 
 /// The largest λ that can be studied.
 const LARGEST_LAMBDA: f64 = 1000.0;
@@ -139,9 +140,9 @@ impl Study {
             lambda,
             e_b: e_b.units(),
             closed_form: e_b.units() * reading.probability(lambda, scenario.tau),
-            harvested: Estimate::of(metrics.iter().map(|m| m.harvested_per_device_tti)),
-            spent: Estimate::of(metrics.iter().map(|m| m.energy_per_device_tti)),
-            net: Estimate::of(metrics.iter().map(|m| m.net_per_device_tti)),
+            harvested: Estimate::over(metrics.iter().map(|m| m.harvested_per_device_tti)),
+            spent: Estimate::over(metrics.iter().map(|m| m.energy_per_device_tti)),
+            net: Estimate::over(metrics.iter().map(|m| m.net_per_device_tti)),
         }
     }
 }
@@ -152,7 +153,7 @@ impl Study {
 /// If `seeds` is 0.
 pub fn consumption(scenario: &Scenario, seeds: u64) -> Result<Estimate, AnalysisError> {
     check_seeds(seeds)?;
-    Ok(Estimate::of(over_seeds(scenario, seeds, |one| {
+    Ok(Estimate::over(over_seeds(scenario, seeds, |one| {
         run(one).metrics.energy_per_device_tti
     })))
 }

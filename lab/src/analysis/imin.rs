@@ -4,8 +4,9 @@ use reveille_bs::wakeup::i_min;
 use reveille_common::deployment::Deployment;
 use reveille_common::scenario::Scenario;
 
+use super::AnalysisError;
 use super::runs::{check_seeds, over_seeds};
-use super::{AnalysisError, Estimate};
+use crate::stats::Estimate;
 
 /// I_min of the deployments of one scenario.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,7 +32,7 @@ pub fn measure(scenario: &Scenario, seeds: u64) -> Result<IMin, AnalysisError> {
     let largest = values.iter().copied().fold(0.0, f64::max);
     let half_diagonal = (scenario.area.surface() / (2.0 * f64::from(scenario.devices))).sqrt();
     Ok(IMin {
-        measured: Estimate::of(values),
+        measured: Estimate::over(values),
         range: (least, largest),
         grid: scenario.sensing.p(half_diagonal),
     })
@@ -53,7 +54,7 @@ mod tests {
     fn a_square_grid_is_eq_e_info1_and_random_layouts_do_worse() {
         let grid = study(&["layout.kind=grid", "devices=100"]);
         assert!(
-            (grid.measured.mean - grid.grid).abs() < 1e-12 && grid.measured.sd < 1e-12,
+            (grid.measured.mean - grid.grid).abs() < 1e-12 && grid.measured.deviation < 1e-12,
             "{grid:?}"
         );
         // √(400 / 200) = √2 m.
@@ -69,7 +70,7 @@ mod tests {
                 "{layout}: {random:?}"
             );
             assert!(
-                random.measured.sd > 0.0 && random.range.0 < random.measured.mean,
+                random.measured.deviation > 0.0 && random.range.0 < random.measured.mean,
                 "{layout}: {random:?}"
             );
         }

@@ -6,7 +6,6 @@
 
 pub mod battery;
 mod error;
-mod estimate;
 pub mod harvest;
 pub mod imin;
 mod runs;
@@ -14,4 +13,3 @@ pub mod runtime;
 pub mod transitions;
 
 pub use error::AnalysisError;
-pub use estimate::Estimate;

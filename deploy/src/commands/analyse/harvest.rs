@@ -3,10 +3,10 @@
 use std::process::ExitCode;
 
 use reveille_common::units::Energy;
-use reveille_lab::analysis::Estimate;
 use reveille_lab::analysis::harvest::{
     Point, Reading, STATED, Stated, Study, consumption, demand, measure, positive_net,
 };
+use reveille_lab::stats::Estimate;
 
 use super::lists::{energies, numbers, readings, scenario, words};
 use super::sheet::{Cell, Findings, Sheet};

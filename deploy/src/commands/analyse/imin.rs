@@ -37,7 +37,7 @@ pub fn run(args: &IminArgs) -> anyhow::Result<ExitCode> {
                 scenario.devices.into(),
                 found.grid.into(),
                 found.measured.mean.into(),
-                found.measured.sd.into(),
+                found.measured.deviation.into(),
                 found.measured.half_width.into(),
                 found.range.0.into(),
                 found.range.1.into(),

@@ -19,8 +19,9 @@ pub use measured::Sample;
 use reveille_common::scenario::EnergyModel;
 use reveille_common::units::Energy;
 
+use super::AnalysisError;
 use super::harvest::Reading;
-use super::{AnalysisError, Estimate};
+use crate::stats::Estimate;
 
 /// The fewest devices that are measured: intervals are taken between devices.
 const FEWEST_DEVICES: u32 = 2;
@@ -116,7 +117,7 @@ pub fn compare(study: &Study) -> Result<Comparison, AnalysisError> {
             .map(|((edge, a), b)| (edge, a, b))
             .collect(),
         chain_mean: mean(&steady.levels),
-        measured_mean: Estimate::of(shares.iter().map(|one| mean(one))),
+        measured_mean: Estimate::over(shares.iter().map(|one| mean(one))),
         availability: [study.model.e_tx, study.model.e_idle].map(availability),
         steady,
     })
@@ -171,7 +172,7 @@ impl Study {
         Availability {
             threshold: threshold.units(),
             chain: steady.at_least(level),
-            measured: Estimate::of(shares.iter().map(|one| one.iter().skip(level).sum())),
+            measured: Estimate::over(shares.iter().map(|one| one.iter().skip(level).sum())),
             eq8: Eq8::new(threshold.units(), self.model.e_max.units(), states, self.activation),
         }
     }

@@ -21,8 +21,9 @@ use reveille_common::deployment::Deployment;
 use reveille_common::plan::DutyCycle;
 use reveille_common::scenario::Scenario;
 
+use super::AnalysisError;
 use super::runs::{check_seeds, over_seeds};
-use super::{AnalysisError, Estimate};
+use crate::stats::Estimate;
 
 /// The transitions (m, n) of Fig. 4, in the order of everything here.
 pub const PAIRS: [(usize, usize); 10] = [
@@ -104,13 +105,13 @@ pub fn measure(scenario: &Scenario, seeds: u64) -> Result<Transitions, AnalysisE
         Transition {
             from,
             to,
-            printed: Estimate::of(proper.clone()).mean,
+            printed: Estimate::over(proper.clone()).mean,
             printed_range: (proper.clone().fold(f64::NAN, f64::min), proper.fold(f64::NAN, f64::max)),
             improper: values.iter().filter(|v| !is_probability(**v)).count(),
             by_duty: by_duty(&duties, from, to),
             count,
             visits,
-            measured: Estimate::of(
+            measured: Estimate::over(
                 runs.iter()
                     .map(|(counts, ..)| share(counts.of(from, to), counts.visits(from))),
             ),
