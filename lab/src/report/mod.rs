@@ -1,6 +1,6 @@
 //! The report: every claim of the paper beside what the lab measured, with a verdict by a stated rule.
 //!
-//! [`claims`] is what the paper says, [`judge`] the rule, [`Report`] both applied to result tables; [`page`] and
+//! [`claims`] is what the paper says, [`mod@judge`] the rule, [`Report`] both applied to result tables; [`page`] and
 //! [`markdown`] write it down.
 
 pub mod claims;
