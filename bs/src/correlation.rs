@@ -111,7 +111,10 @@ impl Correlation {
         let rows = (d_max / step).round() as usize + 1;
         let columns = (2.0 * d_max / step).round() as usize + 2;
         let factor = libm::exp(eta * step) * (1.0 + 1e-9);
-        let value = |i: usize, j: usize| (self.p42(i as f64 * step, j as f64 * step) + QUADRATURE_ERROR) * factor;
+        let value = |i: usize, j: usize| {
+            let bound = (self.p42(i as f64 * step, j as f64 * step) + QUADRATURE_ERROR) * factor;
+            bound.min(1.0)
+        };
         let band = |i: usize, column: usize| Band {
             column,
             bound: value(i, column),
@@ -166,9 +169,11 @@ impl Correlation {
     }
 }
 
-/// exp(-x) for `x` from 0 to 700, to 15 digits, in a form of which the compiler makes several at a time.
+/// exp(-x) for `x` ≥ 0 to 15 digits, in a form of which the compiler makes several at a time. Beyond 708, where normal
+/// doubles end, it stays at exp(-708), less than any p(d_max) that a scenario may have.
 #[inline]
 fn decay(x: f64) -> f64 {
+    let x = if x < LONGEST_DECAY { x } else { LONGEST_DECAY };
     // Adding it leaves the nearest whole number in the lowest bits.
     const ROUND: f64 = (3_u64 << 51) as f64;
     // ln 2 in two parts, the first with so few digits that its multiples are exact.
@@ -182,6 +187,9 @@ fn decay(x: f64) -> f64 {
     let power = f64::from_bits((shifted.to_bits() << 52).wrapping_add(1023 << 52));
     series * power
 }
+
+/// The largest exponent of [`decay`].
+const LONGEST_DECAY: f64 = 708.0;
 
 /// 1 / k! for k = 0, 1, …
 const INVERSE_FACTORIALS: [f64; 13] = [
@@ -322,6 +330,7 @@ mod tests {
             assert!((decay(x) / exact - 1.0).abs() < 4e-16 * (1.0 + x), "{x}");
         }
         assert_eq!(decay(0.0).to_bits(), 1.0_f64.to_bits());
+        assert_eq!(decay(2100.0).to_bits(), decay(708.0).to_bits());
     }
 
     #[test]

@@ -205,8 +205,13 @@ mod tests {
     }
 
     /// The definition: all candidates that may be woken with their largest probability, sorted.
-    fn sorted(points: &[Point], reporters: &[(DeviceId, f64)], candidate: impl Fn(DeviceId) -> bool) -> Vec<DeviceId> {
-        let correlation = Correlation::new(&paper());
+    fn sorted(
+        sensing: &Sensing,
+        points: &[Point],
+        reporters: &[(DeviceId, f64)],
+        candidate: impl Fn(DeviceId) -> bool,
+    ) -> Vec<DeviceId> {
+        let correlation = Correlation::new(sensing);
         let mut ranked: Vec<_> = (0..points.len() as u32)
             .map(DeviceId)
             .filter(|&j| candidate(j))
@@ -214,39 +219,61 @@ mod tests {
                 let by = |&(h, d): &(DeviceId, f64)| correlation.p42(d, points[h.index()].distance(points[j.index()]));
                 (reporters.iter().map(by).fold(0.0, f64::max), j)
             })
-            .filter(|&(probability, _)| probability >= paper().p(4.0))
+            .filter(|&(probability, _)| probability >= sensing.p(sensing.d_max))
             .collect();
         let nano = |p: f64| (p * 1e9).round() as u64;
         ranked.sort_by_key(|&(probability, j)| (std::cmp::Reverse(nano(probability)), j));
         ranked.into_iter().map(|(_, j)| j).collect()
     }
 
+    /// Compares [`Ranking`] with the definition over three events on random points.
+    fn compare(sensing: &Sensing, case: u64, stream: &mut Stream) {
+        // A grid of devices that report from their own cell makes ties by the dozen.
+        let layout = [Layout::Uniform, Layout::Grid, Layout::Hex, Layout::JitteredGrid][case as usize % 4].clone();
+        let points = place(&layout, AREA, 1 + (case % 90) as u32, case);
+        let mut ranking = Ranking::new(&points, AREA, Correlation::new(sensing));
+        for _event in 0..3 {
+            let may = |j: DeviceId| (u64::from(j.0) + case) % 5 != 0;
+            let (mut reporters, mut given) = (Vec::new(), Vec::new());
+            ranking.start();
+            for _report in 0..=stream.below(4) {
+                let reporter = DeviceId(stream.below(points.len() as u64) as u32);
+                let d = [0.0, 1.0, 4.0, 4.0 * stream.unit()][stream.below(4) as usize];
+                reporters.push((reporter, d));
+                ranking.add_reporter(reporter, d);
+                for _ in 0..stream.below(3) {
+                    let expected = sorted(sensing, &points, &reporters, |j| may(j) && !given.contains(&j));
+                    let next = ranking.next(may);
+                    assert_eq!(
+                        next,
+                        expected.first().copied(),
+                        "case {case}, {layout:?}, eta {}",
+                        sensing.eta
+                    );
+                    given.extend(next);
+                }
+            }
+            let rest: Vec<_> = std::iter::from_fn(|| ranking.next(may)).collect();
+            let expected = sorted(sensing, &points, &reporters, |j| may(j) && !given.contains(&j));
+            assert_eq!(rest, expected, "case {case}, {layout:?}, eta {}", sensing.eta);
+        }
+    }
+
     #[test]
     fn gives_the_order_of_a_full_sort_also_between_reports() {
         let mut stream = Stream::new(6, Purpose::Epicentre, 0);
-        for case in 0..400_u64 {
-            // A grid of devices that report from their own cell makes ties by the dozen.
-            let layout = [Layout::Uniform, Layout::Grid, Layout::Hex, Layout::JitteredGrid][case as usize % 4].clone();
-            let points = place(&layout, AREA, 1 + (case % 90) as u32, case);
-            let mut ranking = ranking(&points);
-            for _event in 0..3 {
-                let may = |j: DeviceId| (u64::from(j.0) + case) % 5 != 0;
-                let (mut reporters, mut given) = (Vec::new(), Vec::new());
-                ranking.start();
-                for _report in 0..=stream.below(4) {
-                    let reporter = DeviceId(stream.below(points.len() as u64) as u32);
-                    let d = [0.0, 1.0, 4.0, 4.0 * stream.unit()][stream.below(4) as usize];
-                    reporters.push((reporter, d));
-                    ranking.add_reporter(reporter, d);
-                    for _ in 0..stream.below(3) {
-                        let expected = sorted(&points, &reporters, |j| may(j) && !given.contains(&j));
-                        let next = ranking.next(may);
-                        assert_eq!(next, expected.first().copied(), "case {case}, {layout:?}");
-                        given.extend(next);
-                    }
-                }
-                let rest: Vec<_> = std::iter::from_fn(|| ranking.next(may)).collect();
-                assert_eq!(rest, sorted(&points, &reporters, |j| may(j) && !given.contains(&j)));
+        for case in 0..400 {
+            compare(&paper(), case, &mut stream);
+        }
+    }
+
+    #[test]
+    fn a_steep_decay_keeps_the_order() {
+        let mut stream = Stream::new(7, Purpose::Epicentre, 0);
+        for eta in [10.0, 37.5, 75.0, 175.0] {
+            let steep = Sensing { eta, ..paper() };
+            for case in 0..24 {
+                compare(&steep, case, &mut stream);
             }
         }
     }
