@@ -173,12 +173,12 @@ impl Correlation {
 /// doubles end, it stays at exp(-708), less than any p(d_max) that a scenario may have.
 #[inline]
 fn decay(x: f64) -> f64 {
-    let x = if x < LONGEST_DECAY { x } else { LONGEST_DECAY };
     // Adding it leaves the nearest whole number in the lowest bits.
     const ROUND: f64 = (3_u64 << 51) as f64;
     // ln 2 in two parts, the first with so few digits that its multiples are exact.
     const LN2_HIGH: f64 = 0.693_147_180_369_123_8;
     const LN2_LOW: f64 = 1.908_214_929_270_587_7e-10;
+    let x = if x < LONGEST_DECAY { x } else { LONGEST_DECAY };
     let shifted = -x * LOG2_E + ROUND;
     let n = shifted - ROUND;
     let r = (-x - n * LN2_HIGH) - n * LN2_LOW;

@@ -233,7 +233,7 @@ mod tests {
         let points = place(&layout, AREA, 1 + (case % 90) as u32, case);
         let mut ranking = Ranking::new(&points, AREA, Correlation::new(sensing));
         for _event in 0..3 {
-            let may = |j: DeviceId| (u64::from(j.0) + case) % 5 != 0;
+            let may = |j: DeviceId| !(u64::from(j.0) + case).is_multiple_of(5);
             let (mut reporters, mut given) = (Vec::new(), Vec::new());
             ranking.start();
             for _report in 0..=stream.below(4) {
