@@ -173,13 +173,29 @@ fn torn_and_garbled_rows_are_made_again() {
     fs::write(&journal, bytes).expect("written");
     fs::remove_file(folder.join("s/results.parquet")).expect("there");
     let end = folder.run(&format!("sweep {GRID} --out s"));
-    assert!(end.stderr.contains("2 rows of s were torn or garbled"), "{end}");
+    assert!(
+        end.stderr
+            .contains("2 rows of s/runs.journal were torn or garbled and have been taken out"),
+        "{end}"
+    );
     assert!(
         end.stderr.contains(&format!("{} finished runs found", RUNS - 2)),
         "{end}"
     );
     let table = fs::read(folder.join("s/results.parquet")).expect("a table");
     assert!(table == expected);
+    let end = folder.run(&format!("sweep {GRID} --out s"));
+    assert!(end.is_success() && !end.stderr.contains("garbled"), "told once: {end}");
+
+    fs::create_dir_all(folder.join("notes")).expect("writable");
+    folder.write("notes/runs.journal", "my precious notes");
+    assert_refused(
+        &folder.run(&format!("sweep {GRID} --out notes")),
+        1,
+        &["--out notes", "runs.journal that is none"],
+    );
+    let notes = fs::read_to_string(folder.join("notes/runs.journal")).expect("there");
+    assert_eq!(notes, "my precious notes");
 }
 
 #[test]

@@ -82,7 +82,7 @@ impl std::error::Error for Interrupted {}
 fn announce(args: &SweepArgs, sweep: &Sweep<'_>, folder: &Path) {
     if sweep.dropped() > 0 {
         tracing::warn!(
-            "{} rows of {} were torn or garbled; their runs are made again",
+            "{} rows of {}/runs.journal were torn or garbled and have been taken out; runs that are missing are made again",
             sweep.dropped(),
             folder.display()
         );

@@ -94,7 +94,7 @@ impl<'g> Sweep<'g> {
         self.found
     }
 
-    /// Runs in the journal that were torn or garbled, and will be made again.
+    /// Lines of the journal that were torn or garbled, and have been taken out when the folder was opened.
     pub fn dropped(&self) -> usize {
         self.journal.dropped()
     }
