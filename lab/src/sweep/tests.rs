@@ -265,6 +265,41 @@ fn tables_that_do_not_fit_are_not_merged() {
 }
 
 #[test]
+fn csv_shards_whose_text_looks_like_numbers_are_merged() {
+    let folder = Folder::new("kinds");
+    let trace = folder.0.join("t.csv");
+    fs::write(&trace, "5,abc\n1,2\n2,1\n").expect("writable");
+    let text = format!(
+        "devices = 4\nttis = 50\nseeds = 1\n[set]\nharvest.kind = \"trace\"\nharvest.trace.file = {}\n\
+         [grid]\nharvest.trace.column = [\"5\", \"abc\"]\n",
+        toml::Value::String(trace.to_string_lossy().into_owned())
+    );
+    let grid = grid(&text).expect("valid");
+    let whole = swept(&grid, "1/1", 1, &folder.0.join("whole")).0.table;
+    let shards = |is_told: bool| -> Vec<(PathBuf, Table)> {
+        let one = |shard: &str| {
+            let table = swept(&grid, shard, 1, &folder.0.join(shard)).0.table;
+            let path = folder.0.join(shard).join("results.csv");
+            table.write(&path, Format::Csv).expect("written");
+            if !is_told {
+                let side = folder.0.join(shard).join("results.csv.toml");
+                let lines = fs::read_to_string(&side).expect("there");
+                let kept = lines.lines().filter(|line| !line.contains("reveille.kinds"));
+                fs::write(&side, kept.collect::<Vec<_>>().join("\n")).expect("written");
+            }
+            (path.clone(), Table::read(&path).expect("readable"))
+        };
+        ["1/2", "2/2"].map(one).into()
+    };
+    for is_told in [true, false] {
+        let merged = merge(shards(is_told), false).expect("whole");
+        assert_eq!(merged, whole, "kinds told: {is_told}");
+        let path = folder.0.join("merged.parquet");
+        merged.write(&path, Format::Parquet).expect("one kind for all");
+    }
+}
+
+#[test]
 fn a_folder_of_another_sweep_is_refused() {
     let folder = Folder::new("foreign");
     let small = grid(SMALL).expect("valid");
