@@ -86,6 +86,10 @@ fn threads_shards_and_both_together_give_the_same_bytes() {
     assert!(!folder.join("lacking.parquet").exists());
     let partial = folder.run("merge s1 s3 --partial --out partial.parquet");
     assert!(partial.stdout.contains("of shards 1,3/3 alone"), "{partial}");
+    for out in ["s2/results.parquet", "s1/../s2/results.parquet"] {
+        let onto = folder.run(&format!("merge s1 s2 s3 --out {out}"));
+        assert_refused(&onto, 1, &[out, "is one of the tables to merge"]);
+    }
     let again = folder.run("merge s1 s1 --out twice.parquet");
     assert_refused(&again, 1, &["s1/results.parquet", "again"]);
 }
@@ -345,6 +349,35 @@ fn an_experiment_file_and_options_mean_the_same() {
         by_file == swept(&folder, "options/experiment.toml", "again"),
         "its own experiment.toml"
     );
+}
+
+#[test]
+fn a_folder_runs_again_without_the_scenario_file() {
+    let folder = Folder::new();
+    fs::create_dir_all(folder.join("mine/traces")).expect("writable");
+    folder.write("mine/traces/t.csv", "a,b\n1,2\n3,1\n");
+    folder.write(
+        "mine/s.toml",
+        "devices = 6\nttis = 200\npolicy.adjusted = { pilot_ttis = 50, t_on = [1, 2], t_drx = [2] }\n\
+         [harvest]\nkind = \"trace\"\ntrace = { file = \"traces/t.csv\", column = \"a\" }\n",
+    );
+    folder.write(
+        "mine/e.toml",
+        "scenario = \"s.toml\"\npolicies = [\"knn\", \"adjusted\"]\nseeds = 3\n",
+    );
+    let expected = swept(&folder, "mine/e.toml", "first");
+    fs::rename(folder.join("mine/s.toml"), folder.join("mine/gone.toml")).expect("there");
+    fs::rename(folder.join("mine/e.toml"), folder.join("e.toml")).expect("there");
+    for (from, out) in [("first", "second"), ("second", "third"), ("first", "first")] {
+        let again = swept(&folder, &format!("{from}/experiment.toml"), out);
+        assert!(again == expected, "{from} to {out}");
+    }
+    let by_flag = swept(
+        &folder,
+        "--scenario mine/gone.toml --policies adjusted --seeds 2",
+        "flag",
+    );
+    assert!(swept(&folder, "flag/experiment.toml", "flag2") == by_flag);
 }
 
 #[test]

@@ -18,6 +18,7 @@ const LONGEST: u64 = 1 << 20;
 #[serde(default, deny_unknown_fields, expecting = "an experiment")]
 struct Raw {
     scenario: Option<String>,
+    scenario_copy: Option<String>,
     preset: Option<Value>,
     policies: Option<Value>,
     devices: Option<Value>,
@@ -48,6 +49,8 @@ pub struct Draft {
     pub scenario: Option<String>,
     /// Where a relative scenario file is looked for.
     pub base_dir: PathBuf,
+    /// The copy of the scenario file in the folder of a sweep, which is read instead.
+    pub copy: Option<PathBuf>,
     /// Fields set in all cells: by path, the value and who set it.
     pub set: BTreeMap<String, (Value, String)>,
     /// Fields with a list of values, by path.
@@ -100,6 +103,7 @@ impl Draft {
         let mut draft = Self {
             scenario: raw.scenario,
             base_dir: base_dir.to_owned(),
+            copy: raw.scenario_copy.map(|copy| base_dir.join(copy)),
             ci_metrics: raw.ci_metrics,
             min_seeds: raw.min_seeds,
             ..Self::default()
@@ -169,13 +173,14 @@ impl Draft {
         let (mut set, mut axes) = (below.set, below.axes);
         set.extend(self.set);
         axes.extend(self.axes);
-        let (scenario, base_dir) = match self.scenario {
-            Some(own) => (Some(own), self.base_dir),
-            None => (below.scenario, below.base_dir),
+        let (scenario, base_dir, copy) = match self.scenario {
+            Some(own) => (Some(own), self.base_dir, self.copy),
+            None => (below.scenario, below.base_dir, below.copy),
         };
         Self {
             scenario,
             base_dir,
+            copy,
             set,
             axes,
             count: self.count.or(below.count),
@@ -215,6 +220,7 @@ impl Draft {
         Ok(Experiment {
             scenario: self.scenario.unwrap_or_else(|| "paper".to_owned()),
             base_dir: self.base_dir,
+            copy: self.copy,
             set: self
                 .set
                 .into_iter()

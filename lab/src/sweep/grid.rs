@@ -1,9 +1,8 @@
 //! The cells of an experiment, each with its scenario checked.
 
-use std::path::Path;
 use std::sync::Arc;
 
-use reveille_common::scenario::{Override, PRESETS, PolicyConfig, Scenario, ScenarioError, load};
+use reveille_common::scenario::{Override, PolicyConfig, Scenario, ScenarioError, load};
 use sha2::{Digest as _, Sha256};
 use toml::Value as Toml;
 
@@ -77,7 +76,7 @@ impl Grid {
                 .collect(),
         };
         let base = base_overrides(&experiment)?;
-        let source = source(&experiment);
+        let source = experiment.source();
         let mut cells = Vec::new();
         for number in 0..experiment.cell_count() {
             cells.push(cell(&experiment, &columns, &base, &source, number)?);
@@ -138,16 +137,6 @@ fn refused(cell: &str, error: ScenarioError) -> SweepError {
     SweepError::Scenario {
         cell: cell.to_owned(),
         error: Box::new(error),
-    }
-}
-
-/// The scenario's name for [`load`]: a preset's, or the path of a file.
-fn source(experiment: &Experiment) -> String {
-    let given = &experiment.scenario;
-    if PRESETS.iter().any(|(name, _)| name == given) || experiment.base_dir == Path::new("") {
-        given.clone()
-    } else {
-        experiment.base_dir.join(given).to_string_lossy().into_owned()
     }
 }
 
