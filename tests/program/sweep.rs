@@ -304,6 +304,12 @@ fn what_cannot_be_run_is_refused_before_the_first_run() {
         ),
         ("--until-ci 200%", &["until_ci = 200%", "at most 100 %"]),
         ("--until-ci 1% --shard 1/2", &["shard = 1/2", "until_ci"]),
+        ("--until-ci 1% --shard 1/2 --dry-run", &["shard = 1/2", "until_ci"]),
+        ("--until-ci 1", &["until_ci = 1:", "1% or 0.01"]),
+        (
+            "--until-ci 1% --seeds 20 --min-seeds 21",
+            &["min_seeds = 21", "20 seeds", "--seeds"],
+        ),
         ("--seeds 0", &["seeds = 0"]),
         ("--set seed=4", &["--first-seed"]),
         ("--set devices", &["--set devices: must be FIELD=VALUE"]),
@@ -393,6 +399,21 @@ fn a_cell_stops_when_it_is_narrow_enough() {
     );
     let width = half.as_f64().expect("a number") / mean.as_f64().expect("a number");
     assert!(width <= 0.05 && cell["runs"].as_u64() < Some(400), "{report}");
+    assert_eq!(report["not_narrow"], Value::Array(Vec::new()));
+
+    // Events that everybody sees, and energy in plenty: no miss, in no run.
+    let args = "--policies random --devices 20 --ttis 500 --seeds 12 --min-seeds 4 --until-ci 50% --set sensing.d_max=28 \
+        --set harvest.lambda=1 --ci-metrics misdetection_pct";
+    let end = folder.run(&format!("sweep {args} --json --out none"));
+    let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
+    let cell = &report["cells"][0];
+    assert_eq!(cell["metrics"]["misdetection_pct"]["mean"], 0.0, "{report}");
+    assert_eq!(cell["runs"], 12, "no miss at all does not tell how rare misses are");
+    let wide = &report["not_narrow"][0];
+    assert_eq!(
+        (&wide["metric"], &wide["relative_half_width"]),
+        (&"misdetection_pct".into(), &Value::Null)
+    );
 }
 
 /// A file system of 256 kB, gone with it.

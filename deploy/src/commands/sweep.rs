@@ -19,6 +19,7 @@ use report::Report;
 pub fn run(args: &SweepArgs) -> anyhow::Result<ExitCode> {
     let grid = Grid::new(grid::experiment(args)?)?;
     let shard = args.shard.unwrap_or(Shard::WHOLE);
+    grid.check_shard(shard)?;
     let folder = folder(args, &grid, shard);
     if args.dry_run {
         display::out(&report::dry_run(args, &grid, shard, &folder)?)?;

@@ -246,16 +246,7 @@ fn until(
         }
         return Ok(None);
     };
-    let number = match text.strip_suffix('%') {
-        Some(percent) => percent.trim().parse::<f64>().map(|percent| percent / 100.0),
-        None => text.parse::<f64>(),
-    };
-    let target = number.ok().filter(|target| *target > 0.0 && *target <= 1.0);
-    let target = target.ok_or_else(|| {
-        let allowed =
-            "must be the half-width of the 95 % interval over the mean: above 0 and at most 100 %, such as 1% or 0.01";
-        SweepError::invalid("until_ci", text, allowed)
-    })?;
+    let target = width(text)?;
     let metrics = metrics.unwrap_or_else(UntilCi::default_metrics);
     if metrics.is_empty() {
         let allowed = "name at least one metric, or leave it out for all";
@@ -265,6 +256,13 @@ fn until(
         let names = metric_names().join(", ");
         let allowed = format!("there is no such metric; there are {names}, events");
         return Err(SweepError::invalid("ci_metrics", unknown, allowed));
+    }
+    if let Some(min_seeds) = min_seeds.filter(|min_seeds| *min_seeds > seeds.count) {
+        let allowed = format!(
+            "is above the {} seeds that a cell has at the most; lower it, or raise seeds (--seeds)",
+            seeds.count
+        );
+        return Err(SweepError::invalid("min_seeds", min_seeds, allowed));
     }
     let min_seeds = min_seeds.unwrap_or(30).min(seeds.count);
     if min_seeds < 2 {
@@ -276,6 +274,26 @@ fn until(
         metrics,
         min_seeds,
     }))
+}
+
+/// A relative width: `1%`, or `0.01`.
+fn width(text: &str) -> Result<f64, SweepError> {
+    let (number, is_percent) = match text.strip_suffix('%') {
+        Some(percent) => (percent.trim().parse::<f64>().map(|percent| percent / 100.0), true),
+        None => (text.parse::<f64>(), false),
+    };
+    let within = |width: &f64| *width > 0.0 && (*width < 1.0 || is_percent && *width <= 1.0);
+    number.clone().ok().filter(within).ok_or_else(|| {
+        let hint = match number {
+            Ok(number) if !is_percent && (1.0..=100.0).contains(&number) => {
+                format!("; {number} % is written {number}% or {}", number / 100.0)
+            }
+            Ok(_) | Err(_) => String::new(),
+        };
+        let allowed =
+            "must be the half-width of the 95 % interval over the mean: above 0 and at most 100 %, such as 1% or 0.01";
+        SweepError::invalid("until_ci", text, format!("{allowed}{hint}"))
+    })
 }
 
 /// The values of a table with their dotted paths; tables within it are walked.

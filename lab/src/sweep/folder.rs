@@ -51,11 +51,7 @@ impl<'g> Sweep<'g> {
     /// The folder holds something else or another sweep, another process is at work in it, it cannot be used, or shards are
     /// asked for together with `until_ci`.
     pub fn open(grid: &'g Grid, shard: Shard, folder: &Path) -> Result<Self, SweepError> {
-        if shard != Shard::WHOLE && grid.experiment.until_ci.is_some() {
-            let allowed = "cannot go with until_ci: no shard sees all runs of a cell, so none could tell when it has enough; \
-                           leave one of them out";
-            return Err(SweepError::invalid("shard", shard, allowed));
-        }
+        grid.check_shard(shard)?;
         let refused = |reason: String| SweepError::Folder {
             folder: folder.to_owned(),
             reason,

@@ -8,6 +8,7 @@ use toml::Value as Toml;
 
 use super::error::SweepError;
 use super::experiment::{Axis, Experiment};
+use super::shard::Shard;
 use crate::table::{Hash, Kind, Schema, Value};
 
 /// The most cells of a grid.
@@ -86,6 +87,19 @@ impl Grid {
             schema,
             cells,
         })
+    }
+
+    /// Checks that the runs can be dealt to shards, if `shard` is one.
+    ///
+    /// # Errors
+    /// With `until_ci` they cannot.
+    pub fn check_shard(&self, shard: Shard) -> Result<(), SweepError> {
+        if shard == Shard::WHOLE || self.experiment.until_ci.is_none() {
+            return Ok(());
+        }
+        let allowed = "cannot go with until_ci: no shard sees all runs of a cell, so none could tell when it has enough; \
+                       leave one of them out";
+        Err(SweepError::invalid("shard", shard, allowed))
     }
 
     /// SHA-256 over the scenarios of all cells: equal exactly if the grids run the same.

@@ -91,7 +91,12 @@ fn an_experiment_reads_back_from_its_own_text() {
     let more = format!(
         "until_ci = \"2 %\"\nci_metrics = [\"events\"]\n{SMALL}[set]\nsensing.d_max = 5\n\"class.a.b\" = [1, 2]\n"
     );
-    for text in [SMALL, &more] {
+    for text in [
+        SMALL,
+        &more,
+        "until_ci = \"100%\"",
+        "until_ci = 0.01\nmin_seeds = 5\nseeds = 5",
+    ] {
         let experiment = draft(text).expect("valid").finish().expect("valid");
         let own = experiment.to_toml();
         let again = draft(&own).expect("valid").finish().expect("valid");
@@ -125,6 +130,12 @@ fn what_cannot_be_run_is_refused_with_its_field() {
         ("until_ci = \"1%\"\nci_metrics = []", "at least one metric"),
         ("until_ci = \"1%\"\nseeds = 1", "at least two runs"),
         ("min_seeds = 4", "only with until_ci"),
+        ("until_ci = 1", "1 % is written 1% or 0.01"),
+        ("until_ci = \"5\"", "5 % is written 5% or 0.05"),
+        (
+            "until_ci = 0.1\nseeds = 20\nmin_seeds = 21",
+            "min_seeds = 21: is above the 20 seeds",
+        ),
         (
             "devices = [10]\n[set]\ndevices = 5",
             "is set by `set` of e.toml and swept by",
