@@ -1,11 +1,12 @@
 //! Sweeps as their users see them: the same table whatever happens to them, and clear words for what cannot be.
 
 use std::fs;
+use std::io::Read as _;
 use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
 
-use reveille_tests::process::{Finished, Folder, PATIENCE, wait_until};
+use reveille_tests::process::{Finished, Folder, PATIENCE, now, wait_until};
 use rustix::process::Signal;
 use serde_json::Value;
 
@@ -133,36 +134,86 @@ fn rows_are_those_of_single_runs() {
     }
 }
 
+/// A number below `bound`, another one each time.
+fn random(bound: u64) -> u64 {
+    let mut bytes = [0; 8];
+    let mut source = fs::File::open("/dev/urandom").expect("Linux has it");
+    source.read_exact(&mut bytes).expect("it has no end");
+    u64::from_ne_bytes(bytes) % bound
+}
+
 #[test]
 fn a_killed_sweep_goes_on_and_ends_the_same() {
     let folder = Folder::new();
-    let expected = swept(&folder, GRID, "undisturbed");
-    // Moments spread over the sweep: by the number of finished runs, so that the machine's speed does not matter.
+    let grid = &GRID.replace("--ttis 600", "--ttis 60000");
+    let expected = swept(&folder, grid, "undisturbed");
+    // Random moments: so many runs after the last one, that the machine's speed does not matter, and a while after that.
     let mut found = 0;
-    for moment in [0, 1, 23, 40, 77, 101, 150, 180] {
-        let sweep = folder.start(&format!("sweep {GRID} --threads 2 --out killed"));
+    for kill in 1..=10 {
+        let (more, delay) = (random(12) as usize, Duration::from_micros(random(30_000)));
+        let sweep = folder.start(&format!("sweep {grid} --threads 2 --out killed"));
         wait_until("the sweep to get on", PATIENCE, || {
-            (folder.join("killed/runs.journal").exists() && journal_lines(&folder, "killed") >= moment).then_some(())
+            let is_there = folder.join("killed/runs.journal").exists();
+            (is_there && journal_lines(&folder, "killed") >= (found + more).min(RUNS)).then_some(())
         });
+        std::thread::sleep(delay);
         sweep.signal(Signal::KILL);
         sweep.finish();
         let lines = journal_lines(&folder, "killed");
+        println!("kill {kill}: {more} runs and {delay:?} after {found} runs, at {lines}");
         assert!(lines >= found, "finished runs were lost");
         found = lines;
     }
-    let end = folder.run(&format!("sweep {GRID} --out killed"));
+    let end = folder.run(&format!("sweep {grid} --out killed"));
     assert!(end.is_success(), "{end}");
     assert!(end.stderr.contains(" finished runs found in killed"), "{end}");
     let table = fs::read(folder.join("killed/results.parquet")).expect("a table");
     assert!(table == expected, "the table of a killed sweep differs");
     // Once more, with nothing left to do.
-    let end = folder.run(&format!("sweep {GRID} --out killed --json"));
+    let end = folder.run(&format!("sweep {grid} --out killed --json"));
     let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
     assert_eq!(
         (&report["found"], &report["runs"]),
         (&Value::from(RUNS), &Value::from(RUNS))
     );
     assert_eq!(report["device_ttis"], 0);
+}
+
+#[test]
+fn a_table_is_whole_or_not_there_when_its_writer_is_killed() {
+    let folder = Folder::new();
+    let sweep = "--devices 2 --ttis 20 --seeds 5000";
+    let expected = swept(&folder, sweep, "s");
+    let (table, part) = (folder.join("s/results.parquet"), folder.join("s/results.parquet.part"));
+    let mut hits = 0;
+    for kill in 1..=10 {
+        fs::remove_file(&table).expect("there");
+        // All runs are there: nothing is left but the table.
+        let writer = folder.start(&format!("sweep {sweep} --out s"));
+        let delay = Duration::from_micros(random(1500));
+        let deadline = now() + PATIENCE;
+        while !part.exists() && !table.exists() {
+            assert!(now() < deadline, "no table is written");
+            std::hint::spin_loop();
+        }
+        std::thread::sleep(delay);
+        writer.signal(Signal::KILL);
+        writer.finish();
+        let is_hit = !table.exists();
+        println!(
+            "kill {kill}: {delay:?} into the writing, table {}",
+            if is_hit { "not there" } else { "there" }
+        );
+        hits += u32::from(is_hit);
+        if is_hit {
+            assert!(swept(&folder, sweep, "s") == expected, "written again");
+        }
+        assert!(
+            fs::read(&table).expect("there") == expected,
+            "a table that is not whole"
+        );
+    }
+    println!("{hits} of 10 kills fell into the writing");
 }
 
 #[test]
