@@ -2,18 +2,24 @@
 import sys
 
 import polars as pl
-import polars.selectors as cs
 
 runs = pl.read_parquet(sys.argv[1] if len(sys.argv) > 1 else "study/results.parquet")
-print(runs.select("policy", "n", "seed", "info_per_event", "misdetection_pct"))
+# Columns in front of the metrics: what tells cells apart (scenario_hash holds the seed as well), swept fields included.
+metrics = runs.columns[runs.columns.index("info_per_event") : -1]
+cell = [name for name in runs.columns if name not in [*metrics, "scenario_hash", "seed", "digest"]]
+print(runs.select(*cell, "seed", "info_per_event", "misdetection_pct"))
 
 # %% Mean and standard error of every metric by cell. Undefined metrics (no events) are null and left out.
-metrics = cs.float() - cs.contains(".")
-cells = runs.group_by("policy", "n", maintain_order=True).agg(
-    metrics.mean(), (metrics.std() / metrics.count().sqrt()).name.suffix("_se"), runs=pl.len()
+values = pl.col(metrics)
+cells = runs.group_by(cell, maintain_order=True).agg(
+    values.mean(), (values.std() / values.count().sqrt()).name.suffix("_se"), runs=pl.len()
 )
-print(cells.select("policy", "n", "runs", "info_per_event", "info_per_event_se"))
+print(cells.select(*cell, "runs", "info_per_event", "info_per_event_se"))
 
 # %% All cells have the same seeds: compare policies run by run, which takes the deployments' spread out.
-pair = runs.pivot(on="policy", index=["n", "seed"], values="energy_per_device_tti")
-print(pair.group_by("n", maintain_order=True).agg((pl.col("random") - pl.col("knn")).mean().alias("random - knn")))
+policies = runs["policy"].unique(maintain_order=True).to_list()
+rest = [name for name in cell if name != "policy"]
+pairs = runs.pivot(on="policy", index=[*rest, "seed"], values="energy_per_device_tti")
+for other in policies[1:]:
+    difference = (pl.col(other) - pl.col(policies[0])).mean().alias(f"{other} - {policies[0]}")
+    print(pairs.group_by(rest, maintain_order=True).agg(difference))

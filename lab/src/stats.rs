@@ -50,11 +50,10 @@ impl Estimate {
         (value - self.mean).abs() <= self.half_width
     }
 
-    /// Half-width over the magnitude of the mean; 0 where all values are the same, infinite where it is not known.
+    /// Half-width over the magnitude of the mean; 0 where all values are the same, infinite where it is not known. It is
+    /// not known where the mean is 0: runs without a single miss do not tell how rare misses are.
     pub fn relative(&self) -> f64 {
-        if self.half_width == 0.0 {
-            0.0
-        } else if self.half_width.is_nan() || self.mean == 0.0 {
+        if self.half_width.is_nan() || self.mean == 0.0 {
             f64::INFINITY
         } else {
             self.half_width / self.mean.abs()
@@ -203,8 +202,10 @@ mod tests {
         let one = Estimate::of([3.0, f64::NAN]).expect("one value");
         assert_eq!((one.mean, one.runs), (3.0, 1));
         assert!(one.half_width.is_nan() && one.relative().is_infinite());
-        let same = Estimate::of([0.0, 0.0, 0.0]).expect("values");
-        assert!(same.relative() == 0.0, "three times nothing is known well");
+        let same = Estimate::of([2.0, 2.0, 2.0]).expect("values");
+        assert!(same.relative() == 0.0, "three times the same is known well");
+        let nothing = Estimate::of([0.0, 0.0, 0.0]).expect("values");
+        assert!(nothing.relative().is_infinite(), "three times nothing is not");
     }
 
     #[test]

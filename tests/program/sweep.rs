@@ -1,11 +1,12 @@
 //! Sweeps as their users see them: the same table whatever happens to them, and clear words for what cannot be.
 
 use std::fs;
+use std::io::Read as _;
 use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
 
-use reveille_tests::process::{Finished, Folder, PATIENCE, wait_until};
+use reveille_tests::process::{Finished, Folder, PATIENCE, now, wait_until};
 use rustix::process::Signal;
 use serde_json::Value;
 
@@ -86,6 +87,10 @@ fn threads_shards_and_both_together_give_the_same_bytes() {
     assert!(!folder.join("lacking.parquet").exists());
     let partial = folder.run("merge s1 s3 --partial --out partial.parquet");
     assert!(partial.stdout.contains("of shards 1,3/3 alone"), "{partial}");
+    for out in ["s2/results.parquet", "s1/../s2/results.parquet"] {
+        let onto = folder.run(&format!("merge s1 s2 s3 --out {out}"));
+        assert_refused(&onto, 1, &[out, "is one of the tables to merge"]);
+    }
     let again = folder.run("merge s1 s1 --out twice.parquet");
     assert_refused(&again, 1, &["s1/results.parquet", "again"]);
 }
@@ -129,36 +134,86 @@ fn rows_are_those_of_single_runs() {
     }
 }
 
+/// A number below `bound`, another one each time.
+fn random(bound: u64) -> u64 {
+    let mut bytes = [0; 8];
+    let mut source = fs::File::open("/dev/urandom").expect("Linux has it");
+    source.read_exact(&mut bytes).expect("it has no end");
+    u64::from_ne_bytes(bytes) % bound
+}
+
 #[test]
 fn a_killed_sweep_goes_on_and_ends_the_same() {
     let folder = Folder::new();
-    let expected = swept(&folder, GRID, "undisturbed");
-    // Moments spread over the sweep: by the number of finished runs, so that the machine's speed does not matter.
+    let grid = &GRID.replace("--ttis 600", "--ttis 60000");
+    let expected = swept(&folder, grid, "undisturbed");
+    // Random moments: so many runs after the last one, that the machine's speed does not matter, and a while after that.
     let mut found = 0;
-    for moment in [0, 1, 23, 40, 77, 101, 150, 180] {
-        let sweep = folder.start(&format!("sweep {GRID} --threads 2 --out killed"));
+    for kill in 1..=10 {
+        let (more, delay) = (random(12) as usize, Duration::from_micros(random(30_000)));
+        let sweep = folder.start(&format!("sweep {grid} --threads 2 --out killed"));
         wait_until("the sweep to get on", PATIENCE, || {
-            (folder.join("killed/runs.journal").exists() && journal_lines(&folder, "killed") >= moment).then_some(())
+            let is_there = folder.join("killed/runs.journal").exists();
+            (is_there && journal_lines(&folder, "killed") >= (found + more).min(RUNS)).then_some(())
         });
+        std::thread::sleep(delay);
         sweep.signal(Signal::KILL);
         sweep.finish();
         let lines = journal_lines(&folder, "killed");
+        println!("kill {kill}: {more} runs and {delay:?} after {found} runs, at {lines}");
         assert!(lines >= found, "finished runs were lost");
         found = lines;
     }
-    let end = folder.run(&format!("sweep {GRID} --out killed"));
+    let end = folder.run(&format!("sweep {grid} --out killed"));
     assert!(end.is_success(), "{end}");
     assert!(end.stderr.contains(" finished runs found in killed"), "{end}");
     let table = fs::read(folder.join("killed/results.parquet")).expect("a table");
     assert!(table == expected, "the table of a killed sweep differs");
     // Once more, with nothing left to do.
-    let end = folder.run(&format!("sweep {GRID} --out killed --json"));
+    let end = folder.run(&format!("sweep {grid} --out killed --json"));
     let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
     assert_eq!(
         (&report["found"], &report["runs"]),
         (&Value::from(RUNS), &Value::from(RUNS))
     );
     assert_eq!(report["device_ttis"], 0);
+}
+
+#[test]
+fn a_table_is_whole_or_not_there_when_its_writer_is_killed() {
+    let folder = Folder::new();
+    let sweep = "--devices 2 --ttis 20 --seeds 5000";
+    let expected = swept(&folder, sweep, "s");
+    let (table, part) = (folder.join("s/results.parquet"), folder.join("s/results.parquet.part"));
+    let mut hits = 0;
+    for kill in 1..=10 {
+        fs::remove_file(&table).expect("there");
+        // All runs are there: nothing is left but the table.
+        let writer = folder.start(&format!("sweep {sweep} --out s"));
+        let delay = Duration::from_micros(random(1500));
+        let deadline = now() + PATIENCE;
+        while !part.exists() && !table.exists() {
+            assert!(now() < deadline, "no table is written");
+            std::hint::spin_loop();
+        }
+        std::thread::sleep(delay);
+        writer.signal(Signal::KILL);
+        writer.finish();
+        let is_hit = !table.exists();
+        println!(
+            "kill {kill}: {delay:?} into the writing, table {}",
+            if is_hit { "not there" } else { "there" }
+        );
+        hits += u32::from(is_hit);
+        if is_hit {
+            assert!(swept(&folder, sweep, "s") == expected, "written again");
+        }
+        assert!(
+            fs::read(&table).expect("there") == expected,
+            "a table that is not whole"
+        );
+    }
+    println!("{hits} of 10 kills fell into the writing");
 }
 
 #[test]
@@ -173,13 +228,29 @@ fn torn_and_garbled_rows_are_made_again() {
     fs::write(&journal, bytes).expect("written");
     fs::remove_file(folder.join("s/results.parquet")).expect("there");
     let end = folder.run(&format!("sweep {GRID} --out s"));
-    assert!(end.stderr.contains("2 rows of s were torn or garbled"), "{end}");
+    assert!(
+        end.stderr
+            .contains("2 rows of s/runs.journal were torn or garbled and have been taken out"),
+        "{end}"
+    );
     assert!(
         end.stderr.contains(&format!("{} finished runs found", RUNS - 2)),
         "{end}"
     );
     let table = fs::read(folder.join("s/results.parquet")).expect("a table");
     assert!(table == expected);
+    let end = folder.run(&format!("sweep {GRID} --out s"));
+    assert!(end.is_success() && !end.stderr.contains("garbled"), "told once: {end}");
+
+    fs::create_dir_all(folder.join("notes")).expect("writable");
+    folder.write("notes/runs.journal", "my precious notes");
+    assert_refused(
+        &folder.run(&format!("sweep {GRID} --out notes")),
+        1,
+        &["--out notes", "runs.journal that is none"],
+    );
+    let notes = fs::read_to_string(folder.join("notes/runs.journal")).expect("there");
+    assert_eq!(notes, "my precious notes");
 }
 
 #[test]
@@ -284,6 +355,12 @@ fn what_cannot_be_run_is_refused_before_the_first_run() {
         ),
         ("--until-ci 200%", &["until_ci = 200%", "at most 100 %"]),
         ("--until-ci 1% --shard 1/2", &["shard = 1/2", "until_ci"]),
+        ("--until-ci 1% --shard 1/2 --dry-run", &["shard = 1/2", "until_ci"]),
+        ("--until-ci 1", &["until_ci = 1:", "1% or 0.01"]),
+        (
+            "--until-ci 1% --seeds 20 --min-seeds 21",
+            &["min_seeds = 21", "20 seeds", "--seeds"],
+        ),
         ("--seeds 0", &["seeds = 0"]),
         ("--set seed=4", &["--first-seed"]),
         ("--set devices", &["--set devices: must be FIELD=VALUE"]),
@@ -332,6 +409,35 @@ fn an_experiment_file_and_options_mean_the_same() {
 }
 
 #[test]
+fn a_folder_runs_again_without_the_scenario_file() {
+    let folder = Folder::new();
+    fs::create_dir_all(folder.join("mine/traces")).expect("writable");
+    folder.write("mine/traces/t.csv", "a,b\n1,2\n3,1\n");
+    folder.write(
+        "mine/s.toml",
+        "devices = 6\nttis = 200\npolicy.adjusted = { pilot_ttis = 50, t_on = [1, 2], t_drx = [2] }\n\
+         [harvest]\nkind = \"trace\"\ntrace = { file = \"traces/t.csv\", column = \"a\" }\n",
+    );
+    folder.write(
+        "mine/e.toml",
+        "scenario = \"s.toml\"\npolicies = [\"knn\", \"adjusted\"]\nseeds = 3\n",
+    );
+    let expected = swept(&folder, "mine/e.toml", "first");
+    fs::rename(folder.join("mine/s.toml"), folder.join("mine/gone.toml")).expect("there");
+    fs::rename(folder.join("mine/e.toml"), folder.join("e.toml")).expect("there");
+    for (from, out) in [("first", "second"), ("second", "third"), ("first", "first")] {
+        let again = swept(&folder, &format!("{from}/experiment.toml"), out);
+        assert!(again == expected, "{from} to {out}");
+    }
+    let by_flag = swept(
+        &folder,
+        "--scenario mine/gone.toml --policies adjusted --seeds 2",
+        "flag",
+    );
+    assert!(swept(&folder, "flag/experiment.toml", "flag2") == by_flag);
+}
+
+#[test]
 fn a_cell_stops_when_it_is_narrow_enough() {
     let folder = Folder::new();
     let args = "--policies genie --devices 20 --ttis 2000 --seeds 400 --until-ci 5% --ci-metrics energy_per_device_tti";
@@ -344,6 +450,21 @@ fn a_cell_stops_when_it_is_narrow_enough() {
     );
     let width = half.as_f64().expect("a number") / mean.as_f64().expect("a number");
     assert!(width <= 0.05 && cell["runs"].as_u64() < Some(400), "{report}");
+    assert_eq!(report["not_narrow"], Value::Array(Vec::new()));
+
+    // Events that everybody sees, and energy in plenty: no miss, in no run.
+    let args = "--policies random --devices 20 --ttis 500 --seeds 12 --min-seeds 4 --until-ci 50% --set sensing.d_max=28 \
+        --set harvest.lambda=1 --ci-metrics misdetection_pct";
+    let end = folder.run(&format!("sweep {args} --json --out none"));
+    let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
+    let cell = &report["cells"][0];
+    assert_eq!(cell["metrics"]["misdetection_pct"]["mean"], 0.0, "{report}");
+    assert_eq!(cell["runs"], 12, "no miss at all does not tell how rare misses are");
+    let wide = &report["not_narrow"][0];
+    assert_eq!(
+        (&wide["metric"], &wide["relative_half_width"]),
+        (&"misdetection_pct".into(), &Value::Null)
+    );
 }
 
 /// A file system of 256 kB, gone with it.

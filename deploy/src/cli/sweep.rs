@@ -81,7 +81,9 @@ pub struct GridArgs {
     #[arg(long, help_heading = "Seeds")]
     pub first_seed: Option<u64>,
 
-    /// Stop a cell as soon as the 95 % intervals of its metrics are this narrow: half-width over mean, such as 1%.
+    /// Stop a cell as soon as the 95 % intervals of its metrics are this narrow: half-width over mean, such as 1% or 0.01.
+    /// Intervals of cells that stop early cover a little less than 95 %, since they were looked at repeatedly. A metric
+    /// that is 0 in all runs is never narrow: leave it out by --ci-metrics.
     #[arg(long, value_name = "WIDTH", help_heading = "Seeds")]
     pub until_ci: Option<String>,
 
@@ -90,7 +92,7 @@ pub struct GridArgs {
     #[arg(long, value_delimiter = ',', value_name = "METRIC,…", help_heading = "Seeds")]
     pub ci_metrics: Option<Vec<String>>,
 
-    /// Runs of a cell before --until-ci looks for the first time [default: 30].
+    /// Runs of a cell before --until-ci looks for the first time, at most --seeds [default: 30].
     #[arg(long, help_heading = "Seeds")]
     pub min_seeds: Option<u64>,
 }

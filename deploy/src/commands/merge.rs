@@ -15,6 +15,12 @@ pub fn run(args: &MergeArgs) -> anyhow::Result<ExitCode> {
     let mut tables = Vec::with_capacity(args.shards.len());
     for given in &args.shards {
         let path = table_of(given)?;
+        if is_same(&path, &args.out) {
+            bail!(
+                "--out {}: is one of the tables to merge, which would be lost; name another file",
+                args.out.display()
+            );
+        }
         let table = Table::read(&path)?;
         tables.push((path, table));
     }
@@ -26,6 +32,14 @@ pub fn run(args: &MergeArgs) -> anyhow::Result<ExitCode> {
     };
     display::out(&format!("{} runs in {}{part}\n", table.rows.len(), args.out.display()))?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Whether both paths lead to one file.
+fn is_same(a: &Path, b: &Path) -> bool {
+    match (a.canonicalize(), b.canonicalize()) {
+        (Ok(a), Ok(b)) => a == b,
+        (Err(_), _) | (_, Err(_)) => false,
+    }
 }
 
 /// The table in the folder of a sweep, or the file that is named.

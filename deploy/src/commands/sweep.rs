@@ -19,6 +19,7 @@ use report::Report;
 pub fn run(args: &SweepArgs) -> anyhow::Result<ExitCode> {
     let grid = Grid::new(grid::experiment(args)?)?;
     let shard = args.shard.unwrap_or(Shard::WHOLE);
+    grid.check_shard(shard)?;
     let folder = folder(args, &grid, shard);
     if args.dry_run {
         display::out(&report::dry_run(args, &grid, shard, &folder)?)?;
@@ -82,7 +83,7 @@ impl std::error::Error for Interrupted {}
 fn announce(args: &SweepArgs, sweep: &Sweep<'_>, folder: &Path) {
     if sweep.dropped() > 0 {
         tracing::warn!(
-            "{} rows of {} were torn or garbled; their runs are made again",
+            "{} rows of {}/runs.journal were torn or garbled and have been taken out; runs that are missing are made again",
             sweep.dropped(),
             folder.display()
         );

@@ -18,6 +18,7 @@ const LONGEST: u64 = 1 << 20;
 #[serde(default, deny_unknown_fields, expecting = "an experiment")]
 struct Raw {
     scenario: Option<String>,
+    scenario_copy: Option<String>,
     preset: Option<Value>,
     policies: Option<Value>,
     devices: Option<Value>,
@@ -48,6 +49,8 @@ pub struct Draft {
     pub scenario: Option<String>,
     /// Where a relative scenario file is looked for.
     pub base_dir: PathBuf,
+    /// The copy of the scenario file in the folder of a sweep, which is read instead.
+    pub copy: Option<PathBuf>,
     /// Fields set in all cells: by path, the value and who set it.
     pub set: BTreeMap<String, (Value, String)>,
     /// Fields with a list of values, by path.
@@ -100,6 +103,7 @@ impl Draft {
         let mut draft = Self {
             scenario: raw.scenario,
             base_dir: base_dir.to_owned(),
+            copy: raw.scenario_copy.map(|copy| base_dir.join(copy)),
             ci_metrics: raw.ci_metrics,
             min_seeds: raw.min_seeds,
             ..Self::default()
@@ -169,13 +173,14 @@ impl Draft {
         let (mut set, mut axes) = (below.set, below.axes);
         set.extend(self.set);
         axes.extend(self.axes);
-        let (scenario, base_dir) = match self.scenario {
-            Some(own) => (Some(own), self.base_dir),
-            None => (below.scenario, below.base_dir),
+        let (scenario, base_dir, copy) = match self.scenario {
+            Some(own) => (Some(own), self.base_dir, self.copy),
+            None => (below.scenario, below.base_dir, below.copy),
         };
         Self {
             scenario,
             base_dir,
+            copy,
             set,
             axes,
             count: self.count.or(below.count),
@@ -215,6 +220,7 @@ impl Draft {
         Ok(Experiment {
             scenario: self.scenario.unwrap_or_else(|| "paper".to_owned()),
             base_dir: self.base_dir,
+            copy: self.copy,
             set: self
                 .set
                 .into_iter()
@@ -240,16 +246,7 @@ fn until(
         }
         return Ok(None);
     };
-    let number = match text.strip_suffix('%') {
-        Some(percent) => percent.trim().parse::<f64>().map(|percent| percent / 100.0),
-        None => text.parse::<f64>(),
-    };
-    let target = number.ok().filter(|target| *target > 0.0 && *target <= 1.0);
-    let target = target.ok_or_else(|| {
-        let allowed =
-            "must be the half-width of the 95 % interval over the mean: above 0 and at most 100 %, such as 1% or 0.01";
-        SweepError::invalid("until_ci", text, allowed)
-    })?;
+    let target = width(text)?;
     let metrics = metrics.unwrap_or_else(UntilCi::default_metrics);
     if metrics.is_empty() {
         let allowed = "name at least one metric, or leave it out for all";
@@ -259,6 +256,13 @@ fn until(
         let names = metric_names().join(", ");
         let allowed = format!("there is no such metric; there are {names}, events");
         return Err(SweepError::invalid("ci_metrics", unknown, allowed));
+    }
+    if let Some(min_seeds) = min_seeds.filter(|min_seeds| *min_seeds > seeds.count) {
+        let allowed = format!(
+            "is above the {} seeds that a cell has at the most; lower it, or raise seeds (--seeds)",
+            seeds.count
+        );
+        return Err(SweepError::invalid("min_seeds", min_seeds, allowed));
     }
     let min_seeds = min_seeds.unwrap_or(30).min(seeds.count);
     if min_seeds < 2 {
@@ -270,6 +274,26 @@ fn until(
         metrics,
         min_seeds,
     }))
+}
+
+/// A relative width: `1%`, or `0.01`.
+fn width(text: &str) -> Result<f64, SweepError> {
+    let (number, is_percent) = match text.strip_suffix('%') {
+        Some(percent) => (percent.trim().parse::<f64>().map(|percent| percent / 100.0), true),
+        None => (text.parse::<f64>(), false),
+    };
+    let within = |width: &f64| *width > 0.0 && (*width < 1.0 || is_percent && *width <= 1.0);
+    number.clone().ok().filter(within).ok_or_else(|| {
+        let hint = match number {
+            Ok(number) if !is_percent && (1.0..=100.0).contains(&number) => {
+                format!("; {number} % is written {number}% or {}", number / 100.0)
+            }
+            Ok(_) | Err(_) => String::new(),
+        };
+        let allowed =
+            "must be the half-width of the 95 % interval over the mean: above 0 and at most 100 %, such as 1% or 0.01";
+        SweepError::invalid("until_ci", text, format!("{allowed}{hint}"))
+    })
 }
 
 /// The values of a table with their dotted paths; tables within it are walked.

@@ -1,8 +1,10 @@
 //! An experiment: a scenario, fields with lists of values, and seeds.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::{fs, io};
 
-use toml::Value;
+use reveille_common::scenario::PRESETS;
+use toml::{Table, Value};
 
 use super::error::SweepError;
 use crate::table::metric_names;
@@ -70,6 +72,9 @@ impl Seeds {
 
 /// When a cell has enough runs: as soon as the 95 % interval of each of these metrics is narrow, looked at in the order of
 /// seeds after `min_seeds` runs, then after every quarter more (at least ten).
+///
+/// Who looks again and again and stops when it is narrow stops too often where the spread looks small by chance: intervals
+/// of cells that were stopped early cover a little less than 95 %. A metric that is 0 in all runs is never narrow.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UntilCi {
     /// The half-width over the mean, `(0, 1]`.
@@ -109,6 +114,9 @@ pub struct Experiment {
     pub scenario: String,
     /// Where a relative scenario file is looked for.
     pub base_dir: PathBuf,
+    /// The copy of the scenario file that a sweep has left in its folder: read instead of the file. It is no part of what
+    /// the experiment is, and not in [`Experiment::to_toml`].
+    pub copy: Option<PathBuf>,
     /// Fields set in all cells: path, value and who set it.
     pub set: Vec<(String, Value, String)>,
     /// The swept fields; the first varies slowest.
@@ -120,6 +128,38 @@ pub struct Experiment {
 }
 
 impl Experiment {
+    /// The scenario's name for [`reveille_common::scenario::load`]: a preset's, or the path of a file.
+    pub(super) fn source(&self) -> String {
+        if let Some(copy) = &self.copy {
+            return copy.to_string_lossy().into_owned();
+        }
+        if self.is_preset() || self.base_dir == Path::new("") {
+            self.scenario.clone()
+        } else {
+            self.base_dir.join(&self.scenario).to_string_lossy().into_owned()
+        }
+    }
+
+    fn is_preset(&self) -> bool {
+        PRESETS.iter().any(|(name, _)| *name == self.scenario)
+    }
+
+    /// The text of the scenario file, for a folder of its own: files that it names stand there with their full paths.
+    /// `None` for a preset.
+    ///
+    /// # Errors
+    /// The file cannot be read any more.
+    pub(super) fn scenario_text(&self) -> io::Result<Option<String>> {
+        if self.is_preset() {
+            return Ok(None);
+        }
+        let path = PathBuf::from(self.source());
+        let mut table: Table = toml::from_str(&fs::read_to_string(&path)?).map_err(io::Error::other)?;
+        let folder = std::path::absolute(path.parent().unwrap_or(Path::new("")).join("."))?;
+        table.iter_mut().for_each(|(name, value)| place(name, value, &folder));
+        Ok(Some(table.to_string()))
+    }
+
     /// Cells of the grid: the product of the axes' lengths.
     pub fn cell_count(&self) -> u64 {
         let lengths = self.axes.iter().map(|axis| axis.values.len() as u64);
@@ -143,7 +183,12 @@ impl Experiment {
         let Seeds { first, count } = self.seeds;
         lines.push(format!("seeds = {{ first = {first}, count = {count} }}"));
         if let Some(until) = &self.until_ci {
-            lines.push(format!("until_ci = {}", Value::Float(until.target)));
+            // A bare 1 is refused on reading: it may be meant as 1 %.
+            lines.push(if until.target < 1.0 {
+                format!("until_ci = {}", Value::Float(until.target))
+            } else {
+                "until_ci = \"100%\"".to_owned()
+            });
             let names = until.metrics.iter().cloned().map(Value::String);
             lines.push(format!("ci_metrics = {}", Value::Array(names.collect())));
             lines.push(format!("min_seeds = {}", until.min_seeds));
@@ -163,6 +208,18 @@ impl Experiment {
             );
         }
         lines.join("\n") + "\n"
+    }
+}
+
+/// Puts `folder` in front of the relative files in the field `name`.
+fn place(name: &str, value: &mut Value, folder: &Path) {
+    match value {
+        Value::String(file) if name == "file" && !file.is_empty() => {
+            *file = folder.join(&*file).to_string_lossy().into_owned();
+        }
+        Value::Table(inner) => inner.iter_mut().for_each(|(name, value)| place(name, value, folder)),
+        Value::Array(values) => values.iter_mut().for_each(|value| place("", value, folder)),
+        Value::String(_) | Value::Integer(_) | Value::Float(_) | Value::Boolean(_) | Value::Datetime(_) => {}
     }
 }
 

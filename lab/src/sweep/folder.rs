@@ -3,6 +3,7 @@
 //! | file | what |
 //! |---|---|
 //! | `experiment.toml` | the experiment; `reveille sweep FOLDER/experiment.toml` runs it again |
+//! | `experiment.scenario.toml` | its scenario file, if it has one |
 //! | `runs.journal` | a line for every finished run; what a sweep that was cut short goes on from |
 //! | `results.parquet` or `results.csv` | the table, once all runs are there |
 
@@ -18,6 +19,7 @@ use super::shard::Shard;
 use crate::table::{About, Format, Row, Table, replace};
 
 const EXPERIMENT: &str = "experiment.toml";
+const SCENARIO: &str = "experiment.scenario.toml";
 const JOURNAL: &str = "runs.journal";
 const RESULTS: &str = "results";
 
@@ -49,11 +51,7 @@ impl<'g> Sweep<'g> {
     /// The folder holds something else or another sweep, another process is at work in it, it cannot be used, or shards are
     /// asked for together with `until_ci`.
     pub fn open(grid: &'g Grid, shard: Shard, folder: &Path) -> Result<Self, SweepError> {
-        if shard != Shard::WHOLE && grid.experiment.until_ci.is_some() {
-            let allowed = "cannot go with until_ci: no shard sees all runs of a cell, so none could tell when it has enough; \
-                           leave one of them out";
-            return Err(SweepError::invalid("shard", shard, allowed));
-        }
+        grid.check_shard(shard)?;
         let refused = |reason: String| SweepError::Folder {
             folder: folder.to_owned(),
             reason,
@@ -67,7 +65,8 @@ impl<'g> Sweep<'g> {
         for entry in fs::read_dir(folder).map_err(unusable)? {
             let name = entry.map_err(unusable)?.file_name();
             let is_ours = name.to_str().is_some_and(|name| {
-                name == EXPERIMENT || name == JOURNAL || name.starts_with(RESULTS) || name == "experiment.toml.part"
+                let name = name.strip_suffix(".part").unwrap_or(name);
+                [EXPERIMENT, SCENARIO, JOURNAL].contains(&name) || name.starts_with(RESULTS)
             });
             if !is_ours && !folder.join(JOURNAL).exists() {
                 let name = name.to_string_lossy();
@@ -79,7 +78,7 @@ impl<'g> Sweep<'g> {
         let identity = format!("{} {} {shard}", env!("CARGO_PKG_VERSION"), identity(grid));
         let (cells, seeds) = (grid.cells.len() as u64, grid.experiment.seeds.count);
         let journal = Journal::open(&folder.join(JOURNAL), &identity, cells, seeds).map_err(refused)?;
-        replace(&folder.join(EXPERIMENT), grid.experiment.to_toml().as_bytes()).map_err(unusable)?;
+        describe(grid, folder).map_err(unusable)?;
         Ok(Self {
             found: journal.runs().len(),
             grid,
@@ -94,7 +93,7 @@ impl<'g> Sweep<'g> {
         self.found
     }
 
-    /// Runs in the journal that were torn or garbled, and will be made again.
+    /// Lines of the journal that were torn or garbled, and have been taken out when the folder was opened.
     pub fn dropped(&self) -> usize {
         self.journal.dropped()
     }
@@ -162,6 +161,16 @@ impl<'g> Sweep<'g> {
             rows,
         }
     }
+}
+
+/// Writes the experiment into its folder, so that it can be run again from there alone.
+fn describe(grid: &Grid, folder: &Path) -> std::io::Result<()> {
+    let mut text = grid.experiment.to_toml();
+    if let Some(scenario) = grid.experiment.scenario_text()? {
+        replace(&folder.join(SCENARIO), scenario.as_bytes())?;
+        text = format!("scenario_copy = \"{SCENARIO}\"\n{text}");
+    }
+    replace(&folder.join(EXPERIMENT), text.as_bytes())
 }
 
 /// What tells sweeps apart, hexadecimal: the experiment and the scenarios that it comes to.

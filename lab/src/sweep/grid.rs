@@ -1,14 +1,14 @@
 //! The cells of an experiment, each with its scenario checked.
 
-use std::path::Path;
 use std::sync::Arc;
 
-use reveille_common::scenario::{Override, PRESETS, PolicyConfig, Scenario, ScenarioError, load};
+use reveille_common::scenario::{Override, PolicyConfig, Scenario, ScenarioError, load};
 use sha2::{Digest as _, Sha256};
 use toml::Value as Toml;
 
 use super::error::SweepError;
 use super::experiment::{Axis, Experiment};
+use super::shard::Shard;
 use crate::table::{Hash, Kind, Schema, Value};
 
 /// The most cells of a grid.
@@ -77,7 +77,7 @@ impl Grid {
                 .collect(),
         };
         let base = base_overrides(&experiment)?;
-        let source = source(&experiment);
+        let source = experiment.source();
         let mut cells = Vec::new();
         for number in 0..experiment.cell_count() {
             cells.push(cell(&experiment, &columns, &base, &source, number)?);
@@ -87,6 +87,19 @@ impl Grid {
             schema,
             cells,
         })
+    }
+
+    /// Checks that the runs can be dealt to shards, if `shard` is one.
+    ///
+    /// # Errors
+    /// With `until_ci` they cannot.
+    pub fn check_shard(&self, shard: Shard) -> Result<(), SweepError> {
+        if shard == Shard::WHOLE || self.experiment.until_ci.is_none() {
+            return Ok(());
+        }
+        let allowed = "cannot go with until_ci: no shard sees all runs of a cell, so none could tell when it has enough; \
+                       leave one of them out";
+        Err(SweepError::invalid("shard", shard, allowed))
     }
 
     /// SHA-256 over the scenarios of all cells: equal exactly if the grids run the same.
@@ -138,16 +151,6 @@ fn refused(cell: &str, error: ScenarioError) -> SweepError {
     SweepError::Scenario {
         cell: cell.to_owned(),
         error: Box::new(error),
-    }
-}
-
-/// The scenario's name for [`load`]: a preset's, or the path of a file.
-fn source(experiment: &Experiment) -> String {
-    let given = &experiment.scenario;
-    if PRESETS.iter().any(|(name, _)| name == given) || experiment.base_dir == Path::new("") {
-        given.clone()
-    } else {
-        experiment.base_dir.join(given).to_string_lossy().into_owned()
     }
 }
 

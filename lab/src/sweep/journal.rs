@@ -2,10 +2,10 @@
 //!
 //! Each line ends with a checksum of itself. A line is handed to the operating system as soon as its run has finished, so
 //! that a killed process loses the runs under way and no other; it reaches the disk now and then, so that a power cut loses
-//! little. Lines that are torn or garbled are left out on reading, and their runs are done again.
+//! little. Lines that are torn or garbled are taken out when the journal is opened; runs that are missing are done again.
 
 use std::collections::BTreeMap;
-use std::fs::{File, OpenOptions, TryLockError};
+use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, BufRead, BufReader, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
@@ -57,6 +57,8 @@ impl From<&Row> for Entry {
 pub struct Journal {
     path: PathBuf,
     file: File,
+    /// The damaged file whose place `file` has taken: locked as long, for those who have opened it meanwhile.
+    replaced: Option<File>,
     /// Bytes up to the end of the last whole line.
     length: u64,
     runs: BTreeMap<Job, Entry>,
@@ -90,6 +92,7 @@ impl Journal {
         let mut journal = Self {
             path: path.to_owned(),
             file,
+            replaced: None,
             length: 0,
             runs: BTreeMap::new(),
             dropped: 0,
@@ -101,19 +104,19 @@ impl Journal {
         Ok(journal)
     }
 
-    /// Reads what is there and cuts off a torn end.
+    /// Reads what is there, and takes torn and garbled lines out of the file.
     fn recover(&mut self, header: &str, cells: u64, seeds: u64) -> Result<(), String> {
         let failed = |error: io::Error| unusable(&self.path, &error);
         let mut reader = BufReader::new(&self.file);
         let mut line = Vec::new();
-        let (mut whole, mut length) = (0, 0);
+        let (mut whole, mut length, mut is_garbled) = (0, 0, false);
         while reader.read_until(b'\n', &mut line).map_err(failed)? > 0 {
             length += line.len() as u64;
             if whole == 0 {
-                if line.ends_with(b"\n") && line != header.as_bytes() {
+                if !header.as_bytes().starts_with(&line) {
                     return Err(foreign(&line));
                 }
-                if line != header.as_bytes() {
+                if line.len() < header.len() {
                     break;
                 }
                 whole = length;
@@ -122,11 +125,12 @@ impl Journal {
                 whole = length;
             } else {
                 self.dropped += 1;
-                if line.ends_with(b"\n") {
-                    whole = length;
-                }
+                is_garbled |= line.ends_with(b"\n");
             }
             line.clear();
+        }
+        if is_garbled {
+            return self.rewrite(header).map_err(|error| unusable(&self.path, &error));
         }
         self.file.set_len(whole).map_err(failed)?;
         self.file.seek(SeekFrom::End(0)).map_err(failed)?;
@@ -138,12 +142,34 @@ impl Journal {
         Ok(())
     }
 
+    /// Puts a journal of the runs that were found in the place of this one. Both stay locked.
+    fn rewrite(&mut self, header: &str) -> io::Result<()> {
+        let mut text = header.to_owned();
+        for (job, entry) in &self.runs {
+            text += &line(*job, entry);
+        }
+        let part = self.path.with_extension("journal.part");
+        let mut file = OpenOptions::new().read(true).append(true).create(true).open(&part)?;
+        file.set_len(0)?;
+        match file.try_lock() {
+            Err(TryLockError::Error(error)) if error.kind() != io::ErrorKind::Unsupported => return Err(error),
+            Err(TryLockError::WouldBlock) => return Err(io::ErrorKind::ResourceBusy.into()),
+            Ok(()) | Err(TryLockError::Error(_)) => {}
+        }
+        file.write_all(text.as_bytes())?;
+        file.sync_all()?;
+        fs::rename(&part, &self.path)?;
+        self.length = text.len() as u64;
+        self.replaced = Some(std::mem::replace(&mut self.file, file));
+        Ok(())
+    }
+
     /// The finished runs.
     pub fn runs(&self) -> &BTreeMap<Job, Entry> {
         &self.runs
     }
 
-    /// Lines that were torn or garbled when the journal was opened.
+    /// Lines that were torn or garbled when the journal was opened, and have been taken out of it.
     pub fn dropped(&self) -> usize {
         self.dropped
     }
@@ -251,8 +277,6 @@ fn parse(line: &[u8], cells: u64, seeds: u64) -> Option<(Job, Entry)> {
 
 #[cfg(test)]
 mod tests {
-    use std::fs;
-
     use super::*;
 
     struct Place(PathBuf);
@@ -349,6 +373,14 @@ mod tests {
             fs::write(&place.0, &garbled).expect("written");
             let journal = place.open();
             assert_eq!((journal.runs().len(), journal.dropped()), (2, 1), "byte {at}");
+            let reason = Journal::open(&place.0, "me", 3, 5).expect_err("the new file is locked as well");
+            assert!(reason.contains("another `reveille sweep`"), "{reason}");
+            drop(journal);
+            let mut journal = place.open();
+            assert_eq!((journal.runs().len(), journal.dropped()), (2, 0), "byte {at}, again");
+            journal.add(JOBS[0], entry(7), 1).expect("written");
+            drop(journal);
+            assert_eq!(place.open().runs().len(), 3, "byte {at}, mended");
         }
     }
 
@@ -361,8 +393,18 @@ mod tests {
         drop(first);
         let reason = Journal::open(&place.0, "you", 3, 5).expect_err("another");
         assert!(reason.contains("another experiment"), "{reason}");
-        fs::write(&place.0, "letters\n").expect("written");
-        let reason = Journal::open(&place.0, "me", 3, 5).expect_err("no journal");
-        assert!(reason.contains("is none"), "{reason}");
+        for text in [
+            "letters\n",
+            "my precious notes",
+            "reveille-journal 1 you",
+            "reveille-journal 1 me too",
+            "r\n",
+        ] {
+            fs::write(&place.0, text).expect("written");
+            let reason = Journal::open(&place.0, "me", 3, 5).expect_err("no journal");
+            let is_journal = text.starts_with("reveille");
+            assert_eq!(reason.contains("is none"), !is_journal, "{text}: {reason}");
+            assert_eq!(fs::read_to_string(&place.0).expect("there"), text, "untouched");
+        }
     }
 }

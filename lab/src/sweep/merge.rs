@@ -6,7 +6,7 @@ use super::draft::Draft;
 use super::error::SweepError;
 use super::experiment::Experiment;
 use super::shard::Shard;
-use crate::table::{About, Row, Table};
+use crate::table::{About, Kind, Row, Schema, Table};
 
 /// The table of the whole sweep from those of its shards, in any order: the same as that of an undivided sweep. With
 /// `partial`, shards may be missing, and the table says which are there.
@@ -69,14 +69,43 @@ pub fn merge(tables: Vec<(PathBuf, Table)>, partial: bool) -> Result<Table, Swee
         shard: (!missing.is_empty()).then(|| format!("{}/{count}", indices.join(","))),
         ..first.about.clone()
     };
-    // A CSV file without rows does not tell what its columns hold.
-    let telling = shards.iter().find(|(_, _, table)| !table.rows.is_empty());
-    let schema = telling.map_or_else(|| first.schema.clone(), |(_, _, table)| table.schema.clone());
+    let schema = schema_of(&shards);
+    let mut tables = Vec::with_capacity(shards.len());
+    for (_, _, mut table) in shards {
+        conform(&mut table, &schema);
+        tables.push(table.rows);
+    }
     Ok(Table {
         about,
         schema,
-        rows: interleave(shards.into_iter().map(|(_, _, table)| table.rows).collect()),
+        rows: interleave(tables),
     })
+}
+
+/// Columns that hold what those of any shard hold: a CSV file without its kinds is read by what its own values look like,
+/// and one without rows does not tell at all.
+fn schema_of(shards: &[(Shard, PathBuf, Table)]) -> Schema {
+    let mut telling = shards
+        .iter()
+        .map(|(_, _, table)| table)
+        .filter(|table| !table.rows.is_empty());
+    let mut schema = telling.next().unwrap_or(&shards[0].2).schema.clone();
+    for table in telling {
+        for ((_, kind), (_, other)) in schema.swept.iter_mut().zip(&table.schema.swept) {
+            *kind = kind.join(*other);
+        }
+    }
+    schema
+}
+
+fn conform(table: &mut Table, schema: &Schema) {
+    if table.schema == *schema {
+        return;
+    }
+    for row in &mut table.rows {
+        let values = row.swept.iter().cloned().zip(&schema.swept);
+        row.swept = values.map(|(value, (_, kind))| value.into_kind(*kind)).collect();
+    }
 }
 
 fn wrong(path: &Path, reason: String) -> SweepError {
@@ -107,6 +136,7 @@ fn shard_of(path: &Path, table: &Table) -> Result<Shard, SweepError> {
 
 fn fits(first_path: &Path, first: &Table, path: &Path, table: &Table) -> Result<(), SweepError> {
     let (a, b) = (&first.about, &table.about);
+    let name = |(name, _): &(String, Kind)| name.clone();
     let what = if a.version != b.version {
         format!("was made by reveille {}, but that one by {}", b.version, a.version)
     } else if a.experiment != b.experiment {
@@ -115,6 +145,14 @@ fn fits(first_path: &Path, first: &Table, path: &Path, table: &Table) -> Result<
         format!("its experiment differs: `{own}` here, `{theirs}` there")
     } else if a.grid != b.grid {
         "the scenario files or traces behind its experiment differ".to_owned()
+    } else if !first
+        .schema
+        .swept
+        .iter()
+        .map(name)
+        .eq(table.schema.swept.iter().map(name))
+    {
+        "its columns differ".to_owned()
     } else {
         return Ok(());
     };

@@ -91,7 +91,12 @@ fn an_experiment_reads_back_from_its_own_text() {
     let more = format!(
         "until_ci = \"2 %\"\nci_metrics = [\"events\"]\n{SMALL}[set]\nsensing.d_max = 5\n\"class.a.b\" = [1, 2]\n"
     );
-    for text in [SMALL, &more] {
+    for text in [
+        SMALL,
+        &more,
+        "until_ci = \"100%\"",
+        "until_ci = 0.01\nmin_seeds = 5\nseeds = 5",
+    ] {
         let experiment = draft(text).expect("valid").finish().expect("valid");
         let own = experiment.to_toml();
         let again = draft(&own).expect("valid").finish().expect("valid");
@@ -125,6 +130,12 @@ fn what_cannot_be_run_is_refused_with_its_field() {
         ("until_ci = \"1%\"\nci_metrics = []", "at least one metric"),
         ("until_ci = \"1%\"\nseeds = 1", "at least two runs"),
         ("min_seeds = 4", "only with until_ci"),
+        ("until_ci = 1", "1 % is written 1% or 0.01"),
+        ("until_ci = \"5\"", "5 % is written 5% or 0.05"),
+        (
+            "until_ci = 0.1\nseeds = 20\nmin_seeds = 21",
+            "min_seeds = 21: is above the 20 seeds",
+        ),
         (
             "devices = [10]\n[set]\ndevices = 5",
             "is set by `set` of e.toml and swept by",
@@ -262,6 +273,41 @@ fn tables_that_do_not_fit_are_not_merged() {
     let mut short = second;
     short.1.rows.pop();
     refused(short, "27 rows that are not the 28 runs");
+}
+
+#[test]
+fn csv_shards_whose_text_looks_like_numbers_are_merged() {
+    let folder = Folder::new("kinds");
+    let trace = folder.0.join("t.csv");
+    fs::write(&trace, "5,abc\n1,2\n2,1\n").expect("writable");
+    let text = format!(
+        "devices = 4\nttis = 50\nseeds = 1\n[set]\nharvest.kind = \"trace\"\nharvest.trace.file = {}\n\
+         [grid]\nharvest.trace.column = [\"5\", \"abc\"]\n",
+        toml::Value::String(trace.to_string_lossy().into_owned())
+    );
+    let grid = grid(&text).expect("valid");
+    let whole = swept(&grid, "1/1", 1, &folder.0.join("whole")).0.table;
+    let shards = |is_told: bool| -> Vec<(PathBuf, Table)> {
+        let one = |shard: &str| {
+            let table = swept(&grid, shard, 1, &folder.0.join(shard)).0.table;
+            let path = folder.0.join(shard).join("results.csv");
+            table.write(&path, Format::Csv).expect("written");
+            if !is_told {
+                let side = folder.0.join(shard).join("results.csv.toml");
+                let lines = fs::read_to_string(&side).expect("there");
+                let kept = lines.lines().filter(|line| !line.contains("reveille.kinds"));
+                fs::write(&side, kept.collect::<Vec<_>>().join("\n")).expect("written");
+            }
+            (path.clone(), Table::read(&path).expect("readable"))
+        };
+        ["1/2", "2/2"].map(one).into()
+    };
+    for is_told in [true, false] {
+        let merged = merge(shards(is_told), false).expect("whole");
+        assert_eq!(merged, whole, "kinds told: {is_told}");
+        let path = folder.0.join("merged.parquet");
+        merged.write(&path, Format::Parquet).expect("one kind for all");
+    }
 }
 
 #[test]

@@ -82,6 +82,23 @@ impl Value {
 }
 
 impl Kind {
+    /// All kinds.
+    const ALL: [Self; 3] = [Self::Int, Self::Float, Self::Text];
+
+    /// Its name in side-cars.
+    pub(super) const fn name(self) -> &'static str {
+        match self {
+            Self::Int => "int",
+            Self::Float => "float",
+            Self::Text => "text",
+        }
+    }
+
+    /// The kind of this name.
+    pub(super) fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.name() == name)
+    }
+
     /// The kind that holds both.
     #[must_use]
     pub const fn join(self, other: Self) -> Self {

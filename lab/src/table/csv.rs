@@ -11,7 +11,7 @@ use std::sync::Arc;
 use super::columns::{IDENTITY, Kind, METRICS, Schema, Value};
 use super::parquet::Shared;
 use super::row::Row;
-use super::{About, Failure, Refusal, Table};
+use super::{About, Failure, Refusal, Table, keys};
 
 /// Where the side-car of the CSV file at `path` is.
 pub(super) fn side_car(path: &Path) -> PathBuf {
@@ -21,11 +21,25 @@ pub(super) fn side_car(path: &Path) -> PathBuf {
 }
 
 /// The side-car.
-pub(super) fn side_car_text(about: &About) -> String {
-    about.pairs().into_iter().fold(String::new(), |mut text, (key, value)| {
+pub(super) fn side_car_text(table: &Table) -> String {
+    let kinds: Vec<&str> = table.schema.swept.iter().map(|(_, kind)| kind.name()).collect();
+    let own = [
+        (keys::KINDS, kinds.join(",")),
+        (keys::ROWS, table.rows.len().to_string()),
+    ];
+    let pairs = table.about.pairs().into_iter().chain(own);
+    pairs.fold(String::new(), |mut text, (key, value)| {
         let _ = writeln!(text, "\"{key}\" = {}", toml::Value::String(value));
         text
     })
+}
+
+/// What the side-car says; nothing of it if there is none.
+#[derive(Default)]
+struct Side {
+    about: About,
+    kinds: Option<Vec<Kind>>,
+    rows: Option<usize>,
 }
 
 /// The bytes of the file of `table`. Numbers are written so that they read back as the same bits.
@@ -70,36 +84,77 @@ fn written(value: &Value) -> String {
 /// Reads the table in the file at `path`, and its side-car if it is there.
 pub(super) fn read(path: &Path) -> Result<Table, Failure> {
     let text = fs::read_to_string(path)?;
-    let about = match fs::read_to_string(side_car(path)) {
-        Ok(text) => about(&text)?,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => About::default(),
+    let side = match fs::read_to_string(side_car(path)) {
+        Ok(text) => side(&text)?,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Side::default(),
         Err(error) => return Err(error.into()),
     };
-    Ok(decode(&text, about)?)
+    Ok(decode(&text, side)?)
 }
 
-fn about(text: &str) -> Result<About, Refusal> {
+fn side(text: &str) -> Result<Side, Refusal> {
     let pairs: BTreeMap<String, String> =
         toml::from_str(text).map_err(|error| Refusal::Broken(format!("its side-car: {}", error.message())))?;
-    About::from_pairs(|key| pairs.get(key).map(String::as_str))
+    let broken = |key: &str| Refusal::Broken(format!("its side-car: {key} = \"{}\"", pairs[key].escape_default()));
+    let kinds = pairs.get(keys::KINDS).map(|names| {
+        let names = names.split(',').filter(|name| !name.is_empty());
+        let kinds: Option<Vec<Kind>> = names.map(Kind::named).collect();
+        kinds.ok_or_else(|| broken(keys::KINDS))
+    });
+    let rows = pairs
+        .get(keys::ROWS)
+        .map(|rows| rows.parse().map_err(|_| broken(keys::ROWS)));
+    Ok(Side {
+        about: About::from_pairs(|key| pairs.get(key).map(String::as_str))?,
+        kinds: kinds.transpose()?,
+        rows: rows.transpose()?,
+    })
 }
 
-fn decode(text: &str, about: About) -> Result<Table, Refusal> {
+/// The swept columns: of the kinds that the side-car tells, or else of those that their values look like.
+fn schema(names: &[&str], told: Option<Vec<Kind>>, records: &[csv::StringRecord]) -> Result<Schema, Refusal> {
+    let names = Schema::swept_among(names)?;
+    let kinds = told.unwrap_or_else(|| {
+        let kind = |at: usize| {
+            let kinds = records.iter().map(|record| guess(&record[IDENTITY.len() + at]));
+            kinds.reduce(Kind::join).unwrap_or(Kind::Text)
+        };
+        (0..names.len()).map(kind).collect()
+    });
+    if kinds.len() != names.len() {
+        let (told, found) = (kinds.len(), names.len());
+        return Err(Refusal::Broken(format!(
+            "its side-car tells of {told} swept columns, but it has {found}"
+        )));
+    }
+    Ok(Schema {
+        swept: names.into_iter().map(str::to_owned).zip(kinds).collect(),
+    })
+}
+
+fn decode(text: &str, side: Side) -> Result<Table, Refusal> {
     let broken = |error: csv::Error| Refusal::Broken(error.to_string());
     if !text.ends_with('\n') {
         return Err(Refusal::Broken("its last row has no end".to_owned()));
     }
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let header = reader.headers().map_err(broken)?.clone();
-    let names: Vec<&str> = header.iter().collect();
-    let names: Vec<String> = Schema::swept_among(&names)?.into_iter().map(str::to_owned).collect();
     let records = reader.records().collect::<Result<Vec<_>, _>>().map_err(broken)?;
-    let mut schema = Schema::default();
-    for (at, name) in names.into_iter().enumerate() {
-        let kinds = records.iter().map(|record| guess(&record[IDENTITY.len() + at]));
-        let kind = kinds.reduce(Kind::join).unwrap_or(Kind::Text);
-        schema.swept.push((name, kind));
+    let schema = schema(&header.iter().collect::<Vec<_>>(), side.kinds, &records)?;
+    if let Some(rows) = side.rows.filter(|rows| *rows != records.len()) {
+        let found = records.len();
+        return Err(Refusal::Broken(format!(
+            "it has {found} rows, but its side-car says {rows}"
+        )));
     }
+    Ok(Table {
+        about: side.about,
+        rows: rows(&schema, &records)?,
+        schema,
+    })
+}
+
+fn rows(schema: &Schema, records: &[csv::StringRecord]) -> Result<Vec<Row>, Refusal> {
     let (mut preset, mut policy, mut cell) = (Shared::default(), Shared::default(), Arc::from([]));
     let mut rows = Vec::with_capacity(records.len());
     for (number, record) in records.iter().enumerate() {
@@ -133,7 +188,7 @@ fn decode(text: &str, about: About) -> Result<Table, Refusal> {
             digest: fields.get(first + METRICS + 1)?,
         });
     }
-    Ok(Table { about, schema, rows })
+    Ok(rows)
 }
 
 /// What a cell seems to hold.

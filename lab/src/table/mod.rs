@@ -40,6 +40,10 @@ pub mod keys {
     pub const GRID: &str = "reveille.grid";
     /// `i/n` in the table of a shard, `i,j/n` in a merge of some shards; absent in a whole table.
     pub const SHARD: &str = "reveille.shard";
+    /// In side-cars: what the swept columns hold, `int`, `float` or `text`, separated by commas.
+    pub const KINDS: &str = "reveille.kinds";
+    /// In side-cars: the number of rows.
+    pub const ROWS: &str = "reveille.rows";
 }
 
 /// What a table says about its origin.
@@ -176,7 +180,7 @@ impl Table {
             })
         };
         if format == Format::Csv {
-            put(&csv::side_car(path), csv::side_car_text(&self.about).as_bytes())?;
+            put(&csv::side_car(path), csv::side_car_text(self).as_bytes())?;
         }
         put(path, &bytes)
     }

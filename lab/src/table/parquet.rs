@@ -95,8 +95,8 @@ fn write_group(
     for (column, (_, kind)) in schema.swept.iter().enumerate() {
         let values = rows.iter().map(|row| &row.swept[column]);
         match kind {
-            Kind::Int => write_ints(group, values.map(int))?,
-            Kind::Float => write::<DoubleType>(group, &values.map(float).collect::<Vec<_>>(), None)?,
+            Kind::Int => write_ints(group, values.map(int).collect::<Result<Vec<_>, _>>()?.into_iter())?,
+            Kind::Float => write::<DoubleType>(group, &values.map(float).collect::<Result<Vec<_>, _>>()?, None)?,
             Kind::Text => write_texts(group, values.map(ToString::to_string))?,
         }
     }
@@ -111,20 +111,24 @@ fn write_group(
 }
 
 /// The value of a column of whole numbers.
-fn int(value: &Value) -> i64 {
+fn int(value: &Value) -> Result<i64, ParquetError> {
     match value {
-        Value::Int(value) => *value,
-        Value::Float(_) | Value::Text(_) => unreachable!("the schema has joined the kinds of the column"),
+        Value::Int(value) => Ok(*value),
+        Value::Float(_) | Value::Text(_) => Err(misplaced(value, "whole numbers")),
     }
 }
 
 /// The value of a column of numbers.
-fn float(value: &Value) -> f64 {
+fn float(value: &Value) -> Result<f64, ParquetError> {
     match value {
-        Value::Float(value) => *value,
-        Value::Int(value) => *value as f64,
-        Value::Text(_) => unreachable!("the schema has joined the kinds of the column"),
+        Value::Float(value) => Ok(*value),
+        Value::Int(value) => Ok(*value as f64),
+        Value::Text(_) => Err(misplaced(value, "numbers")),
     }
+}
+
+fn misplaced(value: &Value, kind: &str) -> ParquetError {
+    ParquetError::General(format!("`{value}` stands in a column of {kind}"))
 }
 
 fn write_texts(

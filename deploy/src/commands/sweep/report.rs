@@ -75,7 +75,7 @@ impl Report<'_> {
             table.to_string(),
             "mean ± half-width of the 95 % interval over the runs".to_owned(),
         ];
-        lines.extend(self.wide());
+        lines.extend(self.wide_text());
         lines.push(self.speed());
         lines.push(format!("a row per run in {}\n", self.finished.path.display()));
         lines.join("\n")
@@ -96,25 +96,30 @@ impl Report<'_> {
         )
     }
 
-    /// The cells whose intervals are wider than `until_ci` asks for although all seeds were run.
-    fn wide(&self) -> Vec<String> {
+    /// The cells whose intervals are wider than `until_ci` asks for although all seeds were run: label, metric, width.
+    fn wide(&self) -> Vec<(&str, &str, f64)> {
         let Some(until) = &self.grid.experiment.until_ci else {
             return Vec::new();
         };
         let cells = self.grid.cells.iter().zip(&self.finished.cells);
         let wide = cells.filter_map(|(cell, CellEnd { widest, .. })| {
             let (metric, width) = widest.as_ref().filter(|(_, width)| *width > until.target)?;
+            Some((cell.label.as_str(), metric.as_str(), *width))
+        });
+        wide.collect()
+    }
+
+    fn wide_text(&self) -> Vec<String> {
+        let line = |(label, metric, width): (&str, &str, f64)| {
             let width = if width.is_finite() {
                 format!("is {:.1} % of the mean", 100.0 * width)
             } else {
-                "has no relative width".to_owned()
+                "has no relative width, as its mean is 0 or it is defined in one run alone".to_owned()
             };
-            Some(format!(
-                "not narrow after all {} seeds: {}: the interval of {metric} {width}",
-                self.grid.experiment.seeds.count, cell.label
-            ))
-        });
-        wide.collect()
+            let seeds = self.grid.experiment.seeds.count;
+            format!("not narrow after all {seeds} seeds: {label}: the interval of {metric} {width}")
+        };
+        self.wide().into_iter().map(line).collect()
     }
 
     /// The same for machines.
@@ -138,12 +143,17 @@ impl Report<'_> {
                 })
             })
             .collect();
+        let wide: Vec<Json> = self
+            .wide()
+            .into_iter()
+            .map(|(label, metric, width)| json!({ "cell": label, "metric": metric, "relative_half_width": width }))
+            .collect();
         let report = json!({
             "status": "complete",
             "folder": self.folder, "table": self.finished.path,
             "runs": self.finished.table.rows.len(), "found": self.found,
             "threads": self.threads, "seconds": self.seconds, "device_ttis": self.device_ttis,
-            "cells": cells,
+            "cells": cells, "not_narrow": wide,
         });
         Ok(serde_json::to_string_pretty(&report)? + "\n")
     }
