@@ -232,7 +232,7 @@ fn tables_are_put_together_by_what_was_run() {
         "another scenario under the same preset is another setting"
     );
     assert_eq!(apart.settings[1].label(), "paper, changed as in mine.parquet");
-    assert_eq!(apart.settings[1].file_label(), "paper-mine");
+    assert_eq!(apart.file_labels(), ["paper", "paper-mine"]);
 
     let mut false_one = table.clone();
     false_one.rows[0].digest = Hash([7; 32]);
@@ -245,6 +245,40 @@ fn tables_are_put_together_by_what_was_run() {
     };
     let refused = Results::new(&[(name, empty)]).expect_err("nothing to draw");
     assert!(refused.to_string().contains("paper.parquet: no rows"), "{refused}");
+}
+
+#[test]
+fn settings_of_tables_of_one_name_have_names_of_their_own() {
+    let (_, table) = fixtures::table("paper", "mean_battery", &RUNS[..2]);
+    let table = |hash: u8| {
+        let mut changed = table.clone();
+        let rows = changed.rows.iter_mut();
+        rows.for_each(|row| row.scenario_hash = Hash([hash; 32]));
+        changed
+    };
+    let names = ["a/results.parquet", "b/results.parquet", "c/b/results.parquet"];
+    let tables: Vec<(String, Table)> = (1..).zip(names).map(|(i, name)| (name.to_owned(), table(i))).collect();
+    let labels = Results::new(&tables).expect("runs").file_labels();
+    assert_eq!(labels, ["paper-a-results", "paper-b-results", "paper-b-results-2"]);
+}
+
+#[test]
+fn what_the_experiment_sets_is_named_by_field_and_value() {
+    let set = scenario(&[
+        "events.alpha=0.3",
+        "devices=10",
+        "ttis=2000",
+        "seed=1",
+        "policy.name=knn",
+    ]);
+    let (name, mut table) = fixtures::table("paper", "mean_battery", &[("knn", 10, &[1.0])]);
+    table.rows[0].scenario_hash = Hash(set.hash());
+    table.about.experiment = "scenario = \"paper\"\n\n[set]\n\"events.alpha\" = 0.3\n".to_owned();
+    let results = Results::new(&[(name, table)]).expect("runs");
+    let setting = &results.settings[0];
+    assert_eq!(setting.label(), "paper, events.alpha = 0.3");
+    assert!(!setting.is_plain() && setting.scenario.as_ref() == Some(&set));
+    assert_eq!(results.file_labels(), ["paper-events.alpha-0.3"]);
 }
 
 #[test]

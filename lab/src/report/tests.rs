@@ -76,6 +76,32 @@ fn every_claim_has_a_verdict_under_every_preset() {
 }
 
 #[test]
+fn a_preset_is_shown_by_the_table_that_covers_most_claims() {
+    let (name, wide) = fixtures::table(
+        "paper",
+        "misdetection_pct",
+        &[("knn", 10, &[30.0]), ("random", 10, &[70.0])],
+    );
+    let (_, mut long) = fixtures::table("paper", "misdetection_pct", &[("knn", 10, &[31.0, 32.0, 33.0])]);
+    for row in &mut long.rows {
+        row.ttis = 90_000;
+        let overrides = [
+            "devices=10",
+            "ttis=90000",
+            "policy.name=knn",
+            &format!("seed={}", row.seed),
+        ];
+        let overrides = overrides.map(|text| Override::parse(text).expect("an override"));
+        row.scenario_hash = crate::table::Hash(load("paper", &overrides).expect("a scenario").hash());
+    }
+    let tables = [("long.parquet".to_owned(), long), (name, wide)];
+    let results = Results::new(&tables).expect("runs");
+    let report = Report::new(&results);
+    assert_eq!(report.columns[0].setting.map(|s| s.ttis), Some(2000));
+    assert_eq!(report.columns[2].label, "paper, K = 90000");
+}
+
+#[test]
 fn the_lambda_of_a_consumption_solves_the_closed_form() {
     let results = results();
     let report = Report::new(&results);
