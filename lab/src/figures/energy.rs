@@ -28,7 +28,7 @@ const ENDS: (f64, f64) = (0.01, 1.0);
 const STEPS: u32 = 80;
 /// The N of Fig. 14.
 const NET_N: u32 = 100;
-/// The policies of Fig. 14: most and least consumption.
+/// The policies of Fig. 14: those that the paper has as spending most and least.
 const NET_POLICIES: [&str; 2] = ["adjusted", "random"];
 /// The y axis of Fig. 14, units per device and TTI; lines end where they leave it.
 const NET_ENDS: (f64, f64) = (-0.4, 1.0);
@@ -165,8 +165,8 @@ pub fn net_chart(setting: &Setting) -> Option<Chart> {
     let marks = stated.flat_map(|s| {
         let style = E_B.iter().position(|e| (e - s.e_b).abs() < 1e-9).unwrap_or(0);
         let style = [Style::nth(0), Style::nth(3), Style::nth(4)][style];
-        [s.low, s.high].map(|x| Mark {
-            x,
+        s.ends().map(move |end| Mark {
+            x: end.lambda,
             aside: 0.0,
             stated: Stated::Value(0.0),
             style,

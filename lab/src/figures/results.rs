@@ -188,9 +188,26 @@ impl Setting {
     }
 
     /// The estimate of `metric` for `policy` with `n` devices; `None` without runs in which it is defined.
+    ///
+    /// Where not one event was missed, runs do not differ, which tells nothing: half the interval of `misdetection_pct` is
+    /// then the rule of three's 95 % bound, 300 / Σ events %.
     pub fn estimate(&self, policy: &str, n: u32, metric: &str) -> Option<Estimate> {
         let runs = self.runs.get(&(policy.to_owned(), n))?;
-        Estimate::of(runs.values().filter_map(|row| row.metric(metric)))
+        let mut estimate = Estimate::of(runs.values().filter_map(|row| row.metric(metric)))?;
+        if let Some(events) = self.unseen(policy, n, metric) {
+            estimate.half_width = 300.0 / events as f64;
+        }
+        Some(estimate)
+    }
+
+    /// The events of a cell, all runs together, if `metric` is the share of those missed and none was.
+    pub fn unseen(&self, policy: &str, n: u32, metric: &str) -> Option<u64> {
+        let missed = self
+            .runs(policy, n)
+            .filter_map(|row| row.metric(metric))
+            .fold(0.0, f64::max);
+        let events = self.runs(policy, n).map(|row| row.events).sum();
+        (metric == "misdetection_pct" && missed == 0.0 && events > 0).then_some(events)
     }
 
     /// The runs of a cell, in the order of seeds.

@@ -233,7 +233,9 @@ impl Figure {
             text.push_str(" What the paper states stands beside its N; box: a range, arrow: a bound.");
         }
         if self.is_log && has_zero(series) {
-            text.push_str(" Not one seen: at the lower border.");
+            text.push_str(
+                " At the lower border: not one of the events; bars then end at 300 / Σ events %, the rule of three.",
+            );
         }
         if !undefined.is_empty() {
             let _ = write!(text, " Not defined for {}.", undefined.join(", "));
