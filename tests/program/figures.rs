@@ -139,6 +139,20 @@ fn a_sweep_becomes_figures_and_a_report_the_same_twice() {
 }
 
 #[test]
+fn tables_of_one_name_make_pictures_of_their_own() {
+    let folder = Folder::new();
+    folder.write("mine.toml", "preset = \"paper\"\nevents.alpha = 0.4\n");
+    folder.write("other.toml", "preset = \"paper\"\nevents.alpha = 0.5\n");
+    sweep(&folder, "a", "--scenario mine.toml");
+    sweep(&folder, "b", "--scenario other.toml");
+    let end = folder.run("figures a/results.parquet b/results.parquet --only energy --out out");
+    assert_eq!(end.code(), Some(0), "{end}");
+    let names = folder.list("out");
+    assert_eq!(names.len(), 6, "{names:?}");
+    assert!(names.contains(&"energy-paper-b-results.svg".to_owned()), "{names:?}");
+}
+
+#[test]
 fn tables_without_runs_or_of_another_version_are_refused_and_a_lone_one_is_enough() {
     let folder = Folder::new();
     sweep(&folder, "paper", "--format csv --set events.alpha=0.3");
@@ -147,7 +161,7 @@ fn tables_without_runs_or_of_another_version_are_refused_and_a_lone_one_is_enoug
     assert!(end.stderr.contains("no table of preset paper-literal"), "{end}");
     let markdown = String::from_utf8(bytes(&folder, "report/report.md")).expect("text");
     assert!(
-        markdown.contains("changed as in paper/results.csv"),
+        markdown.contains("paper, events.alpha = 0.3, K = 300"),
         "a changed preset is not the preset"
     );
 

@@ -27,9 +27,9 @@ pub fn run(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
 fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
     let chosen = study::chosen(&args.only, &energy::NAMES)?;
     let results = read(&args.tables)?;
-    for setting in &results.settings {
+    for (setting, label) in results.settings.iter().zip(results.file_labels()) {
         for figure in &chosen {
-            let name = format!("{}-{}", figure.name, label(&results, setting));
+            let name = format!("{}-{label}", figure.name);
             let Some(drawing) = figure.draw(setting) else {
                 eprintln!(
                     "{}: not drawn, no run of {} has a value of {}",
@@ -52,15 +52,15 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
                 figure.csv(setting, &drawing).as_bytes(),
             )?;
         }
-        draw_energy(args, &results, setting)?;
+        draw_energy(args, &label, setting)?;
     }
     Ok(ExitCode::SUCCESS)
 }
 
 /// Figs. 13 and 14.
-fn draw_energy(args: &FiguresArgs, results: &Results, setting: &Setting) -> anyhow::Result<()> {
+fn draw_energy(args: &FiguresArgs, label: &str, setting: &Setting) -> anyhow::Result<()> {
     let is_chosen = |name: &str| args.only.is_empty() || args.only.iter().any(|only| only == name);
-    let [harvest, net] = energy::NAMES.map(|name| (is_chosen(name), format!("{name}-{}", label(results, setting))));
+    let [harvest, net] = energy::NAMES.map(|name| (is_chosen(name), format!("{name}-{label}")));
     if let (true, name) = harvest {
         let points = energy::harvests(&setting.preset)?;
         write(&args.pictures, &name, &energy::harvest_chart(setting, &points).scene())?;
@@ -91,17 +91,6 @@ pub fn read(paths: &[PathBuf]) -> anyhow::Result<Results> {
     let read = |path: &PathBuf| Table::read(path).map(|table| (path.display().to_string(), table));
     let tables = paths.iter().map(read).collect::<Result<Vec<_>, _>>()?;
     Ok(Results::new(&tables)?)
-}
-
-/// The part of a file's name that sets `setting` apart from others.
-fn label(results: &Results, setting: &Setting) -> String {
-    let has_lengths = results.settings.iter().any(|s| s.ttis != setting.ttis);
-    let label = setting.file_label();
-    if has_lengths {
-        format!("{label}-k{}", setting.ttis)
-    } else {
-        label
-    }
 }
 
 fn draw_deployment(args: &DeploymentArgs) -> anyhow::Result<ExitCode> {

@@ -36,6 +36,17 @@ pub struct Sample {
     pub half: f64,
 }
 
+/// How the intervals of a line are drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Interval {
+    /// A band, and bars with caps at the points.
+    Bars,
+    /// A band alone.
+    Area,
+    /// A band with its edges, in place of the line.
+    Edges,
+}
+
 /// A line of a chart.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Series {
@@ -47,15 +58,10 @@ pub struct Series {
     pub joined: bool,
     /// Whether its points have markers.
     pub marked: bool,
+    /// How its intervals are drawn.
+    pub interval: Interval,
     /// Its points, by rising x.
     pub samples: Vec<Sample>,
-}
-
-impl Series {
-    /// Whether it is a range of values rather than a line: it has intervals and no markers.
-    fn is_band(&self) -> bool {
-        self.joined && !self.marked && self.samples.iter().all(|s| s.half.is_finite())
-    }
 }
 
 /// What the paper says of a point.
@@ -94,6 +100,19 @@ pub struct Mark {
     pub style: Style,
 }
 
+/// What the paper says of a policy for a range of x.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Span {
+    /// From here.
+    pub from: f64,
+    /// To here.
+    pub to: f64,
+    /// What it says.
+    pub stated: Stated,
+    /// Whose it is.
+    pub paint: Paint,
+}
+
 /// A chart.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chart {
@@ -111,6 +130,8 @@ pub struct Chart {
     pub series: Vec<Series>,
     /// What the paper says.
     pub marks: Vec<Mark>,
+    /// What it says for ranges of x: hatched.
+    pub spans: Vec<Span>,
     /// Whether values of zero stand at the lower border, which then says so.
     pub zero_below: bool,
     /// How to read marks and intervals, and what the runs were.
@@ -256,10 +277,14 @@ impl Frame<'_> {
         for series in &self.chart.series {
             self.intervals(scene, series);
         }
+        for span in &self.chart.spans {
+            self.span(scene, span);
+        }
         for mark in &self.chart.marks {
             self.range(scene, mark);
         }
-        for series in self.chart.series.iter().filter(|s| s.joined && !s.is_band()) {
+        let has_line = |s: &&Series| s.joined && s.interval != Interval::Edges;
+        for series in self.chart.series.iter().filter(has_line) {
             let points = series.samples.iter().map(|s| (self.x(s.x), self.y(s.y)));
             scene.line(Path::polyline(points, false), series.style.line());
         }
@@ -281,12 +306,16 @@ impl Frame<'_> {
             let lower = known.iter().rev().map(|s| (self.x(s.x), self.y(s.y - s.half)));
             scene.area(Path::polyline(upper.chain(lower), true), series.style.paint, 0.25);
         }
-        if series.is_band() {
-            for sign in [1.0, -1.0] {
-                let edge = known.iter().map(|s| (self.x(s.x), self.y(s.y + sign * s.half)));
-                scene.line(Path::polyline(edge, false), series.style.line());
+        match series.interval {
+            Interval::Bars => {}
+            Interval::Area => return,
+            Interval::Edges => {
+                for sign in [1.0, -1.0] {
+                    let edge = known.iter().map(|s| (self.x(s.x), self.y(s.y + sign * s.half)));
+                    scene.line(Path::polyline(edge, false), series.style.line());
+                }
+                return;
             }
-            return;
         }
         let bar = Stroke::solid(series.style.paint, 0.7);
         for sample in known {
@@ -314,6 +343,30 @@ impl Frame<'_> {
         );
     }
 
+    /// An outline with light hatching; of a bound its line, hatched on the side on which values may be.
+    fn span(&self, scene: &mut Scene, span: &Span) {
+        const DEPTH: f64 = 7.0;
+        let (left, right) = (self.x(span.from), self.x(span.to));
+        let stroke = Stroke::solid(span.paint, 0.6).faded(0.6);
+        let (top, bottom) = match span.stated {
+            Stated::Range(low, high) => (self.y(high), self.y(low)),
+            Stated::Value(v) => (self.y(v), self.y(v)),
+            Stated::Below(v) => (self.y(v), (self.y(v) + DEPTH).min(self.bottom)),
+            Stated::Above(v) => ((self.y(v) - DEPTH).max(self.top), self.y(v)),
+        };
+        let edges = match span.stated {
+            Stated::Range(..) => vec![top, bottom],
+            Stated::Value(_) | Stated::Below(_) => vec![top],
+            Stated::Above(_) => vec![bottom],
+        };
+        for y in edges {
+            scene.line(Path::segment((left, y), (right, y)), stroke.dashed(&[3.0, 1.5]));
+        }
+        for hatch in hatching([left, top, right, bottom]) {
+            scene.line(hatch, Stroke::solid(span.paint, 0.4).faded(0.4));
+        }
+    }
+
     fn point(&self, scene: &mut Scene, mark: &Mark) {
         let x = self.aside(mark);
         let (value, direction) = match mark.stated {
@@ -333,6 +386,22 @@ impl Frame<'_> {
         }
         mark.style.mark_hollow(scene, (x, y));
     }
+}
+
+/// Lines that rise through a rectangle at 45°.
+fn hatching([left, top, right, bottom]: [f64; 4]) -> Vec<Path> {
+    const STEP: f64 = 6.0;
+    let height = bottom - top;
+    if height <= 0.0 {
+        return Vec::new();
+    }
+    let count = ((right - left + height) / STEP) as u32;
+    let line = |i: u32| {
+        let foot = left - height + STEP * f64::from(i);
+        let (from, to) = ((left - foot).max(0.0), (right - foot).min(height));
+        (to > from).then(|| Path::segment((foot + from, bottom - from), (foot + to, bottom - to)))
+    };
+    (0..=count).filter_map(line).collect()
 }
 
 /// Places marks that share an x side by side, [`MARKER`]s apart, in their order.

@@ -8,12 +8,12 @@ use std::fmt::Write as _;
 use reveille_common::scenario::{Scenario, load};
 use reveille_common::units::Energy;
 
-use super::chart::{Chart, Mark, Sample, Series, Stated};
+use super::chart::{Chart, Interval, Mark, Sample, Series, Stated};
 use super::results::Setting;
 use super::scale::Scale;
 use super::style::Style;
 use crate::analysis::AnalysisError;
-use crate::analysis::harvest::{Point, Reading, STATED, Study, measure};
+use crate::analysis::harvest::{self, Point, Reading, STATED, Study, measure};
 use crate::stats::Estimate;
 
 /// The names of the two figures.
@@ -28,7 +28,7 @@ const ENDS: (f64, f64) = (0.01, 1.0);
 const STEPS: u32 = 80;
 /// The N of Fig. 14.
 const NET_N: u32 = 100;
-/// The policies of Fig. 14: most and least consumption.
+/// The policies of Fig. 14: those that the paper has as spending most and least.
 const NET_POLICIES: [&str; 2] = ["adjusted", "random"];
 /// The y axis of Fig. 14, units per device and TTI; lines end where they leave it.
 const NET_ENDS: (f64, f64) = (-0.4, 1.0);
@@ -92,6 +92,7 @@ fn axis() -> Scale {
 
 /// Fig. 13 with `points` of [`harvests`]; consumption bands for N = 10 and 250 where `setting` has them.
 pub fn harvest_chart(setting: &Setting, points: &[Point]) -> Chart {
+    let (devices, ttis, seeds) = MEASURED;
     let mut series = Vec::new();
     let mut bands = String::new();
     for (n, style) in [(10, Style::nth(1)), (250, Style::nth(2))] {
@@ -110,6 +111,7 @@ pub fn harvest_chart(setting: &Setting, points: &[Point]) -> Chart {
             style,
             joined: true,
             marked: false,
+            interval: Interval::Edges,
             samples: samples.to_vec(),
         });
         let _ = write!(bands, " Spent at N = {n}: {least:.3} ({less}) to {most:.3} ({more}).");
@@ -130,28 +132,41 @@ pub fn harvest_chart(setting: &Setting, points: &[Point]) -> Chart {
         x: axis(),
         y: Scale::Log { from: 0.01, to: 10.0 },
         caption: format!(
-            "Lines: closed form λ·exp(−λ)·E_B, Eq. (5); points: runs, 95 % intervals. Preset {}.{bands}",
+            "Lines: closed form λ·exp(−λ)·E_B, Eq. (5). Points: {seeds} runs with N = {devices}, {ttis} TTIs, made for this picture \
+             under preset {}, 95 % intervals. Hollow, on the lines: the λ from which on the paper says that the harvest exceeds \
+             consumption, N = 10 and 250. Bands: {}.{bands}",
+            setting.preset,
             setting.label()
         ),
         series,
-        marks: Vec::new(),
+        marks: STATED
+            .iter()
+            .filter(|s| s.devices != NET_N)
+            .flat_map(marks_of)
+            .collect(),
+        spans: Vec::new(),
         zero_below: false,
     }
 }
 
 /// Fig. 14: what is harvested less what `random` and `adjusted` spend with 100 devices. `None` if `setting` lacks those.
 pub fn net_chart(setting: &Setting) -> Option<Chart> {
-    let spent = |policy| Some(setting.estimate(policy, NET_N, "energy_per_device_tti")?.mean);
+    let spent = |policy| setting.estimate(policy, NET_N, "energy_per_device_tti");
     let mut series = Vec::new();
     let mut figures = Vec::new();
     for policy in NET_POLICIES {
         let spent = spent(policy)?;
-        figures.push(format!("{policy} spends {spent:.3}"));
+        let (spent, half) = (spent.mean, spent.half_width);
+        figures.push(if half.is_nan() {
+            format!("{policy} spends {spent:.3}")
+        } else {
+            format!("{policy} spends {spent:.3} ± {half:.3}")
+        });
         for (e_b, style) in E_B.into_iter().zip([Style::nth(0), Style::nth(3), Style::nth(4)]) {
             let net = lambdas().map(|x| Sample {
                 x,
                 y: closed_form(e_b, x) - spent,
-                half: f64::NAN,
+                half,
             });
             let style = Style {
                 dashes: Style::of_policy(policy).dashes,
@@ -161,16 +176,10 @@ pub fn net_chart(setting: &Setting) -> Option<Chart> {
             series.push(line_of(format!("{policy}, E_B = {e_b}"), style, shown.collect()));
         }
     }
-    let stated = STATED.iter().filter(|s| s.devices == NET_N);
-    let marks = stated.flat_map(|s| {
-        let style = E_B.iter().position(|e| (e - s.e_b).abs() < 1e-9).unwrap_or(0);
-        let style = [Style::nth(0), Style::nth(3), Style::nth(4)][style];
-        [s.low, s.high].map(|x| Mark {
-            x,
-            aside: 0.0,
-            stated: Stated::Value(0.0),
-            style,
-        })
+    let stated = STATED.iter().filter(|s| s.devices == NET_N).flat_map(marks_of);
+    let marks = stated.map(|mark| Mark {
+        stated: Stated::Value(0.0),
+        ..mark
     });
     Some(Chart {
         title: "Net energy against λ (Fig. 14 of the paper)".to_owned(),
@@ -182,14 +191,27 @@ pub fn net_chart(setting: &Setting) -> Option<Chart> {
             to: NET_ENDS.1,
         },
         marks: marks.collect(),
+        spans: Vec::new(),
         zero_below: false,
         caption: format!(
             "Closed form λ·exp(−λ)·E_B, Eq. (5), less what the policy spends with {NET_N} devices, preset {}: \
-             {}. Hollow, at zero: where the paper says that it turns positive.",
+             {}; bands are their 95 % intervals. Hollow, at zero: where the paper says that it turns positive.",
             setting.label(),
             figures.join(", ")
         ),
         series,
+    })
+}
+
+/// The λ of a statement, on the line of its E_B.
+fn marks_of(stated: &harvest::Stated) -> impl Iterator<Item = Mark> {
+    let own = E_B.iter().position(|e| (e - stated.e_b).abs() < 1e-9).unwrap_or(0);
+    let (style, e_b) = ([Style::nth(0), Style::nth(3), Style::nth(4)][own], stated.e_b);
+    stated.ends().map(move |end| Mark {
+        x: end.lambda,
+        aside: 0.0,
+        stated: Stated::Value(closed_form(e_b, end.lambda)),
+        style,
     })
 }
 
@@ -199,6 +221,7 @@ fn line_of(name: String, style: Style, samples: Vec<Sample>) -> Series {
         style,
         joined: true,
         marked: false,
+        interval: Interval::Area,
         samples,
     }
 }
@@ -215,6 +238,7 @@ fn dots_of<'p>(style: Style, points: impl Iterator<Item = &'p Point>) -> Series 
         style,
         joined: false,
         marked: true,
+        interval: Interval::Bars,
         samples: points.map(sample).collect(),
     }
 }

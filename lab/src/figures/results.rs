@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use reveille_common::scenario::{Override, load};
+use reveille_common::scenario::{Override, Scenario, load};
 use sha2::{Digest as _, Sha256};
 
 use super::error::FigureError;
@@ -32,8 +32,12 @@ pub struct Setting {
     pub ttis: u64,
     /// Swept fields with their values.
     pub swept: Vec<(String, String)>,
-    /// The table, if scenarios of it differ from their preset in more than that.
+    /// Fields that the experiment sets to something else than the preset, with their values.
+    pub changes: Vec<(String, String)>,
+    /// The table, if scenarios of it differ from their preset in more than all that, so that nobody can tell in what.
     pub changed_in: Option<String>,
+    /// The scenario of its first run; `None` where nobody can tell.
+    pub scenario: Option<Scenario>,
     /// The runs by policy and N, each in the order of seeds.
     runs: BTreeMap<(String, u32), BTreeMap<u64, Row>>,
 }
@@ -83,13 +87,20 @@ impl Results {
                 .zip(cell.swept.iter().map(ToString::to_string))
                 .collect::<Vec<_>>()
         };
+        let set = changes_of(&table.about.experiment);
         // A change may concern one policy alone; a table's policies stay together all the same.
-        let is_changed = cells.iter().any(|cell| !is_of_preset(cell.rows[0], &swept_of(cell)));
+        let scenario = |cell: &Cell<'_>, set: &[(String, String)]| scenario_of(cell.rows[0], &swept_of(cell), set);
+        let is_preset = cells.iter().all(|cell| scenario(cell, &[]).is_some());
+        let is_known = cells.iter().all(|cell| scenario(cell, &set).is_some());
+        let changes = if is_known && !is_preset { set } else { Vec::new() };
+        let changed_in = (!is_known && !is_preset).then(|| name.to_owned());
         for cell in cells {
             let wanted = Setting {
                 preset: cell.preset.to_owned(),
                 ttis: cell.ttis,
-                changed_in: is_changed.then(|| name.to_owned()),
+                changes: changes.clone(),
+                changed_in: changed_in.clone(),
+                scenario: scenario(&cell, &changes).filter(|_| changed_in.is_none()),
                 swept: swept_of(&cell),
                 runs: BTreeMap::new(),
             };
@@ -124,19 +135,29 @@ fn digests(table: &Table) -> String {
     Hash(sum.finalize().into()).to_string()
 }
 
-/// Whether the scenario of `row` is its preset with nothing changed but what the columns of the table say.
-fn is_of_preset(row: &Row, swept: &[(String, String)]) -> bool {
-    let mut overrides = vec![
+/// What the experiment `text` sets for all its runs: fields and values; nothing if it cannot be read.
+fn changes_of(text: &str) -> Vec<(String, String)> {
+    let Ok(experiment) = text.parse::<toml::Table>() else {
+        return Vec::new();
+    };
+    let set = experiment.get("set").and_then(toml::Value::as_table);
+    let words = |value: &toml::Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+    let set = set.into_iter().flatten();
+    set.map(|(path, value)| (path.clone(), words(value))).collect()
+}
+
+/// The scenario of `row`, if it is its preset with nothing changed but what the columns of the table and `set` say.
+fn scenario_of(row: &Row, swept: &[(String, String)], set: &[(String, String)]) -> Option<Scenario> {
+    let set = set.iter().chain(swept).map(|(path, value)| format!("{path}={value}"));
+    let columns = [
         format!("policy.name={}", row.policy),
         format!("devices={}", row.n),
         format!("ttis={}", row.ttis),
         format!("seed={}", row.seed),
     ];
-    overrides.extend(swept.iter().map(|(path, value)| format!("{path}={value}")));
-    let overrides: Result<Vec<Override>, _> = overrides.iter().map(|text| Override::parse(text)).collect();
-    overrides
-        .and_then(|overrides| load(&row.preset, &overrides))
-        .is_ok_and(|scenario| scenario.hash() == row.scenario_hash.0)
+    let overrides: Result<Vec<Override>, _> = set.chain(columns).map(|text| Override::parse(&text)).collect();
+    let scenario = load(&row.preset, &overrides.ok()?).ok()?;
+    (scenario.hash() == row.scenario_hash.0).then_some(scenario)
 }
 
 impl Setting {
@@ -144,6 +165,7 @@ impl Setting {
         self.preset == other.preset
             && self.ttis == other.ttis
             && self.swept == other.swept
+            && self.changes == other.changes
             && self.changed_in == other.changed_in
     }
 
@@ -166,9 +188,26 @@ impl Setting {
     }
 
     /// The estimate of `metric` for `policy` with `n` devices; `None` without runs in which it is defined.
+    ///
+    /// Where not one event was missed, runs do not differ, which tells nothing: half the interval of `misdetection_pct` is
+    /// then the rule of three's 95 % bound, 300 / Σ events %.
     pub fn estimate(&self, policy: &str, n: u32, metric: &str) -> Option<Estimate> {
         let runs = self.runs.get(&(policy.to_owned(), n))?;
-        Estimate::of(runs.values().filter_map(|row| row.metric(metric)))
+        let mut estimate = Estimate::of(runs.values().filter_map(|row| row.metric(metric)))?;
+        if let Some(events) = self.unseen(policy, n, metric) {
+            estimate.half_width = 300.0 / events as f64;
+        }
+        Some(estimate)
+    }
+
+    /// The events of a cell, all runs together, if `metric` is the share of those missed and none was.
+    pub fn unseen(&self, policy: &str, n: u32, metric: &str) -> Option<u64> {
+        let missed = self
+            .runs(policy, n)
+            .filter_map(|row| row.metric(metric))
+            .fold(0.0, f64::max);
+        let events = self.runs(policy, n).map(|row| row.events).sum();
+        (metric == "misdetection_pct" && missed == 0.0 && events > 0).then_some(events)
     }
 
     /// The runs of a cell, in the order of seeds.
@@ -192,7 +231,7 @@ impl Setting {
     /// What it is, in words.
     pub fn label(&self) -> String {
         let mut label = self.preset.clone();
-        for (path, value) in &self.swept {
+        for (path, value) in self.changes.iter().chain(&self.swept) {
             label = format!("{label}, {path} = {value}");
         }
         match &self.changed_in {
@@ -201,15 +240,31 @@ impl Setting {
         }
     }
 
-    /// What it is, as part of a file's name.
-    pub fn file_label(&self) -> String {
+    /// Whether it is its preset, with nothing swept or changed.
+    pub fn is_plain(&self) -> bool {
+        self.swept.is_empty() && self.changes.is_empty() && self.changed_in.is_none()
+    }
+
+    /// How many runs there are.
+    pub fn run_count(&self) -> usize {
+        self.runs.values().map(BTreeMap::len).sum()
+    }
+
+    /// What it is, as part of a file's name; with `folder` of the table that it comes from, if it takes a table to tell.
+    fn file_label(&self, has_folder: bool) -> String {
         let mut label = self.preset.clone();
-        for (path, value) in &self.swept {
+        for (path, value) in self.changes.iter().chain(&self.swept) {
             label = format!("{label}-{path}-{value}");
         }
         if let Some(table) = &self.changed_in {
-            let stem = std::path::Path::new(table).file_stem();
-            label = format!("{label}-{}", stem.unwrap_or_default().to_string_lossy());
+            let table = std::path::Path::new(table);
+            let folder = table
+                .parent()
+                .and_then(std::path::Path::file_name)
+                .filter(|_| has_folder);
+            for part in [folder, table.file_stem()].into_iter().flatten() {
+                label = format!("{label}-{}", part.to_string_lossy());
+            }
         }
         let keep = |c: char| {
             if c.is_ascii_alphanumeric() || matches!(c, '.' | '-') {
@@ -219,6 +274,34 @@ impl Setting {
             }
         };
         label.chars().map(keep).collect()
+    }
+}
+
+impl Results {
+    /// For each of [`Self::settings`] the part of a file's name that sets it apart from all others.
+    pub fn file_labels(&self) -> Vec<String> {
+        let lengths = self.settings.windows(2).any(|pair| pair[0].ttis != pair[1].ttis);
+        let of = |setting: &Setting, has_folder: bool| {
+            let label = setting.file_label(has_folder);
+            if lengths {
+                format!("{label}-k{}", setting.ttis)
+            } else {
+                label
+            }
+        };
+        let short: Vec<String> = self.settings.iter().map(|s| of(s, false)).collect();
+        let mut labels: Vec<String> = Vec::new();
+        for (setting, label) in self.settings.iter().zip(&short) {
+            let is_shared = short.iter().filter(|other| other.eq_ignore_ascii_case(label)).count() > 1;
+            let label = of(setting, is_shared);
+            let is_taken = |name: &str| labels.iter().any(|other| other.eq_ignore_ascii_case(name));
+            let numbered = (2..).map(|i| format!("{label}-{i}"));
+            let free = std::iter::once(label.clone())
+                .chain(numbered)
+                .find(|name| !is_taken(name));
+            labels.extend(free);
+        }
+        labels
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::chart::{Chart, Mark, Sample, Series, Stated, spread};
+use super::chart::{Chart, Interval, Mark, Sample, Series, Span, Stated, spread};
 use super::error::FigureError;
 use super::results::Setting;
 use super::scale::Scale;
@@ -148,6 +148,7 @@ impl Figure {
                 style: Style::of_policy(policy),
                 joined: true,
                 marked: true,
+                interval: Interval::Bars,
                 samples,
             });
         }
@@ -155,6 +156,7 @@ impl Figure {
             return None;
         }
         let marks = self.marks(&series);
+        let spans = self.spans(&series);
         let largest = series.iter().flat_map(|s| &s.samples).map(|s| s.x);
         let largest = largest.chain(marks.iter().map(|m| m.x)).fold(0.0, f64::max);
         let chart = Chart {
@@ -165,11 +167,12 @@ impl Figure {
                 from: -0.06 * largest,
                 to: 1.07 * largest,
             },
-            y: self.y_scale(&series, &marks),
-            caption: self.caption(setting, &series, &marks, &undefined),
+            y: self.y_scale(&series, &marks, &spans),
+            caption: self.caption(setting, (&series, &marks, &spans), &undefined),
             zero_below: self.is_log && has_zero(&series),
             series,
             marks,
+            spans,
         };
         Some(Drawing { chart, undefined })
     }
@@ -197,14 +200,41 @@ impl Figure {
         marks
     }
 
-    fn y_scale(&self, series: &[Series], marks: &[Mark]) -> Scale {
+    /// What the paper states of the policies drawn for several N, from the least to the largest of them that was run.
+    fn spans(&self, series: &[Series]) -> Vec<Span> {
+        let claims = topic(self.metric).map_or(&[][..], |topic| topic.claims);
+        let xs = || series.iter().flat_map(|s| &s.samples).map(|s| s.x);
+        let (least, largest) = (xs().fold(f64::INFINITY, f64::min), xs().fold(0.0, f64::max));
+        let span = |claim: &Claim| {
+            let to = match claim.sites {
+                Sites::At(_) => return None,
+                Sites::Under(limit) => largest.min(f64::from(limit)),
+                Sites::Everywhere => largest,
+            };
+            let own = series.iter().find(|s| s.name == claim.policy)?;
+            Some(Span {
+                from: least,
+                to,
+                stated: stated(claim, claims)?,
+                paint: own.style.paint,
+            })
+        };
+        claims
+            .iter()
+            .filter_map(span)
+            .filter(|span| span.from < span.to)
+            .collect()
+    }
+
+    fn y_scale(&self, series: &[Series], marks: &[Mark], spans: &[Span]) -> Scale {
         let ends = |s: &Sample| {
             let half = if s.half.is_finite() { s.half } else { 0.0 };
             // None of these metrics can be negative, whatever an interval says.
             [(s.y - half).max(s.y.min(0.0)), s.y + half]
         };
         let measured = series.iter().flat_map(|s| &s.samples);
-        let stated = marks.iter().flat_map(|m| m.stated.values());
+        let stated = marks.iter().map(|m| m.stated).chain(spans.iter().map(|s| s.stated));
+        let stated = stated.flat_map(Stated::values);
         if !self.is_log {
             return Scale::linear(measured.flat_map(ends).chain(stated), true);
         }
@@ -218,7 +248,12 @@ impl Figure {
         }
     }
 
-    fn caption(&self, setting: &Setting, series: &[Series], marks: &[Mark], undefined: &[String]) -> String {
+    fn caption(
+        &self,
+        setting: &Setting,
+        (series, marks, spans): (&[Series], &[Mark], &[Span]),
+        undefined: &[String],
+    ) -> String {
         let runs = match setting.runs_per_cell() {
             (1, 1) => "one run".to_owned(),
             (least, most) if least == most => format!("{most} runs"),
@@ -232,8 +267,13 @@ impl Figure {
         if !marks.is_empty() {
             text.push_str(" What the paper states stands beside its N; box: a range, arrow: a bound.");
         }
+        if !spans.is_empty() {
+            text.push_str(" Hatched: what it states for a range of N.");
+        }
         if self.is_log && has_zero(series) {
-            text.push_str(" Not one seen: at the lower border.");
+            text.push_str(
+                " At the lower border: not one of the events; bars then end at 300 / Σ events %, the rule of three.",
+            );
         }
         if !undefined.is_empty() {
             let _ = write!(text, " Not defined for {}.", undefined.join(", "));
@@ -293,7 +333,17 @@ pub(super) fn mark(claim: &Claim, claims: &[Claim]) -> Option<Mark> {
         Sites::At(n) => n,
         Sites::Under(_) | Sites::Everywhere => return None,
     };
-    let stated = match claim.relation {
+    Some(Mark {
+        x: f64::from(n),
+        aside: 0.0,
+        stated: stated(claim, claims)?,
+        style: Style::of_policy(claim.policy),
+    })
+}
+
+/// What `claim`, one of `claims`, says; a ratio as its multiple of what is stated of the other policy.
+fn stated(claim: &Claim, claims: &[Claim]) -> Option<Stated> {
+    Some(match claim.relation {
         Relation::About(v) => Stated::Value(v),
         Relation::Between(low, high) => Stated::Range(low, high),
         Relation::Below(v) => Stated::Below(v),
@@ -306,11 +356,5 @@ pub(super) fn mark(claim: &Claim, claims: &[Claim]) -> Option<Mark> {
                 Relation::Below(_) | Relation::Above(_) | Relation::Times(..) => return None,
             }
         }
-    };
-    Some(Mark {
-        x: f64::from(n),
-        aside: 0.0,
-        stated,
-        style: Style::of_policy(claim.policy),
     })
 }

@@ -125,6 +125,30 @@ fn what_the_paper_states_is_marked_for_policies_that_were_run() {
 }
 
 #[test]
+fn what_the_paper_states_for_several_n_is_hatched() {
+    let runs: [(&str, u32, &[f64]); 3] = [
+        ("adjusted", 10, &[3.0, 3.5]),
+        ("adjusted", 250, &[1.0, 1.5]),
+        ("dt", 100, &[1.0, 1.2]),
+    ];
+    for (name, expected) in [
+        ("misdetection", Some((10.0, 200.0, [2.0, 2.0]))),
+        ("low-energy", Some((10.0, 250.0, [30.0, 45.0]))),
+        ("battery", Some((10.0, 250.0, [31.0, 54.0]))),
+        ("wasted", Some((10.0, 250.0, [1.5, 1.5]))),
+        ("energy", None),
+    ] {
+        let figure = study::FIGURES.into_iter().find(|f| f.name == name).expect("a figure");
+        let results = Results::new(&[fixtures::table("paper", figure.metric, &runs)]).expect("runs");
+        let chart = figure.draw(&results.settings[0]).expect("a figure").chart;
+        let spans: Vec<_> = chart.spans.iter().map(|s| (s.from, s.to, s.stated.values())).collect();
+        assert_eq!(spans, expected.into_iter().collect::<Vec<_>>(), "{name}");
+        assert_eq!(chart.caption.contains("Hatched"), expected.is_some());
+        check(name, &chart.scene());
+    }
+}
+
+#[test]
 fn a_stated_ratio_is_marked_at_its_multiple_of_what_is_stated() {
     let topic = crate::report::claims::topic("energy_per_device_tti").expect("a topic");
     let ratios = topic
@@ -153,10 +177,20 @@ fn harvest_and_net_are_drawn() {
     let setting = &results.settings[0];
     let points = energy::harvests("paper").expect("harvests");
     assert_eq!(points.len(), 27);
-    check("harvest", &energy::harvest_chart(setting, &points).scene());
+    let harvest = energy::harvest_chart(setting, &points);
+    check("harvest", &harvest.scene());
+    assert_eq!(harvest.marks.len(), 8, "four for N = 10, four for N = 250");
+    assert!(
+        harvest.caption.contains("8 runs with N = 20, 2000 TTIs"),
+        "{}",
+        harvest.caption
+    );
     let net = energy::net_chart(setting).expect("random and adjusted were run");
     check("net", &net.scene());
     assert_eq!(net.marks.len(), 6);
+    // adjusted's two runs: t(1) = 12.706, and half of |0.31 - 0.30|.
+    let half = net.series[0].samples[0].half;
+    assert!((half - 12.706 * 0.005).abs() < 1e-5, "{half}");
     assert!(energy::harvest_csv(&points).lines().count() == 28 && energy::net_csv(&net).lines().count() > 100);
     let without = results_of(&[("random", 100, &[0.2])]);
     assert!(energy::net_chart(&without.settings[0]).is_none());
@@ -232,7 +266,7 @@ fn tables_are_put_together_by_what_was_run() {
         "another scenario under the same preset is another setting"
     );
     assert_eq!(apart.settings[1].label(), "paper, changed as in mine.parquet");
-    assert_eq!(apart.settings[1].file_label(), "paper-mine");
+    assert_eq!(apart.file_labels(), ["paper", "paper-mine"]);
 
     let mut false_one = table.clone();
     false_one.rows[0].digest = Hash([7; 32]);
@@ -245,6 +279,40 @@ fn tables_are_put_together_by_what_was_run() {
     };
     let refused = Results::new(&[(name, empty)]).expect_err("nothing to draw");
     assert!(refused.to_string().contains("paper.parquet: no rows"), "{refused}");
+}
+
+#[test]
+fn settings_of_tables_of_one_name_have_names_of_their_own() {
+    let (_, table) = fixtures::table("paper", "mean_battery", &RUNS[..2]);
+    let table = |hash: u8| {
+        let mut changed = table.clone();
+        let rows = changed.rows.iter_mut();
+        rows.for_each(|row| row.scenario_hash = Hash([hash; 32]));
+        changed
+    };
+    let names = ["a/results.parquet", "b/results.parquet", "c/b/results.parquet"];
+    let tables: Vec<(String, Table)> = (1..).zip(names).map(|(i, name)| (name.to_owned(), table(i))).collect();
+    let labels = Results::new(&tables).expect("runs").file_labels();
+    assert_eq!(labels, ["paper-a-results", "paper-b-results", "paper-b-results-2"]);
+}
+
+#[test]
+fn what_the_experiment_sets_is_named_by_field_and_value() {
+    let set = scenario(&[
+        "events.alpha=0.3",
+        "devices=10",
+        "ttis=2000",
+        "seed=1",
+        "policy.name=knn",
+    ]);
+    let (name, mut table) = fixtures::table("paper", "mean_battery", &[("knn", 10, &[1.0])]);
+    table.rows[0].scenario_hash = Hash(set.hash());
+    table.about.experiment = "scenario = \"paper\"\n\n[set]\n\"events.alpha\" = 0.3\n".to_owned();
+    let results = Results::new(&[(name, table)]).expect("runs");
+    let setting = &results.settings[0];
+    assert_eq!(setting.label(), "paper, events.alpha = 0.3");
+    assert!(!setting.is_plain() && setting.scenario.as_ref() == Some(&set));
+    assert_eq!(results.file_labels(), ["paper-events.alpha-0.3"]);
 }
 
 #[test]

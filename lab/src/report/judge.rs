@@ -3,9 +3,10 @@
 //! 1. A policy without runs at a claim's N is *not run*.
 //! 2. A claim is *reproduced* if our mean is within 20 % of the stated value: of the value itself, of the nearer end of a
 //!    range, of a stated ratio of two means. A bound ("below", "above") is met or not, without a tolerance. A claim for
-//!    several N must hold at each that was run.
+//!    several N must hold at each that was run. A stated 0 allows 1 % of the largest of the other policies' means.
 //! 3. Otherwise its *order is reproduced* if, at each such N, our means stand to those of every other policy as the paper's
-//!    figures do, where the paper states figures for both that exclude each other, and there is at least one such policy.
+//!    figures do, where the paper states their ratio or figures for both all of which exclude each other, and there is at
+//!    least one such policy.
 //! 4. Otherwise it is *not reproduced*.
 //!
 //! A verdict is *firm* if it would be the same for every value in our 95 % intervals.
@@ -16,6 +17,8 @@ use crate::stats::Estimate;
 
 /// How far from a stated value still counts as that value, as a share of it.
 pub const TOLERANCE: f64 = 0.2;
+/// How much counts as 0, as a share of the largest of the other policies' means.
+pub const ZERO: f64 = 0.01;
 /// For what binary fractions do to the last digit of 20 %.
 const ROUNDING: f64 = 1e-9;
 
@@ -45,14 +48,18 @@ impl Verdict {
 }
 
 /// Our figure at one N, with what it was compared with.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Finding {
     /// N.
     pub n: u32,
     /// Our mean; of a ratio, the ratio of means.
     pub value: f64,
-    /// Half the 95 % interval; NaN where it is not known.
+    /// Half the 95 % interval; NaN where it is not known. Above a count of zero, the rule of three's bound.
     pub half: f64,
+    /// What counts as a stated 0, at most.
+    pub zero: f64,
+    /// The events, if none of them was missed.
+    pub unseen: Option<u64>,
 }
 
 /// A claim, judged.
@@ -76,7 +83,10 @@ pub fn judge(topic: &Topic, claim: &Claim, setting: &Setting) -> Judgement {
         .into_iter()
         .filter(|n| claim.sites.holds(*n))
         .collect();
-    let findings = sizes.iter().filter_map(|&n| finding(claim, n, &estimate)).collect();
+    let findings = sizes
+        .iter()
+        .filter_map(|&n| finding(topic, claim, n, setting))
+        .collect();
     let mut judgement = Judgement {
         verdict: Verdict::NotRun,
         firm: true,
@@ -121,37 +131,57 @@ pub fn judge(topic: &Topic, claim: &Claim, setting: &Setting) -> Judgement {
 }
 
 /// Our figure for `claim` at `n`.
-fn finding(claim: &Claim, n: u32, estimate: &impl Fn(&str, u32) -> Option<Estimate>) -> Option<Finding> {
-    let own = estimate(claim.policy, n)?;
+fn finding(topic: &Topic, claim: &Claim, n: u32, setting: &Setting) -> Option<Finding> {
+    let mean = |policy: &str| setting.estimate(policy, n, topic.metric);
+    let own = mean(claim.policy)?;
     let Relation::Times(_, other) = claim.relation else {
+        let others = setting.policies().into_iter().filter(|policy| *policy != claim.policy);
+        let largest = others.filter_map(mean).map(|e| e.mean).fold(0.0, f64::max);
         return Some(Finding {
             n,
             value: own.mean,
             half: own.half_width,
+            zero: ZERO * largest,
+            unseen: setting.unseen(claim.policy, n, topic.metric),
         });
     };
-    let base = estimate(other, n)?;
+    let base = mean(other)?;
     let value = own.mean / base.mean;
     // First order in both means, which come from the same seeds: taking them as independent is on the wide side.
     let spread = (own.half_width / own.mean).abs() + (base.half_width / base.mean).abs();
     let half = value.abs() * spread;
-    value.is_finite().then_some(Finding { n, value, half })
+    value.is_finite().then_some(Finding {
+        n,
+        value,
+        half,
+        ..Finding::default()
+    })
 }
 
 /// Whether `finding` is what `relation` says, and whether all of its interval is on the same side.
 fn fits(relation: Relation, finding: &Finding) -> (bool, bool) {
-    let holds = |x: f64| match relation {
-        Relation::Below(v) => x < v,
-        Relation::Above(v) => x > v,
-        Relation::About(v) | Relation::Times(v, _) => within(x, v, v),
-        Relation::Between(low, high) => within(x, low, high),
+    let (low, high) = match relation {
+        Relation::Below(v) => (f64::NEG_INFINITY, v),
+        Relation::Above(v) => (v, f64::INFINITY),
+        Relation::About(0.0) => (f64::NEG_INFINITY, finding.zero),
+        Relation::About(v) | Relation::Times(v, _) => widened(v, v),
+        Relation::Between(low, high) => widened(low, high),
     };
+    let is_strict = matches!(relation, Relation::Below(_) | Relation::Above(_));
+    let holds = |x: f64| {
+        if is_strict {
+            low < x && x < high
+        } else {
+            (low..=high).contains(&x)
+        }
+    };
+    // No metric of a claim can be negative, whatever an interval says.
+    let (from, to) = ((finding.value - finding.half).max(0.0), finding.value + finding.half);
     let result = holds(finding.value);
-    let (low, high) = (finding.value - finding.half, finding.value + finding.half);
-    let firm = match relation {
-        Relation::Below(_) | Relation::Above(_) => holds(low) == result && holds(high) == result,
-        Relation::About(v) | Relation::Times(v, _) => firm_within(result, low, high, v, v),
-        Relation::Between(a, b) => firm_within(result, low, high, a, b),
+    let firm = if result {
+        holds(from) && holds(to)
+    } else {
+        to < low || high < from || (is_strict && (to <= low || high <= from))
     };
     (result, firm && !finding.half.is_nan())
 }
@@ -167,15 +197,6 @@ fn widened(low: f64, high: f64) -> (f64, f64) {
     (low - room * low.abs(), high + room * high.abs())
 }
 
-fn firm_within(result: bool, from: f64, to: f64, low: f64, high: f64) -> bool {
-    let (low, high) = widened(low, high);
-    if result {
-        low <= from && to <= high
-    } else {
-        to < low || high < from
-    }
-}
-
 /// What the paper states of the policy of `claim` at `n`, from and to; a ratio stands for its multiple of what is stated of
 /// the other policy.
 fn stated(topic: &Topic, claim: &Claim, n: u32) -> Option<(f64, f64)> {
@@ -187,20 +208,30 @@ fn stated(topic: &Topic, claim: &Claim, n: u32) -> Option<(f64, f64)> {
     Some((factor * low, factor * high))
 }
 
-/// The policies of which the paper states figures at `n` that exclude those of `claim`, and whether `claim` is the lower.
+/// The policies to which the paper states the ratio of that of `claim` at `n`, or all of whose figures there exclude all of
+/// its own, and whether `claim` is the lower.
 fn rivals(topic: &Topic, claim: &Claim, n: u32) -> Vec<(&'static str, bool)> {
-    let Some((low, high)) = stated(topic, claim, n) else {
-        return Vec::new();
+    let ranges = |policy: &str| -> Vec<(f64, f64)> {
+        let own = topic.claims.iter().filter(|c| c.policy == policy && c.sites.holds(n));
+        own.filter_map(|c| stated(topic, c, n)).collect()
     };
-    let others = topic
-        .claims
-        .iter()
-        .filter(|other| other.policy != claim.policy && other.sites.holds(n));
-    let apart = others.filter_map(|other| {
-        let (least, most) = stated(topic, other, n)?;
-        (high < least || most < low).then_some((other.policy, high < least))
-    });
-    apart.collect()
+    let own = ranges(claim.policy);
+    let mut rivals: Vec<(&'static str, bool)> = Vec::new();
+    if let Relation::Times(factor, other) = claim.relation {
+        rivals.push((other, factor < 1.0));
+    }
+    for other in topic.claims.iter().filter(|other| other.policy != claim.policy) {
+        if rivals.iter().any(|(known, _)| *known == other.policy) {
+            continue;
+        }
+        let theirs = ranges(other.policy);
+        let all = |apart: fn((f64, f64), (f64, f64)) -> bool| own.iter().all(|a| theirs.iter().all(|b| apart(*a, *b)));
+        let (is_lower, is_higher) = (all(|a, b| a.1 < b.0), all(|a, b| b.1 < a.0));
+        if !own.is_empty() && !theirs.is_empty() && is_lower != is_higher {
+            rivals.push((other.policy, is_lower));
+        }
+    }
+    rivals
 }
 
 /// Whether `own` stands to `theirs` as stated, and whether their intervals leave no doubt.

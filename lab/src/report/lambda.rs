@@ -1,86 +1,123 @@
 //! The claims on λ (Figs. 13 and 14): from which λ on a device harvests more than it spends.
 //!
-//! As in the paper, consumption is held fixed at what the policies spend in the tables (Fig. 8) while λ varies.
+//! As in the paper, consumption is held fixed at what a policy spends in the tables (Fig. 8) while λ varies. The policies
+//! are those that the paper names at the ends of its ranges, whatever place they have in ours.
+
+use reveille_common::scenario::{Harvest, Scenario};
 
 use super::judge::{Verdict, within};
 use super::words::{number, plain, plus_minus};
-use super::{Column, Line, Ours};
-use crate::analysis::harvest::{Reading, STATED, Stated, positive_net};
+use super::{Column, Line, Ours, not_run};
+use crate::analysis::harvest::{Reading, STATED, Stated, StatedEnd, positive_net};
 use crate::figures::energy::consumption;
 use crate::figures::results::Setting;
 use crate::stats::Estimate;
 
-/// Which end of the paper's range of λ.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum End {
-    /// For the policy that spends least.
-    Least,
-    /// For the policy that spends most.
-    Most,
-}
+/// The metric that is held fixed.
+const SPENT: &str = "energy_per_device_tti";
 
 /// All claims on λ.
 pub fn lines(columns: &[Column<'_>]) -> Vec<Line> {
-    let mut lines = Vec::new();
-    for stated in &STATED {
-        for (end, value) in [(End::Least, stated.low), (End::Most, stated.high)] {
-            if !value.is_nan() {
-                lines.push(line(stated, end, value, columns));
-            }
-        }
-    }
+    let lines = |stated: &'static Stated| {
+        let own = stated.ends().enumerate();
+        own.map(move |(end, value)| line(stated, end == 1, value, columns))
+    };
+    let mut lines: Vec<Line> = STATED.iter().flat_map(lines).collect();
     lines.sort_by_key(|line| line.source);
     lines
 }
 
-fn line(stated: &Stated, end: End, value: f64, columns: &[Column<'_>]) -> Line {
-    let ours = |column: &Column<'_>| {
-        let spent = column.setting.and_then(|setting| spent(setting, stated.devices, end));
-        match spent {
-            Some((policy, spent)) => judge(stated.e_b, value, &policy, &spent),
-            None => Ours {
-                found: String::new(),
-                verdict: Verdict::NotRun,
-                firm: true,
-                why: format!(
-                    "It takes runs of two policies or more with N = {}, the genie aside.",
-                    stated.devices
-                ),
-            },
-        }
-    };
+fn line(stated: &'static Stated, is_most: bool, end: StatedEnd, columns: &[Column<'_>]) -> Line {
+    let rank = if is_most { "most" } else { "least" };
     Line {
         source: stated.source,
         about: format!("λ above which net energy is positive, E_B = {}", stated.e_b),
-        policy: match end {
-            End::Least => "the one that spends least".to_owned(),
-            End::Most => "the one that spends most".to_owned(),
-        },
+        policy: format!("{}, spends {rank}", end.policy),
         sites: format!("N = {}", stated.devices),
-        paper: format!("≈ {}", plain(value)),
-        ours: columns.iter().map(ours).collect(),
+        paper: format!("≈ {}", plain(end.lambda)),
+        ours: columns
+            .iter()
+            .map(|column| ours(stated, is_most, end, column))
+            .collect(),
     }
 }
 
-fn spent(setting: &Setting, n: u32, end: End) -> Option<(String, Estimate)> {
-    let [least, most] = consumption(setting, n)?;
-    Some(match end {
-        End::Least => least,
-        End::Most => most,
-    })
+fn ours(stated: &Stated, is_most: bool, end: StatedEnd, column: &Column<'_>) -> Ours {
+    let none = |why: String| Ours {
+        found: String::new(),
+        verdict: Verdict::NotRun,
+        firm: true,
+        why,
+    };
+    let Some(setting) = column.setting else {
+        return none(super::NO_TABLE.to_owned());
+    };
+    let Some(spent) = setting.estimate(end.policy, stated.devices, SPENT) else {
+        return none(not_run(end.policy));
+    };
+    let Some(tau) = setting.scenario.as_ref().and_then(tau_of_eq5) else {
+        return none(
+            "Not comparable: the claim is about Eq. (5), and the energy source of these runs is another, or their table does not \
+             tell it."
+                .to_owned(),
+        );
+    };
+    let mut ours = judge((stated.e_b, tau), end, &spent);
+    let place = place(setting, stated.devices, is_most, end.policy);
+    if !place.is_empty() {
+        let why = format!("{} {place}", ours.why);
+        why.trim_start().clone_into(&mut ours.why);
+    }
+    ours
 }
 
-fn judge(e_b: f64, stated: f64, policy: &str, spent: &Estimate) -> Ours {
+/// τ of a scenario all of whose devices harvest by Eq. (5); `None` for any other.
+fn tau_of_eq5(scenario: &Scenario) -> Option<f64> {
+    let is_eq5 = scenario
+        .classes
+        .iter()
+        .all(|class| matches!(class.harvest, Harvest::Eq5 { .. }));
+    is_eq5.then_some(scenario.tau)
+}
+
+/// A sentence if `policy` is not at the end of our range at which the paper has it.
+fn place(setting: &Setting, n: u32, is_most: bool, policy: &str) -> String {
+    let Some([least, most]) = consumption(setting, n) else {
+        return String::new();
+    };
+    let (own, other, rank) = if is_most {
+        (&most, &least, ["most", "least"])
+    } else {
+        (&least, &most, ["least", "most"])
+    };
+    if own.0 == policy {
+        return String::new();
+    }
+    let [rank, opposite] = rank;
+    let here = if other.0 == policy {
+        format!("it spends {opposite} of all")
+    } else {
+        "it is neither the first nor the last".to_owned()
+    };
+    format!(
+        "The paper has {policy} as the one that spends {rank}; here {here}, and {} spends {rank}, {} units.",
+        own.0,
+        number(own.1.mean)
+    )
+}
+
+fn judge((e_b, tau): (f64, f64), end: StatedEnd, spent: &Estimate) -> Ours {
+    let StatedEnd { lambda: stated, policy } = end;
     let threshold =
-        |spent: f64| positive_net(Reading::Eq5, e_b, spent.max(f64::MIN_POSITIVE), 1.0).map(|(from, _)| from);
+        |spent: f64| positive_net(Reading::Eq5, e_b, spent.max(f64::MIN_POSITIVE), tau).map(|(from, _)| from);
     let (low, high) = (
         threshold(spent.mean - spent.half_width),
         threshold(spent.mean + spent.half_width),
     );
     let Some(found) = threshold(spent.mean) else {
-        let most = e_b * Reading::Eq5.probability(1.0, 1.0);
+        let most = e_b * Reading::Eq5.probability(1.0 / tau, tau);
         return Ours {
-            found: format!("never ({policy})"),
+            found: "never".to_owned(),
             verdict: Verdict::NotReproduced,
             firm: low.is_none(),
             why: format!(
@@ -107,7 +144,7 @@ fn judge(e_b: f64, stated: f64, policy: &str, spent: &Estimate) -> Ours {
     let why = if fits {
         doubt.trim_start().to_owned()
     } else {
-        let needed = e_b * Reading::Eq5.probability(stated, 1.0);
+        let needed = e_b * Reading::Eq5.probability(stated, tau);
         format!(
             "{policy} spends {} units here; the paper's λ stands for a consumption of {}.{doubt}",
             number(spent.mean),
@@ -115,7 +152,7 @@ fn judge(e_b: f64, stated: f64, policy: &str, spent: &Estimate) -> Ours {
         )
     };
     Ours {
-        found: format!("{measured} ({policy})"),
+        found: measured,
         verdict: if fits {
             Verdict::Reproduced
         } else {

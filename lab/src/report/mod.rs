@@ -8,17 +8,21 @@ pub mod judge;
 mod lambda;
 pub mod markdown;
 pub mod page;
+mod why;
 mod words;
 
 use reveille_common::scenario::{Override, load};
 
 use self::claims::{Claim, Sites, TOPICS, Topic};
-use self::judge::{Judgement, Verdict, judge};
-use self::words::{number, plus_minus, relation};
+use self::judge::{Verdict, judge};
+use self::words::{number, relation};
 use crate::figures::results::{Results, Setting};
 
 /// The presets that the report always has columns for.
 pub const PRESETS: [&str; 2] = ["paper", "paper-literal"];
+
+/// Why a preset has no verdicts.
+const NO_TABLE: &str = "No table of this preset was given.";
 
 /// Our side of a claim under one setting.
 #[derive(Clone, Debug, PartialEq)]
@@ -86,7 +90,17 @@ impl<'r> Report<'r> {
         }
     }
 
-    /// How many claims have `verdict` in column `column`.
+    /// How many claims have `verdict` in column `column`, in words, with those that are in doubt.
+    pub fn tally(&self, column: usize, verdict: Verdict) -> String {
+        let is_doubtful = |line: &&Line| line.ours[column].verdict == verdict && !line.ours[column].firm;
+        let count = self.count(column, verdict);
+        match self.lines.iter().filter(is_doubtful).count() {
+            0 => count.to_string(),
+            doubtful => format!("{count}, of which {doubtful} ?"),
+        }
+    }
+
+    /// How many claims have `verdict` in column `column`, in doubt or not.
     pub fn count(&self, column: usize, verdict: Verdict) -> usize {
         self.lines
             .iter()
@@ -95,15 +109,21 @@ impl<'r> Report<'r> {
     }
 }
 
-/// The presets' columns, each with its longest runs, and then all other settings.
+/// How many claims `setting` has runs for.
+fn covered(setting: &Setting) -> usize {
+    let claims = TOPICS.iter().flat_map(|topic| topic.claims);
+    let is_run = |claim: &&Claim| setting.sizes(claim.policy).into_iter().any(|n| claim.sites.holds(n));
+    claims.filter(is_run).count()
+}
+
+/// The presets' columns, each of the setting with most claims covered, then most runs, then the longest; then all others.
 fn columns(results: &Results) -> Vec<Column<'_>> {
-    let is_plain = |s: &&Setting| s.swept.is_empty() && s.changed_in.is_none();
     let mut columns: Vec<Column<'_>> = Vec::new();
     for preset in PRESETS {
-        let own = results.settings.iter().filter(is_plain).filter(|s| s.preset == preset);
+        let own = results.settings.iter().filter(|s| s.is_plain() && s.preset == preset);
         columns.push(Column {
             label: preset.to_owned(),
-            setting: own.max_by_key(|s| s.ttis),
+            setting: own.max_by_key(|s| (covered(s), s.run_count(), s.ttis)),
         });
     }
     for setting in &results.settings {
@@ -122,12 +142,12 @@ fn columns(results: &Results) -> Vec<Column<'_>> {
 
 fn line(topic: &'static Topic, claim: &Claim, columns: &[Column<'_>]) -> Line {
     let ours = |column: &Column<'_>| match column.setting {
-        Some(setting) => ours(topic, claim, &judge(topic, claim, setting)),
+        Some(setting) => ours(topic, claim, setting),
         None => Ours {
             found: String::new(),
             verdict: Verdict::NotRun,
             firm: true,
-            why: "No table of this preset was given.".to_owned(),
+            why: NO_TABLE.to_owned(),
         },
     };
     Line {
@@ -144,12 +164,13 @@ fn line(topic: &'static Topic, claim: &Claim, columns: &[Column<'_>]) -> Line {
     }
 }
 
-fn ours(topic: &Topic, claim: &Claim, judgement: &Judgement) -> Ours {
+fn ours(topic: &Topic, claim: &Claim, setting: &Setting) -> Ours {
+    let judgement = judge(topic, claim, setting);
     let findings = &judgement.findings;
     let least = findings.iter().min_by(|a, b| a.value.total_cmp(&b.value));
     let most = findings.iter().max_by(|a, b| a.value.total_cmp(&b.value));
     let found = match (least, most) {
-        (Some(only), Some(_)) if findings.len() == 1 => plus_minus(only.value, only.half),
+        (Some(only), Some(_)) if findings.len() == 1 => words::found(claim.relation, only),
         (Some(least), Some(most)) => format!(
             "{} (N = {}) to {} (N = {})",
             number(least.value),
@@ -163,45 +184,17 @@ fn ours(topic: &Topic, claim: &Claim, judgement: &Judgement) -> Ours {
         found,
         verdict: judgement.verdict,
         firm: judgement.firm,
-        why: why(topic, claim, judgement),
+        why: why::why(topic, claim, &judgement, setting),
     }
 }
 
-/// What is known of why a claim is not met, in sentences.
-fn why(topic: &Topic, claim: &Claim, judgement: &Judgement) -> String {
-    let mut reasons: Vec<String> = Vec::new();
-    match judgement.verdict {
-        Verdict::Reproduced => {}
-        Verdict::NotRun if !is_built(claim.policy) => {
-            reasons.push(format!("The policy {} is not built yet.", claim.policy));
-        }
-        Verdict::NotRun => reasons.push("The tables hold no such runs.".to_owned()),
-        Verdict::OrderReproduced | Verdict::NotReproduced => {
-            reasons.extend(words::distance(claim.relation, &judgement.findings));
-            let wrong: Vec<String> = judgement
-                .order
-                .iter()
-                .filter(|(_, _, same)| !same)
-                .map(|(n, other, _)| format!("{other} (N = {n})"))
-                .collect();
-            if !wrong.is_empty() {
-                reasons.push(format!("Not on the paper's side of {}.", wrong.join(", ")));
-            }
-            if judgement.order.is_empty() {
-                reasons.push("The paper states no other figure to compare the order with.".to_owned());
-            }
-            if !claim.caveat.is_empty() {
-                reasons.push(claim.caveat.to_owned());
-            }
-            if !topic.remark.is_empty() {
-                reasons.push(topic.remark.to_owned());
-            }
-        }
+/// Why there are no runs of `policy`.
+fn not_run(policy: &str) -> String {
+    if is_built(policy) {
+        "The tables hold no such runs.".to_owned()
+    } else {
+        format!("The policy {policy} is not built yet.")
     }
-    if !judgement.firm {
-        reasons.push("Our interval reaches across the border of this verdict: more runs would decide.".to_owned());
-    }
-    reasons.join(" ")
 }
 
 /// Whether this version of Reveille has the policy.

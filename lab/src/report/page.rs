@@ -98,7 +98,7 @@ fn tally(report: &Report<'_>) -> String {
             verdict.words()
         );
         for column in 0..report.columns.len() {
-            let _ = write!(out, "<td>{}</td>", report.count(column, verdict));
+            let _ = write!(out, "<td>{}</td>", report.tally(column, verdict));
         }
         out.push_str("</tr>\n");
     }

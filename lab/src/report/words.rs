@@ -39,15 +39,37 @@ fn number_like(half: f64, mean: f64) -> String {
     }
 }
 
+/// What was found for a claim at one N.
+pub fn found(relation: Relation, finding: &Finding) -> String {
+    let Finding {
+        value, half, unseen, ..
+    } = *finding;
+    match (relation, unseen) {
+        (_, Some(events)) => format!("0 of {events} events, < {}", number(half)),
+        (Relation::Times(_, other), None) if half.is_nan() => format!("{} × {other} (one run)", number(value)),
+        (Relation::Times(_, other), None) => {
+            format!("{} × {other} (± {})", number(value), number_like(half, value))
+        }
+        (_, None) => plus_minus(value, half),
+    }
+}
+
 /// What a claim says.
 pub fn relation(relation: Relation) -> String {
     match relation {
-        Relation::About(v) => format!("≈ {}", plain(v)),
+        Relation::About(0.0) => "≈ 0".to_owned(),
+        Relation::About(v) => format!("≈ {}", number_as_stated(v)),
         Relation::Between(low, high) => format!("{} to {}", plain(low), plain(high)),
         Relation::Below(v) => format!("< {}", plain(v)),
         Relation::Above(v) => format!("> {}", plain(v)),
         Relation::Times(factor, other) => format!("{} × {other}", number(factor)),
     }
+}
+
+/// A stated value as it is stated; a quotient of two with three digits.
+fn number_as_stated(x: f64) -> String {
+    let text = plain(x);
+    if text.len() > 8 { number(x) } else { text }
 }
 
 /// A stated value as it is stated.
@@ -114,7 +136,11 @@ mod tests {
 
     #[test]
     fn the_distance_is_that_of_the_worst() {
-        let finding = |n, value| Finding { n, value, half: 0.0 };
+        let finding = |n, value| Finding {
+            n,
+            value,
+            ..Finding::default()
+        };
         let range = Relation::Between(30.0, 45.0);
         let text = distance(range, &[finding(10, 60.0), finding(250, 90.0)]).expect("a distance");
         assert!(

@@ -150,8 +150,10 @@ fn crossing(spent: &Estimate, reading: Reading, e_b: f64, tau: f64, devices: u32
 fn stated(reading: Reading, devices: u32, e_b: f64) -> String {
     let same = |s: &&Stated| reading == Reading::Eq5 && s.devices == devices && (s.e_b - e_b).abs() < 1e-9;
     match STATED.iter().find(same) {
-        Some(s) if s.low.is_nan() => format!("{} ({})", s.high, s.source),
-        Some(s) => format!("{}–{} ({})", s.low, s.high, s.source),
+        Some(s) => {
+            let ends: Vec<String> = s.ends().map(|end| format!("{} ({})", end.lambda, end.policy)).collect();
+            format!("{}, {}", ends.join(" to "), s.source)
+        }
         None => "–".to_owned(),
     }
 }
