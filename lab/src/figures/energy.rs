@@ -133,7 +133,7 @@ pub fn harvest_chart(setting: &Setting, points: &[Point]) -> Chart {
         y: Scale::Log { from: 0.01, to: 10.0 },
         caption: format!(
             "Lines: closed form λ·exp(−λ)·E_B, Eq. (5). Points: {seeds} runs with N = {devices}, {ttis} TTIs, made for this picture \
-             under preset {}, 95 % intervals. Hollow, on the lines: the λ from which on the paper says that the harvest exceeds \
+             under preset {}, 95 % intervals. Hollow, on the lines: the λ above which, as the paper has it, harvest exceeds \
              consumption, N = 10 and 250. Bands: {}.{bands}",
             setting.preset,
             setting.label()

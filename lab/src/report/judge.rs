@@ -11,7 +11,7 @@
 //!
 //! A verdict is *firm* if it would be the same for every value in our 95 % intervals.
 
-use super::claims::{Claim, Relation, Topic};
+use super::claims::{Claim, Relation, Sites, Topic};
 use crate::figures::results::Setting;
 use crate::stats::Estimate;
 
@@ -212,8 +212,11 @@ fn stated(topic: &Topic, claim: &Claim, n: u32) -> Option<(f64, f64)> {
 /// its own, and whether `claim` is the lower.
 fn rivals(topic: &Topic, claim: &Claim, n: u32) -> Vec<(&'static str, bool)> {
     let ranges = |policy: &str| -> Vec<(f64, f64)> {
-        let own = topic.claims.iter().filter(|c| c.policy == policy && c.sites.holds(n));
-        own.filter_map(|c| stated(topic, c, n)).collect()
+        let own = || topic.claims.iter().filter(|c| c.policy == policy && c.sites.holds(n));
+        // What is said of this N counts before what is said of many.
+        let has_own = own().any(|c| c.sites == Sites::At(n));
+        let counts = own().filter(|c| !has_own || c.sites == Sites::At(n));
+        counts.filter_map(|c| stated(topic, c, n)).collect()
     };
     let own = ranges(claim.policy);
     let mut rivals: Vec<(&'static str, bool)> = Vec::new();
