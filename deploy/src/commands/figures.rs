@@ -61,8 +61,11 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
 fn draw_energy(args: &FiguresArgs, label: &str, setting: &Setting) -> anyhow::Result<()> {
     let is_chosen = |name: &str| args.only.is_empty() || args.only.iter().any(|only| only == name);
     let [harvest, net] = energy::NAMES.map(|name| (is_chosen(name), format!("{name}-{label}")));
+    if !harvest.0 && !net.0 {
+        return Ok(());
+    }
+    let points = energy::harvests(&setting.preset)?;
     if let (true, name) = harvest {
-        let points = energy::harvests(&setting.preset)?;
         write(&args.pictures, &name, &energy::harvest_chart(setting, &points).scene())?;
         save(
             &args.pictures.out,
@@ -71,7 +74,7 @@ fn draw_energy(args: &FiguresArgs, label: &str, setting: &Setting) -> anyhow::Re
         )?;
     }
     if let (true, name) = net {
-        match energy::net_chart(setting) {
+        match energy::net_chart(setting, &points) {
             Some(chart) => {
                 write(&args.pictures, &name, &chart.scene())?;
                 save(

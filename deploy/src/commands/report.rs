@@ -53,7 +53,7 @@ fn scenes(setting: &Setting) -> anyhow::Result<Vec<(&'static str, Scene)>> {
     let [harvest, net] = energy::NAMES;
     let points = energy::harvests(&setting.preset)?;
     scenes.push((harvest, energy::harvest_chart(setting, &points).scene()));
-    if let Some(chart) = energy::net_chart(setting) {
+    if let Some(chart) = energy::net_chart(setting, &points) {
         scenes.push((net, chart.scene()));
     }
     Ok(scenes)

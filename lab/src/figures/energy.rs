@@ -1,7 +1,8 @@
 //! The paper's Figs. 13 and 14: harvest and net energy against λ for E_B of 1, 5 and 10 units.
 //!
 //! As in the paper, what a policy spends is held fixed while λ varies: its consumption in the tables, which is that of
-//! Fig. 8. Lines are the closed form λτ·exp(-λτ)·E_B of Eq. (5), points are harvests of the lab's machines.
+//! Fig. 8. Lines are the closed form λτ·exp(-λτ)·E_B of Eq. (5), points are harvests of the lab's machines
+//! (less the same consumption).
 
 use std::fmt::Write as _;
 
@@ -123,7 +124,8 @@ pub fn harvest_chart(setting: &Setting, points: &[Point]) -> Chart {
             half: f64::NAN,
         });
         series.push(line_of(format!("E_B = {e_b}"), style, line.collect()));
-        series.push(dots_of(style, points.iter().filter(|p| (p.e_b - e_b).abs() < 1e-9)));
+        let measured = points.iter().filter(|p| (p.e_b - e_b).abs() < 1e-9);
+        series.push(dots_of(style, measured.map(harvest_of).collect()));
     }
     Chart {
         title: "Harvest against λ (Fig. 13 of the paper)".to_owned(),
@@ -149,14 +151,16 @@ pub fn harvest_chart(setting: &Setting, points: &[Point]) -> Chart {
     }
 }
 
-/// Fig. 14: what is harvested less what `random` and `adjusted` spend with 100 devices. `None` if `setting` lacks those.
-pub fn net_chart(setting: &Setting) -> Option<Chart> {
+/// Fig. 14: what is harvested less what `random` and `adjusted` spend with 100 devices, in closed form and with `points` of
+/// [`harvests`]. `None` if `setting` lacks those policies.
+pub fn net_chart(setting: &Setting, points: &[Point]) -> Option<Chart> {
+    let (devices, ttis, seeds) = MEASURED;
     let spent = |policy| setting.estimate(policy, NET_N, "energy_per_device_tti");
     let mut series = Vec::new();
     let mut figures = Vec::new();
     for policy in NET_POLICIES {
-        let spent = spent(policy)?;
-        let (spent, half) = (spent.mean, spent.half_width);
+        let consumption = spent(policy)?;
+        let (spent, half) = (consumption.mean, consumption.half_width);
         figures.push(if half.is_nan() {
             format!("{policy} spends {spent:.3}")
         } else {
@@ -174,6 +178,12 @@ pub fn net_chart(setting: &Setting) -> Option<Chart> {
             };
             let shown = net.filter(|s| (NET_ENDS.0..=NET_ENDS.1).contains(&s.y));
             series.push(line_of(format!("{policy}, E_B = {e_b}"), style, shown.collect()));
+            let measured = points.iter().filter(|p| (p.e_b - e_b).abs() < 1e-9);
+            let net = measured.map(|p| net_of(p, &consumption));
+            series.push(dots_of(
+                style,
+                net.filter(|s| (NET_ENDS.0..=NET_ENDS.1).contains(&s.y)).collect(),
+            ));
         }
     }
     let stated = STATED.iter().filter(|s| s.devices == NET_N).flat_map(marks_of);
@@ -194,8 +204,9 @@ pub fn net_chart(setting: &Setting) -> Option<Chart> {
         spans: Vec::new(),
         zero_below: false,
         caption: format!(
-            "Closed form λ·exp(−λ)·E_B, Eq. (5), less what the policy spends with {NET_N} devices, preset {}: \
-             {}; bands are their 95 % intervals. Hollow, at zero: where the paper says that it turns positive.",
+            "Lines: closed form λ·exp(−λ)·E_B, Eq. (5), less what the policy spends with {NET_N} devices, preset {}: \
+             {}; bands are their 95 % intervals. Points: harvests measured in {seeds} runs with N = {devices}, {ttis} TTIs, \
+             less the same. Hollow, at zero: where the paper says that it turns positive.",
             setting.label(),
             figures.join(", ")
         ),
@@ -227,19 +238,32 @@ fn line_of(name: String, style: Style, samples: Vec<Sample>) -> Series {
 }
 
 /// Measured points without an entry in the legend.
-fn dots_of<'p>(style: Style, points: impl Iterator<Item = &'p Point>) -> Series {
-    let sample = |p: &Point| Sample {
-        x: p.lambda,
-        y: p.harvested.mean,
-        half: p.harvested.half_width,
-    };
+fn dots_of(style: Style, samples: Vec<Sample>) -> Series {
     Series {
         name: String::new(),
         style,
         joined: false,
         marked: true,
         interval: Interval::Bars,
-        samples: points.map(sample).collect(),
+        samples,
+    }
+}
+
+fn harvest_of(point: &Point) -> Sample {
+    Sample {
+        x: point.lambda,
+        y: point.harvested.mean,
+        half: point.harvested.half_width,
+    }
+}
+
+/// The harvest of `point` less `consumption`. The two come from different runs, so their variances add up.
+fn net_of(point: &Point, consumption: &Estimate) -> Sample {
+    let known = |half: f64| if half.is_nan() { 0.0 } else { half };
+    Sample {
+        x: point.lambda,
+        y: point.harvested.mean - consumption.mean,
+        half: libm::hypot(known(point.harvested.half_width), known(consumption.half_width)),
     }
 }
 
@@ -260,12 +284,17 @@ pub fn harvest_csv(points: &[Point]) -> String {
     out
 }
 
-/// What Fig. 14 shows, as CSV.
+/// What Fig. 14 shows, as CSV: the lines, and the points with their half-widths.
 pub fn net_csv(chart: &Chart) -> String {
-    let mut out = String::from("line,lambda,net\n");
+    let mut out = String::from("line,kind,lambda,net,half_width_95\n");
+    let mut line = "";
     for series in &chart.series {
-        for sample in &series.samples {
-            let _ = writeln!(out, "\"{}\",{},{}", series.name, sample.x, sample.y);
+        let kind = if series.joined { "closed form" } else { "measured" };
+        if series.joined {
+            line = &series.name;
+        }
+        for Sample { x, y, half } in &series.samples {
+            let _ = writeln!(out, "\"{line}\",{kind},{x},{y},{half}");
         }
     }
     out

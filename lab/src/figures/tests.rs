@@ -185,15 +185,26 @@ fn harvest_and_net_are_drawn() {
         "{}",
         harvest.caption
     );
-    let net = energy::net_chart(setting).expect("random and adjusted were run");
+    let net = energy::net_chart(setting, &points).expect("random and adjusted were run");
     check("net", &net.scene());
     assert_eq!(net.marks.len(), 6);
     // adjusted's two runs: t(1) = 12.706, and half of |0.31 - 0.30|.
     let half = net.series[0].samples[0].half;
     assert!((half - 12.706 * 0.005).abs() < 1e-5, "{half}");
+    // Measured points stand on their line: the harvest of its E_B less 0.305, with the variances added.
+    let of_five = points
+        .iter()
+        .find(|p| p.e_b == 5.0 && p.lambda == 0.1)
+        .expect("measured");
+    let dots = net.series.iter().skip_while(|s| s.name != "adjusted, E_B = 5").nth(1);
+    let dot = dots
+        .and_then(|s| s.samples.iter().find(|d| d.x == 0.1))
+        .expect("a dot at λ = 0.1");
+    assert!((dot.y - (of_five.harvested.mean - 0.305)).abs() < 1e-12);
+    assert!((dot.half.powi(2) - half.powi(2) - of_five.harvested.half_width.powi(2)).abs() < 1e-12);
     assert!(energy::harvest_csv(&points).lines().count() == 28 && energy::net_csv(&net).lines().count() > 100);
     let without = results_of(&[("random", 100, &[0.2])]);
-    assert!(energy::net_chart(&without.settings[0]).is_none());
+    assert!(energy::net_chart(&without.settings[0], &points).is_none());
 }
 
 fn results_of(runs: &[(&str, u32, &[f64])]) -> Results {
