@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
 
-use reveille_tests::process::{Finished, Folder, PATIENCE, now, wait_until};
+use reveille_tests::process::{Folder, PATIENCE, assert_refused, now, wait_until};
 use rustix::process::Signal;
 use serde_json::Value;
 
@@ -16,19 +16,6 @@ const GRID: &str = "--policies knn,random,adjusted,genie --devices 8,20 --ttis 6
     --set policy.adjusted.t_drx=[2,8]";
 /// Its runs.
 const RUNS: usize = 4 * 2 * 12 * 2;
-
-/// Checks a refusal: its exit code, one paragraph with all of `parts`.
-fn assert_refused(end: &Finished, code: i32, parts: &[&str]) {
-    assert_eq!(end.code(), Some(code), "{end}");
-    for part in parts {
-        assert!(end.stderr.contains(part), "no {part:?}: {end}");
-    }
-    assert!(!end.stderr.contains("panicked"), "{end}");
-    if code == 1 {
-        assert!(end.stderr.starts_with("reveille: "), "{end}");
-        assert_eq!(end.stderr.trim().lines().count(), 1, "one paragraph: {end}");
-    }
-}
 
 /// Runs `reveille sweep ARGS --out OUT` and gives its table's bytes.
 fn swept(folder: &Folder, args: &str, out: &str) -> Vec<u8> {

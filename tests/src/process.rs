@@ -136,6 +136,13 @@ impl Folder {
         })
     }
 
+    /// Starts a base station that waits for thirty devices.
+    pub fn waiting_bs(&self, run: &str, endpoint: &str, args: &str) -> Process {
+        let bs = self.start(&format!("bs -n 30 -k 400 --run {run} --listen {endpoint} {args}"));
+        bs.wait_for_stderr("waiting for 30 devices");
+        bs
+    }
+
     /// The names of what is in a folder within this one; none if it is not there.
     pub fn list(&self, name: &str) -> Vec<String> {
         let entries = fs::read_dir(self.join(name)).into_iter().flatten().flatten();
@@ -331,6 +338,22 @@ impl std::fmt::Display for Finished {
             "{}\nstandard output: {}\nstandard error: {}",
             self.status, self.stdout, self.stderr
         )
+    }
+}
+
+/// Checks a refusal: its exit code, one paragraph with all of `parts`.
+///
+/// # Panics
+/// If it is another end.
+pub fn assert_refused(end: &Finished, code: i32, parts: &[&str]) {
+    assert_eq!(end.code(), Some(code), "{end}");
+    for part in parts {
+        assert!(end.stderr.contains(part), "no {part:?}: {end}");
+    }
+    assert!(!end.stderr.contains("panicked"), "{end}");
+    if code == 1 {
+        assert!(end.stderr.starts_with("reveille: "), "{end}");
+        assert_eq!(end.stderr.trim().lines().count(), 1, "one paragraph: {end}");
     }
 }
 
