@@ -20,14 +20,17 @@ use reveille_common::digest::Digest;
 use reveille_common::metrics::{Metrics, PICO_PER_INFORMATION, Totals};
 use reveille_common::scenario::Scenario;
 use reveille_common::units::MICRO_PER_UNIT;
+use reveille_lab::table::replace;
 use serde::Serialize;
 
 use crate::cli::OutputArgs;
 
 const RUNNING: &str = "RUNNING";
 const FAILED: &str = "FAILED";
+const SCENARIO: &str = "scenario.toml";
 const SUMMARY: &str = "summary.json";
-const PART: &str = "summary.json.part";
+/// What a run that was killed while it wrote may have left.
+const PARTS: [&str; 2] = ["scenario.toml.part", "summary.json.part"];
 
 /// The form of `summary.json`; raised when a field changes its meaning.
 const SUMMARY_VERSION: u32 = 1;
@@ -163,7 +166,7 @@ impl RunFolder {
         let cannot = || format!("cannot write in the run folder {}", path.display());
         fs::create_dir_all(&path).with_context(cannot)?;
         fs::write(path.join(RUNNING), format!("pid {}\n", std::process::id())).with_context(cannot)?;
-        fs::write(path.join("scenario.toml"), scenario.to_toml()).with_context(cannot)?;
+        replace(&path.join(SCENARIO), scenario.to_toml().as_bytes()).with_context(cannot)?;
         let open =
             |name: &str| File::create(path.join(name)).map(|file| csv::Writer::from_writer(BufWriter::new(file)));
         let mut folder = Self {
@@ -208,9 +211,7 @@ impl RunFolder {
         }
         self.events.flush().with_context(cannot)?;
         self.windows.flush().with_context(cannot)?;
-        let (part, whole) = (self.path.join(PART), self.path.join(SUMMARY));
-        fs::write(&part, summary.to_json()?).with_context(cannot)?;
-        fs::rename(&part, &whole).with_context(cannot)?;
+        replace(&self.path.join(SUMMARY), summary.to_json()?.as_bytes()).with_context(cannot)?;
         fs::remove_file(self.path.join(RUNNING)).with_context(cannot)?;
         self.is_closed = true;
         Ok(())
@@ -225,6 +226,7 @@ impl RunFolder {
         // The run has failed already; what cannot be written about it is not worth another error.
         let _ = self.events.flush();
         let _ = self.windows.flush();
+        // Written in place: on a full disk an empty mark is better than none.
         let _ = fs::write(self.path.join(FAILED), why);
         let _ = fs::remove_file(self.path.join(RUNNING));
         self.is_closed = true;
@@ -322,7 +324,7 @@ fn clear(path: &Path, force: bool) -> anyhow::Result<()> {
     if files.next().is_none() {
         return Ok(());
     }
-    let is_run = path.join("scenario.toml").exists();
+    let is_run = path.join(SCENARIO).exists();
     if !force || !is_run {
         let hint = if is_run {
             "choose another, or add --force to replace it"
@@ -331,15 +333,8 @@ fn clear(path: &Path, force: bool) -> anyhow::Result<()> {
         };
         bail!("--out {}: the folder is not empty; {hint}", path.display());
     }
-    for name in [
-        SUMMARY,
-        PART,
-        RUNNING,
-        FAILED,
-        "scenario.toml",
-        "events.csv",
-        "windows.csv",
-    ] {
+    let files = [SUMMARY, RUNNING, FAILED, SCENARIO, "events.csv", "windows.csv"];
+    for name in files.into_iter().chain(PARTS) {
         let file = path.join(name);
         if file.exists() {
             fs::remove_file(&file).with_context(|| format!("cannot replace {}", file.display()))?;

@@ -1,5 +1,8 @@
 //! `reveille analyse`: what it prints is what the machines do, and what it cannot study it refuses with a way out.
 
+use std::fs;
+use std::os::unix::fs::symlink;
+
 use reveille_tests::process::{Finished, Folder};
 use serde_json::Value;
 
@@ -128,6 +131,21 @@ fn run_times_come_with_exponents() {
     for row in rows(&found, "fits") {
         assert!(number(row, "exponent").is_finite(), "{row}");
     }
+}
+
+#[test]
+fn a_sheet_replaces_a_file_and_goes_through_a_link() {
+    let folder = Folder::new();
+    let write = |name: &str| folder.run(&format!("analyse imin --devices 10 --csv {name}"));
+    folder.write("sheet.csv", "before");
+    fs::hard_link(folder.join("sheet.csv"), folder.join("before.csv")).expect("possible");
+    assert!(write("sheet.csv").is_success());
+    let read = |name: &str| fs::read_to_string(folder.join(name)).expect("there");
+    assert_eq!(read("before.csv"), "before", "the old file was written into");
+    symlink("/dev/stdout", folder.join("shown.csv")).expect("possible");
+    let end = write("shown.csv");
+    assert!(end.is_success() && end.stdout.starts_with(&read("sheet.csv")), "{end}");
+    assert!(folder.join("shown.csv").is_symlink());
 }
 
 #[test]

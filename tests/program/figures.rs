@@ -139,6 +139,20 @@ fn a_sweep_becomes_figures_and_a_report_the_same_twice() {
 }
 
 #[test]
+fn a_picture_takes_the_place_of_the_one_before() {
+    let folder = Folder::new();
+    let draw = "figures timeline --devices 5 --ttis 300 --show 3 --length 50 --format svg --out out";
+    assert_eq!(folder.run(draw).code(), Some(0));
+    let name = folder.list("out").pop().expect("a picture");
+    let (picture, before) = (folder.join(&format!("out/{name}")), folder.join("before.svg"));
+    fs::write(&picture, "before").expect("ours");
+    fs::hard_link(&picture, &before).expect("possible");
+    assert_eq!(folder.run(draw).code(), Some(0));
+    assert_eq!(fs::read_to_string(&before).expect("there"), "before");
+    assert_eq!(folder.list("out"), [name]);
+}
+
+#[test]
 fn tables_of_one_name_make_pictures_of_their_own() {
     let folder = Folder::new();
     folder.write("mine.toml", "preset = \"paper\"\nevents.alpha = 0.4\n");

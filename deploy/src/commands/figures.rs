@@ -9,7 +9,7 @@ use reveille_lab::figures::results::{Results, Setting};
 use reveille_lab::figures::scene::Scene;
 use reveille_lab::figures::timeline::Timeline;
 use reveille_lab::figures::{deployment, energy, png, study, svg, timeline};
-use reveille_lab::table::Table;
+use reveille_lab::table::{Table, replace};
 
 use super::resolve;
 use crate::cli::{DeploymentArgs, FiguresArgs, FiguresCommand, FormatArg, PictureArgs, TimelineArgs};
@@ -140,7 +140,7 @@ pub fn write(args: &PictureArgs, name: &str, scene: &Scene) -> anyhow::Result<()
 pub fn save(folder: &Path, name: &str, bytes: &[u8]) -> anyhow::Result<()> {
     fs::create_dir_all(folder).with_context(|| format!("{}: the folder cannot be made", folder.display()))?;
     let path = folder.join(name);
-    fs::write(&path, bytes).with_context(|| format!("{}: cannot be written", path.display()))?;
+    replace(&path, bytes).with_context(|| format!("{}: cannot be written", path.display()))?;
     display::out(&format!("{}\n", path.display()))?;
     Ok(())
 }

@@ -20,7 +20,7 @@ mod row;
 
 use std::path::Path;
 
-pub use atomic::replace;
+pub use atomic::{put, replace};
 pub use columns::{Kind, METRICS, Schema, Value, metric_names};
 pub use error::TableError;
 pub use row::{Hash, Row};
@@ -173,16 +173,16 @@ impl Table {
             path: path.to_owned(),
             reason,
         })?;
-        let put = |path: &Path, bytes: &[u8]| {
+        let write = |path: &Path, bytes: &[u8]| {
             replace(path, bytes).map_err(|error| TableError::Write {
                 path: path.to_owned(),
                 error,
             })
         };
         if format == Format::Csv {
-            put(&csv::side_car(path), csv::side_car_text(self).as_bytes())?;
+            write(&csv::side_car(path), csv::side_car_text(self).as_bytes())?;
         }
-        put(path, &bytes)
+        write(path, &bytes)
     }
 }
 

@@ -5,6 +5,7 @@ use std::process::ExitCode;
 use anyhow::Context;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};
+use reveille_lab::table::put;
 use serde_json::{Map, Value};
 
 use crate::cli::StudyArgs;
@@ -154,7 +155,7 @@ impl Findings {
     /// If a file or standard output cannot be written.
     pub fn present(&self, args: &StudyArgs) -> anyhow::Result<ExitCode> {
         if let (Some(path), Some(first)) = (&args.csv, self.sheets.first()) {
-            let written = std::fs::write(path, first.csv()?);
+            let written = put(path, &first.csv()?);
             written.with_context(|| {
                 format!(
                     "--csv {}: cannot be written; name a file in a folder that exists",
