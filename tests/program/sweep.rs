@@ -424,36 +424,6 @@ fn a_folder_runs_again_without_the_scenario_file() {
     assert!(swept(&folder, "flag/experiment.toml", "flag2") == by_flag);
 }
 
-#[test]
-fn a_cell_stops_when_it_is_narrow_enough() {
-    let folder = Folder::new();
-    let args = "--policies genie --devices 20 --ttis 2000 --seeds 400 --until-ci 5% --ci-metrics energy_per_device_tti";
-    let end = folder.run(&format!("sweep {args} --json --out s"));
-    let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
-    let cell = &report["cells"][0];
-    let (mean, half) = (
-        &cell["metrics"]["energy_per_device_tti"]["mean"],
-        &cell["metrics"]["energy_per_device_tti"]["half_width"],
-    );
-    let width = half.as_f64().expect("a number") / mean.as_f64().expect("a number");
-    assert!(width <= 0.05 && cell["runs"].as_u64() < Some(400), "{report}");
-    assert_eq!(report["not_narrow"], Value::Array(Vec::new()));
-
-    // Events that everybody sees, and energy in plenty: no miss, in no run.
-    let args = "--policies random --devices 20 --ttis 500 --seeds 12 --min-seeds 4 --until-ci 50% --set sensing.d_max=28 \
-        --set harvest.lambda=1 --ci-metrics misdetection_pct";
-    let end = folder.run(&format!("sweep {args} --json --out none"));
-    let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
-    let cell = &report["cells"][0];
-    assert_eq!(cell["metrics"]["misdetection_pct"]["mean"], 0.0, "{report}");
-    assert_eq!(cell["runs"], 12, "no miss at all does not tell how rare misses are");
-    let wide = &report["not_narrow"][0];
-    assert_eq!(
-        (&wide["metric"], &wide["relative_half_width"]),
-        (&"misdetection_pct".into(), &Value::Null)
-    );
-}
-
 /// A file system of 256 kB, gone with it.
 struct SmallDisk<'f>(&'f Path);
 

@@ -66,7 +66,8 @@ pub enum Command {
         after_help = "Examples:\n  reveille sweep --policies knn,random --devices 10,50,250 --seeds 100\n  \
         reveille sweep --grid harvest.lambda=0.05,0.1,0.2 --set harvest.e_b=10 --until-ci 1%\n  \
         reveille sweep experiment.toml --shard 2/8 --out shard-2\n\n\
-        A sweep that was cut short, even by kill -9, goes on when the same command is given again."
+        A sweep that was cut short, even by kill -9, goes on when the same command is given again. With more --seeds \
+        it keeps the runs that are there."
     )]
     Sweep(SweepArgs),
     /// Put the tables of the shards of a sweep together.

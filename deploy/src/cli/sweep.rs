@@ -16,8 +16,8 @@ pub struct SweepArgs {
     #[command(flatten)]
     pub grid: GridArgs,
 
-    /// The folder of the sweep. Give the same command again to go on with a sweep that was cut short [default:
-    /// runs/sweep-HASH, the same for the same experiment].
+    /// The folder of the sweep. Give the same command again to go on with a sweep that was cut short, or with more --seeds
+    /// to add to one [default: runs/sweep-HASH, the same for the same experiment with any number of seeds].
     #[arg(long, short, help_heading = "Output")]
     pub out: Option<PathBuf>,
 

@@ -98,16 +98,15 @@ fn wave(
     journal: &mut Journal,
     observer: &impl Observer,
 ) -> Result<bool, SweepError> {
-    let count = grid.experiment.seeds.count;
     let mut missing: Vec<Job> = Vec::new();
     for &(cell, runs) in open {
         let before = missing.len();
-        let seeds = (0..runs).filter(|seed| shard.holds(cell as u64 * count + seed));
-        let jobs = seeds.map(|seed| Job {
+        let jobs = (0..runs).map(|seed| Job {
             cell: cell as u32,
             seed: seed as u32,
         });
-        missing.extend(jobs.filter(|job| !journal.runs().contains_key(job)));
+        let own = jobs.filter(|job| shard.holds(grid.number(*job)));
+        missing.extend(own.filter(|job| !journal.runs().contains_key(job)));
         observer.planned(cell, (missing.len() - before) as u64);
     }
     let journal = Mutex::new(journal);

@@ -45,10 +45,10 @@ pub struct Finished {
 }
 
 impl<'g> Sweep<'g> {
-    /// Opens `folder` for `grid`, or makes it.
+    /// Opens `folder` for `grid`, or makes it. It may hold the same sweep with fewer seeds, whose runs are taken over.
     ///
     /// # Errors
-    /// The folder holds something else or another sweep, another process is at work in it, it cannot be used, or shards are
+    /// The folder holds something else, another sweep or more seeds, another process is at work in it, it cannot be used, or shards are
     /// asked for together with `until_ci`.
     pub fn open(grid: &'g Grid, shard: Shard, folder: &Path) -> Result<Self, SweepError> {
         grid.check_shard(shard)?;
@@ -79,13 +79,15 @@ impl<'g> Sweep<'g> {
         let (cells, seeds) = (grid.cells.len() as u64, grid.experiment.seeds.count);
         let journal = Journal::open(&folder.join(JOURNAL), &identity, cells, seeds).map_err(refused)?;
         describe(grid, folder).map_err(unusable)?;
-        Ok(Self {
-            found: journal.runs().len(),
+        let mut sweep = Self {
+            found: 0,
             grid,
             shard,
             folder: folder.to_owned(),
             journal,
-        })
+        };
+        sweep.found = sweep.done();
+        Ok(sweep)
     }
 
     /// Finished runs that the folder held when it was opened.
@@ -98,9 +100,10 @@ impl<'g> Sweep<'g> {
         self.journal.dropped()
     }
 
-    /// Finished runs.
+    /// Finished runs. Those that fell to another shard when seeds were added do not count.
     pub fn done(&self) -> usize {
-        self.journal.runs().len()
+        let jobs = self.journal.runs().keys();
+        jobs.filter(|job| self.shard.holds(self.grid.number(**job))).count()
     }
 
     /// Makes the runs that are missing on `threads` threads and writes the table; `None` if the observer has stopped it.
@@ -135,7 +138,8 @@ impl<'g> Sweep<'g> {
                 Arc::<str>::from(cell.scenario.preset.as_str()),
                 Arc::<str>::from(cell.scenario.policy.name()),
             );
-            for (job, entry) in self.journal.runs().range(place(0)..place(end.runs)) {
+            let runs = self.journal.runs().range(place(0)..place(end.runs));
+            for (job, entry) in runs.filter(|(job, _)| self.shard.holds(self.grid.number(**job))) {
                 rows.push(Row {
                     scenario_hash: entry.scenario_hash,
                     preset: Arc::clone(&preset),
@@ -173,11 +177,18 @@ fn describe(grid: &Grid, folder: &Path) -> std::io::Result<()> {
     replace(&folder.join(EXPERIMENT), text.as_bytes())
 }
 
-/// What tells sweeps apart, hexadecimal: the experiment and the scenarios that it comes to.
+/// What tells sweeps apart, hexadecimal: the experiment and the scenarios that it comes to, but for how many seeds a cell
+/// has, which may be raised.
 pub fn identity(grid: &Grid) -> String {
     use sha2::{Digest, Sha256};
+    let mut experiment = grid.experiment.clone();
+    experiment.seeds.count = 0;
+    if let Some(until) = &mut experiment.until_ci {
+        // Follows the number of seeds where they are few, and no run depends on it.
+        until.min_seeds = 0;
+    }
     let mut sum = Sha256::new();
     sum.update(grid.fingerprint().0);
-    sum.update(grid.experiment.to_toml());
+    sum.update(experiment.to_toml());
     crate::table::Hash(sum.finalize().into()).to_string()
 }

@@ -8,6 +8,7 @@ use toml::Value as Toml;
 
 use super::error::SweepError;
 use super::experiment::{Axis, Experiment};
+use super::journal::Job;
 use super::shard::Shard;
 use crate::table::{Hash, Kind, Schema, Value};
 
@@ -109,6 +110,11 @@ impl Grid {
             sum.update(cell.scenario.hash());
         }
         Hash(sum.finalize().into())
+    }
+
+    /// The number of a run, counted over cells and then seeds, from 0.
+    pub(super) fn number(&self, job: Job) -> u64 {
+        u64::from(job.cell) * self.experiment.seeds.count + u64::from(job.seed)
     }
 
     /// Runs of the whole experiment; with `until_ci` the most there can be.

@@ -3,17 +3,20 @@
 //! Each line ends with a checksum of itself. A line is handed to the operating system as soon as its run has finished, so
 //! that a killed process loses the runs under way and no other; it reaches the disk now and then, so that a power cut loses
 //! little. Lines that are torn or garbled are taken out when the journal is opened; runs that are missing are done again.
+//!
+//! The first line names the sweep and the seeds of each cell. When there shall be more, a copy with another first line takes
+//! the journal's place at one stroke, and all runs with it.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions, TryLockError};
-use std::io::{self, BufRead, BufReader, Seek, SeekFrom, Write};
+use std::io::{self, BufRead, BufReader, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use super::error::SweepError;
 use crate::table::{Hash, METRICS, Row};
 
 /// The form of the journal.
-const MAGIC: &str = "reveille-journal 1";
+const MAGIC: &str = "reveille-journal 2";
 /// Lines between two syncs to the disk.
 const SYNC_LINES: u32 = 8192;
 /// Device-TTIs between two syncs: some seconds of work.
@@ -69,11 +72,11 @@ pub struct Journal {
 
 impl Journal {
     /// Opens the journal at `path` or begins one. `identity` names the sweep that it belongs to; `cells` and `seeds` bound
-    /// the places of its runs.
+    /// the places of its runs. A journal of fewer seeds is one of `seeds` from now on.
     ///
     /// # Errors
-    /// Another process has it open, it belongs to another sweep, or it cannot be read or written. The reason stands alone;
-    /// the caller knows the folder.
+    /// Another process has it open, it belongs to another sweep or to more seeds, or it cannot be read or written. The
+    /// reason stands alone; the caller knows the folder.
     pub fn open(path: &Path, identity: &str, cells: u64, seeds: u64) -> Result<Self, String> {
         let options = OpenOptions::new().read(true).append(true).create(true).clone();
         let file = options.open(path).map_err(|error| unusable(path, &error))?;
@@ -99,25 +102,25 @@ impl Journal {
             unsynced_lines: 0,
             unsynced_device_ttis: 0,
         };
-        let header = format!("{MAGIC} {identity}\n");
-        journal.recover(&header, cells, seeds)?;
+        journal.recover(&format!("{MAGIC} {identity}"), cells, seeds)?;
         Ok(journal)
     }
 
-    /// Reads what is there, and takes torn and garbled lines out of the file.
-    fn recover(&mut self, header: &str, cells: u64, seeds: u64) -> Result<(), String> {
+    /// Reads what is there, takes torn and garbled lines out of the file, and raises the seeds of its first line.
+    fn recover(&mut self, name: &str, cells: u64, seeds: u64) -> Result<(), String> {
         let failed = |error: io::Error| unusable(&self.path, &error);
+        let header = format!("{name} {seeds}\n");
         let mut reader = BufReader::new(&self.file);
         let mut line = Vec::new();
-        let (mut whole, mut length, mut is_garbled) = (0, 0, false);
+        let (mut whole, mut length, mut is_stale) = (0, 0, false);
         while reader.read_until(b'\n', &mut line).map_err(failed)? > 0 {
             length += line.len() as u64;
             if whole == 0 {
-                if !header.as_bytes().starts_with(&line) {
-                    return Err(foreign(&line));
-                }
-                if line.len() < header.len() {
-                    break;
+                match Head::of(&line, name) {
+                    None => return Err(foreign(&line)),
+                    Some(Head::Torn) => break,
+                    Some(Head::Seeds(held)) if held > seeds => return Err(fewer(held, seeds)),
+                    Some(Head::Seeds(held)) => is_stale = held < seeds,
                 }
                 whole = length;
             } else if let Some((job, entry)) = parse(&line, cells, seeds) {
@@ -125,12 +128,12 @@ impl Journal {
                 whole = length;
             } else {
                 self.dropped += 1;
-                is_garbled |= line.ends_with(b"\n");
+                is_stale |= line.ends_with(b"\n");
             }
             line.clear();
         }
-        if is_garbled {
-            return self.rewrite(header).map_err(|error| unusable(&self.path, &error));
+        if is_stale {
+            return self.rewrite(&header).map_err(|error| unusable(&self.path, &error));
         }
         self.file.set_len(whole).map_err(failed)?;
         self.file.seek(SeekFrom::End(0)).map_err(failed)?;
@@ -144,22 +147,27 @@ impl Journal {
 
     /// Puts a journal of the runs that were found in the place of this one. Both stay locked.
     fn rewrite(&mut self, header: &str) -> io::Result<()> {
-        let mut text = header.to_owned();
-        for (job, entry) in &self.runs {
-            text += &line(*job, entry);
-        }
         let part = self.path.with_extension("journal.part");
-        let mut file = OpenOptions::new().read(true).append(true).create(true).open(&part)?;
+        let file = OpenOptions::new().read(true).append(true).create(true).open(&part)?;
         file.set_len(0)?;
         match file.try_lock() {
             Err(TryLockError::Error(error)) if error.kind() != io::ErrorKind::Unsupported => return Err(error),
             Err(TryLockError::WouldBlock) => return Err(io::ErrorKind::ResourceBusy.into()),
             Ok(()) | Err(TryLockError::Error(_)) => {}
         }
-        file.write_all(text.as_bytes())?;
+        let mut writer = BufWriter::new(&file);
+        let mut length = header.len();
+        writer.write_all(header.as_bytes())?;
+        for (job, entry) in &self.runs {
+            let line = line(*job, entry);
+            writer.write_all(line.as_bytes())?;
+            length += line.len();
+        }
+        writer.flush()?;
+        drop(writer);
         file.sync_all()?;
         fs::rename(&part, &self.path)?;
-        self.length = text.len() as u64;
+        self.length = length as u64;
         self.replaced = Some(std::mem::replace(&mut self.file, file));
         Ok(())
     }
@@ -218,11 +226,42 @@ fn unusable(path: &Path, error: &io::Error) -> String {
     format!("its {name} cannot be used: {error}; free some space, mend the permissions, or choose another folder")
 }
 
+/// What the first line of a journal says.
+enum Head {
+    /// It was cut off while it was written: there are no runs yet.
+    Torn,
+    /// The journal is for so many seeds of each cell.
+    Seeds(u64),
+}
+
+impl Head {
+    /// The head in `line`, if it is one of the sweep called `name`.
+    fn of(line: &[u8], name: &str) -> Option<Self> {
+        let text = std::str::from_utf8(line).ok()?;
+        let Some(text) = text.strip_suffix('\n') else {
+            let seeds = text.strip_prefix(name).and_then(|rest| rest.strip_prefix(' '));
+            let is_number = |seeds: &str| seeds.bytes().all(|byte| byte.is_ascii_digit());
+            let is_torn = name.starts_with(text) || seeds.is_some_and(is_number);
+            return is_torn.then_some(Self::Torn);
+        };
+        let seeds = text.strip_prefix(name)?.strip_prefix(' ')?;
+        seeds.parse().ok().map(Self::Seeds)
+    }
+}
+
+fn fewer(held: u64, seeds: u64) -> String {
+    format!(
+        "holds the runs of {held} seeds a cell, more than the {seeds} asked for: they can be raised, not lowered; \
+         give --seeds {held} or more, or choose another folder by --out"
+    )
+}
+
 fn foreign(line: &[u8]) -> String {
     let line = String::from_utf8_lossy(line);
     if line.starts_with("reveille-journal ") {
         "holds the runs of another experiment, shard or version of reveille (see experiment.toml there); \
-         give the same command again to go on with it, or choose another folder"
+         give the same command again to go on with it, with the same first seed and at least as many seeds, or choose \
+         another folder"
             .to_owned()
     } else {
         "holds a runs.journal that is none, or one with a damaged first line; choose another folder".to_owned()
@@ -385,6 +424,29 @@ mod tests {
     }
 
     #[test]
+    fn seeds_are_raised_with_all_runs_and_never_lowered() {
+        let (place, bytes) = filled("raised");
+        // A copy that was cut off is no harm.
+        fs::write(place.0.with_extension("journal.part"), &bytes[..bytes.len() / 2]).expect("written");
+        let journal = Journal::open(&place.0, "me", 3, 20).expect("more seeds");
+        assert_eq!((journal.runs().len(), journal.dropped()), (3, 0));
+        let reason = Journal::open(&place.0, "me", 3, 20).expect_err("the new file is locked as well");
+        assert!(reason.contains("another `reveille sweep`"), "{reason}");
+        drop(journal);
+        let raised = fs::read(&place.0).expect("there");
+        let reason = Journal::open(&place.0, "me", 3, 19).expect_err("fewer seeds");
+        assert!(
+            reason.contains("20 seeds") && reason.contains("the 19 asked for"),
+            "{reason}"
+        );
+        assert_eq!(fs::read(&place.0).expect("there"), raised, "untouched");
+        let mut journal = Journal::open(&place.0, "me", 3, 20).expect("the same");
+        journal.add(Job { cell: 2, seed: 19 }, entry(1), 1).expect("written");
+        drop(journal);
+        assert_eq!(Journal::open(&place.0, "me", 3, 20).expect("the same").runs().len(), 4);
+    }
+
+    #[test]
     fn another_sweep_and_a_second_process_are_refused() {
         let (place, _) = filled("refused");
         let first = place.open();
@@ -396,8 +458,11 @@ mod tests {
         for text in [
             "letters\n",
             "my precious notes",
-            "reveille-journal 1 you",
-            "reveille-journal 1 me too",
+            "reveille-journal 2 you",
+            "reveille-journal 2 me too",
+            "reveille-journal 2 me 5 6\n",
+            "reveille-journal 2 me\n",
+            "reveille-journal 1 me 5\n",
             "r\n",
         ] {
             fs::write(&place.0, text).expect("written");

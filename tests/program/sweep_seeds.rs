@@ -1,0 +1,173 @@
+//! How many seeds a sweep takes: as few as make it narrow, and more in the same folder, where it ends as if it had begun with
+//! them and loses no finished run on the way.
+
+use std::fs;
+use std::time::Duration;
+
+use reveille_tests::process::{Folder, PATIENCE, assert_refused, wait_until};
+use rustix::process::Signal;
+use serde_json::Value;
+
+/// Short runs over all policies, but for the number of seeds.
+const GRID: &str = "--policies knn,random,adjusted,genie --devices 8,20 --ttis 600 --first-seed 5 \
+    --set policy.adjusted.pilot_ttis=100 --set policy.adjusted.t_on=[1,2] --set policy.adjusted.t_drx=[2,8]";
+
+/// Runs `reveille sweep ARGS --out OUT`, and gives its table's bytes and how many runs it found.
+fn swept(folder: &Folder, args: &str, out: &str) -> (Vec<u8>, u64) {
+    let end = folder.run(&format!("sweep {args} --out {out} --json"));
+    assert!(end.is_success(), "{end}");
+    let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
+    let table = fs::read(folder.join(&format!("{out}/results.parquet"))).expect("a table");
+    (table, report["found"].as_u64().expect("a number"))
+}
+
+/// Finished runs in the journal of a sweep.
+fn journal_lines(folder: &Folder, out: &str) -> usize {
+    let text = fs::read_to_string(folder.join(&format!("{out}/runs.journal"))).unwrap_or_default();
+    text.matches('\n').count().saturating_sub(1)
+}
+
+#[test]
+fn more_seeds_end_as_a_fresh_sweep() {
+    let folder = Folder::new();
+    let (expected, _) = swept(&folder, &format!("{GRID} --seeds 12"), "fresh");
+    swept(&folder, &format!("{GRID} --seeds 3"), "s");
+    let (_, found) = swept(&folder, "s/experiment.toml --seeds 7", "s");
+    assert_eq!(found, 4 * 2 * 3);
+    let (table, found) = swept(&folder, &format!("{GRID} --seeds 12"), "s");
+    assert_eq!(found, 4 * 2 * 7);
+    assert!(table == expected, "the table of a sweep with more seeds differs");
+    let text = |out: &str| fs::read_to_string(folder.join(&format!("{out}/experiment.toml"))).expect("there");
+    assert_eq!(text("s"), text("fresh"));
+}
+
+#[test]
+fn the_folder_without_a_name_takes_more_seeds_too() {
+    let folder = Folder::new();
+    for (seeds, found) in [(2, 0), (5, 2)] {
+        let end = folder.run(&format!("sweep --devices 5 --ttis 50 --seeds {seeds} --json"));
+        let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
+        assert_eq!((&report["runs"], &report["found"]), (&seeds.into(), &found.into()));
+    }
+    assert_eq!(folder.list("runs").len(), 1);
+}
+
+#[test]
+fn fewer_seeds_and_another_first_one_are_refused() {
+    let folder = Folder::new();
+    let (expected, _) = swept(&folder, &format!("{GRID} --seeds 4"), "s");
+    let journal = || fs::read(folder.join("s/runs.journal")).expect("there");
+    let before = journal();
+    for (args, parts) in [
+        (
+            format!("{GRID} --seeds 3"),
+            &["--out s", "4 seeds a cell", "the 3 asked for", "--seeds 4 or more"][..],
+        ),
+        (
+            format!("{} --seeds 6", GRID.replace("--first-seed 5", "--first-seed 4")),
+            &["--out s", "another experiment", "the same first seed"],
+        ),
+        (
+            format!("{GRID} --seeds 6 --set harvest.lambda=0.2"),
+            &["--out s", "another experiment"],
+        ),
+    ] {
+        assert_refused(&folder.run(&format!("sweep {args} --out s")), 1, parts);
+        assert!(journal() == before, "{args}: the journal has changed");
+    }
+    let (table, found) = swept(&folder, &format!("{GRID} --seeds 4"), "s");
+    assert!(table == expected && found == 4 * 2 * 4);
+}
+
+#[test]
+fn a_cell_stops_when_it_is_narrow_enough() {
+    let folder = Folder::new();
+    let args = "--policies genie --devices 20 --ttis 2000 --seeds 400 --until-ci 5% --ci-metrics energy_per_device_tti";
+    let end = folder.run(&format!("sweep {args} --json --out s"));
+    let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
+    let cell = &report["cells"][0];
+    let (mean, half) = (
+        &cell["metrics"]["energy_per_device_tti"]["mean"],
+        &cell["metrics"]["energy_per_device_tti"]["half_width"],
+    );
+    let width = half.as_f64().expect("a number") / mean.as_f64().expect("a number");
+    assert!(width <= 0.05 && cell["runs"].as_u64() < Some(400), "{report}");
+    assert_eq!(report["not_narrow"], Value::Array(Vec::new()));
+
+    // Events that everybody sees, and energy in plenty: no miss, in no run.
+    let args = "--policies random --devices 20 --ttis 500 --seeds 12 --min-seeds 4 --until-ci 50% --set sensing.d_max=28 \
+        --set harvest.lambda=1 --ci-metrics misdetection_pct";
+    let end = folder.run(&format!("sweep {args} --json --out none"));
+    let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
+    let cell = &report["cells"][0];
+    assert_eq!(cell["metrics"]["misdetection_pct"]["mean"], 0.0, "{report}");
+    assert_eq!(cell["runs"], 12, "no miss at all does not tell how rare misses are");
+    let wide = &report["not_narrow"][0];
+    assert_eq!(
+        (&wide["metric"], &wide["relative_half_width"]),
+        (&"misdetection_pct".into(), &Value::Null)
+    );
+}
+
+#[test]
+fn a_cell_that_was_not_narrow_goes_on_with_more_seeds() {
+    let folder = Folder::new();
+    // With 20 seeds the first look is at 20, with 200 at 30.
+    let args = "--policies genie,knn --devices 20 --ttis 500 --until-ci 8% --ci-metrics info_per_event";
+    let (expected, _) = swept(&folder, &format!("{args} --seeds 200"), "fresh");
+    swept(&folder, &format!("{args} --seeds 20"), "s");
+    let (table, found) = swept(&folder, &format!("{args} --seeds 200"), "s");
+    assert_eq!(found, 2 * 20);
+    assert!(table == expected);
+}
+
+#[test]
+fn shards_with_more_seeds_are_those_of_a_fresh_sweep() {
+    let folder = Folder::new();
+    let (expected, _) = swept(&folder, &format!("{GRID} --seeds 7"), "fresh");
+    for index in 1..=3 {
+        let (shard, out) = (format!("--shard {index}/3"), format!("s{index}"));
+        swept(&folder, &format!("{GRID} --seeds 5 {shard}"), &out);
+        // With seven seeds other runs fall to a shard than with five.
+        let (_, found) = swept(&folder, &format!("{GRID} --seeds 7 {shard}"), &out);
+        assert!(0 < found && found < 4 * 2 * 5 / 3, "{found} runs found");
+    }
+    let merged = folder.run("merge s1 s2 s3 --out merged.parquet");
+    assert!(merged.is_success(), "{merged}");
+    assert!(fs::read(folder.join("merged.parquet")).expect("a table") == expected);
+}
+
+#[test]
+fn a_kill_while_seeds_are_added_loses_no_run() {
+    let folder = Folder::new();
+    let (expected, _) = swept(&folder, &format!("{GRID} --seeds 40"), "fresh");
+    swept(&folder, &format!("{GRID} --seeds 20"), "s");
+    let journal = folder.join("s/runs.journal");
+    let head = || {
+        fs::read_to_string(&journal)
+            .expect("there")
+            .lines()
+            .next()
+            .map(str::to_owned)
+    };
+    let mut found = journal_lines(&folder, "s");
+    for more in 1..=10_u64 {
+        let before = head();
+        let sweep = folder.start(&format!("sweep {GRID} --seeds {} --threads 2 --out s", 20 + more));
+        // In half of the cases as soon as the journal is the new one, in the others somewhat before or after.
+        if more % 2 == 0 {
+            wait_until("the seeds to be raised", PATIENCE, || (head() != before).then_some(()));
+        } else {
+            std::thread::sleep(Duration::from_micros(1500 * more));
+        }
+        sweep.signal(Signal::KILL);
+        sweep.finish();
+        let lines = journal_lines(&folder, "s");
+        println!("kill {more}: {lines} runs after {found}");
+        assert!(lines >= found, "finished runs were lost");
+        found = lines;
+    }
+    let (table, again) = swept(&folder, &format!("{GRID} --seeds 40"), "s");
+    assert_eq!(again as usize, found, "all runs of the journal are taken over");
+    assert!(table == expected);
+}
