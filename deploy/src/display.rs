@@ -30,6 +30,12 @@ pub fn out(text: &str) -> anyhow::Result<()> {
     }
 }
 
+/// `1 run`, `2 runs`.
+pub fn count(number: usize, noun: &str) -> String {
+    let plural = if number == 1 { "" } else { "s" };
+    format!("{number} {noun}{plural}")
+}
+
 /// All bars of the process: log lines are written between them, not over them.
 static BARS: std::sync::LazyLock<MultiProgress> = std::sync::LazyLock::new(MultiProgress::new);
 

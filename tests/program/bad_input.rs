@@ -58,6 +58,19 @@ fn a_negative_energy_is_refused() {
 }
 
 #[test]
+fn negative_numbers_are_answered_with_what_is_allowed() {
+    let folder = Folder::new();
+    refused(
+        &folder,
+        "--devices -5",
+        &[],
+        &["devices = -5", "not negative", "--devices"],
+    );
+    refused(&folder, "-k -7", &[], &["ttis = -7", "not negative", "--ttis"]);
+    refused(&folder, "--seed -1", &[], &["seed = -1", "not negative", "--seed"]);
+}
+
+#[test]
 fn no_devices_are_refused() {
     refused(&Folder::new(), "-n 0", &[], &["devices = 0", "at least 1", "--devices"]);
 }

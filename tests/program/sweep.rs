@@ -349,11 +349,26 @@ fn what_cannot_be_run_is_refused_before_the_first_run() {
             &["min_seeds = 21", "20 seeds", "--seeds"],
         ),
         ("--seeds 0", &["seeds = 0"]),
+        (
+            "--seeds 10000000 --grid harvest.e_b=1,2,3,4,5,6,7,8,9,10,11",
+            &[
+                "runs = 110000000",
+                "11 cells × 10000000 seeds",
+                "at most 100000000",
+                "--seeds",
+            ],
+        ),
+        ("--devices -5", &["devices = -5", "not negative", "--devices"]),
+        ("-k -7", &["ttis = -7", "not negative", "--ttis"]),
         ("--set seed=4", &["--first-seed"]),
         ("--set devices", &["--set devices: must be FIELD=VALUE"]),
     ] {
         assert_refused(&folder.run(&format!("sweep {args} --out s")), 1, parts);
         assert!(!folder.join("s").exists(), "{args}");
+    }
+    for flag in ["--seeds", "--first-seed", "--min-seeds"] {
+        let end = folder.run(&format!("sweep {flag} -5 --out s"));
+        assert_refused(&end, 2, &[flag, "-5", "whole number from 0"]);
     }
     for shard in ["5/4", "0/3", "x/y", "2", "1/0"] {
         assert_refused(
@@ -376,6 +391,8 @@ fn a_dry_run_shows_the_grid_and_runs_nothing() {
     ] {
         assert!(end.stdout.contains(part), "{end}");
     }
+    let end = folder.run("sweep --devices 5 --ttis 50 --seeds 1 --dry-run");
+    assert!(end.stdout.contains("1 cell × 1 seed from 1: 1 run, "), "{end}");
     assert!(!folder.join("s").exists());
 }
 

@@ -51,7 +51,7 @@ pub struct StudyArgs {
     #[arg(long, value_name = "FIELD=VALUE")]
     pub set: Vec<String>,
     /// The first seed.
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true)]
     pub seed: Option<String>,
     /// Print JSON instead of tables; numbers that are not defined are null.
     #[arg(long)]
@@ -68,13 +68,13 @@ pub struct TransitionsArgs {
     #[command(flatten)]
     pub study: StudyArgs,
     /// Number of devices N.
-    #[arg(long, short = 'n')]
+    #[arg(long, short = 'n', allow_negative_numbers = true)]
     pub devices: Option<String>,
     /// Policy: knn, adjusted, random or genie.
     #[arg(long, short)]
     pub policy: Option<String>,
     /// Length of a run in TTIs, warm-up included.
-    #[arg(long, short = 'k')]
+    #[arg(long, short = 'k', allow_negative_numbers = true)]
     pub ttis: Option<String>,
     /// Runs, each with a seed of its own.
     #[arg(long, default_value_t = 20)]
@@ -91,10 +91,10 @@ pub struct BatteryArgs {
     #[arg(long, default_value = "1/2,1/8,2/16")]
     pub duty: String,
     /// Energies E_B of an arrival, units, separated by commas.
-    #[arg(long, default_value = "1,5,10")]
+    #[arg(long, default_value = "1,5,10", allow_negative_numbers = true)]
     pub e_b: String,
     /// Probabilities P_1,2 + P_4,2 that the device is made to transmit in a TTI, separated by commas.
-    #[arg(long, default_value = "0,0.01,0.05")]
+    #[arg(long, default_value = "0,0.01,0.05", allow_negative_numbers = true)]
     pub activation: String,
     /// Devices that are measured.
     #[arg(long, short = 'n', default_value_t = 16)]
@@ -114,7 +114,7 @@ pub struct IminArgs {
     #[command(flatten)]
     pub study: StudyArgs,
     /// Numbers of devices N, separated by commas.
-    #[arg(long, short = 'n', default_value = "10,50,100,250")]
+    #[arg(long, short = 'n', default_value = "10,50,100,250", allow_negative_numbers = true)]
     pub devices: String,
     /// Layouts, separated by commas.
     #[arg(long, default_value = "uniform,jittered-grid,poisson-disk,grid,hex")]
@@ -131,22 +131,26 @@ pub struct HarvestArgs {
     #[command(flatten)]
     pub study: StudyArgs,
     /// Values of λ, separated by commas.
-    #[arg(long, default_value = "0.01,0.02,0.03,0.05,0.07,0.1,0.15,0.2,0.3,0.4,0.6,0.8,1")]
+    #[arg(
+        long,
+        default_value = "0.01,0.02,0.03,0.05,0.07,0.1,0.15,0.2,0.3,0.4,0.6,0.8,1",
+        allow_negative_numbers = true
+    )]
     pub lambda: String,
     /// Energies E_B of an arrival, units, separated by commas.
-    #[arg(long, default_value = "1,5,10")]
+    #[arg(long, default_value = "1,5,10", allow_negative_numbers = true)]
     pub e_b: String,
     /// How λ becomes a probability: eq5, exp-minus-lambda.
     #[arg(long, default_value = "eq5,exp-minus-lambda")]
     pub readings: String,
     /// Numbers of devices N whose consumption is compared; the curves are measured with the scenario's own.
-    #[arg(long, short = 'n', default_value = "10,100,250")]
+    #[arg(long, short = 'n', default_value = "10,100,250", allow_negative_numbers = true)]
     pub devices: String,
     /// Policies whose consumption is compared; the curves are measured with the first.
     #[arg(long, short, default_value = "random,adjusted,knn")]
     pub policies: String,
     /// Length of a run in TTIs, warm-up included.
-    #[arg(long, short = 'k')]
+    #[arg(long, short = 'k', allow_negative_numbers = true)]
     pub ttis: Option<String>,
     /// Runs for each point, each with a seed of its own.
     #[arg(long, default_value_t = 10)]
@@ -160,13 +164,18 @@ pub struct RuntimeArgs {
     #[command(flatten)]
     pub study: StudyArgs,
     /// Numbers of devices N, separated by commas.
-    #[arg(long, short = 'n', default_value = "10,25,50,100,250,500,1000,2500")]
+    #[arg(
+        long,
+        short = 'n',
+        default_value = "10,25,50,100,250,500,1000,2500",
+        allow_negative_numbers = true
+    )]
     pub devices: String,
     /// Policies, separated by commas.
     #[arg(long, short, default_value = "knn,adjusted,random,genie")]
     pub policies: String,
     /// TTIs of a timed run.
-    #[arg(long, short = 'k', default_value = "5000")]
+    #[arg(long, short = 'k', default_value = "5000", allow_negative_numbers = true)]
     pub ttis: String,
     /// Events of a timed round of decisions.
     #[arg(long, default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]

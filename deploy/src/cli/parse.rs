@@ -18,6 +18,11 @@ pub(super) fn parse_kind(text: &str) -> Result<Kind, String> {
     })
 }
 
+pub(super) fn parse_whole(text: &str) -> Result<u64, String> {
+    text.parse()
+        .map_err(|_| format!("must be a whole number from 0 to {}", i64::MAX))
+}
+
 pub(super) fn parse_pace(text: &str) -> Result<reveille_bs::clock::Pace, String> {
     if text == "max" {
         return Ok(reveille_bs::clock::Pace::Max);

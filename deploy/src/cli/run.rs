@@ -21,7 +21,7 @@ pub struct ScenarioArgs {
     pub set: Vec<String>,
 
     /// Number of devices N.
-    #[arg(long, short = 'n')]
+    #[arg(long, short = 'n', allow_negative_numbers = true)]
     pub devices: Option<String>,
 
     /// Policy: knn, adjusted, random or genie.
@@ -29,11 +29,11 @@ pub struct ScenarioArgs {
     pub policy: Option<String>,
 
     /// Length of the run K in TTIs, warm-up included.
-    #[arg(long, short = 'k')]
+    #[arg(long, short = 'k', allow_negative_numbers = true)]
     pub ttis: Option<String>,
 
     /// Seed of every random draw.
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true)]
     pub seed: Option<String>,
 }
 

@@ -6,6 +6,8 @@ use clap::{Args, ValueEnum};
 use reveille_lab::sweep::Shard;
 use reveille_lab::table::Format;
 
+use super::parse::parse_whole;
+
 /// `reveille sweep`.
 #[derive(Args)]
 pub struct SweepArgs {
@@ -58,11 +60,23 @@ pub struct GridArgs {
     pub policies: Option<Vec<String>>,
 
     /// Numbers of devices N, separated by commas [default: the scenario's].
-    #[arg(long, short = 'n', value_delimiter = ',', help_heading = "Grid")]
+    #[arg(
+        long,
+        short = 'n',
+        value_delimiter = ',',
+        allow_negative_numbers = true,
+        help_heading = "Grid"
+    )]
     pub devices: Option<Vec<String>>,
 
     /// Lengths of the runs K in TTIs, warm-up included, separated by commas [default: the scenario's].
-    #[arg(long, short = 'k', value_delimiter = ',', help_heading = "Grid")]
+    #[arg(
+        long,
+        short = 'k',
+        value_delimiter = ',',
+        allow_negative_numbers = true,
+        help_heading = "Grid"
+    )]
     pub ttis: Option<Vec<String>>,
 
     /// Sweep any field of the scenario, for example --grid harvest.lambda=0.05,0.1. May be repeated.
@@ -74,11 +88,11 @@ pub struct GridArgs {
     pub set: Vec<String>,
 
     /// Seeds of each cell, the same in all; with --until-ci the most of them [default: 100].
-    #[arg(long, help_heading = "Seeds")]
+    #[arg(long, value_parser = parse_whole, allow_negative_numbers = true, help_heading = "Seeds")]
     pub seeds: Option<u64>,
 
     /// The first seed; the others follow one by one [default: 1].
-    #[arg(long, help_heading = "Seeds")]
+    #[arg(long, value_parser = parse_whole, allow_negative_numbers = true, help_heading = "Seeds")]
     pub first_seed: Option<u64>,
 
     /// Stop a cell as soon as the 95 % intervals of its metrics are this narrow: half-width over mean, such as 1% or 0.01.
@@ -93,7 +107,7 @@ pub struct GridArgs {
     pub ci_metrics: Option<Vec<String>>,
 
     /// Runs of a cell before --until-ci looks for the first time, at most --seeds [default: 30].
-    #[arg(long, help_heading = "Seeds")]
+    #[arg(long, value_parser = parse_whole, allow_negative_numbers = true, help_heading = "Seeds")]
     pub min_seeds: Option<u64>,
 }
 

@@ -30,7 +30,8 @@ pub fn run(args: &MergeArgs) -> anyhow::Result<ExitCode> {
         Some(shards) => format!(", of shards {shards} alone"),
         None => String::new(),
     };
-    display::out(&format!("{} runs in {}{part}\n", table.rows.len(), args.out.display()))?;
+    let runs = display::count(table.rows.len(), "run");
+    display::out(&format!("{runs} in {}{part}\n", args.out.display()))?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -69,10 +69,11 @@ pub struct Interrupted {
 
 impl std::fmt::Display for Interrupted {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let (done, folder) = (self.done, self.folder.display());
+        let (done, folder) = (display::count(self.done, "finished run"), self.folder.display());
+        let are = if self.done == 1 { "is" } else { "are" };
         write!(
             f,
-            "interrupted; the {done} finished runs are kept in {folder}: give the same command again to go on"
+            "interrupted; the {done} {are} kept in {folder}: give the same command again to go on"
         )
     }
 }
@@ -81,15 +82,21 @@ impl std::error::Error for Interrupted {}
 
 /// Says what was found in the folder, on standard error: standard output is for results.
 fn announce(args: &SweepArgs, sweep: &Sweep<'_>, folder: &Path) {
+    let folder = folder.display();
     if sweep.dropped() > 0 {
+        let rows = display::count(sweep.dropped(), "row");
+        let (were, have) = if sweep.dropped() == 1 {
+            ("was", "has")
+        } else {
+            ("were", "have")
+        };
         tracing::warn!(
-            "{} rows of {}/runs.journal were torn or garbled and have been taken out; runs that are missing are made again",
-            sweep.dropped(),
-            folder.display()
+            "{rows} of {folder}/runs.journal {were} torn or garbled and {have} been taken out; \
+             runs that are missing are made again"
         );
     }
     if sweep.found() > 0 && !args.quiet {
-        eprintln!("{} finished runs found in {}", sweep.found(), folder.display());
+        eprintln!("{} found in {folder}", display::count(sweep.found(), "finished run"));
     }
 }
 

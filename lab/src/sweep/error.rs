@@ -57,7 +57,7 @@ pub enum SweepError {
     },
     /// The journal cannot be written, for example because the disk is full.
     #[error(
-        "{}: cannot be written: {error}; the {kept} runs in it are kept: free some space or mend the disk, then give the \
+        "{}: cannot be written: {error}; the runs in it, {kept} so far, are kept: free some space or mend the disk, then give the \
          same command again to go on",
         path.display()
     )]

@@ -14,6 +14,8 @@ use crate::table::{Hash, Kind, Schema, Value};
 
 /// The most cells of a grid.
 const MOST_CELLS: u64 = 100_000;
+/// The most runs of a sweep, which are kept in memory.
+const MOST_RUNS: u64 = 100_000_000;
 
 /// One cell: a scenario but for its seed.
 #[derive(Clone, Debug)]
@@ -66,6 +68,15 @@ impl Grid {
         if experiment.cell_count() > MOST_CELLS {
             let allowed = format!("a grid has at most {MOST_CELLS} cells; sweep fewer fields at once");
             return Err(SweepError::invalid("cells", experiment.cell_count(), allowed));
+        }
+        let runs = experiment.cell_count().saturating_mul(experiment.seeds.count);
+        if runs > MOST_RUNS {
+            let allowed = format!(
+                "{} cells × {} seeds, but a sweep has at most {MOST_RUNS} runs; take fewer seeds (--seeds), or split the grid",
+                experiment.cell_count(),
+                experiment.seeds.count
+            );
+            return Err(SweepError::invalid("runs", runs, allowed));
         }
         let columns: Vec<(String, Vec<Value>)> = experiment.axes.iter().map(column).collect::<Result<_, _>>()?;
         let schema = Schema {

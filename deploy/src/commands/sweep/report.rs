@@ -10,6 +10,7 @@ use reveille_lab::table::{Value, metric_names};
 use serde_json::{Map, Value as Json, json};
 
 use crate::cli::SweepArgs;
+use crate::display::count;
 
 /// The metrics of the closing table, with shorter heads.
 const SHOWN: [(&str, &str); 5] = [
@@ -89,10 +90,11 @@ impl Report<'_> {
             found => format!(", {found} of them found"),
         };
         let rate = self.device_ttis as f64 / self.seconds.max(1e-9) / 1e6;
-        let plural = if self.threads == 1 { "" } else { "s" };
         format!(
-            "{rows} runs{found} in {:.1} s on {} thread{plural}: {rate:.0} million device-TTIs/s",
-            self.seconds, self.threads
+            "{}{found} in {:.1} s on {}: {rate:.0} million device-TTIs/s",
+            count(rows, "run"),
+            self.seconds,
+            count(self.threads, "thread")
         )
     }
 
@@ -220,10 +222,11 @@ pub fn dry_run(args: &SweepArgs, grid: &Grid, shard: Shard, folder: &Path) -> an
         ""
     };
     lines.push(format!(
-        "\n{} cells × {} seeds from {}: {most}{runs} runs{}, {:.3} billion device-TTIs",
-        grid.cells.len(),
-        seeds.count,
+        "\n{} × {} from {}: {most}{}{}, {:.3} billion device-TTIs",
+        count(grid.cells.len(), "cell"),
+        count(seeds.count as usize, "seed"),
         seeds.first,
+        count(runs, "run"),
         if shard == Shard::WHOLE {
             String::new()
         } else {
