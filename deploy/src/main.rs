@@ -27,7 +27,7 @@ fn main() -> ExitCode {
         Err(error) => {
             eprintln!("reveille: {error:#}");
             let by_bs = error.downcast_ref::<BsError>().is_some_and(BsError::is_interruption);
-            if by_bs || error.is::<commands::sweep::Interrupted>() {
+            if by_bs || error.is::<commands::run::Interrupted>() || error.is::<commands::sweep::Interrupted>() {
                 ExitCode::from(INTERRUPTED)
             } else {
                 ExitCode::FAILURE

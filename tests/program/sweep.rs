@@ -241,28 +241,6 @@ fn torn_and_garbled_rows_are_made_again() {
 }
 
 #[test]
-fn ctrl_c_ends_a_sweep_and_says_how_to_go_on() {
-    let folder = Folder::new();
-    // One run of hours: it is given up in its middle.
-    let endless = "sweep --devices 100 --ttis 1000000000 --seeds 2 --out s";
-    for signal in [Signal::INT, Signal::TERM] {
-        let sweep = folder.start(endless);
-        wait_until("the sweep to begin", PATIENCE, || {
-            folder.join("s/experiment.toml").exists().then_some(())
-        });
-        std::thread::sleep(Duration::from_millis(300));
-        sweep.signal(signal);
-        let end = sweep.finish();
-        assert_refused(
-            &end,
-            130,
-            &["0 finished runs are kept in s", "give the same command again"],
-        );
-    }
-    assert!(!folder.join("s/results.parquet").exists());
-}
-
-#[test]
 fn two_sweeps_do_not_share_a_folder() {
     let folder = Folder::new();
     let endless = "sweep --devices 100 --ttis 1000000000 --seeds 2 --out s";

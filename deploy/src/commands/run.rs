@@ -2,16 +2,23 @@
 
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::time::Duration;
 
+use anyhow::bail;
 use reveille_bs::actor::Progress;
 use reveille_bs::outcome::{EventRecord, Watcher, WindowRecord};
+use reveille_common::scenario::Scenario;
 use reveille_lab::run::{Options, Run};
 
 use super::{conclude, resolve, window};
 use crate::cli::RunArgs;
 use crate::display::Bar;
 use crate::results::{RunFolder, Summary, Timing};
+
+/// Time between two looks for a signal while a run is set up.
+const LOOK: Duration = Duration::from_millis(50);
 
 /// Runs a scenario in memory.
 pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
@@ -26,14 +33,21 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let runtime = crate::runtime(1)?;
     let stop = runtime.block_on(async { crate::interrupt::watch() })?;
     let bar = Bar::start(&progress, &scenario, args.output.quiet);
+    let started = crate::now();
+    let run = match set_up(&scenario, options, &stop) {
+        Ok(run) => run,
+        Err(error) => {
+            folder.fail(&error);
+            return Err(error);
+        }
+    };
     let mut watcher = Shown {
         folder,
         progress: &progress,
         stop: &stop,
         devices: u64::from(scenario.devices),
     };
-    let started = crate::now();
-    let outcome = Run::new(&scenario, options).finish(&mut watcher);
+    let outcome = run.finish(&mut watcher);
     let run_s = started.elapsed().as_secs_f64();
     drop(bar);
     let timing = Timing {
@@ -47,11 +61,42 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     conclude(&args.output, &summary, &path)
 }
 
+/// Sets a run up on another thread, which takes a while with a million devices or a search before the run; at a signal it is
+/// given up, since there is nothing to lose yet.
+fn set_up(scenario: &Scenario, options: Options, stop: &AtomicBool) -> anyhow::Result<Run> {
+    let (sender, receiver) = channel();
+    let scenario = scenario.clone();
+    std::thread::spawn(move || {
+        // After a signal nobody waits for it.
+        let _ = sender.send(Run::new(&scenario, options));
+    });
+    loop {
+        match receiver.recv_timeout(LOOK) {
+            Ok(run) => return Ok(run),
+            Err(RecvTimeoutError::Timeout) if stop.load(Ordering::Relaxed) => bail!(Interrupted),
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => bail!("the run could not be set up"),
+        }
+    }
+}
+
+/// Ctrl-C has ended a run before its first TTI.
+#[derive(Debug)]
+pub struct Interrupted;
+
+impl std::fmt::Display for Interrupted {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("interrupted before the first TTI")
+    }
+}
+
+impl std::error::Error for Interrupted {}
+
 /// Writes the series and shows the progress.
 struct Shown<'a> {
     folder: RunFolder,
     progress: &'a Progress,
-    stop: &'a std::sync::atomic::AtomicBool,
+    stop: &'a AtomicBool,
     devices: u64,
 }
 

@@ -6,6 +6,9 @@ mod report;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use anyhow::bail;
 use reveille_lab::sweep::{Grid, Shard, Sweep, identity};
@@ -14,6 +17,11 @@ use crate::cli::SweepArgs;
 use crate::display;
 use progress::Progress;
 use report::Report;
+
+/// Time between two looks for a signal.
+const LOOK: Duration = Duration::from_millis(50);
+/// How long a sweep may take to end by itself after a signal.
+const GRACE: Duration = Duration::from_secs(1);
 
 /// Runs a sweep, or goes on with it.
 pub fn run(args: &SweepArgs) -> anyhow::Result<ExitCode> {
@@ -30,9 +38,11 @@ pub fn run(args: &SweepArgs) -> anyhow::Result<ExitCode> {
     announce(args, &sweep, &folder);
     let runtime = crate::runtime(1)?;
     let stop = runtime.block_on(async { crate::interrupt::watch() })?;
-    let progress = Progress::start(&grid, shard, threads, sweep.found(), &stop, args.quiet);
+    let progress = Arc::new(Progress::start(&grid, shard, threads, sweep.found(), &stop, args.quiet));
+    let insistent = runtime.spawn(insist(stop, Arc::clone(&progress), sweep.found(), folder.clone()));
     let started = crate::now();
-    let ended = sweep.run(threads, args.format.into(), &progress);
+    let ended = sweep.run(threads, args.format.into(), &*progress);
+    insistent.abort();
     let seconds = started.elapsed().as_secs_f64();
     let device_ttis = progress.finish();
     let Some(finished) = ended? else {
@@ -58,6 +68,19 @@ pub fn run(args: &SweepArgs) -> anyhow::Result<ExitCode> {
         display::out(&report.to_text())?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Ends the program when the sweep has not ended by itself soon after a signal: a run that is being set up does not look for
+/// one, and with a million devices or a search before it that takes a while. Finished runs are in the journal.
+async fn insist(stop: Arc<AtomicBool>, progress: Arc<Progress>, found: usize, folder: PathBuf) {
+    while !stop.load(Ordering::Relaxed) {
+        tokio::time::sleep(LOOK).await;
+    }
+    tokio::time::sleep(GRACE).await;
+    progress.finish();
+    let done = found + progress.runs();
+    eprintln!("reveille: {}", Interrupted { done, folder });
+    std::process::exit(i32::from(crate::INTERRUPTED));
 }
 
 /// Ctrl-C has ended a sweep.

@@ -81,6 +81,12 @@ impl Progress {
             .sum()
     }
 
+    /// Runs that were made.
+    pub fn runs(&self) -> usize {
+        let done: u64 = self.cells.iter().map(|cell| cell.done.load(Ordering::Relaxed)).sum();
+        usize::try_from(done).unwrap_or(usize::MAX)
+    }
+
     fn draw(&self) {
         let now = crate::now();
         let Ok(mut drawn) = self.drawn.try_lock() else { return };

@@ -1,0 +1,74 @@
+//! Ctrl-C and SIGTERM for runs and sweeps in memory: a prompt end with exit code 130, and nothing finished is lost.
+
+use std::fs;
+use std::time::Duration;
+
+use reveille_tests::process::{Folder, PATIENCE, assert_refused, wait_until};
+use rustix::process::Signal;
+
+/// A scenario whose search before the run takes hours.
+const SEARCH: &str = "--devices 200 --set policy.adjusted.pilot_ttis=1000000000";
+/// How long an end may take: a sweep is given a second, the rest is for a machine that is busy.
+const SOON: Duration = Duration::from_secs(10);
+
+#[test]
+fn ctrl_c_ends_a_sweep_and_says_how_to_go_on() {
+    let folder = Folder::new();
+    // One run of hours: it is given up in its middle.
+    let endless = "sweep --devices 100 --ttis 1000000000 --seeds 2 --out s";
+    for signal in [Signal::INT, Signal::TERM] {
+        let sweep = folder.start(endless);
+        wait_until("the sweep to begin", PATIENCE, || {
+            folder.join("s/experiment.toml").exists().then_some(())
+        });
+        std::thread::sleep(Duration::from_millis(300));
+        sweep.signal(signal);
+        let end = sweep.finish();
+        assert_refused(
+            &end,
+            130,
+            &["0 finished runs are kept in s", "give the same command again"],
+        );
+    }
+    assert!(!folder.join("s/results.parquet").exists());
+}
+
+#[test]
+fn a_run_that_is_being_set_up_ends_at_once() {
+    let folder = Folder::new();
+    for (out, signal) in [("a", Signal::INT), ("b", Signal::TERM)] {
+        let run = folder.start(&format!("run --policy adjusted {SEARCH} --out {out}"));
+        wait_until("the run to begin", PATIENCE, || {
+            folder.join(&format!("{out}/windows.csv")).exists().then_some(())
+        });
+        std::thread::sleep(Duration::from_millis(300));
+        run.signal(signal);
+        let end = run.finish_within(SOON);
+        assert_eq!(end.code(), Some(130), "{end}");
+        assert!(
+            end.stderr.contains("reveille: interrupted before the first TTI"),
+            "{end}"
+        );
+        let files = folder.list(out);
+        assert!(!files.iter().any(|name| name == "RUNNING"), "{files:?}");
+        let why = fs::read_to_string(folder.join(&format!("{out}/FAILED"))).expect("a mark");
+        assert!(why.contains("interrupted"), "{why}");
+    }
+}
+
+#[test]
+fn a_sweep_whose_runs_are_being_set_up_ends_soon_and_keeps_the_others() {
+    let folder = Folder::new();
+    let args = format!("sweep --policies genie,adjusted --ttis 200 --seeds 3 --threads 2 {SEARCH} --out s");
+    let sweep = folder.start(&args);
+    let runs = || fs::read_to_string(folder.join("s/runs.journal")).map_or(0, |text| text.matches('\n').count());
+    wait_until("the runs of genie", PATIENCE, || (runs() == 1 + 3).then_some(()));
+    std::thread::sleep(Duration::from_millis(300));
+    sweep.signal(Signal::INT);
+    let end = sweep.finish_within(SOON);
+    assert_eq!(end.code(), Some(130), "{end}");
+    let said = "reveille: interrupted; the 3 finished runs are kept in s: give the same command again";
+    assert!(end.stderr.contains(said), "{end}");
+    let again = folder.start(&args);
+    again.wait_for_stderr("3 finished runs found in s");
+}
