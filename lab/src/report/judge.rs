@@ -36,6 +36,14 @@ pub enum Verdict {
 }
 
 impl Verdict {
+    /// All of them, the best first.
+    pub const ALL: [Self; 4] = [
+        Self::Reproduced,
+        Self::OrderReproduced,
+        Self::NotReproduced,
+        Self::NotRun,
+    ];
+
     /// In words.
     pub const fn words(self) -> &'static str {
         match self {

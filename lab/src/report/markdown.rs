@@ -17,13 +17,9 @@ pub fn markdown(report: &Report<'_>, figures: &[(String, String)], command: &str
     let mut out = String::from("# What the paper claims and what Reveille measures\n\n");
     let _ = writeln!(out, "{RULE}\n");
     out.push_str(&tally(report));
-    let mut source = "";
-    for line in &report.lines {
-        if line.source != source {
-            source = line.source;
-            out.push_str(&head(report, source));
-        }
-        out.push_str(&row(line));
+    for (source, lines) in report.sections() {
+        out.push_str(&head(report, source));
+        out.extend(lines.iter().map(row));
     }
     out.push_str("\n## Why\n\n");
     for line in &report.lines {
@@ -56,18 +52,12 @@ pub fn markdown(report: &Report<'_>, figures: &[(String, String)], command: &str
 }
 
 fn tally(report: &Report<'_>) -> String {
-    let all = [
-        Verdict::Reproduced,
-        Verdict::OrderReproduced,
-        Verdict::NotReproduced,
-        Verdict::NotRun,
-    ];
     let mut out = String::from("| claims |");
     for column in &report.columns {
         let _ = write!(out, " {} |", cell(&column.label));
     }
     let _ = writeln!(out, "\n|---|{}", "---|".repeat(report.columns.len()));
-    for verdict in all {
+    for verdict in Verdict::ALL {
         let _ = write!(out, "| {} |", verdict.words());
         for column in 0..report.columns.len() {
             let _ = write!(out, " {} |", report.tally(column, verdict));
@@ -133,11 +123,8 @@ fn made(report: &Report<'_>, command: &str) -> String {
     for line in origins(report) {
         let _ = writeln!(out, "- {line}");
     }
-    for source in &report.results.sources {
-        if !source.about.experiment.trim().is_empty() {
-            let text = source.about.experiment.trim_end();
-            let _ = writeln!(out, "\nThe experiment of `{}`:\n\n```toml\n{text}\n```", source.name);
-        }
+    for (name, text) in report.experiments() {
+        let _ = writeln!(out, "\nThe experiment of `{name}`:\n\n```toml\n{text}\n```");
     }
     out
 }

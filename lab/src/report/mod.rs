@@ -90,6 +90,19 @@ impl<'r> Report<'r> {
         }
     }
 
+    /// The claims by where the paper makes them.
+    pub fn sections(&self) -> impl Iterator<Item = (&'static str, &[Line])> {
+        let sections = self.lines.chunk_by(|a, b| a.source == b.source);
+        sections.map(|lines| (lines[0].source, lines))
+    }
+
+    /// The tables that say which experiment they belong to, by name, with its text.
+    pub fn experiments(&self) -> impl Iterator<Item = (&str, &str)> {
+        let all = self.results.sources.iter();
+        let texts = all.map(|source| (source.name.as_str(), source.about.experiment.trim_end()));
+        texts.filter(|(_, text)| !text.is_empty())
+    }
+
     /// How many claims have `verdict` in column `column`, in words, with those that are in doubt.
     pub fn tally(&self, column: usize, verdict: Verdict) -> String {
         let is_doubtful = |line: &&Line| line.ours[column].verdict == verdict && !line.ours[column].firm;

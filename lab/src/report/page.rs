@@ -19,18 +19,12 @@ pub fn page(report: &Report<'_>, pictures: &[String], command: &str) -> String {
     );
     out.push_str(&tally(report));
     out.push_str("<h2>Claims</h2>\n");
-    let mut source = "";
-    for line in &report.lines {
-        if line.source != source {
-            if !source.is_empty() {
-                out.push_str("</tbody></table></div>\n");
-            }
-            source = line.source;
-            out.push_str(&head(report, source));
-        }
-        out.push_str(&row(report, line));
+    for (source, lines) in report.sections() {
+        out.push_str(&head(report, source));
+        out.extend(lines.iter().map(|line| row(report, line)));
+        out.push_str("</tbody></table></div>\n");
     }
-    out.push_str("</tbody></table></div>\n<h2>Figures</h2>\n<div class=\"figures\">\n");
+    out.push_str("<h2>Figures</h2>\n<div class=\"figures\">\n");
     for picture in pictures {
         let _ = writeln!(out, "<figure>{picture}</figure>");
     }
@@ -45,14 +39,12 @@ pub fn page(report: &Report<'_>, pictures: &[String], command: &str) -> String {
         let _ = writeln!(out, "<li>{}</li>", escape(&line));
     }
     out.push_str("</ul>\n");
-    for source in &report.results.sources {
-        if !source.about.experiment.trim().is_empty() {
-            let (name, text) = (escape(&source.name), escape(source.about.experiment.trim_end()));
-            let _ = writeln!(
-                out,
-                "<details><summary>The experiment of {name}</summary><pre>{text}</pre></details>"
-            );
-        }
+    for (name, text) in report.experiments() {
+        let (name, text) = (escape(name), escape(text));
+        let _ = writeln!(
+            out,
+            "<details><summary>The experiment of {name}</summary><pre>{text}</pre></details>"
+        );
     }
     out.push_str("</body>\n</html>\n");
     out
@@ -78,18 +70,12 @@ const fn sign(verdict: Verdict) -> &'static str {
 }
 
 fn tally(report: &Report<'_>) -> String {
-    let all = [
-        Verdict::Reproduced,
-        Verdict::OrderReproduced,
-        Verdict::NotReproduced,
-        Verdict::NotRun,
-    ];
     let mut out = String::from("<table class=\"tally\"><thead><tr><th>claims</th>");
     for column in &report.columns {
         let _ = write!(out, "<th>{}</th>", escape(&column.label));
     }
     out.push_str("</tr></thead><tbody>\n");
-    for verdict in all {
+    for verdict in Verdict::ALL {
         let _ = write!(
             out,
             "<tr><td class=\"{}\">{} {}</td>",

@@ -38,13 +38,8 @@ fn every_claim_has_a_verdict_under_every_preset() {
         "those on λ: nine low ends and five high ones"
     );
     for column in 0..2 {
-        let all = [
-            Verdict::Reproduced,
-            Verdict::OrderReproduced,
-            Verdict::NotReproduced,
-            Verdict::NotRun,
-        ];
-        let sum: usize = all.into_iter().map(|verdict| report.count(column, verdict)).sum();
+        let counts = Verdict::ALL.map(|verdict| report.count(column, verdict));
+        let sum: usize = counts.iter().sum();
         assert_eq!(sum, report.lines.len());
     }
     assert_eq!(
