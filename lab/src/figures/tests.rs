@@ -191,14 +191,15 @@ fn harvest_and_net_are_drawn() {
     // adjusted's two runs: t(1) = 12.706, and half of |0.31 - 0.30|.
     let half = net.series[0].samples[0].half;
     assert!((half - 12.706 * 0.005).abs() < 1e-5, "{half}");
+    let is_near = |a: f64, b: f64| (a - b).abs() < 1e-9;
     // Measured points stand on their line: the harvest of its E_B less 0.305, with the variances added.
     let of_five = points
         .iter()
-        .find(|p| p.e_b == 5.0 && p.lambda == 0.1)
+        .find(|p| is_near(p.e_b, 5.0) && is_near(p.lambda, 0.1))
         .expect("measured");
     let dots = net.series.iter().skip_while(|s| s.name != "adjusted, E_B = 5").nth(1);
     let dot = dots
-        .and_then(|s| s.samples.iter().find(|d| d.x == 0.1))
+        .and_then(|s| s.samples.iter().find(|d| is_near(d.x, 0.1)))
         .expect("a dot at λ = 0.1");
     assert!((dot.y - (of_five.harvested.mean - 0.305)).abs() < 1e-12);
     assert!((dot.half.powi(2) - half.powi(2) - of_five.harvested.half_width.powi(2)).abs() < 1e-12);
