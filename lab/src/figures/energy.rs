@@ -164,7 +164,7 @@ pub fn net_chart(setting: &Setting, points: &[Point]) -> Option<Chart> {
         figures.push(if half.is_nan() {
             format!("{policy} spends {spent:.3}")
         } else {
-            format!("{policy} spends {spent:.3} ± {half:.3}")
+            format!("{policy} spends {spent:.4} ± {half:.4}")
         });
         for (e_b, style) in E_B.into_iter().zip([Style::nth(0), Style::nth(3), Style::nth(4)]) {
             let net = lambdas().map(|x| Sample {

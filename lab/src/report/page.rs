@@ -100,13 +100,13 @@ fn head(report: &Report<'_>, source: &str) -> String {
     for column in &report.columns {
         let _ = write!(out, "<th>{}</th><th>verdict</th>", escape(&column.label));
     }
-    out.push_str("<th>why</th></tr></thead><tbody>\n");
+    out.push_str("</tr></thead><tbody>\n");
     out
 }
 
 fn row(report: &Report<'_>, line: &Line) -> String {
     let mut out = format!(
-        "<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td>",
+        "<tr class=\"claim\"><td>{}</td><td>{}</td><td>{}</td><td>{}</td>",
         escape(&line.about),
         escape(&line.policy),
         escape(&line.sites),
@@ -118,7 +118,7 @@ fn row(report: &Report<'_>, line: &Line) -> String {
         let _ = write!(
             out,
             "<td>{}</td><td class=\"{class}\">{sign} {words}{doubt}</td>",
-            escape(&ours.found)
+            together(&escape(&ours.found))
         );
     }
     let mut reasons: Vec<String> = Vec::new();
@@ -130,6 +130,19 @@ fn row(report: &Report<'_>, line: &Line) -> String {
             reasons.push(format!("<b>{}</b>: {}", escape(&column.label), escape(&ours.why)));
         }
     }
-    let _ = writeln!(out, "<td class=\"why\">{}</td></tr>", reasons.join("<br>"));
+    reasons.retain(|reason| !reason.is_empty());
+    out.push_str("</tr>\n");
+    if !reasons.is_empty() {
+        let (width, reasons) = (3 + 2 * report.columns.len(), together(&reasons.join("<br>")));
+        let _ = writeln!(
+            out,
+            "<tr class=\"why\"><td></td><td colspan=\"{width}\">{reasons}</td></tr>"
+        );
+    }
     out
+}
+
+/// `text` with figures that are not to be torn apart at the end of a line.
+fn together(text: &str) -> String {
+    text.replace(" ± ", "\u{a0}±\u{a0}").replace("N = ", "N\u{a0}=\u{a0}")
 }
