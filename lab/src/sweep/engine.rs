@@ -101,11 +101,10 @@ fn wave(
     let mut missing: Vec<Job> = Vec::new();
     for &(cell, runs) in open {
         let before = missing.len();
-        let jobs = (0..runs).map(|seed| Job {
+        let own = shard.seeds(cell as u64, runs).map(|seed| Job {
             cell: cell as u32,
             seed: seed as u32,
         });
-        let own = jobs.filter(|job| shard.holds(grid.number(*job)));
         missing.extend(own.filter(|job| !journal.runs().contains_key(job)));
         observer.planned(cell, (missing.len() - before) as u64);
     }

@@ -102,8 +102,11 @@ impl<'g> Sweep<'g> {
 
     /// Finished runs. Those that fell to another shard when seeds were added do not count.
     pub fn done(&self) -> usize {
-        let jobs = self.journal.runs().keys();
-        jobs.filter(|job| self.shard.holds(self.grid.number(**job))).count()
+        self.journal.runs().keys().filter(|job| self.holds(job)).count()
+    }
+
+    fn holds(&self, job: &Job) -> bool {
+        self.shard.holds(u64::from(job.cell), u64::from(job.seed))
     }
 
     /// Makes the runs that are missing on `threads` threads and writes the table; `None` if the observer has stopped it.
@@ -139,7 +142,7 @@ impl<'g> Sweep<'g> {
                 Arc::<str>::from(cell.scenario.policy.name()),
             );
             let runs = self.journal.runs().range(place(0)..place(end.runs));
-            for (job, entry) in runs.filter(|(job, _)| self.shard.holds(self.grid.number(**job))) {
+            for (job, entry) in runs.filter(|(job, _)| self.holds(job)) {
                 rows.push(Row {
                     scenario_hash: entry.scenario_hash,
                     preset: Arc::clone(&preset),

@@ -8,7 +8,6 @@ use toml::Value as Toml;
 
 use super::error::SweepError;
 use super::experiment::{Axis, Experiment};
-use super::journal::Job;
 use super::shard::Shard;
 use crate::table::{Hash, Kind, Schema, Value};
 
@@ -65,19 +64,7 @@ impl Grid {
     /// A value stands in a list twice, the grid is too large, or a cell's scenario cannot be used; the message names the
     /// field.
     pub fn new(experiment: Experiment) -> Result<Self, SweepError> {
-        if experiment.cell_count() > MOST_CELLS {
-            let allowed = format!("a grid has at most {MOST_CELLS} cells; sweep fewer fields at once");
-            return Err(SweepError::invalid("cells", experiment.cell_count(), allowed));
-        }
-        let runs = experiment.cell_count().saturating_mul(experiment.seeds.count);
-        if runs > MOST_RUNS {
-            let allowed = format!(
-                "{} cells × {} seeds, but a sweep has at most {MOST_RUNS} runs; take fewer seeds (--seeds), or split the grid",
-                experiment.cell_count(),
-                experiment.seeds.count
-            );
-            return Err(SweepError::invalid("runs", runs, allowed));
-        }
+        check_size(&experiment)?;
         let columns: Vec<(String, Vec<Value>)> = experiment.axes.iter().map(column).collect::<Result<_, _>>()?;
         let schema = Schema {
             swept: experiment
@@ -123,15 +110,33 @@ impl Grid {
         Hash(sum.finalize().into())
     }
 
-    /// The number of a run, counted over cells and then seeds, from 0.
-    pub(super) fn number(&self, job: Job) -> u64 {
-        u64::from(job.cell) * self.experiment.seeds.count + u64::from(job.seed)
-    }
-
     /// Runs of the whole experiment; with `until_ci` the most there can be.
     pub fn runs(&self) -> u64 {
         self.cells.len() as u64 * self.experiment.seeds.count
     }
+
+    /// Runs of the experiment that belong to `shard`.
+    pub fn share(&self, shard: Shard) -> u64 {
+        shard.runs(self.cells.len() as u64, self.experiment.seeds.count)
+    }
+}
+
+/// Checks that the experiment is not too large.
+pub(super) fn check_size(experiment: &Experiment) -> Result<(), SweepError> {
+    let (cells, seeds) = (experiment.cell_count(), experiment.seeds.count);
+    if cells > MOST_CELLS {
+        let allowed = format!("a grid has at most {MOST_CELLS} cells; sweep fewer fields at once");
+        return Err(SweepError::invalid("cells", cells, allowed));
+    }
+    let runs = cells.saturating_mul(seeds);
+    if runs > MOST_RUNS {
+        let allowed = format!(
+            "{cells} cells × {seeds} seeds, but a sweep has at most {MOST_RUNS} runs; take fewer seeds (--seeds), or split \
+             the grid"
+        );
+        return Err(SweepError::invalid("runs", runs, allowed));
+    }
+    Ok(())
 }
 
 /// The values of an axis as its column holds them.

@@ -1,10 +1,13 @@
 //! Puts the tables of shards together.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::vec::IntoIter;
 
 use super::draft::Draft;
 use super::error::SweepError;
 use super::experiment::Experiment;
+use super::grid::check_size;
 use super::shard::Shard;
 use crate::table::{About, Kind, Row, Schema, Table};
 
@@ -61,6 +64,7 @@ pub fn merge(tables: Vec<(PathBuf, Table)>, partial: bool) -> Result<Table, Swee
         return Err(wrong(first_path, reason));
     }
     let experiment = Draft::parse(&first.about.experiment, "its experiment", Path::new(""))?.finish()?;
+    check_size(&experiment)?;
     for (shard, path, table) in &shards {
         complete(&experiment, *shard, path, table)?;
     }
@@ -70,15 +74,15 @@ pub fn merge(tables: Vec<(PathBuf, Table)>, partial: bool) -> Result<Table, Swee
         ..first.about.clone()
     };
     let schema = schema_of(&shards);
-    let mut tables = Vec::with_capacity(shards.len());
-    for (_, _, mut table) in shards {
+    let mut tables = BTreeMap::new();
+    for (shard, _, mut table) in shards {
         conform(&mut table, &schema);
-        tables.push(table.rows);
+        tables.insert(shard.index(), table.rows.into_iter());
     }
     Ok(Table {
         about,
         schema,
-        rows: interleave(tables),
+        rows: in_order(&experiment, count, tables),
     })
 }
 
@@ -162,27 +166,27 @@ fn fits(first_path: &Path, first: &Table, path: &Path, table: &Table) -> Result<
 
 /// Checks that the table holds its share and nothing else: by the number and the seeds of its rows.
 fn complete(experiment: &Experiment, shard: Shard, path: &Path, table: &Table) -> Result<(), SweepError> {
-    let count = experiment.seeds.count;
-    let runs = experiment.cell_count().saturating_mul(count);
-    let own: Vec<u64> = (shard.index() - 1..runs).step_by(shard.count() as usize).collect();
-    let seeds = own.iter().map(|number| experiment.seeds.first + number % count);
-    if own.len() != table.rows.len() || !seeds.eq(table.rows.iter().map(|row| row.seed)) {
-        let (rows, own) = (table.rows.len(), own.len());
+    let (cells, seeds) = (experiment.cell_count(), experiment.seeds);
+    let own = (0..cells).flat_map(|cell| shard.seeds(cell, seeds.count));
+    if !own
+        .map(|seed| seeds.first + seed)
+        .eq(table.rows.iter().map(|row| row.seed))
+    {
+        let (rows, own) = (table.rows.len(), shard.runs(cells, seeds.count));
         let reason = format!("holds {rows} rows that are not the {own} runs of shard {shard}; run the shard again");
         return Err(wrong(path, reason));
     }
     Ok(())
 }
 
-/// One row of each table in turn.
-fn interleave(tables: Vec<Vec<Row>>) -> Vec<Row> {
-    let mut rows = Vec::with_capacity(tables.iter().map(Vec::len).sum());
-    let mut tables: Vec<_> = tables.into_iter().map(Vec::into_iter).collect();
-    loop {
-        let before = rows.len();
-        rows.extend(tables.iter_mut().filter_map(Iterator::next));
-        if rows.len() == before {
-            return rows;
+/// The rows of the shards, of which there are `count`, in the order of cells and then of seeds.
+fn in_order(experiment: &Experiment, count: u64, mut tables: BTreeMap<u64, IntoIter<Row>>) -> Vec<Row> {
+    let mut rows = Vec::with_capacity(tables.values().map(IntoIter::len).sum());
+    for cell in 0..experiment.cell_count() {
+        for seed in 0..experiment.seeds.count {
+            let table = tables.get_mut(&Shard::of(cell, seed, count));
+            rows.extend(table.and_then(Iterator::next));
         }
     }
+    rows
 }

@@ -3,7 +3,8 @@
 use std::fmt;
 use std::str::FromStr;
 
-/// The `index`-th of `count` shares: runs, counted over cells and then seeds, are dealt round robin.
+/// The `index`-th of `count` shares. The runs of a cell are dealt round robin, those of the next cell from the next share on:
+/// each share has some of every cell, and where a run falls does not depend on how many seeds there are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shard {
     /// From 1.
@@ -28,9 +29,30 @@ impl Shard {
         self.count
     }
 
-    /// Whether the run with this number, from 0, belongs to the share.
-    pub const fn holds(self, number: u64) -> bool {
-        number % self.count == self.index - 1
+    /// The share of `count` that has the run of a cell and a seed, both counted from 0.
+    pub const fn of(cell: u64, seed: u64, count: u64) -> u64 {
+        (cell % count + seed % count) % count + 1
+    }
+
+    /// Whether the run of a cell and a seed, both counted from 0, belongs to the share.
+    pub const fn holds(self, cell: u64, seed: u64) -> bool {
+        Self::of(cell, seed, self.count) == self.index
+    }
+
+    /// The first of the share's seeds of `cell`.
+    const fn first(self, cell: u64) -> u64 {
+        (self.index - 1 + self.count - cell % self.count) % self.count
+    }
+
+    /// The share's seeds of `cell`, which has `seeds` of them; counted from 0.
+    pub fn seeds(self, cell: u64, seeds: u64) -> impl Iterator<Item = u64> {
+        (self.first(cell)..seeds).step_by(self.count as usize)
+    }
+
+    /// How many runs the share has of `cells` with `seeds` each.
+    pub fn runs(self, cells: u64, seeds: u64) -> u64 {
+        let runs = |cell| seeds.saturating_sub(self.first(cell)).div_ceil(self.count);
+        (0..cells).map(runs).sum()
     }
 }
 
@@ -61,10 +83,39 @@ mod tests {
     use super::*;
 
     #[test]
+    fn shares_are_even_and_name_their_runs() {
+        for (cells, seeds, count) in [
+            (8, 7, 5),
+            (40, 1000, 8),
+            (1, 3, 7),
+            (10, 10, 10),
+            (3, 100, 1),
+            (4, 20, 8),
+        ] {
+            let mut sizes = Vec::new();
+            for index in 1..=count {
+                let shard = Shard { index, count };
+                let all = (0..cells).flat_map(|cell| (0..seeds).map(move |seed| (cell, seed)));
+                let own: Vec<(u64, u64)> = all.filter(|(cell, seed)| shard.holds(*cell, *seed)).collect();
+                let named = (0..cells).flat_map(|cell| shard.seeds(cell, seeds).map(move |seed| (cell, seed)));
+                assert_eq!(named.collect::<Vec<_>>(), own, "{shard}");
+                assert_eq!(shard.runs(cells, seeds), own.len() as u64, "{shard}");
+                // Of each cell as many as of any other, but for one.
+                let of_cell = |cell| own.iter().filter(|(other, _)| *other == cell).count() as u64;
+                assert!((0..cells).all(|cell| (seeds / count..=seeds.div_ceil(count)).contains(&of_cell(cell))));
+                sizes.push(own.len() as u64);
+            }
+            assert_eq!(sizes.iter().sum::<u64>(), cells * seeds);
+            let spread = sizes.iter().max().expect("some") - sizes.iter().min().expect("some");
+            assert!(spread <= count / 2, "{cells} cells, {seeds} seeds: {sizes:?}");
+        }
+    }
+
+    #[test]
     fn shares_are_read_and_every_run_is_in_one() {
         let shards: Vec<Shard> = (1..=3).map(|i| format!("{i}/3").parse().expect("valid")).collect();
-        for number in 0..20 {
-            assert_eq!(shards.iter().filter(|shard| shard.holds(number)).count(), 1);
+        for (cell, seed) in (0..7).flat_map(|cell| (0..11).map(move |seed| (cell, seed))) {
+            assert_eq!(shards.iter().filter(|shard| shard.holds(cell, seed)).count(), 1);
         }
         assert_eq!(shards[1].to_string(), "2/3");
         for bad in ["5/4", "0/3", "1/0", "", "2", "a/b", "-1/2", "1/2/3", "1/100001"] {

@@ -240,7 +240,7 @@ fn threads_interruptions_and_shards_change_nothing() {
     let partial = merge(tables(&[1, 4], 5), true).expect("partial");
     assert_eq!(
         (partial.rows.len(), partial.about.shard.as_deref()),
-        (12 + 11, Some("1,4/5"))
+        (11 + 11, Some("1,4/5"))
     );
     let twice = merge(tables(&[2, 2], 2), true).expect_err("twice").to_string();
     assert!(twice.contains("shard 2/2 again"), "{twice}");

@@ -50,8 +50,7 @@ impl Progress {
         hidden: bool,
     ) -> Self {
         let template = "{bar:24} {pos}/{len} runs  {msg}";
-        let share = grid.runs() / shard.count();
-        let bar = display::bar(share.saturating_sub(found as u64), template, hidden);
+        let bar = display::bar(grid.share(shard).saturating_sub(found as u64), template, hidden);
         let tally = |cost| Tally {
             cost,
             planned: AtomicU64::new(0),

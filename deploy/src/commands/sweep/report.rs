@@ -198,7 +198,7 @@ fn shown(estimate: Option<Estimate>) -> String {
 /// The grid and what it would cost.
 pub fn dry_run(args: &SweepArgs, grid: &Grid, shard: Shard, folder: &Path) -> anyhow::Result<String> {
     let seeds = grid.experiment.seeds;
-    let runs = (0..grid.runs()).filter(|&number| shard.holds(number)).count();
+    let runs = grid.share(shard);
     let device_ttis: u128 = grid
         .cells
         .iter()
@@ -226,7 +226,7 @@ pub fn dry_run(args: &SweepArgs, grid: &Grid, shard: Shard, folder: &Path) -> an
         count(grid.cells.len(), "cell"),
         count(seeds.count as usize, "seed"),
         seeds.first,
-        count(runs, "run"),
+        count(runs as usize, "run"),
         if shard == Shard::WHOLE {
             String::new()
         } else {
