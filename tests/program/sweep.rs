@@ -3,9 +3,9 @@
 use std::fs;
 use std::io::Read as _;
 use std::path::Path;
-use std::process::Command;
 use std::time::Duration;
 
+use reveille_tests::disk::SmallDisk;
 use reveille_tests::process::{Folder, PATIENCE, assert_refused, now, wait_until};
 use rustix::process::Signal;
 use serde_json::Value;
@@ -417,27 +417,6 @@ fn a_folder_runs_again_without_the_scenario_file() {
         "flag",
     );
     assert!(swept(&folder, "flag/experiment.toml", "flag2") == by_flag);
-}
-
-/// A file system of 256 kB, gone with it.
-struct SmallDisk<'f>(&'f Path);
-
-impl<'f> SmallDisk<'f> {
-    fn mount(path: &'f Path) -> Option<Self> {
-        fs::create_dir_all(path).ok()?;
-        let mut mount = Command::new("mount");
-        mount.args(["-t", "tmpfs", "-o", "size=256k", "none"]).arg(path);
-        mount
-            .output()
-            .is_ok_and(|end| end.status.success())
-            .then_some(Self(path))
-    }
-}
-
-impl Drop for SmallDisk<'_> {
-    fn drop(&mut self) {
-        let _ = Command::new("umount").arg("-l").arg(self.0).status();
-    }
 }
 
 #[test]

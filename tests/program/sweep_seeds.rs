@@ -4,6 +4,7 @@
 use std::fs;
 use std::time::Duration;
 
+use reveille_tests::disk::SmallDisk;
 use reveille_tests::process::{Folder, PATIENCE, assert_refused, wait_until};
 use rustix::process::Signal;
 use serde_json::Value;
@@ -50,6 +51,44 @@ fn the_folder_without_a_name_takes_more_seeds_too() {
         assert_eq!((&report["runs"], &report["found"]), (&seeds.into(), &found.into()));
     }
     assert_eq!(folder.list("runs").len(), 1);
+}
+
+#[test]
+fn a_full_disk_while_seeds_are_raised_leaves_the_folder_as_it_was() {
+    let folder = Folder::new();
+    let (expected, _) = swept(&folder, &format!("{GRID} --seeds 12"), "fresh");
+    let path = folder.join("disk");
+    let Some(_disk) = SmallDisk::mount(&path) else {
+        eprintln!("not tested: a small tmpfs cannot be mounted here (it takes root)");
+        return;
+    };
+    swept(&folder, &format!("{GRID} --seeds 10"), "disk/s");
+    let (names, ballast) = (folder.list("disk/s"), path.join("ballast"));
+    let read = || {
+        names
+            .clone()
+            .into_iter()
+            .map(|name| fs::read(path.join("s").join(name)).expect("there"))
+    };
+    let before: Vec<Vec<u8>> = read().collect();
+    let full = fs::write(&ballast, vec![0; 256 * 1024]);
+    assert!(full.is_err(), "the disk is larger than it should be");
+    let end = folder.run(&format!("sweep {GRID} --seeds 12 --out disk/s"));
+    assert_refused(
+        &end,
+        1,
+        &[
+            "disk/s",
+            "runs.journal cannot be used",
+            "No space left",
+            "free some space",
+        ],
+    );
+    assert_eq!(folder.list("disk/s"), names, "nothing is left behind");
+    assert!(read().eq(before), "the folder has changed");
+    fs::remove_file(ballast).expect("there");
+    let (table, found) = swept(&folder, &format!("{GRID} --seeds 12"), "disk/s");
+    assert!(table == expected && found == 4 * 2 * 10);
 }
 
 #[test]

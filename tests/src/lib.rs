@@ -2,9 +2,10 @@
 //!
 //! [`mod@reference`] is a second implementation of the model, written from its description and not from the emulator's code;
 //! [`scenarios`] makes random scenarios for property tests; [`compare`] sets the emulator beside the reference; [`process`]
-//! starts the real program and watches it.
+//! starts the real program and watches it; [`disk`] lets it run out of room.
 
 pub mod compare;
+pub mod disk;
 pub mod process;
 pub mod reference;
 pub mod scenarios;

@@ -155,7 +155,20 @@ impl Journal {
             Err(TryLockError::WouldBlock) => return Err(io::ErrorKind::ResourceBusy.into()),
             Ok(()) | Err(TryLockError::Error(_)) => {}
         }
-        let mut writer = BufWriter::new(&file);
+        let copied = self.copy(&file, header);
+        let placed = copied.and_then(|length| fs::rename(&part, &self.path).map(|()| length));
+        if placed.is_err() {
+            // The first error is the one that matters.
+            let _ = fs::remove_file(&part);
+        }
+        self.length = placed?;
+        self.replaced = Some(std::mem::replace(&mut self.file, file));
+        Ok(())
+    }
+
+    /// Writes `header` and the runs to `file`, and brings them to the disk. Gives the bytes.
+    fn copy(&self, file: &File, header: &str) -> io::Result<u64> {
+        let mut writer = BufWriter::new(file);
         let mut length = header.len();
         writer.write_all(header.as_bytes())?;
         for (job, entry) in &self.runs {
@@ -166,10 +179,7 @@ impl Journal {
         writer.flush()?;
         drop(writer);
         file.sync_all()?;
-        fs::rename(&part, &self.path)?;
-        self.length = length as u64;
-        self.replaced = Some(std::mem::replace(&mut self.file, file));
-        Ok(())
+        Ok(length as u64)
     }
 
     /// The finished runs.
