@@ -264,10 +264,10 @@ fn until(
         );
         return Err(SweepError::invalid("min_seeds", min_seeds, allowed));
     }
-    let min_seeds = min_seeds.unwrap_or(30).min(seeds.count);
-    if min_seeds < 2 {
+    let min_seeds = min_seeds.unwrap_or(UntilCi::MIN_SEEDS);
+    if min_seeds.min(seeds.count) < 2 {
         let allowed = "an interval needs at least two runs; raise min_seeds and seeds";
-        return Err(SweepError::invalid("min_seeds", min_seeds, allowed));
+        return Err(SweepError::invalid("min_seeds", min_seeds.min(seeds.count), allowed));
     }
     Ok(Some(UntilCi {
         target,

@@ -81,11 +81,14 @@ pub struct UntilCi {
     pub target: f64,
     /// The metrics that must be that narrow; one that is not defined in any run does not count.
     pub metrics: Vec<String>,
-    /// Runs before the first look, ≥ 2.
+    /// Runs before the first look, ≥ 2; where a cell has fewer seeds, it is looked at when they are all there.
     pub min_seeds: u64,
 }
 
 impl UntilCi {
+    /// Runs before the first look, where nothing else is asked for.
+    pub const MIN_SEEDS: u64 = 30;
+
     /// All metrics but `net_per_device_tti`: a difference whose mean may be 0 has no relative width.
     pub fn default_metrics() -> Vec<String> {
         let names = metric_names().iter().filter(|name| **name != "net_per_device_tti");
@@ -191,7 +194,10 @@ impl Experiment {
             });
             let names = until.metrics.iter().cloned().map(Value::String);
             lines.push(format!("ci_metrics = {}", Value::Array(names.collect())));
-            lines.push(format!("min_seeds = {}", until.min_seeds));
+            // The default may be above the number of seeds, which who asks for it may not.
+            if until.min_seeds != UntilCi::MIN_SEEDS {
+                lines.push(format!("min_seeds = {}", until.min_seeds));
+            }
         }
         if !self.set.is_empty() {
             lines.push("\n[set]".to_owned());

@@ -389,6 +389,24 @@ fn a_cell_stops_at_the_first_look_at_which_it_is_narrow() {
 }
 
 #[test]
+fn the_fewest_seeds_are_part_of_a_sweep_if_they_are_asked_for() {
+    let folder = Folder::new("min-seeds");
+    let with = |min_seeds: &str| {
+        let text = "devices = 4\nttis = 50\nuntil_ci = \"90%\"\nci_metrics = [\"events\"]\nseeds = 40\n";
+        grid(&format!("{text}{min_seeds}")).expect("valid")
+    };
+    swept(&with("min_seeds = 5"), "1/1", 1, &folder.0);
+    for other in ["min_seeds = 6", ""] {
+        let message = Sweep::open(&with(other), Shard::WHOLE, &folder.0)
+            .expect_err(other)
+            .to_string();
+        assert!(message.contains("another experiment"), "{message}");
+    }
+    assert_ne!(identity(&with("min_seeds = 5")), identity(&with("min_seeds = 6")));
+    assert_eq!(identity(&with("min_seeds = 30")), identity(&with("")), "the default");
+}
+
+#[test]
 fn shards_cannot_tell_when_a_cell_has_enough() {
     let folder = Folder::new("ci-shard");
     let grid = grid("until_ci = \"1%\"").expect("valid");
