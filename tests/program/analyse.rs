@@ -154,6 +154,8 @@ fn what_cannot_be_studied_is_refused() {
     for (args, parts) in [
         ("harvest --lambda ,", &["--lambda", "the list is empty"][..]),
         ("harvest --lambda 0.1,-1", &["lambda = -1", "must be a rate"]),
+        ("harvest --lambda -0.1,0.2", &["lambda = -0.1", "must be a rate"]),
+        ("harvest --e-b -1,5", &["--e-b -1,5", "must be above 0"]),
         ("harvest --readings eq6", &["`eq6`", "must be eq5 or exp-minus-lambda"]),
         ("harvest --seeds 0", &["seeds = 0"]),
         ("transitions --devices 0", &["devices = 0", "--devices"]),

@@ -73,6 +73,16 @@ fn wishes_that_no_run_can_meet_are_refused() {
         &["9 devices", "8 at the most"],
     );
     refused("deployment -n 0", &["devices = 0"]);
+    for (args, part) in [
+        ("timeline --show -1", "a whole number from 0"),
+        ("timeline --show 3,-1", "a whole number from 0"),
+        ("timeline --from -1", "a whole number from 0"),
+        ("deployment --event -1", "a whole number from 0"),
+    ] {
+        let end = folder.run(&format!("figures {args} --out out"));
+        assert_eq!(end.code(), Some(2), "{end}");
+        assert!(end.stderr.contains("'-1'") && end.stderr.contains(part), "{end}");
+    }
 }
 
 #[test]

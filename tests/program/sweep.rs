@@ -338,6 +338,17 @@ fn what_cannot_be_run_is_refused_before_the_first_run() {
         ),
         ("--devices -5", &["devices = -5", "not negative", "--devices"]),
         ("-k -7", &["ttis = -7", "not negative", "--ttis"]),
+        ("--devices -5,10", &["devices = -5", "not negative", "--devices"]),
+        ("--devices 10,-5", &["devices = -5", "not negative", "--devices"]),
+        ("-k -7,8", &["ttis = -7", "not negative", "--ttis"]),
+        (
+            "--devices=",
+            &["devices = []", "empty list leaves no runs", "--devices"],
+        ),
+        (
+            "--policies ,",
+            &["policy.name = []", "empty list leaves no runs", "--policies"],
+        ),
         ("--set seed=4", &["--first-seed"]),
         ("--set devices", &["--set devices: must be FIELD=VALUE"]),
     ] {

@@ -88,13 +88,13 @@ pub struct BatteryArgs {
     #[command(flatten)]
     pub study: StudyArgs,
     /// Duty cycles t_on/t_DRX in TTIs, separated by commas.
-    #[arg(long, default_value = "1/2,1/8,2/16")]
+    #[arg(long, default_value = "1/2,1/8,2/16", allow_hyphen_values = true)]
     pub duty: String,
     /// Energies E_B of an arrival, units, separated by commas.
-    #[arg(long, default_value = "1,5,10", allow_negative_numbers = true)]
+    #[arg(long, default_value = "1,5,10", allow_hyphen_values = true)]
     pub e_b: String,
     /// Probabilities P_1,2 + P_4,2 that the device is made to transmit in a TTI, separated by commas.
-    #[arg(long, default_value = "0,0.01,0.05", allow_negative_numbers = true)]
+    #[arg(long, default_value = "0,0.01,0.05", allow_hyphen_values = true)]
     pub activation: String,
     /// Devices that are measured.
     #[arg(long, short = 'n', default_value_t = 16)]
@@ -114,7 +114,7 @@ pub struct IminArgs {
     #[command(flatten)]
     pub study: StudyArgs,
     /// Numbers of devices N, separated by commas.
-    #[arg(long, short = 'n', default_value = "10,50,100,250", allow_negative_numbers = true)]
+    #[arg(long, short = 'n', default_value = "10,50,100,250", allow_hyphen_values = true)]
     pub devices: String,
     /// Layouts, separated by commas.
     #[arg(long, default_value = "uniform,jittered-grid,poisson-disk,grid,hex")]
@@ -134,17 +134,17 @@ pub struct HarvestArgs {
     #[arg(
         long,
         default_value = "0.01,0.02,0.03,0.05,0.07,0.1,0.15,0.2,0.3,0.4,0.6,0.8,1",
-        allow_negative_numbers = true
+        allow_hyphen_values = true
     )]
     pub lambda: String,
     /// Energies E_B of an arrival, units, separated by commas.
-    #[arg(long, default_value = "1,5,10", allow_negative_numbers = true)]
+    #[arg(long, default_value = "1,5,10", allow_hyphen_values = true)]
     pub e_b: String,
     /// How λ becomes a probability: eq5, exp-minus-lambda.
     #[arg(long, default_value = "eq5,exp-minus-lambda")]
     pub readings: String,
     /// Numbers of devices N whose consumption is compared; the curves are measured with the scenario's own.
-    #[arg(long, short = 'n', default_value = "10,100,250", allow_negative_numbers = true)]
+    #[arg(long, short = 'n', default_value = "10,100,250", allow_hyphen_values = true)]
     pub devices: String,
     /// Policies whose consumption is compared; the curves are measured with the first.
     #[arg(long, short, default_value = "random,adjusted,knn")]
@@ -168,14 +168,14 @@ pub struct RuntimeArgs {
         long,
         short = 'n',
         default_value = "10,25,50,100,250,500,1000,2500",
-        allow_negative_numbers = true
+        allow_hyphen_values = true
     )]
     pub devices: String,
     /// Policies, separated by commas.
     #[arg(long, short, default_value = "knn,adjusted,random,genie")]
     pub policies: String,
     /// TTIs of a timed run.
-    #[arg(long, short = 'k', default_value = "5000", allow_negative_numbers = true)]
+    #[arg(long, short = 'k', default_value = "5000", allow_hyphen_values = true)]
     pub ttis: String,
     /// Events of a timed round of decisions.
     #[arg(long, default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]

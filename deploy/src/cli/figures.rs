@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand, ValueEnum};
 
 use super::ScenarioArgs;
+use super::parse::{parse_device, parse_whole};
 
 /// Where pictures go and in which form.
 #[derive(Args, Clone, Debug)]
@@ -32,7 +33,7 @@ pub struct FiguresArgs {
     /// A picture that needs no table.
     #[command(subcommand)]
     pub command: Option<FiguresCommand>,
-    /// Result tables of `reveille sweep`; runs that two of them hold count once.
+    /// Result tables of `reveille sweep`, or the folders of finished sweeps; runs that two of them hold count once.
     #[arg(required = true, value_name = "TABLE")]
     pub tables: Vec<PathBuf>,
     /// Only these figures, separated by commas, of: information, energy, misdetection, low-energy, battery, wrong, wasted,
@@ -60,7 +61,7 @@ pub struct DeploymentArgs {
     #[command(flatten)]
     pub scenario: ScenarioArgs,
     /// The number of the event, from 0 [default: the first after the warm-up in which somebody was woken].
-    #[arg(long, short)]
+    #[arg(long, short, value_parser = parse_whole, allow_negative_numbers = true)]
     pub event: Option<u64>,
     /// The pictures.
     #[command(flatten)]
@@ -74,13 +75,19 @@ pub struct TimelineArgs {
     #[command(flatten)]
     pub scenario: ScenarioArgs,
     /// Numbers of the devices to show, separated by commas, at most 8 [default: the three that are busiest].
-    #[arg(long, value_delimiter = ',', value_name = "DEVICE")]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "DEVICE",
+        value_parser = parse_device,
+        allow_hyphen_values = true
+    )]
     pub show: Vec<u32>,
     /// The first TTI to show [default: the end of the warm-up].
-    #[arg(long)]
+    #[arg(long, value_parser = parse_whole, allow_negative_numbers = true)]
     pub from: Option<u64>,
     /// How many TTIs to show, 10 to 2000.
-    #[arg(long, default_value_t = 200)]
+    #[arg(long, default_value_t = 200, value_parser = parse_whole, allow_negative_numbers = true)]
     pub length: u64,
     /// The pictures.
     #[command(flatten)]
@@ -90,7 +97,7 @@ pub struct TimelineArgs {
 /// `reveille report`.
 #[derive(Args)]
 pub struct ReportArgs {
-    /// Result tables of `reveille sweep`, of the presets paper and paper-literal.
+    /// Result tables of `reveille sweep`, or the folders of finished sweeps, of the presets paper and paper-literal.
     #[arg(required = true, value_name = "TABLE")]
     pub tables: Vec<PathBuf>,
     /// The folder for report.html and report.md; it is made if need be.

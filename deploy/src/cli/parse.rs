@@ -23,6 +23,11 @@ pub(super) fn parse_whole(text: &str) -> Result<u64, String> {
         .map_err(|_| format!("must be a whole number from 0 to {}", i64::MAX))
 }
 
+pub(super) fn parse_device(text: &str) -> Result<u32, String> {
+    let number = text.trim().parse();
+    number.map_err(|_| "must be the number of a device, a whole number from 0, such as 3".to_owned())
+}
+
 pub(super) fn parse_pace(text: &str) -> Result<reveille_bs::clock::Pace, String> {
     if text == "max" {
         return Ok(reveille_bs::clock::Pace::Max);

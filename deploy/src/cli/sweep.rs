@@ -64,7 +64,7 @@ pub struct GridArgs {
         long,
         short = 'n',
         value_delimiter = ',',
-        allow_negative_numbers = true,
+        allow_hyphen_values = true,
         help_heading = "Grid"
     )]
     pub devices: Option<Vec<String>>,
@@ -74,7 +74,7 @@ pub struct GridArgs {
         long,
         short = 'k',
         value_delimiter = ',',
-        allow_negative_numbers = true,
+        allow_hyphen_values = true,
         help_heading = "Grid"
     )]
     pub ttis: Option<Vec<String>>,

@@ -15,8 +15,10 @@ use std::path::{Path, PathBuf};
 use super::error::SweepError;
 use crate::table::{Hash, METRICS, Row};
 
+/// The first word of a journal.
+const MAGIC: &str = "reveille-journal ";
 /// The form of the journal.
-const MAGIC: &str = "reveille-journal 2";
+const FORM: &str = "2";
 /// Lines between two syncs to the disk.
 const SYNC_LINES: u32 = 8192;
 /// Device-TTIs between two syncs: some seconds of work.
@@ -102,7 +104,7 @@ impl Journal {
             unsynced_lines: 0,
             unsynced_device_ttis: 0,
         };
-        journal.recover(&format!("{MAGIC} {identity}"), cells, seeds)?;
+        journal.recover(&name_of(identity), cells, seeds)?;
         Ok(journal)
     }
 
@@ -266,15 +268,26 @@ fn fewer(held: u64, seeds: u64) -> String {
     )
 }
 
+/// How the first line of a journal begins; the number of seeds follows.
+fn name_of(identity: &str) -> String {
+    format!("{MAGIC}{FORM} {identity}")
+}
+
 fn foreign(line: &[u8]) -> String {
     let line = String::from_utf8_lossy(line);
-    if line.starts_with("reveille-journal ") {
-        "holds the runs of another experiment, shard or version of reveille (see experiment.toml there); \
-         give the same command again to go on with it, with the same first seed and at least as many seeds, or choose \
-         another folder"
-            .to_owned()
-    } else {
-        "holds a runs.journal that is none, or one with a damaged first line; choose another folder".to_owned()
+    let form = line.strip_prefix(MAGIC).and_then(|rest| rest.split_whitespace().next());
+    match form {
+        Some(FORM) => "holds the runs of another experiment, shard or version of reveille (see experiment.toml there); \
+             give the same command again to go on with it, with the same first seed and at least as many seeds, or choose \
+             another folder"
+            .to_owned(),
+        Some(form) if form.bytes().all(|byte| byte.is_ascii_digit()) => format!(
+            "holds a runs.journal of form {form}, but this version of reveille goes on with form {FORM} alone; go on with \
+             the version that began the sweep, or choose another folder"
+        ),
+        Some(_) | None => {
+            "holds a runs.journal that is none, or one with a damaged first line; choose another folder".to_owned()
+        }
     }
 }
 
@@ -477,8 +490,12 @@ mod tests {
         ] {
             fs::write(&place.0, text).expect("written");
             let reason = Journal::open(&place.0, "me", 3, 5).expect_err("no journal");
-            let is_journal = text.starts_with("reveille");
-            assert_eq!(reason.contains("is none"), !is_journal, "{text}: {reason}");
+            let part = match text.strip_prefix("reveille-journal ").map(|rest| &rest[..1]) {
+                Some("2") => "another experiment",
+                Some(_) => "a runs.journal of form 1, but this version of reveille goes on with form 2",
+                None => "is none",
+            };
+            assert!(reason.contains(part), "{text}: {reason}");
             assert_eq!(fs::read_to_string(&place.0).expect("there"), text, "untouched");
         }
     }

@@ -35,7 +35,8 @@ fn options(args: &SweepArgs) -> anyhow::Result<Draft> {
         ("--ttis", "ttis", &given.ttis),
     ] {
         if let Some(values) = values {
-            draft.axis(flag, path, values.iter().map(|text| value(text)).collect())?;
+            let given = values.iter().filter(|text| !text.trim().is_empty());
+            draft.axis(flag, path, given.map(|text| value(text)).collect())?;
         }
     }
     for text in &given.grid {
