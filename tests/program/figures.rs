@@ -118,6 +118,9 @@ fn a_sweep_becomes_figures_and_a_report_the_same_twice() {
         let end = folder.run(&format!("figures {tables} --only misdetection,energy,net --out {out}"));
         assert_eq!(end.code(), Some(0), "{end}");
     }
+    let end = folder.run("figures paper literal --only misdetection,energy,net --out c");
+    assert_eq!(end.code(), Some(0), "a folder stands for its table: {end}");
+    assert_eq!(folder.list("c"), folder.list("a"));
     let names = folder.list("a");
     for figure in ["misdetection", "energy", "net"] {
         for preset in ["paper", "paper-literal"] {

@@ -466,8 +466,17 @@ fn a_full_disk_loses_no_finished_run() {
     fs::remove_file(path.join("s/results.parquet")).expect("there");
     let full = fs::write(&ballast, vec![0; 256 * 1024]);
     assert!(full.is_err(), "the disk is larger than it should be");
-    let end = folder.run(&format!("sweep {GRID} --out disk/s"));
-    assert_refused(&end, 1, &["disk/s", "No space left on device"]);
+    let end = folder.run(&format!("sweep {GRID} --out disk/s --quiet"));
+    assert_refused(
+        &end,
+        1,
+        &[
+            "disk/s/results.parquet",
+            "No space left on device",
+            &format!("the runs, {RUNS} so far, are kept in disk/s"),
+            "give the same command again",
+        ],
+    );
     fs::remove_file(ballast).expect("there");
     let end = folder.run(&format!("sweep {GRID} --out disk/s --json"));
     assert!(end.is_success() && end.stdout.contains("\"device_ttis\": 0"), "{end}");

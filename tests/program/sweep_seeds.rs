@@ -54,6 +54,46 @@ fn the_folder_without_a_name_takes_more_seeds_too() {
 }
 
 #[test]
+fn a_table_of_fewer_seeds_is_not_taken_for_that_of_more() {
+    let folder = Folder::new();
+    for index in 1..=2 {
+        swept(
+            &folder,
+            &format!("{GRID} --seeds 3 --shard {index}/2"),
+            &format!("s{index}"),
+        );
+    }
+    swept(&folder, &format!("{GRID} --seeds 3"), "whole");
+    assert!(folder.run("figures whole --only energy --out a").is_success());
+    assert!(folder.run("report whole --out b").is_success());
+    for (args, out) in [("--shard 1/2", "s1"), ("", "whole")] {
+        let sweep = folder.start(&format!("sweep {GRID} --seeds 100000 {args} --out {out}"));
+        let before = journal_lines(&folder, out);
+        wait_until("runs of the new seeds", PATIENCE, || {
+            (journal_lines(&folder, out) > before).then_some(())
+        });
+        sweep.signal(Signal::KILL);
+        sweep.finish();
+    }
+    let parts = ["s1: its sweep is not finished", "give its command again", "--partial"];
+    assert_refused(&folder.run("merge s1 s2 --out m.parquet"), 1, &parts);
+    assert!(!folder.join("m.parquet").exists());
+    for command in ["figures", "report"] {
+        let end = folder.run(&format!("{command} whole --out c"));
+        assert_refused(&end, 1, &["whole: its sweep is not finished"]);
+        let end = folder.run(&format!("{command} runtime --out c"));
+        assert_refused(&end, 1, &["runtime: the folder holds no table of a sweep"]);
+    }
+    assert!(!folder.join("c").exists());
+    // As if it had been killed before it took the table away.
+    let path = folder.join("s2/experiment.toml");
+    let text = fs::read_to_string(&path).expect("there");
+    fs::write(&path, text.replace("count = 3", "count = 5")).expect("written");
+    let parts = ["s2: its experiment.toml asks for 5 seeds a cell, but results.parquet holds 3"];
+    assert_refused(&folder.run("merge s2 --partial --out m.parquet"), 1, &parts);
+}
+
+#[test]
 fn a_full_disk_while_seeds_are_raised_leaves_the_folder_as_it_was() {
     let folder = Folder::new();
     let (expected, _) = swept(&folder, &format!("{GRID} --seeds 12"), "fresh");

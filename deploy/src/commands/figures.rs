@@ -11,7 +11,7 @@ use reveille_lab::figures::timeline::Timeline;
 use reveille_lab::figures::{deployment, energy, png, study, svg, timeline};
 use reveille_lab::table::{Table, replace};
 
-use super::resolve;
+use super::{resolve, table_of};
 use crate::cli::{DeploymentArgs, FiguresArgs, FiguresCommand, FormatArg, PictureArgs, TimelineArgs};
 use crate::display;
 
@@ -91,7 +91,10 @@ fn draw_energy(args: &FiguresArgs, label: &str, setting: &Setting) -> anyhow::Re
 
 /// Reads the tables and puts them together.
 pub fn read(paths: &[PathBuf]) -> anyhow::Result<Results> {
-    let read = |path: &PathBuf| Table::read(path).map(|table| (path.display().to_string(), table));
+    let read = |given: &PathBuf| -> anyhow::Result<(String, Table)> {
+        let path = table_of(given)?;
+        Ok((path.display().to_string(), Table::read(&path)?))
+    };
     let tables = paths.iter().map(read).collect::<Result<Vec<_>, _>>()?;
     Ok(Results::new(&tables)?)
 }

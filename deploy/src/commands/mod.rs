@@ -13,9 +13,11 @@ pub mod scenario;
 pub mod sweep;
 pub mod up;
 
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use reveille_common::scenario::{Override, Scenario, load};
+use reveille_lab::sweep::{SweepError, table_in};
 
 use crate::cli::{OutputArgs, ScenarioArgs};
 use crate::display;
@@ -62,4 +64,21 @@ pub fn conclude(args: &OutputArgs, summary: &Summary<'_>, folder: &std::path::Pa
     } else {
         ExitCode::from(crate::INTERRUPTED)
     })
+}
+
+/// The table that `given` names: that of the sweep in it if it is a folder.
+pub fn table_of(given: &Path) -> Result<PathBuf, SweepError> {
+    if given.is_dir() {
+        table_in(given)
+    } else {
+        Ok(given.to_owned())
+    }
+}
+
+/// Whether both paths lead to one file or folder.
+pub fn is_same(a: &Path, b: &Path) -> bool {
+    match (a.canonicalize(), b.canonicalize()) {
+        (Ok(a), Ok(b)) => a == b,
+        (Err(_), _) | (_, Err(_)) => false,
+    }
 }

@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::bail;
-use reveille_lab::sweep::{Grid, Shard, Sweep, identity};
+use reveille_lab::sweep::{Grid, Shard, Sweep, hash};
 
 use crate::cli::SweepArgs;
 use crate::display;
@@ -133,7 +133,7 @@ fn threads(args: &SweepArgs) -> anyhow::Result<usize> {
 /// The folder that the command line names, or one named after the experiment.
 fn folder(args: &SweepArgs, grid: &Grid, shard: Shard) -> PathBuf {
     args.out.clone().unwrap_or_else(|| {
-        let hash = identity(grid);
+        let hash = hash(grid);
         let share = if shard == Shard::WHOLE {
             String::new()
         } else {

@@ -72,6 +72,28 @@ pub enum SweepError {
     /// The result table cannot be read or written.
     #[error(transparent)]
     Table(#[from] TableError),
+    /// The table of a sweep cannot be written, for example because the disk is full; its runs are safe.
+    #[error(
+        "{error}; the runs, {kept} so far, are kept in {}: free some space or mend the disk, then give the same command again \
+         to go on",
+        folder.display()
+    )]
+    Results {
+        /// The folder of the sweep.
+        folder: PathBuf,
+        /// Runs that its journal holds.
+        kept: usize,
+        /// The table, and what the operating system said.
+        error: TableError,
+    },
+    /// A folder holds no table that tells of all its runs.
+    #[error("{}: {reason}", folder.display())]
+    NoTable {
+        /// The folder.
+        folder: PathBuf,
+        /// Why, and what to do.
+        reason: String,
+    },
     /// Tables do not make up one sweep.
     #[error("{}: {reason}", path.display())]
     Merge {

@@ -6,17 +6,22 @@
 //! | `experiment.scenario.toml` | its scenario file, if it has one |
 //! | `runs.journal` | a line for every finished run; what a sweep that was cut short goes on from |
 //! | `results.parquet` or `results.csv` | the table, once all runs are there |
+//!
+//! The number of seeds in the journal's first line is what counts. When it is raised, it is so first; then the table of
+//! fewer seeds goes, and `experiment.toml` is written. A folder that was left in between is one that can be gone on with.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use super::draft::Draft;
 use super::engine::{CellEnd, Observer, run};
 use super::error::SweepError;
+use super::experiment::Experiment;
 use super::grid::Grid;
 use super::journal::{Job, Journal};
 use super::shard::Shard;
-use crate::table::{About, Format, Row, Table, replace};
+use crate::table::{About, Format, Row, Table, TableError, replace};
 
 const EXPERIMENT: &str = "experiment.toml";
 const SCENARIO: &str = "experiment.scenario.toml";
@@ -75,10 +80,20 @@ impl<'g> Sweep<'g> {
                 )));
             }
         }
-        let identity = format!("{} {} {shard}", env!("CARGO_PKG_VERSION"), identity(grid));
         let (cells, seeds) = (grid.cells.len() as u64, grid.experiment.seeds.count);
-        let journal = Journal::open(&folder.join(JOURNAL), &identity, cells, seeds).map_err(refused)?;
-        describe(grid, folder).map_err(unusable)?;
+        let path = folder.join(JOURNAL);
+        let is_known = path.exists();
+        let journal = Journal::open(&path, &identity(grid, shard), cells, seeds).map_err(refused)?;
+        let unwritable = |error: std::io::Error| {
+            refused(format!(
+                "cannot be written: {error}; its finished runs are kept: free some space or mend the permissions, then give \
+                 the same command again"
+            ))
+        };
+        if is_known {
+            remove_stale(grid, folder).map_err(unwritable)?;
+        }
+        describe(grid, folder).map_err(unwritable)?;
         let mut sweep = Self {
             found: 0,
             grid,
@@ -100,7 +115,7 @@ impl<'g> Sweep<'g> {
         self.journal.dropped()
     }
 
-    /// Finished runs. Those that fell to another shard when seeds were added do not count.
+    /// Finished runs.
     pub fn done(&self) -> usize {
         self.journal.runs().keys().filter(|job| self.holds(job)).count()
     }
@@ -123,8 +138,20 @@ impl<'g> Sweep<'g> {
             return Ok(None);
         };
         let table = self.table(&cells);
-        let path = self.folder.join(format!("{RESULTS}.{}", format.ending()));
-        table.write(&path, format)?;
+        let path = results(&self.folder, format);
+        table.write(&path, format).map_err(|error| match error {
+            TableError::Write { .. } => SweepError::Results {
+                folder: self.folder.clone(),
+                kept: self.done(),
+                error,
+            },
+            TableError::Read { .. }
+            | TableError::Encode { .. }
+            | TableError::NotOurs { .. }
+            | TableError::Version { .. }
+            | TableError::Columns { .. }
+            | TableError::Broken { .. } => error.into(),
+        })?;
         Ok(Some(Finished { table, path, cells }))
     }
 
@@ -174,18 +201,92 @@ impl<'g> Sweep<'g> {
 fn describe(grid: &Grid, folder: &Path) -> std::io::Result<()> {
     let mut text = grid.experiment.to_toml();
     if let Some(scenario) = grid.experiment.scenario_text()? {
-        replace(&folder.join(SCENARIO), scenario.as_bytes())?;
+        describe_in(&folder.join(SCENARIO), &scenario)?;
         text = format!("scenario_copy = \"{SCENARIO}\"\n{text}");
     }
-    replace(&folder.join(EXPERIMENT), text.as_bytes())
+    describe_in(&folder.join(EXPERIMENT), &text)
 }
 
-/// What tells sweeps apart, hexadecimal: the experiment and the scenarios that it comes to, but for how many seeds a cell
-/// has, which may be raised.
-pub fn identity(grid: &Grid) -> String {
-    use sha2::{Digest, Sha256};
+/// Writes a file that does not say `text` yet: a full disk is no harm to one that does.
+fn describe_in(path: &Path, text: &str) -> std::io::Result<()> {
+    if fs::read(path).is_ok_and(|found| found == text.as_bytes()) {
+        return Ok(());
+    }
+    replace(path, text.as_bytes())
+}
+
+/// Where the table of the sweep in `folder` is.
+fn results(folder: &Path, format: Format) -> PathBuf {
+    folder.join(format!("{RESULTS}.{}", format.ending()))
+}
+
+/// Takes tables away that are not of all the runs of `grid`: those of fewer seeds.
+fn remove_stale(grid: &Grid, folder: &Path) -> std::io::Result<()> {
+    let experiment = grid.experiment.to_toml();
+    for format in [Format::Parquet, Format::Csv] {
+        let path = results(folder, format);
+        let is_own = || About::read(&path).is_ok_and(|about| about.experiment == experiment);
+        if path.exists() && !is_own() {
+            Table::remove(&path, format)?;
+        }
+    }
+    Ok(())
+}
+
+/// The table of the sweep in `folder`.
+///
+/// # Errors
+/// There is none, or it is of fewer seeds than the folder's experiment asks for.
+pub fn table_in(folder: &Path) -> Result<PathBuf, SweepError> {
+    let refused = |reason: String| SweepError::NoTable {
+        folder: folder.to_owned(),
+        reason,
+    };
+    let found = [Format::Parquet, Format::Csv].map(|format| results(folder, format));
+    let Some(table) = found.into_iter().find(|path| path.exists()) else {
+        return Err(refused(if folder.join(JOURNAL).exists() {
+            "its sweep is not finished; give its command again to go on with it".to_owned()
+        } else {
+            "the folder holds no table of a sweep".to_owned()
+        }));
+    };
+    let seeds = |draft: Draft| draft.finish().map(|experiment| experiment.seeds.count);
+    let asked = Draft::load(&folder.join(EXPERIMENT)).and_then(seeds).ok();
+    // If the table cannot be read, who reads it says so.
+    let about = About::read(&table).ok().filter(|about| !about.experiment.is_empty());
+    let held = about.and_then(|about| {
+        let draft = Draft::parse(&about.experiment, "its experiment", Path::new(""));
+        draft.and_then(seeds).ok()
+    });
+    if let (Some(asked), Some(held)) = (asked, held)
+        && asked != held
+    {
+        let name = table.file_name().unwrap_or_default().to_string_lossy();
+        return Err(refused(format!(
+            "its {EXPERIMENT} asks for {asked} seeds a cell, but {name} holds {held}; give the command of its sweep again, or \
+             name the table itself"
+        )));
+    }
+    Ok(table)
+}
+
+/// What tells the sweeps of folders apart: all but how many seeds a cell has, which may be raised.
+fn identity(grid: &Grid, shard: Shard) -> String {
     let mut experiment = grid.experiment.clone();
     experiment.seeds.count = 0;
+    let hash = hash_of(grid, &experiment);
+    format!("{} {hash} {shard}", env!("CARGO_PKG_VERSION"))
+}
+
+/// SHA-256 over the experiment, but for its number of seeds, and the scenarios that it comes to; hexadecimal.
+pub fn hash(grid: &Grid) -> String {
+    let mut experiment = grid.experiment.clone();
+    experiment.seeds.count = 0;
+    hash_of(grid, &experiment)
+}
+
+fn hash_of(grid: &Grid, experiment: &Experiment) -> String {
+    use sha2::{Digest, Sha256};
     let mut sum = Sha256::new();
     sum.update(grid.fingerprint().0);
     sum.update(experiment.to_toml());

@@ -402,8 +402,51 @@ fn the_fewest_seeds_are_part_of_a_sweep_if_they_are_asked_for() {
             .to_string();
         assert!(message.contains("another experiment"), "{message}");
     }
-    assert_ne!(identity(&with("min_seeds = 5")), identity(&with("min_seeds = 6")));
-    assert_eq!(identity(&with("min_seeds = 30")), identity(&with("")), "the default");
+    assert_ne!(hash(&with("min_seeds = 5")), hash(&with("min_seeds = 6")));
+    assert_eq!(hash(&with("min_seeds = 30")), hash(&with("")), "the default");
+}
+
+#[test]
+fn a_raised_folder_loses_its_old_table_and_no_other() {
+    let folder = Folder::new("stale");
+    let with = |count: u64| grid(&SMALL.replace("count = 7", &format!("count = {count}"))).expect("valid");
+    let of = |count: u64, format: Format| {
+        let grid = with(count);
+        let mut sweep = Sweep::open(&grid, Shard::WHOLE, &folder.0).expect("a folder");
+        sweep
+            .run(1, format, &never())
+            .expect("no failure")
+            .expect("not stopped");
+    };
+    of(2, Format::Parquet);
+    of(2, Format::Csv);
+    let tables = ["results.csv", "results.csv.toml", "results.parquet"];
+    let there = || tables.map(|name| folder.0.join(name).exists());
+    assert_eq!(there(), [true; 3], "tables of the same seeds");
+    let one = with(1);
+    let fewer = Sweep::open(&one, Shard::WHOLE, &folder.0)
+        .expect_err("fewer")
+        .to_string();
+    assert!(fewer.contains("2 seeds a cell"), "{fewer}");
+    assert_eq!(there(), [true; 3], "nothing was raised");
+    assert!(table_in(&folder.0).is_ok());
+    drop(Sweep::open(&with(3), Shard::WHOLE, &folder.0).expect("a folder"));
+    assert_eq!(there(), [false; 3], "the journal lacks runs");
+    let missing = table_in(&folder.0).expect_err("no table").to_string();
+    assert!(missing.contains("its sweep is not finished"), "{missing}");
+    of(3, Format::Csv);
+    assert_eq!(there(), [true, true, false]);
+    assert_eq!(table_in(&folder.0).expect("a table"), folder.0.join("results.csv"));
+
+    // A table of fewer seeds beside an experiment of more is not taken for its own.
+    let path = folder.0.join("experiment.toml");
+    let text = fs::read_to_string(&path).expect("there");
+    fs::write(&path, text.replace("count = 3", "count = 4")).expect("written");
+    let refused = table_in(&folder.0).expect_err("other seeds").to_string();
+    assert!(
+        refused.contains("asks for 4 seeds a cell, but results.csv holds 3"),
+        "{refused}"
+    );
 }
 
 #[test]

@@ -84,12 +84,20 @@ fn written(value: &Value) -> String {
 /// Reads the table in the file at `path`, and its side-car if it is there.
 pub(super) fn read(path: &Path) -> Result<Table, Failure> {
     let text = fs::read_to_string(path)?;
-    let side = match fs::read_to_string(side_car(path)) {
-        Ok(text) => side(&text)?,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Side::default(),
-        Err(error) => return Err(error.into()),
-    };
-    Ok(decode(&text, side)?)
+    Ok(decode(&text, side_of(path)?)?)
+}
+
+/// What the table in the file at `path` says of itself.
+pub(super) fn about(path: &Path) -> Result<About, Failure> {
+    side_of(path).map(|side| side.about)
+}
+
+fn side_of(path: &Path) -> Result<Side, Failure> {
+    match fs::read_to_string(side_car(path)) {
+        Ok(text) => Ok(side(&text)?),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(Side::default()),
+        Err(error) => Err(error.into()),
+    }
 }
 
 fn side(text: &str) -> Result<Side, Refusal> {

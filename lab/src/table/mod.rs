@@ -60,6 +60,18 @@ pub struct About {
 }
 
 impl About {
+    /// What the table at `path` says of itself, without its rows.
+    ///
+    /// # Errors
+    /// As [`Table::read`].
+    pub fn read(path: &Path) -> Result<Self, TableError> {
+        let read = match Format::of(path) {
+            Format::Parquet => parquet::about(path),
+            Format::Csv => csv::about(path),
+        };
+        read.map_err(|failure| failure.of(path))
+    }
+
     /// As key-value metadata, in a fixed order.
     fn pairs(&self) -> Vec<(&'static str, String)> {
         let mut pairs = vec![
@@ -183,6 +195,22 @@ impl Table {
             write(&csv::side_car(path), csv::side_car_text(self).as_bytes())?;
         }
         write(path, &bytes)
+    }
+
+    /// Takes the table in `format` at `path` away, and with it its side-car.
+    ///
+    /// # Errors
+    /// It is there and cannot be removed.
+    pub fn remove(path: &Path, format: Format) -> std::io::Result<()> {
+        let remove = |path: &Path| match std::fs::remove_file(path) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error),
+            Ok(()) | Err(_) => Ok(()),
+        };
+        remove(path)?;
+        match format {
+            Format::Parquet => Ok(()),
+            Format::Csv => remove(&csv::side_car(path)),
+        }
     }
 }
 

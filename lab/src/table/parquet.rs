@@ -159,14 +159,23 @@ fn write<T: DataType>(
 
 /// Reads the table in the file at `path`.
 pub(super) fn read(path: &Path) -> Result<Table, Failure> {
+    guarded(path, decode)
+}
+
+/// What the table in the file at `path` says of itself.
+pub(super) fn about(path: &Path) -> Result<About, Failure> {
+    guarded(path, |file| about_of(&SerializedFileReader::new(file)?))
+}
+
+fn guarded<T>(path: &Path, decode: impl FnOnce(File) -> Result<T, Refusal>) -> Result<T, Failure> {
     let file = File::open(path)?;
     if !file.metadata()?.is_file() {
         return Err(std::io::Error::other("it is no regular file").into());
     }
     // The decoder panics on some corrupt files.
     let read = catch_unwind(AssertUnwindSafe(|| decode(file)));
-    let table = read.unwrap_or_else(|_| Err(Refusal::Broken("the Parquet decoder gave up".to_owned())));
-    table.map_err(Failure::Refused)
+    let read = read.unwrap_or_else(|_| Err(Refusal::Broken("the Parquet decoder gave up".to_owned())));
+    read.map_err(Failure::Refused)
 }
 
 impl From<ParquetError> for Refusal {
@@ -175,12 +184,16 @@ impl From<ParquetError> for Refusal {
     }
 }
 
+fn about_of(reader: &SerializedFileReader<File>) -> Result<About, Refusal> {
+    let pairs = reader.metadata().file_metadata().key_value_metadata();
+    let pairs = pairs.map_or(&[][..], Vec::as_slice);
+    About::from_pairs(|key| pairs.iter().find(|pair| pair.key == key)?.value.as_deref())
+}
+
 fn decode(file: File) -> Result<Table, Refusal> {
     let reader = SerializedFileReader::new(file)?;
-    let metadata = reader.metadata().file_metadata();
-    let pairs = metadata.key_value_metadata().map_or(&[][..], Vec::as_slice);
-    let about = About::from_pairs(|key| pairs.iter().find(|pair| pair.key == key)?.value.as_deref())?;
-    let fields = metadata.schema().get_fields();
+    let about = about_of(&reader)?;
+    let fields = reader.metadata().file_metadata().schema().get_fields();
     let header: Vec<&str> = fields.iter().map(|field| field.name()).collect();
     let names = Schema::swept_among(&header)?;
     let first = IDENTITY.len();
