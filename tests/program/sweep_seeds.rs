@@ -42,15 +42,36 @@ fn more_seeds_end_as_a_fresh_sweep() {
     assert_eq!(text("s"), text("fresh"));
 }
 
+/// `reveille sweep ARGS --json` without `--out`: runs, runs that were found, and the folder.
+fn swept_by_default(folder: &Folder, args: &str) -> (u64, u64, String) {
+    let end = folder.run(&format!("sweep {args} --json"));
+    assert!(end.is_success(), "{end}");
+    let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
+    let number = |name: &str| report[name].as_u64().expect("a number");
+    let place = report["folder"].as_str().expect("a path").to_owned();
+    (number("runs"), number("found"), place)
+}
+
 #[test]
-fn the_folder_without_a_name_takes_more_seeds_too() {
+fn a_quick_look_needs_no_name_and_can_be_gone_on_with() {
     let folder = Folder::new();
-    for (seeds, found) in [(2, 0), (5, 2)] {
-        let end = folder.run(&format!("sweep --devices 5 --ttis 50 --seeds {seeds} --json"));
-        let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
-        assert_eq!((&report["runs"], &report["found"]), (&seeds.into(), &found.into()));
-    }
-    assert_eq!(folder.list("runs").len(), 1);
+    let args = "--devices 5 --ttis 50";
+    let (_, _, long) = swept_by_default(&folder, &format!("{args} --seeds 5"));
+    let (runs, found, short) = swept_by_default(&folder, &format!("{args} --seeds 2"));
+    assert!(long != short && (runs, found) == (2, 0), "{long}, {short}");
+    let again = swept_by_default(&folder, &format!("{args} --seeds 2"));
+    assert_eq!(again, (2, 2, short.clone()));
+    // By its own experiment file it goes on where it is; with fewer seeds it is a quick look again.
+    let more = swept_by_default(&folder, &format!("{short}/experiment.toml --seeds 4"));
+    assert_eq!(more, (4, 2, short.clone()));
+    let (runs, _, place) = swept_by_default(&folder, &format!("{short}/experiment.toml --seeds 3"));
+    assert!(runs == 3 && place != short, "{place}");
+    let (_, found, place) = swept_by_default(&folder, &format!("{short}/experiment.toml --ttis 60"));
+    assert!(
+        found == 0 && place != short,
+        "another experiment has a folder of its own: {place}"
+    );
+    assert_eq!(folder.list("runs").len(), 4);
 }
 
 #[test]
@@ -91,6 +112,33 @@ fn a_table_of_fewer_seeds_is_not_taken_for_that_of_more() {
     fs::write(&path, text.replace("count = 3", "count = 5")).expect("written");
     let parts = ["s2: its experiment.toml asks for 5 seeds a cell, but results.parquet holds 3"];
     assert_refused(&folder.run("merge s2 --partial --out m.parquet"), 1, &parts);
+}
+
+#[test]
+fn a_kill_between_the_journal_and_the_experiment_is_no_harm() {
+    let folder = Folder::new();
+    let (expected, _) = swept(&folder, &format!("{GRID} --seeds 4"), "fresh");
+    for changed in ["runs.journal", "experiment.toml"] {
+        for by in ["s/experiment.toml", &format!("{GRID} --seeds 4")] {
+            swept(&folder, &format!("{GRID} --seeds 2"), "s");
+            let files = ["runs.journal", "experiment.toml", "results.parquet"].map(|name| {
+                let path = folder.join(&format!("s/{name}"));
+                (name, path.clone(), fs::read(path).expect("there"))
+            });
+            // All else as it was before.
+            swept(&folder, &format!("{GRID} --seeds 4"), "s");
+            for (name, path, before) in &files {
+                if *name != changed {
+                    fs::write(path, before).expect("written");
+                }
+            }
+            let (table, found) = swept(&folder, by, "s");
+            assert!(table == expected, "{changed} was raised, {by}");
+            let runs = if changed == "runs.journal" { 4 } else { 2 };
+            assert_eq!(found, 4 * 2 * runs, "{changed} was raised, {by}");
+            fs::remove_dir_all(folder.join("s")).expect("ours");
+        }
+    }
 }
 
 #[test]

@@ -67,7 +67,7 @@ pub enum Command {
         reveille sweep --grid harvest.lambda=0.05,0.1,0.2 --set harvest.e_b=10 --until-ci 1%\n  \
         reveille sweep experiment.toml --shard 2/8 --out shard-2\n\n\
         A sweep that was cut short, even by kill -9, goes on when the same command is given again. With more --seeds \
-        it keeps the runs that are there."
+        and the same --out it keeps the runs that are there."
     )]
     Sweep(SweepArgs),
     /// Put the tables of the shards of a sweep together.

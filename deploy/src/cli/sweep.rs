@@ -19,7 +19,8 @@ pub struct SweepArgs {
     pub grid: GridArgs,
 
     /// The folder of the sweep. Give the same command again to go on with a sweep that was cut short, or with more --seeds
-    /// to add to one [default: runs/sweep-HASH, the same for the same experiment with any number of seeds].
+    /// to add to one [default: that of EXPERIMENT if it is the experiment.toml of such a sweep, or runs/sweep-HASH, the same
+    /// for the same experiment and number of seeds].
     #[arg(long, short, help_heading = "Output")]
     pub out: Option<PathBuf>,
 

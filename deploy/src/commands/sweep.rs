@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::bail;
-use reveille_lab::sweep::{Grid, Shard, Sweep, hash};
+use reveille_lab::sweep::{Grid, Shard, Sweep, hash, seeds_in};
 
 use crate::cli::SweepArgs;
 use crate::display;
@@ -25,10 +25,10 @@ const GRACE: Duration = Duration::from_secs(1);
 
 /// Runs a sweep, or goes on with it.
 pub fn run(args: &SweepArgs) -> anyhow::Result<ExitCode> {
-    let grid = Grid::new(grid::experiment(args)?)?;
+    let mut grid = Grid::new(grid::experiment(args)?)?;
     let shard = args.shard.unwrap_or(Shard::WHOLE);
     grid.check_shard(shard)?;
-    let folder = folder(args, &grid, shard);
+    let folder = folder(args, &mut grid, shard);
     if args.dry_run {
         display::out(&report::dry_run(args, &grid, shard, &folder)?)?;
         return Ok(ExitCode::SUCCESS);
@@ -130,8 +130,29 @@ fn threads(args: &SweepArgs) -> anyhow::Result<usize> {
     })
 }
 
-/// The folder that the command line names, or one named after the experiment.
-fn folder(args: &SweepArgs, grid: &Grid, shard: Shard) -> PathBuf {
+/// The folder that the command line names, or that whose own experiment file it names if that goes on there, or one named
+/// after the experiment.
+fn folder(args: &SweepArgs, grid: &mut Grid, shard: Shard) -> PathBuf {
+    let own = args.experiment.as_deref().and_then(|file| {
+        let parent = file.parent().filter(|_| file.ends_with("experiment.toml"))?;
+        let own = if parent == Path::new("") {
+            Path::new(".")
+        } else {
+            parent
+        };
+        Some((own.to_owned(), seeds_in(grid, shard, own)?))
+    });
+    let is_asked_for = |own: &Path| args.out.as_deref().is_none_or(|out| super::is_same(out, own));
+    if let Some((own, held)) = own.filter(|(own, _)| is_asked_for(own)) {
+        let seeds = &mut grid.experiment.seeds.count;
+        if args.grid.seeds.is_none() {
+            // What was killed while it raised the seeds may have left an experiment of fewer.
+            *seeds = held.max(*seeds);
+        }
+        if args.out.is_none() && *seeds >= held {
+            return own;
+        }
+    }
     args.out.clone().unwrap_or_else(|| {
         let hash = hash(grid);
         let share = if shard == Shard::WHOLE {

@@ -270,6 +270,11 @@ pub fn table_in(folder: &Path) -> Result<PathBuf, SweepError> {
     Ok(table)
 }
 
+/// Seeds of each cell that the sweep in `folder` is for, if it is that of `grid` and `shard`, with any number of them.
+pub fn seeds_in(grid: &Grid, shard: Shard, folder: &Path) -> Option<u64> {
+    Journal::seeds(&folder.join(JOURNAL), &identity(grid, shard))
+}
+
 /// What tells the sweeps of folders apart: all but how many seeds a cell has, which may be raised.
 fn identity(grid: &Grid, shard: Shard) -> String {
     let mut experiment = grid.experiment.clone();
@@ -278,11 +283,9 @@ fn identity(grid: &Grid, shard: Shard) -> String {
     format!("{} {hash} {shard}", env!("CARGO_PKG_VERSION"))
 }
 
-/// SHA-256 over the experiment, but for its number of seeds, and the scenarios that it comes to; hexadecimal.
+/// SHA-256 over the experiment, its number of seeds included, and the scenarios that it comes to; hexadecimal.
 pub fn hash(grid: &Grid) -> String {
-    let mut experiment = grid.experiment.clone();
-    experiment.seeds.count = 0;
-    hash_of(grid, &experiment)
+    hash_of(grid, &grid.experiment)
 }
 
 fn hash_of(grid: &Grid, experiment: &Experiment) -> String {

@@ -9,7 +9,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions, TryLockError};
-use std::io::{self, BufRead, BufReader, BufWriter, Seek, SeekFrom, Write};
+use std::io::{self, BufRead, BufReader, BufWriter, Read as _, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use super::error::SweepError;
@@ -19,6 +19,8 @@ use crate::table::{Hash, METRICS, Row};
 const MAGIC: &str = "reveille-journal ";
 /// The form of the journal.
 const FORM: &str = "2";
+/// Bytes that a first line has at the most.
+const LONGEST_HEAD: u64 = 1024;
 /// Lines between two syncs to the disk.
 const SYNC_LINES: u32 = 8192;
 /// Device-TTIs between two syncs: some seconds of work.
@@ -106,6 +108,20 @@ impl Journal {
         };
         journal.recover(&name_of(identity), cells, seeds)?;
         Ok(journal)
+    }
+
+    /// Seeds of each cell that the journal at `path` is for, if it is one of the sweep that `identity` names.
+    pub fn seeds(path: &Path, identity: &str) -> Option<u64> {
+        let mut line = Vec::new();
+        let file = File::open(path).ok()?;
+        BufReader::new(file)
+            .take(LONGEST_HEAD)
+            .read_until(b'\n', &mut line)
+            .ok()?;
+        match Head::of(&line, &name_of(identity))? {
+            Head::Torn => None,
+            Head::Seeds(held) => Some(held),
+        }
     }
 
     /// Reads what is there, takes torn and garbled lines out of the file, and raises the seeds of its first line.

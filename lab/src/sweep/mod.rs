@@ -23,7 +23,7 @@ pub use draft::Draft;
 pub use engine::{CellEnd, Observer};
 pub use error::SweepError;
 pub use experiment::{Axis, Experiment, Seeds, UntilCi};
-pub use folder::{Finished, Sweep, hash, table_in};
+pub use folder::{Finished, Sweep, hash, seeds_in, table_in};
 pub use grid::{Cell, Grid};
 pub use merge::merge;
 pub use shard::Shard;
