@@ -3,7 +3,7 @@
 use std::fs;
 use std::time::Duration;
 
-use reveille_tests::process::{Folder, PATIENCE, assert_refused, wait_until};
+use reveille_tests::process::{Folder, PATIENCE, assert_refused, hosts_of, unique_run, wait_until};
 use rustix::process::Signal;
 
 /// A scenario whose search before the run takes hours.
@@ -53,6 +53,41 @@ fn a_run_that_is_being_set_up_ends_at_once() {
         assert!(!files.iter().any(|name| name == "RUNNING"), "{files:?}");
         let why = fs::read_to_string(folder.join(&format!("{out}/FAILED"))).expect("a mark");
         assert!(why.contains("interrupted"), "{why}");
+    }
+}
+
+#[test]
+fn a_base_station_that_is_being_set_up_ends_at_once_with_its_devices() {
+    let folder = Folder::new();
+    for (command, hosts) in [
+        ("up --processes 2", 2),
+        ("up --processes 0", 0),
+        ("bs --listen tcp/127.0.0.1:0", 0),
+    ] {
+        for signal in [Signal::INT, Signal::TERM] {
+            let run = unique_run("setup");
+            let bs = folder.start(&format!("{command} --run {run} --policy adjusted {SEARCH} --out {run}"));
+            wait_until("the base station to listen", PATIENCE, || {
+                let is_known = folder
+                    .list("runtime/reveille")
+                    .iter()
+                    .any(|name| name.starts_with(&run));
+                (is_known && hosts_of(&run).len() == hosts).then_some(())
+            });
+            std::thread::sleep(Duration::from_millis(300));
+            bs.signal(signal);
+            let end = bs.finish_within(SOON);
+            assert_eq!(end.code(), Some(130), "{command}: {end}");
+            assert!(
+                end.stderr.contains("reveille: interrupted before the first TTI"),
+                "{command}: {end}"
+            );
+            assert_eq!(hosts_of(&run), [0_u32; 0], "{command}: device processes are left");
+            let files = folder.list(&run);
+            assert!(!files.iter().any(|name| name == "RUNNING"), "{command}: {files:?}");
+            let why = fs::read_to_string(folder.join(&format!("{run}/FAILED"))).expect("a mark");
+            assert!(why.contains("interrupted"), "{command}: {why}");
+        }
     }
 }
 

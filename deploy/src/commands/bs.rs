@@ -5,17 +5,23 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use anyhow::{Context as _, bail};
 use reveille_bs::actor::{self, Progress, Served, Settings};
 use reveille_common::bus::Bus;
 use reveille_common::deployment::Deployment;
 use reveille_common::keys::RunName;
 use reveille_common::scenario::Scenario;
+use tokio::sync::oneshot;
 
+use super::run::Interrupted;
 use super::{conclude, resolve, window};
 use crate::cli::{BsArgs, DriveArgs, OutputArgs};
 use crate::display::Bar;
 use crate::results::{RunFolder, Summary, Timing};
 use crate::{interrupt, local};
+
+/// Time between two looks for a signal.
+const LOOK: Duration = Duration::from_millis(20);
 
 /// Serves a run to devices that come from elsewhere.
 pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
@@ -111,15 +117,20 @@ pub async fn serve(
     let (watched, seen) = (Arc::clone(&stop), Arc::clone(progress));
     let relay = tokio::spawn(async move {
         while !watched.load(Ordering::Relaxed) {
-            tokio::time::sleep(Duration::from_millis(20)).await;
+            tokio::time::sleep(LOOK).await;
         }
         seen.stop.store(true, Ordering::Relaxed);
     });
     let bar = Bar::start(progress, scenario, output.quiet);
-    let deployment = Deployment::new(scenario);
-    let ready = reveille_lab::adjusted::resolve(scenario);
-    let preparing = started.elapsed();
-    let served = actor::serve(bus, &ready, &deployment, settings, progress, &mut folder).await;
+    let (preparing, served) = match set_up(scenario, progress).await {
+        Ok((ready, deployment)) => (
+            started.elapsed(),
+            actor::serve(bus, &ready, &deployment, settings, progress, &mut folder)
+                .await
+                .map_err(anyhow::Error::from),
+        ),
+        Err(error) => (started.elapsed(), Err(error)),
+    };
     relay.abort();
     drop(bar);
     let ended = match served {
@@ -133,7 +144,7 @@ pub async fn serve(
         Err(error) => {
             let error = match progress.cause.get() {
                 Some(why) => anyhow::anyhow!("{why}: {error}"),
-                None => error.into(),
+                None => error,
             };
             folder.fail(&error);
             Err(error)
@@ -141,6 +152,28 @@ pub async fn serve(
     };
     actor::dismiss(bus)?;
     ended
+}
+
+/// Finds out on another thread what the run needs, which takes a while with a million devices or a search before it; when it
+/// is told to stop, that is given up, since there is nothing to lose yet.
+async fn set_up(scenario: &Scenario, progress: &Progress) -> anyhow::Result<(Scenario, Deployment)> {
+    let (sender, mut receiver) = oneshot::channel();
+    let scenario = scenario.clone();
+    std::thread::spawn(move || {
+        let ready = reveille_lab::adjusted::resolve(&scenario).into_owned();
+        // After a signal nobody waits for it.
+        let _ = sender.send((ready, Deployment::new(&scenario)));
+    });
+    loop {
+        tokio::select! {
+            ready = &mut receiver => return ready.context("the run could not be set up"),
+            () = tokio::time::sleep(LOOK) => {
+                if progress.stop.load(Ordering::Relaxed) {
+                    bail!(Interrupted);
+                }
+            }
+        }
+    }
 }
 
 fn prepare(run: &RunName, bus: &Bus) -> anyhow::Result<(local::Registered, Arc<AtomicBool>)> {

@@ -12,6 +12,7 @@ use reveille_common::keys::RunName;
 use reveille_device::host;
 
 use super::bs::{Station, serve, settings};
+use super::run::Interrupted;
 use super::{resolve, window};
 use crate::cli::UpArgs;
 use crate::launch::Children;
@@ -71,6 +72,11 @@ async fn attend(processes: u32, station: &Station<'_>, folder: RunFolder, log: &
         let own = station.bus.clone();
         let carried = tokio::spawn(async move { host::carry(&own, devices, 0, JOIN, |_, _, _| {}).await });
         let code = serve(station, folder, |_| {}).await;
+        if code.as_ref().is_err_and(anyhow::Error::is::<Interrupted>) {
+            // They wait to join a run that there will not be.
+            carried.abort();
+            return code;
+        }
         carried.await.context("the devices' task")??;
         return code;
     }
