@@ -257,13 +257,13 @@ fn harvest_of(point: &Point) -> Sample {
     }
 }
 
-/// The harvest of `point` less `consumption`. The two come from different runs, so their variances add up.
+/// The harvest of `point` less `consumption`. The two come from different runs, so their variances add up; of one run there
+/// is none.
 fn net_of(point: &Point, consumption: &Estimate) -> Sample {
-    let known = |half: f64| if half.is_nan() { 0.0 } else { half };
     Sample {
         x: point.lambda,
         y: point.harvested.mean - consumption.mean,
-        half: libm::hypot(known(point.harvested.half_width), known(consumption.half_width)),
+        half: libm::hypot(point.harvested.half_width, consumption.half_width),
     }
 }
 

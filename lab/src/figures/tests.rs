@@ -204,6 +204,23 @@ fn harvest_and_net_are_drawn() {
     assert!((dot.y - (of_five.harvested.mean - 0.305)).abs() < 1e-12);
     assert!((dot.half.powi(2) - half.powi(2) - of_five.harvested.half_width.powi(2)).abs() < 1e-12);
     assert!(energy::harvest_csv(&points).lines().count() == 28 && energy::net_csv(&net).lines().count() > 100);
+    // A consumption of one run has no interval, and so has nothing that it is taken from.
+    let lone = results_of(&[("random", 100, &[0.2, 0.21]), ("adjusted", 100, &[0.3])]);
+    let lone = energy::net_chart(&lone.settings[0], &points).expect("random and adjusted were run");
+    let mut policy = "";
+    for series in &lone.series {
+        policy = series
+            .name
+            .split(',')
+            .next()
+            .filter(|name| !name.is_empty())
+            .unwrap_or(policy);
+        let is_known = policy == "random";
+        assert!(
+            series.samples.iter().all(|s| s.half.is_finite() == is_known),
+            "{policy}"
+        );
+    }
     let without = results_of(&[("random", 100, &[0.2])]);
     assert!(energy::net_chart(&without.settings[0], &points).is_none());
 }
