@@ -22,6 +22,8 @@ pub const EDGE: f64 = 6.0;
 const PLOT: f64 = 158.0;
 /// The legend of marks.
 const STATED: &str = "hollow: stated in the paper";
+/// How far marks stand beside their x at the most, points: no more than some devices on the axis of N.
+const BESIDE: f64 = 4.0;
 /// How pale grid lines are.
 const GRID: f64 = 0.14;
 
@@ -404,13 +406,15 @@ fn hatching([left, top, right, bottom]: [f64; 4]) -> Vec<Path> {
     (0..=count).filter_map(line).collect()
 }
 
-/// Places marks that share an x side by side, [`MARKER`]s apart, in their order.
+/// Places marks that share an x side by side in their order: [`MARKER`]s apart, but none further than [`BESIDE`].
 pub fn spread(marks: &mut [Mark]) {
     let all = marks.to_vec();
     for (i, mark) in marks.iter_mut().enumerate() {
         let shares = |other: &&Mark| (other.x - mark.x).abs() < 1e-9;
         let count = all.iter().filter(shares).count();
         let turn = all[..i].iter().filter(shares).count();
-        mark.aside = (turn as f64 - 0.5 * (count as f64 - 1.0)) * 2.4 * MARKER;
+        let gaps = count as f64 - 1.0;
+        let step = (2.4 * MARKER).min(2.0 * BESIDE / gaps.max(1.0));
+        mark.aside = (turn as f64 - 0.5 * gaps) * step;
     }
 }

@@ -119,8 +119,13 @@ fn what_the_paper_states_is_marked_for_policies_that_were_run() {
     }
     let places: Vec<f64> = chart.marks.iter().filter(|m| m.x > 200.0).map(|m| m.aside).collect();
     assert!(
-        places.windows(2).all(|pair| pair[1] - pair[0] > 5.0),
+        places.len() > 1 && places.windows(2).all(|pair| pair[1] - pair[0] > 2.0),
         "side by side: {places:?}"
+    );
+    assert!(
+        chart.marks.iter().all(|m| m.aside.abs() <= 4.0),
+        "and near their N: {:?}",
+        chart.marks
     );
 }
 
