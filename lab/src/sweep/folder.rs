@@ -117,10 +117,10 @@ impl<'g> Sweep<'g> {
 
     /// Finished runs.
     pub fn done(&self) -> usize {
-        self.journal.runs().keys().filter(|job| self.holds(job)).count()
+        self.journal.runs().keys().filter(|job| self.holds(**job)).count()
     }
 
-    fn holds(&self, job: &Job) -> bool {
+    fn holds(&self, job: Job) -> bool {
         self.shard.holds(u64::from(job.cell), u64::from(job.seed))
     }
 
@@ -169,7 +169,7 @@ impl<'g> Sweep<'g> {
                 Arc::<str>::from(cell.scenario.policy.name()),
             );
             let runs = self.journal.runs().range(place(0)..place(end.runs));
-            for (job, entry) in runs.filter(|(job, _)| self.holds(job)) {
+            for (job, entry) in runs.filter(|(job, _)| self.holds(**job)) {
                 rows.push(Row {
                     scenario_hash: entry.scenario_hash,
                     preset: Arc::clone(&preset),
