@@ -406,7 +406,7 @@ fn hatching([left, top, right, bottom]: [f64; 4]) -> Vec<Path> {
     (0..=count).filter_map(line).collect()
 }
 
-/// Places marks that share an x side by side in their order: [`MARKER`]s apart, but none further than [`BESIDE`].
+/// Places marks that share an x side by side in their order: [`MARKER`]s apart, but none further than `BESIDE`.
 pub fn spread(marks: &mut [Mark]) {
     let all = marks.to_vec();
     for (i, mark) in marks.iter_mut().enumerate() {
