@@ -14,6 +14,7 @@ pub mod geometry;
 pub mod harvest;
 pub mod ids;
 pub mod keys;
+pub mod learned;
 pub mod logging;
 pub mod message;
 pub mod metrics;
