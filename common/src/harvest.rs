@@ -77,6 +77,22 @@ impl HarvestSetup {
     }
 }
 
+impl HarvestSetup {
+    /// The mean harvest in a TTI, to the nearest micro-unit; `traces` are the run's, energy per TTI by row.
+    pub fn mean(&self, traces: &[Arc<Vec<Energy>>]) -> Energy {
+        let share = |p: f64, e_b: Energy| Energy::from_micro((p * e_b.micro() as f64).round() as u64);
+        match *self {
+            Self::Arrivals { p, e_b } => share(p, e_b),
+            Self::OnOff { on_share, e_b, .. } => share(on_share, e_b),
+            Self::Trace { trace, .. } => {
+                let rows = traces.get(trace as usize).map_or(&[][..], |rows| rows);
+                let sum: u128 = rows.iter().map(|energy| u128::from(energy.micro())).sum();
+                Energy::from_micro((sum / (rows.len() as u128).max(1)) as u64)
+            }
+        }
+    }
+}
+
 /// The probability λτ·exp(-λτ) of Eq. (5), at most 1/e.
 pub fn eq5_probability(lambda: f64, tau: f64) -> f64 {
     lambda * tau * libm::exp(-lambda * tau)

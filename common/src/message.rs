@@ -77,6 +77,8 @@ pub struct Tick {
     pub stimulus: Option<Stimulus>,
     /// Whether the answer carries the sums of the TTIs before `first`.
     pub account: bool,
+    /// Whether the answer carries the battery levels after `last`.
+    pub batteries: bool,
     /// The TTI from which the plan in force holds. A host that has missed that plan does not answer, and is sent it again.
     pub plan: Tti,
 }
@@ -107,6 +109,9 @@ pub enum Answer {
         failures: Vec<Failure>,
         /// Sums over the host's devices, where the grant asked for them.
         totals: Option<DeviceTotals>,
+        /// Battery levels of its devices, in the order of ids, where the grant asked for them: what a policy with
+        /// `bs.battery_knowledge = "oracle"` is told, and no real BS is.
+        batteries: Option<Vec<Energy>>,
     },
     /// A wake-up that brought no report.
     NotWoken {

@@ -124,6 +124,15 @@ impl Plan {
         Self::Bits { bits }
     }
 
+    /// A plan of bits for `devices` devices, of which `chosen` sense.
+    pub fn from_chosen(devices: usize, chosen: &[DeviceId]) -> Self {
+        let mut bits = vec![0; devices.div_ceil(8)];
+        for device in chosen {
+            bits[device.index() / 8] |= 1 << (device.index() % 8);
+        }
+        Self::Bits { bits }
+    }
+
     /// The duty cycle of `device`; asleep where the plan does not reach it.
     pub fn duty_cycle(&self, device: DeviceId) -> DutyCycle {
         let j = device.index();

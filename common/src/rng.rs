@@ -27,6 +27,12 @@ pub enum Purpose {
     DutyCycle = 7,
     /// The k-means++ start of the clusters (one stream a run).
     Clusters = 8,
+    /// What a learning policy tries out (one stream a TTI).
+    Exploration = 9,
+    /// Battery levels at the start of a training run (one stream a run).
+    Training = 10,
+    /// Which weights a tuning tries (one stream for those at its start, one a point after that).
+    Tuning = 11,
 }
 
 /// A stream of pseudo-random numbers (xoshiro256++), the same on every machine.

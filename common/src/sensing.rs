@@ -15,6 +15,16 @@ pub enum DetectionKind {
     Probabilistic,
 }
 
+impl DetectionKind {
+    /// Its name, as in `sensing.kind` of a scenario.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Range => "range",
+            Self::Probabilistic => "probabilistic",
+        }
+    }
+}
+
 /// The function g that joins the reports of one event (Eq. (2)).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]

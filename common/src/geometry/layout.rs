@@ -28,6 +28,20 @@ pub enum Layout {
     },
 }
 
+impl Layout {
+    /// Its name, as in `layout.kind` of a scenario.
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::Uniform => "uniform",
+            Self::JitteredGrid => "jittered-grid",
+            Self::PoissonDisk => "poisson-disk",
+            Self::Grid => "grid",
+            Self::Hex => "hex",
+            Self::File { .. } => "file",
+        }
+    }
+}
+
 /// Darts that may miss one after the other before the disks of `PoissonDisk` shrink.
 const MISSES: u32 = 500;
 

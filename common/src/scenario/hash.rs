@@ -4,8 +4,10 @@ use std::fmt::Write as _;
 
 use sha2::{Digest, Sha256};
 
+use super::learning::{BatteryKnowledge, WakeUpRanking};
 use super::model::{DeviceClass, EnergyModel, Harvest, PolicyConfig, Scenario, TraceColumns, TraceEnd};
 use crate::geometry::Layout;
+use crate::learned::Weights;
 use crate::sensing::{DetectionKind, Fusion};
 use crate::units::Energy;
 
@@ -67,6 +69,22 @@ impl Scenario {
                 }
                 form.number(adjusted.pilot_ttis);
             }
+            PolicyConfig::QLearning(learning) => {
+                let Weights { mu1, mu2, zeta } = learning.weights;
+                for value in [mu1, mu2, zeta, learning.epsilon] {
+                    form.float(value);
+                }
+                form.number(u64::from(learning.window));
+                form.number(u64::from(learning.learn));
+                form.0.update(learning.start.fingerprint());
+            }
+        }
+        // Scenarios from before there was a choice keep their hash.
+        if bs.ranking == WakeUpRanking::Posterior {
+            form.text("posterior");
+        }
+        if bs.battery_knowledge == BatteryKnowledge::Reported {
+            form.text("reported");
         }
         form.number(classes.len() as u64);
         for class in classes {

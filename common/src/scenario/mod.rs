@@ -10,6 +10,7 @@ mod error;
 mod explain;
 mod hash;
 mod layers;
+mod learning;
 mod load;
 mod model;
 mod overrides;
@@ -25,6 +26,7 @@ mod write;
 
 pub use classes::assign_classes;
 pub use error::{Place, ScenarioError};
+pub use learning::{BatteryKnowledge, CELLS_PER_RANGE, LONGEST_WINDOW, QLearningSettings, TableSource, WakeUpRanking};
 pub use load::{PRESETS, load, parse};
 pub use model::{
     AdjustedSettings, BsSettings, DeviceClass, DutyChoice, EnergyModel, Events, Harvest, KnnSettings, MAX_CLASSES,

@@ -3,7 +3,9 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use super::learning::{BatteryKnowledge, QLearningSettings, WakeUpRanking};
 use crate::geometry::{Area, Layout};
+use crate::harvest::HarvestSetup;
 use crate::ids::Tti;
 use crate::sensing::Sensing;
 use crate::units::Energy;
@@ -67,6 +69,10 @@ pub struct Events {
 pub struct BsSettings {
     /// TTIs between two synchronisation broadcasts of the δ plan, ≥ 1 (paper Sec. V-D: far longer than a TTI).
     pub sync_interval: u64,
+    /// How wake-up candidates are ranked.
+    pub ranking: WakeUpRanking,
+    /// What a policy that looks at batteries is told of them.
+    pub battery_knowledge: BatteryKnowledge,
 }
 
 /// A kind of device with its own battery, costs and energy source.
@@ -128,6 +134,17 @@ pub enum Harvest {
     Trace(Trace),
 }
 
+impl Harvest {
+    /// The mean harvest in a TTI of duration `tau`; of a trace's first column.
+    pub fn mean(&self, tau: f64) -> Energy {
+        let rows = match self {
+            Self::Trace(trace) => trace.values.first().cloned().map(Arc::new),
+            Self::Eq5 { .. } | Self::ExpMinusLambda { .. } | Self::Mpp { .. } => None,
+        };
+        HarvestSetup::new(self, tau, 0).mean(rows.as_slice())
+    }
+}
+
 /// Recorded energy per TTI.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trace {
@@ -171,6 +188,8 @@ pub enum PolicyConfig {
     Knn(KnnSettings),
     /// One duty cycle for all devices, found by exhaustive search, and wake-up by correlation.
     Adjusted(AdjustedSettings),
+    /// Tabular Q-learning of who senses and whom to wake.
+    QLearning(QLearningSettings),
     /// Each device draws its own duty cycle; no wake-up.
     Random,
     /// Every device sleeps; the one closest to the epicentre is woken.
@@ -183,6 +202,7 @@ impl PolicyConfig {
         match self {
             Self::Knn(_) => "knn",
             Self::Adjusted(_) => "adjusted",
+            Self::QLearning(_) => "q-learning",
             Self::Random => "random",
             Self::Genie => "genie",
         }

@@ -2,6 +2,7 @@
 
 use serde::Deserialize;
 
+use super::learning::{BatteryKnowledge, WakeUpRanking};
 use super::model::TraceEnd;
 use crate::sensing::{DetectionKind, Fusion};
 
@@ -122,6 +123,8 @@ pub(super) struct RawEvents {
 #[serde(default, deny_unknown_fields, expecting = "a table")]
 pub(super) struct RawBs {
     pub(super) sync_interval: Option<u64>,
+    pub(super) ranking: Option<WakeUpRanking>,
+    pub(super) battery_knowledge: Option<BatteryKnowledge>,
 }
 
 /// `[policy]`.
@@ -131,6 +134,8 @@ pub(super) struct RawPolicy {
     pub(super) name: Option<PolicyName>,
     pub(super) knn: RawKnn,
     pub(super) adjusted: RawAdjusted,
+    #[serde(rename = "q-learning")]
+    pub(super) q_learning: RawQLearning,
 }
 
 /// `policy.name`.
@@ -139,6 +144,7 @@ pub(super) struct RawPolicy {
 pub(super) enum PolicyName {
     Knn,
     Adjusted,
+    QLearning,
     Random,
     Genie,
 }
@@ -158,6 +164,19 @@ pub(super) struct RawAdjusted {
     pub(super) t_on: Option<Vec<u64>>,
     pub(super) t_drx: Option<Vec<u64>>,
     pub(super) pilot_ttis: Option<u64>,
+}
+
+/// `[policy.q-learning]`.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(default, deny_unknown_fields, expecting = "a table")]
+pub(super) struct RawQLearning {
+    pub(super) mu1: Option<f64>,
+    pub(super) mu2: Option<f64>,
+    pub(super) zeta: Option<f64>,
+    pub(super) window: Option<u64>,
+    pub(super) table: Option<String>,
+    pub(super) learn: Option<bool>,
+    pub(super) epsilon: Option<f64>,
 }
 
 /// One `[[class]]`. Its sections override single fields of the top-level ones.

@@ -244,7 +244,8 @@ fn unknown_fields_come_with_a_suggestion() {
     for (text, message) in [
         (
             "[bs]\nsync = 5",
-            "unknown field `bs.sync`; set in my.toml, line 2; the fields there are `sync_interval`",
+            "unknown field `bs.sync`; set in my.toml, line 2; the fields there are `sync_interval`, `ranking`, \
+             `battery_knowledge`",
         ),
         (
             "[events]\nalhpa = 0.1",
@@ -276,7 +277,7 @@ fn overrides_are_checked_like_files() {
         ("area={widht=3}", "unknown field `area.widht`; did you mean `width`?"),
         (
             "policy.name=nkn",
-            "policy.name = nkn: must be one of `knn`, `adjusted`, `random`, `genie`; did you mean `knn`?",
+            "policy.name = nkn: must be one of `knn`, `adjusted`, `q-learning`, `random`, `genie`; did you mean `knn`?",
         ),
         ("ttis=1.5", "ttis = 1.5: must be a whole number"),
         (

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use super::check::{ABOVE_ZERO, BELOW_ONE, Checker, NOT_NEGATIVE, POSITIVE, Section};
 use super::error::ScenarioError;
 use super::layers::Places;
+use super::learning::q_learning;
 use super::model::{
     AdjustedSettings, BsSettings, DeviceClass, EnergyModel, Events, Harvest, KnnSettings, MAX_CLASSES, MAX_DEVICES,
     MAX_TTIS, PolicyConfig, Scenario,
@@ -44,7 +45,7 @@ pub(super) fn validate(
         height: check.number(&section, "height", raw.area.height, POSITIVE)?,
     };
     let tau = check.number(&top, "tau", raw.tau, POSITIVE)?;
-    let scenario = Scenario {
+    let mut scenario = Scenario {
         preset: preset.to_owned(),
         devices,
         ttis: check.whole(&top, "ttis", raw.ttis, (1, MAX_TTIS))?,
@@ -64,11 +65,14 @@ pub(super) fn validate(
                 raw.bs.sync_interval,
                 (1, MAX_TTIS),
             )?,
+            ranking: Checker::set(&Section::top("bs"), "ranking", raw.bs.ranking)?,
+            battery_knowledge: Checker::set(&Section::top("bs"), "battery_knowledge", raw.bs.battery_knowledge)?,
         },
-        policy: policy(&check, &raw.policy)?,
+        policy: PolicyConfig::Genie,
         layout: layout(&check, &raw.layout, area, devices)?,
         classes: classes(&check, raw, tau)?,
     };
+    scenario.policy = policy(&check, &raw.policy, &scenario)?;
     bounded(&check, &scenario)?;
     Ok(scenario)
 }
@@ -100,7 +104,8 @@ fn sensing(check: &Checker<'_>, raw: RawSensing, area: Area) -> Result<Sensing, 
     })
 }
 
-fn policy(check: &Checker<'_>, raw: &RawPolicy) -> Result<PolicyConfig, ScenarioError> {
+/// The policy of `scenario`, which is complete but for that.
+fn policy(check: &Checker<'_>, raw: &RawPolicy, scenario: &Scenario) -> Result<PolicyConfig, ScenarioError> {
     let knn = Section::top("policy.knn");
     Ok(match Checker::set(&Section::top("policy"), "name", raw.name)? {
         PolicyName::Random => PolicyConfig::Random,
@@ -110,6 +115,7 @@ fn policy(check: &Checker<'_>, raw: &RawPolicy) -> Result<PolicyConfig, Scenario
             limit_radius: Checker::set(&knn, "limit_radius", raw.knn.limit_radius)?,
         }),
         PolicyName::Adjusted => PolicyConfig::Adjusted(adjusted(check, &raw.adjusted)?),
+        PolicyName::QLearning => PolicyConfig::QLearning(q_learning(check, &raw.q_learning, scenario)?),
     })
 }
 

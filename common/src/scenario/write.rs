@@ -2,9 +2,10 @@
 
 use std::fmt::Write as _;
 
+use super::learning::TableSource;
 use super::model::{DeviceClass, EnergyModel, Harvest, PolicyConfig, Scenario, Trace, TraceColumns, TraceEnd};
 use crate::geometry::Layout;
-use crate::sensing::{DetectionKind, Fusion, Sensing};
+use crate::sensing::{Fusion, Sensing};
 use crate::units::{Energy, MICRO_PER_UNIT};
 
 impl Scenario {
@@ -48,22 +49,19 @@ impl Scenario {
         page.field("duration", events.duration, "TTIs");
         page.section("[bs]");
         page.field("sync_interval", bs.sync_interval, "TTIs");
+        page.field(
+            "ranking",
+            text(bs.ranking.name()),
+            "of wake-up candidates: p42 or posterior",
+        );
+        page.field(
+            "battery_knowledge",
+            text(bs.battery_knowledge.name()),
+            "oracle or reported",
+        );
         page.section("[policy]");
         page.field("name", text(policy.name()), "");
-        match policy {
-            PolicyConfig::Random | PolicyConfig::Genie => {}
-            PolicyConfig::Knn(knn) => {
-                page.section("[policy.knn]");
-                page.field("neighbours", knn.neighbours, "K, devices that vote on a cluster");
-                page.field("limit_radius", knn.limit_radius, "split clusters wider than d_max");
-            }
-            PolicyConfig::Adjusted(adjusted) => {
-                page.section("[policy.adjusted]");
-                page.field("t_on", format!("{:?}", adjusted.t_on), "TTIs, to be searched");
-                page.field("t_drx", format!("{:?}", adjusted.t_drx), "TTIs, to be searched");
-                page.field("pilot_ttis", adjusted.pilot_ttis, "length of the pilot run for a pair");
-            }
-        }
+        write_policy(&mut page, policy);
         match classes.as_slice() {
             [only] if only.name == "default" => write_class(&mut page, "", only),
             classes => {
@@ -79,33 +77,57 @@ impl Scenario {
     }
 }
 
+fn write_policy(page: &mut Page, policy: &PolicyConfig) {
+    match policy {
+        PolicyConfig::Random | PolicyConfig::Genie => {}
+        PolicyConfig::Knn(knn) => {
+            page.section("[policy.knn]");
+            page.field("neighbours", knn.neighbours, "K, devices that vote on a cluster");
+            page.field("limit_radius", knn.limit_radius, "split clusters wider than d_max");
+        }
+        PolicyConfig::Adjusted(adjusted) => {
+            page.section("[policy.adjusted]");
+            page.field("t_on", format!("{:?}", adjusted.t_on), "TTIs, to be searched");
+            page.field("t_drx", format!("{:?}", adjusted.t_drx), "TTIs, to be searched");
+            page.field("pilot_ttis", adjusted.pilot_ttis, "length of the pilot run for a pair");
+        }
+        PolicyConfig::QLearning(learning) => {
+            page.section("[policy.q-learning]");
+            let table = match &learning.source {
+                TableSource::Shipped => "shipped".into(),
+                TableSource::Nothing => "nothing".into(),
+                TableSource::File(path) => path.to_string_lossy(),
+            };
+            page.field("table", text(&table), "shipped, nothing, or a file of `reveille train`");
+            page.field("mu1", float(learning.weights.mu1), "weight of misdetections");
+            page.field("mu2", float(learning.weights.mu2), "weight of information");
+            page.field("zeta", float(learning.weights.zeta), "discount");
+            page.field("window", learning.window, "TTIs within which the area is covered once");
+            page.field("learn", learning.learn, "whether it goes on learning in the run");
+            page.field(
+                "epsilon",
+                float(learning.epsilon),
+                "share of random decisions while it learns",
+            );
+        }
+    }
+}
+
 fn write_layout(page: &mut Page, layout: &Layout) {
     page.section("[layout]");
-    let kind = match layout {
-        Layout::Uniform => "uniform",
-        Layout::JitteredGrid => "jittered-grid",
-        Layout::PoissonDisk => "poisson-disk",
-        Layout::Grid => "grid",
-        Layout::Hex => "hex",
-        Layout::File { path, .. } => {
-            page.field("file", text(&path.to_string_lossy()), "columns x and y, metres");
-            "file"
-        }
-    };
-    page.field("kind", text(kind), "");
+    if let Layout::File { path, .. } = layout {
+        page.field("file", text(&path.to_string_lossy()), "columns x and y, metres");
+    }
+    page.field("kind", text(layout.name()), "");
 }
 
 fn write_sensing(page: &mut Page, sensing: &Sensing) {
-    let kind = match sensing.kind {
-        DetectionKind::Range => "range",
-        DetectionKind::Probabilistic => "probabilistic",
-    };
     let g = match sensing.g {
         Fusion::Max => "max",
         Fusion::SumSaturation => "sum-saturation",
     };
     page.section("[sensing]");
-    page.field("kind", text(kind), "");
+    page.field("kind", text(sensing.kind.name()), "");
     page.field("d_max", float(sensing.d_max), "metres");
     page.field("eta", float(sensing.eta), "per metre");
     page.field("psi", float(sensing.psi), "information of a report from distance 0");
