@@ -6,6 +6,7 @@
 use reveille_common::ids::{DeviceId, HostId, Tti};
 use reveille_common::message::{Answer, Failure, Report, WakeOutcome};
 use reveille_common::metrics::DeviceTotals;
+use reveille_common::units::Energy;
 
 use crate::roster::Roster;
 
@@ -18,6 +19,8 @@ pub struct Gathered {
     pub failures: Vec<Failure>,
     /// Sums over all devices, where the grant asked for them.
     pub totals: DeviceTotals,
+    /// Battery levels of all devices, in the order of ids, where the grant asked for them.
+    pub batteries: Vec<Energy>,
 }
 
 /// One host's answer to a grant.
@@ -26,6 +29,16 @@ struct Done {
     reports: u32,
     failures: Vec<Failure>,
     totals: Option<DeviceTotals>,
+    batteries: Vec<Energy>,
+}
+
+/// What a grant asks for beside reports.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Asked {
+    /// Sums over the devices.
+    pub account: bool,
+    /// Battery levels.
+    pub batteries: bool,
 }
 
 /// One answer of each host.
@@ -58,8 +71,8 @@ enum Stage {
         tti: Tti,
         /// Whether devices may report.
         stimulus: bool,
-        /// Whether the answers carry sums.
-        account: bool,
+        /// What the answers carry.
+        asked: Asked,
         answers: Answers<Done>,
         /// Reports that the answers so far speak of.
         expected: usize,
@@ -98,13 +111,13 @@ impl Barrier {
         &mut self.roster
     }
 
-    /// Waits for the answers to a grant that ends with `tti`, with sums if it is an `account`. Without a `stimulus` no
-    /// device has anything to report.
-    pub fn expect_grant(&mut self, tti: Tti, stimulus: bool, account: bool) {
+    /// Waits for the answers to a grant that ends with `tti`, with all that was `asked`. Without a `stimulus` no device has
+    /// anything to report.
+    pub fn expect_grant(&mut self, tti: Tti, stimulus: bool, asked: Asked) {
         self.stage = Stage::Grant {
             tti,
             stimulus,
-            account,
+            asked,
             answers: Answers::new(self.roster.hosts()),
             expected: 0,
             reports: Vec::new(),
@@ -169,7 +182,7 @@ impl Barrier {
                 Stage::Grant {
                     tti,
                     stimulus,
-                    account,
+                    asked,
                     answers,
                     expected,
                     ..
@@ -180,6 +193,7 @@ impl Barrier {
                     reports,
                     failures,
                     totals,
+                    batteries,
                 },
             ) => {
                 let is_quiet = reports == 0 && failures.is_empty();
@@ -187,13 +201,16 @@ impl Barrier {
                     && answered == *tti
                     && (*stimulus || is_quiet)
                     && roster.can_be_done(host, reports, &failures)
-                    && totals.is_some() == *account
+                    && totals.is_some() == asked.account
+                    && batteries.is_some() == asked.batteries
+                    && batteries.as_ref().is_none_or(|levels| roster.can_hold(host, levels))
                     && totals.is_none_or(|sums| roster.can_sum_to(host, &sums));
                 if is_sound {
                     let done = Done {
                         reports,
                         failures,
                         totals,
+                        batteries: batteries.unwrap_or_default(),
                     };
                     *expected += reports as usize;
                     *expected -= answers.put(host, done).map_or(0, |before| before.reports as usize);
@@ -254,9 +271,16 @@ impl Barrier {
                     reports,
                     ..Gathered::default()
                 };
-                for done in answers.of.into_iter().flatten() {
+                for (host, done) in answers.of.into_iter().flatten().enumerate() {
                     gathered.failures.extend(done.failures);
                     gathered.totals += done.totals.unwrap_or_default();
+                    if !done.batteries.is_empty() {
+                        let first = self.roster.places(host).first.index();
+                        let end = first + done.batteries.len();
+                        let length = gathered.batteries.len().max(end);
+                        gathered.batteries.resize(length, Energy::ZERO);
+                        gathered.batteries[first..end].copy_from_slice(&done.batteries);
+                    }
                 }
                 gathered
             }
@@ -317,8 +341,6 @@ impl Barrier {
 
 #[cfg(test)]
 mod tests {
-    use reveille_common::units::Energy;
-
     use super::*;
     use crate::roster::tests::roster;
 
@@ -329,6 +351,7 @@ mod tests {
             reports,
             failures: vec![],
             totals: None,
+            batteries: None,
         }
     }
 
@@ -344,7 +367,7 @@ mod tests {
     /// Two hosts with five devices each, waiting for TTI 5.
     fn barrier(stimulus: bool) -> Barrier {
         let mut barrier = Barrier::new(roster());
-        barrier.expect_grant(Tti(5), stimulus, false);
+        barrier.expect_grant(Tti(5), stimulus, Asked::default());
         barrier
     }
 

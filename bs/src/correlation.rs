@@ -172,7 +172,7 @@ impl Correlation {
 /// exp(-x) for `x` ≥ 0 to 15 digits, in a form of which the compiler makes several at a time. Beyond 708, where normal
 /// doubles end, it stays at exp(-708), less than any p(d_max) that a scenario may have.
 #[inline]
-fn decay(x: f64) -> f64 {
+pub(crate) fn decay(x: f64) -> f64 {
     // Adding it leaves the nearest whole number in the lowest bits.
     const ROUND: f64 = (3_u64 << 51) as f64;
     // ln 2 in two parts, the first with so few digits that its multiples are exact.

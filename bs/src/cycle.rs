@@ -25,6 +25,7 @@ use reveille_common::scenario::Scenario;
 use reveille_common::units::Energy;
 use reveille_common::{codec, ids::EventId};
 
+use crate::levels::Levels;
 use crate::observation::Observation;
 use crate::outcome::{EventRecord, Outcome};
 use crate::policy::PolicyEngine;
@@ -77,6 +78,8 @@ pub struct Cycle {
     buckets: Buckets,
     world: EventProcess,
     policy: PolicyEngine,
+    /// For a policy that looks at batteries.
+    levels: Option<Levels>,
     plan: Plan,
     plan_is_new: bool,
     next_decision: Tti,
@@ -94,8 +97,12 @@ impl Cycle {
     /// The base station of `scenario` with its devices as in `deployment`. `keep_records` fills [`Self::take_records`].
     pub fn new(scenario: &Scenario, deployment: &Deployment, keep_records: bool) -> Self {
         let positions = deployment.positions();
+        let policy = PolicyEngine::new(scenario, deployment);
         Self {
-            policy: PolicyEngine::new(scenario, &positions),
+            levels: policy
+                .looks_at_batteries()
+                .then(|| Levels::new(scenario.bs.battery_knowledge, deployment)),
+            policy,
             buckets: Buckets::new(&positions, scenario.area, scenario.sensing.d_max),
             e_tx: deployment.devices.iter().map(|d| d.energy.e_tx).collect(),
             world: EventProcess::new(scenario),
@@ -140,13 +147,38 @@ impl Cycle {
         &self.detectors
     }
 
+    /// Whether the true batteries are to be told before the next TTI is announced.
+    pub fn wants_batteries(&self) -> bool {
+        self.next >= self.next_decision && self.next > Tti::ZERO && self.levels.as_ref().is_some_and(Levels::are_told)
+    }
+
+    /// Whether the true batteries after the TTIs that are granted next will be wanted.
+    pub fn will_want_batteries(&self) -> bool {
+        self.levels.as_ref().is_some_and(Levels::are_told)
+    }
+
+    /// The battery levels of all devices, in the order of ids, as the last TTI has left them.
+    pub fn tell_batteries(&mut self, levels: impl IntoIterator<Item = Energy>) {
+        assert_eq!(self.phase, Phase::Between, "batteries are told between TTIs");
+        if let Some(known) = &mut self.levels {
+            known.tell(levels);
+        }
+    }
+
     /// What must go out on the air before the next grant: a new plan, or the plan in force once more for synchronisation.
     /// Call it once before each [`Self::grant`].
     pub fn announce(&mut self) -> Option<PlanUpdate> {
         assert_eq!(self.phase, Phase::Between, "a plan is set between TTIs");
         let k = self.next;
         if k >= self.next_decision {
-            let seen = observe(k, &self.positions, &self.scenario, &self.plan, 0.0);
+            let seen = observe(
+                k,
+                &self.positions,
+                &self.scenario,
+                &self.plan,
+                0.0,
+                self.levels.as_ref(),
+            );
             let plan = self.policy.decide(&seen);
             self.next_decision = self.policy.next_decision(k);
             assert!(self.next_decision > k, "a policy decides at most once per TTI");
@@ -189,6 +221,13 @@ impl Cycle {
         let Phase::Gathering(tti) = self.phase else {
             panic!("no grant is out")
         };
+        if let Some(levels) = &mut self.levels {
+            // A policy that looks at batteries decides every TTI.
+            levels.pass(tti, &self.plan);
+            for report in reports.iter() {
+                levels.heard(report.device, report.battery);
+            }
+        }
         let Some(current) = self
             .current
             .as_mut()
@@ -209,7 +248,14 @@ impl Cycle {
         }
         if let (PolicyEngine::Blind(policy), false) = (&mut self.policy, reports.is_empty()) {
             policy.reported(
-                &observe(tti, &self.positions, &self.scenario, &self.plan, current.information),
+                &observe(
+                    tti,
+                    &self.positions,
+                    &self.scenario,
+                    &self.plan,
+                    current.information,
+                    self.levels.as_ref(),
+                ),
                 reports,
             );
         }
@@ -241,13 +287,26 @@ impl Cycle {
         };
         current.tally.wrong_activations += u64::from(wrong);
         current.tally.wasted += wasted;
+        if let Some(levels) = &mut self.levels {
+            match report {
+                Some(report) => levels.heard(device, report.battery),
+                None => levels.silent(device),
+            }
+        }
         if let Some(report) = report {
             current.tally.reports += 1;
             current.information = sensing.fuse(current.information, report.information);
         }
         if let PolicyEngine::Blind(policy) = &mut self.policy {
             policy.answered(
-                &observe(tti, &self.positions, &self.scenario, &self.plan, current.information),
+                &observe(
+                    tti,
+                    &self.positions,
+                    &self.scenario,
+                    &self.plan,
+                    current.information,
+                    self.levels.as_ref(),
+                ),
                 report,
             );
         }
@@ -268,6 +327,7 @@ impl Cycle {
         };
         Outcome {
             facts: self.policy.facts(),
+            learned: self.policy.learned(),
             digest: self.fingerprint.finish(ledgers, &totals),
             metrics: Metrics::new(&self.scenario, &totals),
             totals,
@@ -351,6 +411,7 @@ impl Cycle {
                 &self.scenario,
                 &self.plan,
                 current.information,
+                self.levels.as_ref(),
             )),
             PolicyEngine::Blind(_) => None,
             PolicyEngine::Genie(_) => current.genies_choice.take_if(|_| tti == current.event.start),
@@ -417,6 +478,7 @@ fn observe<'a>(
     scenario: &'a Scenario,
     plan: &'a Plan,
     information: f64,
+    levels: Option<&'a Levels>,
 ) -> Observation<'a> {
     Observation {
         now,
@@ -424,5 +486,6 @@ fn observe<'a>(
         sensing: &scenario.sensing,
         plan,
         information,
+        batteries: levels.map_or(&[], Levels::all),
     }
 }

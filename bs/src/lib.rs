@@ -3,10 +3,13 @@
 
 pub mod actor;
 pub mod barrier;
+pub mod candidates;
 pub mod clock;
 pub mod clusters;
 mod correlation;
 pub mod cycle;
+pub mod learn;
+pub mod levels;
 mod neighbours;
 pub mod observation;
 pub mod outcome;

@@ -4,6 +4,7 @@ use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::plan::Plan;
 use reveille_common::sensing::Sensing;
+use reveille_common::units::Energy;
 
 /// The BS's knowledge in a TTI: positions, its own δ, and what was reported. Epicentres and harvests are not in it.
 #[derive(Clone, Copy, Debug)]
@@ -18,6 +19,9 @@ pub struct Observation<'a> {
     pub plan: &'a Plan,
     /// Î, the information gathered about the event in this TTI (Algorithm 1).
     pub information: f64,
+    /// Batteries at the end of the last TTI, as far as `bs.battery_knowledge` goes; empty for a policy that does not look at
+    /// them ([`crate::policy::Policy::looks_at_batteries`]).
+    pub batteries: &'a [Energy],
 }
 
 impl Observation<'_> {

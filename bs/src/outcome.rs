@@ -4,6 +4,7 @@ use reveille_common::deployment::Deployment;
 use reveille_common::digest::Digest;
 use reveille_common::geometry::Point;
 use reveille_common::ids::{EventId, Tti};
+use reveille_common::learned::Entry;
 use reveille_common::metrics::{DeviceTotals, EventTally, EventTotals, Metrics, Totals};
 use reveille_common::units::Energy;
 
@@ -18,6 +19,8 @@ pub struct Outcome {
     pub totals: Totals,
     /// Figures of the deployment that the policy found out, by name.
     pub facts: Vec<(&'static str, f64)>,
+    /// The tables of a policy that has learned in the run.
+    pub learned: Option<Entry>,
     /// TTIs that were run.
     pub ttis_done: u64,
     /// Whether that is all of them.

@@ -94,6 +94,16 @@ impl Roster {
         sums.closes() && sums.initial == initial && sums.battery <= capacity
     }
 
+    /// Whether `levels` can be those of the devices of the host at `position`, in the order of ids.
+    pub fn can_hold(&self, position: usize, levels: &[Energy]) -> bool {
+        let own = self.own(position);
+        own.len() == levels.len()
+            && own
+                .iter()
+                .zip(levels)
+                .all(|(setup, level)| *level <= setup.energy.e_max)
+    }
+
     /// Whether `ledgers` are those of the devices of the host at `position`: each once, and each closes.
     pub fn can_end_with(&self, position: usize, ledgers: &[(DeviceId, DeviceTotals)]) -> bool {
         let mut devices: Vec<DeviceId> = ledgers.iter().map(|(device, _)| *device).collect();

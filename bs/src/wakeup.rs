@@ -66,16 +66,16 @@ impl Ranking {
     }
 
     /// Gives out the candidate with the largest `P_4,2` for which `is_candidate` holds (one in S4 that the policy may
-    /// wake), if any has at least p(`d_max`).
-    pub fn next(&mut self, is_candidate: impl Fn(DeviceId) -> bool) -> Option<DeviceId> {
-        while let Some(Entry { waiting, number, .. }) = self.queue.pop() {
+    /// wake), if any has at least p(`d_max`), with that probability to the nearest 10⁻⁹.
+    pub fn next(&mut self, is_candidate: impl Fn(DeviceId) -> bool) -> Option<(DeviceId, f64)> {
+        while let Some(Entry { nano, waiting, number }) = self.queue.pop() {
             match waiting {
                 Waiting::Band { reporter } => self.open(reporter, number, &is_candidate),
                 Waiting::Evaluated => {
                     let device = DeviceId(number);
                     if self.given_out[device.index()] != self.event && is_candidate(device) {
                         self.given_out[device.index()] = self.event;
-                        return Some(device);
+                        return Some((device, f64::from(nano) * 1e-9));
                     }
                 }
             }
@@ -197,7 +197,9 @@ mod tests {
     }
 
     fn all(ranking: &mut Ranking) -> Vec<u32> {
-        std::iter::from_fn(|| ranking.next(|_| true)).map(|j| j.0).collect()
+        std::iter::from_fn(|| ranking.next(|_| true))
+            .map(|(j, _)| j.0)
+            .collect()
     }
 
     fn ranking(points: &[Point]) -> Ranking {
@@ -243,7 +245,7 @@ mod tests {
                 ranking.add_reporter(reporter, d);
                 for _ in 0..stream.below(3) {
                     let expected = sorted(sensing, &points, &reporters, |j| may(j) && !given.contains(&j));
-                    let next = ranking.next(may);
+                    let next = ranking.next(may).map(|(j, _)| j);
                     assert_eq!(
                         next,
                         expected.first().copied(),
@@ -253,7 +255,7 @@ mod tests {
                     given.extend(next);
                 }
             }
-            let rest: Vec<_> = std::iter::from_fn(|| ranking.next(may)).collect();
+            let rest: Vec<_> = std::iter::from_fn(|| ranking.next(may)).map(|(j, _)| j).collect();
             let expected = sorted(sensing, &points, &reporters, |j| may(j) && !given.contains(&j));
             assert_eq!(rest, expected, "case {case}, {layout:?}, eta {}", sensing.eta);
         }
@@ -312,7 +314,7 @@ mod tests {
         let mut ranking = ranking(&points);
         ranking.start();
         ranking.add_reporter(DeviceId(4), 1.0);
-        let corners = std::iter::from_fn(|| ranking.next(|j| j.0 < 4)).map(|j| j.0);
+        let corners = std::iter::from_fn(|| ranking.next(|j| j.0 < 4)).map(|(j, _)| j.0);
         assert_eq!(corners.collect::<Vec<_>>(), [0, 1, 2, 3]);
     }
 

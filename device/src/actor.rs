@@ -18,6 +18,8 @@ pub enum Input {
     Duty(Tti, DutyCycle),
     /// Emulation: end all TTIs before this one and add the sums to the round.
     Settle(Tti, Arc<Round>),
+    /// Emulation: begin this TTI, if it has not begun, and add the battery level to the round.
+    Level(Tti, Arc<Round>),
     /// The physical world in a TTI.
     Sense(Tti, Stimulus, Arc<Round>),
     /// Air: the wake-up radio in a TTI, and what the world shows then.
@@ -52,6 +54,10 @@ impl Actor {
                 Input::Settle(k, round) => {
                     self.machine.settle(k);
                     round.add(&Part::Totals(self.machine.id(), self.machine.totals()), &self.uplink);
+                }
+                Input::Level(tti, round) => {
+                    self.machine.begin(tti);
+                    round.add(&Part::Level(self.machine.id(), self.machine.battery()), &self.uplink);
                 }
                 Input::Sense(tti, stimulus, round) => self.sense(tti, &stimulus, &round),
                 Input::Wake(tti, stimulus) => self.wake(tti, &stimulus),

@@ -323,11 +323,11 @@ impl Shared {
                 .collect(),
             None => Vec::new(),
         };
-        let settling = if tick.account { self.mailboxes.len() } else { 0 };
+        let questions = usize::from(tick.account) + usize::from(tick.batteries);
         let round = Arc::new(Round::new(
             self.host,
             Question::Grant(tick.last),
-            settling + listeners.len(),
+            questions * self.mailboxes.len() + listeners.len(),
         ));
         state.tick = Some(tick);
         state.round = Some(Arc::clone(&round));
@@ -340,6 +340,11 @@ impl Shared {
         if let Some(stimulus) = tick.stimulus {
             for j in listeners {
                 self.send(j, Input::Sense(tick.last, stimulus, Arc::clone(&round)));
+            }
+        }
+        if tick.batteries {
+            for j in 0..self.mailboxes.len() {
+                self.send(j, Input::Level(tick.last, Arc::clone(&round)));
             }
         }
         round.add(&Part::Nothing, &self.uplink);

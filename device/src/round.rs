@@ -5,6 +5,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use reveille_common::ids::{DeviceId, HostId, Tti};
 use reveille_common::message::{Answer, Failure, Report};
 use reveille_common::metrics::DeviceTotals;
+use reveille_common::units::Energy;
 
 use crate::uplink::Uplink;
 
@@ -31,6 +32,7 @@ struct State {
     reports: Vec<Report>,
     failures: Vec<Failure>,
     totals: Option<DeviceTotals>,
+    levels: Vec<(DeviceId, Energy)>,
     ledgers: Vec<(DeviceId, DeviceTotals)>,
 }
 
@@ -40,10 +42,21 @@ pub enum Part {
     Reported(Report),
     /// It could not transmit.
     Failed(Failure),
+    /// Its battery level.
+    Level(DeviceId, Energy),
     /// Its sums.
     Totals(DeviceId, DeviceTotals),
     /// Nothing.
     Nothing,
+}
+
+impl State {
+    /// The levels in the order of ids, if they were asked for.
+    fn batteries(&self) -> Option<Vec<Energy>> {
+        let mut levels = self.levels.clone();
+        levels.sort_unstable_by_key(|(device, _)| *device);
+        (!levels.is_empty()).then(|| levels.into_iter().map(|(_, level)| level).collect())
+    }
 }
 
 impl Round {
@@ -65,6 +78,7 @@ impl Round {
         match part {
             Part::Reported(report) => state.reports.push(*report),
             Part::Failed(failure) => state.failures.push(*failure),
+            Part::Level(device, level) => state.levels.push((*device, *level)),
             Part::Totals(device, totals) => match self.question {
                 Question::Grant(_) => state.totals = Some(state.totals.unwrap_or_default() + *totals),
                 Question::Ledgers => state.ledgers.push((*device, *totals)),
@@ -106,6 +120,7 @@ impl Round {
                 reports: state.reports.len() as u32,
                 failures: state.failures.clone(),
                 totals: state.totals,
+                batteries: state.batteries(),
             },
             Question::Ledgers => Answer::Final {
                 host: self.host,

@@ -8,12 +8,14 @@ use reveille_common::bus::{Bus, BusError, Topic};
 use reveille_common::deployment::Deployment;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::keys::Kind;
-use reveille_common::message::{Clock, Tick, WakeUp};
+use reveille_common::message::{Clock, Tick, WakeOutcome, WakeUp};
 use reveille_common::metrics::{DeviceTotals, EventTotals};
 use reveille_common::scenario::Scenario;
+use reveille_common::units::Energy;
 
 use super::shared::{Shared, State};
 use super::{BsError, OnLoss, Progress, Served, Settings};
+use crate::barrier::Asked;
 use crate::clock::{Lateness, Pace};
 use crate::cycle::{Cycle, Step};
 use crate::outcome::{Accounts, EventRecord, Watcher};
@@ -62,6 +64,8 @@ struct Loop<'a> {
     accounts: Accounts,
     /// The TTI from which the plan in force holds.
     plan_from: Tti,
+    /// Battery levels as the last TTI has left them, where the policy is told.
+    levels: Vec<Energy>,
     grants: u64,
     lateness: Lateness,
     /// The moment at which a TTI was or will be due, under a real-time pace.
@@ -103,6 +107,7 @@ pub(super) async fn run(
         accounts: Accounts::new(deployment, schedule.warm_up_end()),
         schedule,
         plan_from: Tti::ZERO,
+        levels: Vec::new(),
         grants: 0,
         lateness: Lateness::default(),
         due: None,
@@ -159,6 +164,9 @@ impl Loop<'_> {
         let first = self.cycle.next_tti();
         self.keep_pace(first).await?;
         self.voice.bus.set_tti(first);
+        if self.cycle.wants_batteries() {
+            self.cycle.tell_batteries(self.levels.drain(..));
+        }
         let account = self.schedule.is_boundary(first);
         let before = account.then(|| self.snapshot());
         let update = self.cycle.announce();
@@ -168,19 +176,22 @@ impl Loop<'_> {
             self.voice.plan.put(update)?;
         }
         let grant = self.cycle.grant(self.horizon(first));
+        let asked = Asked {
+            account,
+            batteries: self.cycle.will_want_batteries(),
+        };
         let tick = Clock::Grant(Tick {
             first,
             last: grant.last,
             stimulus: grant.stimulus,
             account,
+            batteries: asked.batteries,
             plan: self.plan_from,
         });
         {
             let mut state = self.shared.lock();
             state.next = grant.last + 1;
-            state
-                .barrier
-                .expect_grant(grant.last, grant.stimulus.is_some(), account);
+            state.barrier.expect_grant(grant.last, grant.stimulus.is_some(), asked);
         }
         self.voice.bus.set_tti(grant.last);
         self.voice.clock.put(&tick)?;
@@ -194,6 +205,7 @@ impl Loop<'_> {
         })
         .await?;
         let mut gathered = self.shared.lock().barrier.take_gathered();
+        self.levels = std::mem::take(&mut gathered.batteries);
         let mut step = self.cycle.gathered(&mut gathered.reports, &gathered.failures);
         while let Step::WakeUp(device) = step {
             self.shared.lock().barrier.expect_wake(grant.last, device);
@@ -201,6 +213,13 @@ impl Loop<'_> {
             self.answered(|voice| voice.wake_up(device, grant.last)).await?;
             let outcome = self.shared.lock().barrier.take_outcome();
             tracing::debug!(tti = %grant.last, %device, ?outcome, "woken");
+            if let Some(level) = self.levels.get_mut(device.index()) {
+                match outcome {
+                    WakeOutcome::Reported(report) => *level = report.battery,
+                    WakeOutcome::Failed(_) => *level = Energy::ZERO,
+                    WakeOutcome::Unheard => {}
+                }
+            }
             step = self.cycle.woken(&outcome);
         }
         self.show();

@@ -11,14 +11,15 @@ use reveille_common::plan::{DutyCycle, Plan};
 use reveille_common::scenario::{AdjustedSettings, DutyChoice, Scenario};
 
 use super::Policy;
+use crate::candidates::Candidates;
 use crate::observation::Observation;
-use crate::wakeup::{Correlation, Ranking, i_min};
+use crate::wakeup::i_min;
 
 /// The `adjusted` policy.
 pub struct Adjusted {
     choice: DutyChoice,
     i_min: f64,
-    ranking: Ranking,
+    candidates: Candidates,
 }
 
 impl Adjusted {
@@ -31,13 +32,7 @@ impl Adjusted {
         Self {
             choice: settings.found.expect("the duty cycle is searched before a run"),
             i_min: i_min(positions, scenario.area, sensing),
-            ranking: Ranking::new(positions, scenario.area, Correlation::new(sensing)),
-        }
-    }
-
-    fn add_reporter(&mut self, seen: &Observation<'_>, report: &Report) {
-        if let Some(d) = seen.sensing.distance(report.information) {
-            self.ranking.add_reporter(report.device, d);
+            candidates: Candidates::new(scenario, positions),
         }
     }
 }
@@ -58,11 +53,8 @@ impl Policy for Adjusted {
     }
 
     fn reported(&mut self, seen: &Observation<'_>, reports: &[Report]) {
-        self.ranking.start();
         if seen.information < self.i_min {
-            for report in reports {
-                self.add_reporter(seen, report);
-            }
+            self.candidates.start(seen, reports);
         }
     }
 
@@ -70,13 +62,13 @@ impl Policy for Adjusted {
         if seen.information >= self.i_min {
             None
         } else {
-            self.ranking.next(|device| seen.is_asleep(device))
+            self.candidates.next(seen, |_| true).map(|(device, _)| device)
         }
     }
 
     fn answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
         if let Some(report) = report.filter(|_| seen.information < self.i_min) {
-            self.add_reporter(seen, report);
+            self.candidates.add(seen, report);
         }
     }
 

@@ -8,16 +8,17 @@ use reveille_common::plan::{DutyCycle, Plan};
 use reveille_common::scenario::{KnnSettings, Scenario};
 
 use super::Policy;
+use crate::candidates::Candidates;
 use crate::clusters::Clusters;
 use crate::observation::Observation;
-use crate::wakeup::{Correlation, Ranking, i_min};
+use crate::wakeup::i_min;
 
 /// The `knn` policy.
 pub struct Knn {
     clusters: Clusters,
     /// The information I_min that wake-ups aim for (Sec. V-A, Eq. (E_Info3)).
     i_min: f64,
-    ranking: Ranking,
+    candidates: Candidates,
     /// The clusters of this event's first reporters; whoever is woken later belongs to one of them.
     asked: Vec<u32>,
 }
@@ -29,14 +30,8 @@ impl Knn {
         Self {
             clusters: Clusters::form(positions, scenario.area, sensing.d_max, settings, scenario.seed),
             i_min: i_min(positions, scenario.area, sensing),
-            ranking: Ranking::new(positions, scenario.area, Correlation::new(sensing)),
+            candidates: Candidates::new(scenario, positions),
             asked: Vec::new(),
-        }
-    }
-
-    fn add_reporter(&mut self, seen: &Observation<'_>, report: &Report) {
-        if let Some(d) = seen.sensing.distance(report.information) {
-            self.ranking.add_reporter(report.device, d);
         }
     }
 }
@@ -62,7 +57,6 @@ impl Policy for Knn {
     }
 
     fn reported(&mut self, seen: &Observation<'_>, reports: &[Report]) {
-        self.ranking.start();
         if seen.information >= self.i_min {
             return;
         }
@@ -73,9 +67,7 @@ impl Policy for Knn {
                 self.asked.push(cluster);
             }
         }
-        for report in reports {
-            self.add_reporter(seen, report);
-        }
+        self.candidates.start(seen, reports);
     }
 
     fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId> {
@@ -84,11 +76,12 @@ impl Policy for Knn {
         } else {
             let Self {
                 clusters,
-                ranking,
+                candidates,
                 asked,
                 ..
             } = self;
-            ranking.next(|device| asked.contains(&clusters.of[device.index()]) && seen.is_asleep(device))
+            let is_asked = |device: DeviceId| asked.contains(&clusters.of[device.index()]);
+            candidates.next(seen, is_asked).map(|(device, _)| device)
         }
     }
 
@@ -102,7 +95,7 @@ impl Policy for Knn {
 
     fn answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
         if let Some(report) = report.filter(|_| seen.information < self.i_min) {
-            self.add_reporter(seen, report);
+            self.candidates.add(seen, report);
         }
     }
 }

@@ -7,10 +7,12 @@
 mod adjusted;
 mod genie;
 mod knn;
+mod q_learning;
 mod random;
 
-use reveille_common::geometry::Point;
+use reveille_common::deployment::Deployment;
 use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::learned::Entry;
 use reveille_common::message::Report;
 use reveille_common::plan::Plan;
 use reveille_common::scenario::{PolicyConfig, Scenario};
@@ -20,6 +22,7 @@ use crate::observation::Observation;
 pub use adjusted::Adjusted;
 pub use genie::Genie;
 pub use knn::Knn;
+pub use q_learning::QLearning;
 pub use random::Random;
 
 /// A policy that knows what a BS can know.
@@ -42,6 +45,16 @@ pub trait Policy: Send {
         Vec::new()
     }
 
+    /// Whether [`Observation::batteries`] is to be filled.
+    fn looks_at_batteries(&self) -> bool {
+        false
+    }
+
+    /// The tables as the run has left them, of a policy that has learned in it.
+    fn learned(&self) -> Option<Entry> {
+        None
+    }
+
     /// What the last wake-up brought.
     fn answered(&mut self, seen: &Observation<'_>, report: Option<&Report>);
 }
@@ -55,11 +68,13 @@ pub enum PolicyEngine {
 }
 
 impl PolicyEngine {
-    /// The policy that `scenario` names, for devices at `positions`.
-    pub fn new(scenario: &Scenario, positions: &[Point]) -> Self {
+    /// The policy that `scenario` names, for the devices of `deployment`.
+    pub fn new(scenario: &Scenario, deployment: &Deployment) -> Self {
+        let positions = &deployment.positions();
         match &scenario.policy {
             PolicyConfig::Knn(settings) => Self::Blind(Box::new(Knn::new(scenario, settings, positions))),
             PolicyConfig::Adjusted(settings) => Self::Blind(Box::new(Adjusted::new(scenario, settings, positions))),
+            PolicyConfig::QLearning(settings) => Self::Blind(Box::new(QLearning::new(scenario, settings, deployment))),
             PolicyConfig::Random => Self::Blind(Box::new(Random::new(scenario))),
             PolicyConfig::Genie => Self::Genie(Genie::new(scenario, positions)),
         }
@@ -78,6 +93,22 @@ impl PolicyEngine {
         match self {
             Self::Blind(policy) => policy.facts(),
             Self::Genie(_) => Vec::new(),
+        }
+    }
+
+    /// See [`Policy::looks_at_batteries`].
+    pub fn looks_at_batteries(&self) -> bool {
+        match self {
+            Self::Blind(policy) => policy.looks_at_batteries(),
+            Self::Genie(_) => false,
+        }
+    }
+
+    /// See [`Policy::learned`].
+    pub fn learned(&self) -> Option<Entry> {
+        match self {
+            Self::Blind(policy) => policy.learned(),
+            Self::Genie(_) => None,
         }
     }
 

@@ -1,0 +1,169 @@
+//! Whom to wake: one candidate after the other, until waking the best is worth nothing.
+
+use reveille_common::learned::{WakeTable, Weights, information_bucket, score_bucket};
+
+/// What a wake-up is decided in: buckets of the candidate's score, of Î, and the reports so far.
+pub type State = [usize; 3];
+
+/// The wake-ups of a deployment.
+#[derive(Clone, Debug)]
+pub struct Wake {
+    table: WakeTable,
+    /// μ2 N, the worth of all information in r*(k) N.
+    worth: f64,
+    psi: f64,
+    /// The wake-up that waits for its answer: its state, and Î before.
+    open: Option<(State, f64)>,
+    /// The last wake-up that was answered, with its reward, until it is known whether another follows.
+    answered: Option<(State, f64)>,
+}
+
+impl Wake {
+    /// A learner with `table` for `devices` devices whose reports are worth up to `psi`.
+    pub fn new(table: WakeTable, weights: &Weights, devices: u32, psi: f64) -> Self {
+        Self {
+            table,
+            worth: weights.mu2 * f64::from(devices),
+            psi,
+            open: None,
+            answered: None,
+        }
+    }
+
+    /// The table as it is now.
+    pub const fn table(&self) -> &WakeTable {
+        &self.table
+    }
+
+    /// The state of a candidate with `score`, in units of information like `information`, after `reports` reports.
+    pub fn state(&self, score: f64, information: f64, reports: usize) -> State {
+        [
+            score_bucket(score / self.psi),
+            information_bucket(information / self.psi),
+            reports.clamp(1, 4) - 1,
+        ]
+    }
+
+    /// Whether waking is worth more than stopping, which is worth 0.
+    pub fn is_worth_it(&self, state: State) -> bool {
+        self.table.at(state).value > 0.0
+    }
+
+    /// The candidate of `state` is woken, at `information`.
+    pub fn wake(&mut self, state: State, information: f64) {
+        self.open = Some((state, information));
+    }
+
+    /// What came of the wake-up: Î is `information` now. Gives its reward N (μ2 ΔÎ − 1/N).
+    pub fn answered(&mut self, information: f64) -> f64 {
+        let Some((state, before)) = self.open.take() else {
+            return 0.0;
+        };
+        let reward = self.worth * (information - before) - 1.0;
+        self.answered = Some((state, reward));
+        reward
+    }
+
+    /// Learns from the last answer. `next` is the state that it led to, or `None` where nobody is left to be woken.
+    pub fn learn(&mut self, next: Option<State>) {
+        let Some((state, reward)) = self.answered.take() else {
+            return;
+        };
+        let rest = next.map_or(0.0, |next| self.table.at(next).value.max(0.0));
+        self.table.at_mut(state).learn(reward + rest);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use reveille_common::rng::{Purpose, Stream};
+    use reveille_common::sensing::{DetectionKind, Fusion, Sensing};
+
+    use super::*;
+
+    #[test]
+    fn the_rewards_add_up_to_the_papers_in_every_event() {
+        let mut stream = Stream::new(4, Purpose::Training, 0);
+        let mut woken = 0;
+        for event in 0..500 {
+            let devices = 1 + stream.below(250) as u32;
+            let psi = 0.5 + stream.unit();
+            let sensing = Sensing {
+                kind: DetectionKind::Range,
+                d_max: 4.0,
+                eta: 1.0,
+                psi,
+                g: if event % 2 == 0 {
+                    Fusion::Max
+                } else {
+                    Fusion::SumSaturation
+                },
+            };
+            let weights = Weights {
+                mu1: 1.0,
+                mu2: 5.0 * stream.unit(),
+                zeta: 0.9,
+            };
+            let mut wake = Wake::new(WakeTable::optimistic(1.0), &weights, devices, psi);
+            // The first report; what it brought is not a wake-up's.
+            let mut distances = vec![4.0 * stream.unit()];
+            let information = |distances: &[f64]| {
+                let reports = distances.iter().map(|d| psi * libm::exp(-d));
+                match sensing.g {
+                    Fusion::Max => reports.fold(0.0, f64::max),
+                    Fusion::SumSaturation => reports.sum::<f64>().min(psi),
+                }
+            };
+            let start = information(&distances);
+            assert!(wake.answered(start).abs() < 1e-12, "nobody was woken");
+            let (mut sum, wakes) = (0.0, stream.below(20));
+            let mut seen = start;
+            for _ in 0..wakes {
+                let state = wake.state(psi * stream.unit(), seen, distances.len());
+                wake.wake(state, seen);
+                // One in three brings nothing: too far, or its battery is empty.
+                if stream.unit() < 0.67 {
+                    distances.push(4.0 * stream.unit());
+                }
+                seen = distances[1..]
+                    .iter()
+                    .fold(start, |so_far, &d| sensing.fuse(so_far, sensing.information(d)));
+                sum += wake.answered(seen);
+                wake.learn(None);
+            }
+            let n = f64::from(devices);
+            let expected = n * (weights.mu2 * (information(&distances) - start) - wakes as f64 / n);
+            assert!((sum - expected).abs() < 1e-9 * n, "{event}: {sum}, not {expected}");
+            woken += wakes;
+        }
+        assert!(woken > 3000, "{woken}");
+    }
+
+    #[test]
+    fn a_wake_up_is_learned_with_what_may_follow() {
+        let weights = Weights {
+            mu1: 1.0,
+            mu2: 2.0,
+            zeta: 0.9,
+        };
+        let mut wake = Wake::new(WakeTable::optimistic(1.0), &weights, 50, 1.0);
+        let (good, bad) = ([9, 0, 0], [0, 7, 3]);
+        wake.table.at_mut(good).value = 5.0;
+        wake.table.at_mut(bad).value = -5.0;
+        // To stop is worth 0, so what follows is never worth less.
+        for (next, rest) in [(Some(good), 5.0), (Some(bad), 0.0), (None, 0.0)] {
+            let mut wake = wake.clone();
+            let state = wake.state(0.3, 0.1, 1);
+            let before = wake.table().at(state).value;
+            wake.wake(state, 0.1);
+            let reward = wake.answered(0.4);
+            assert!((reward - 29.0).abs() < 1e-9, "50·2·0.3 − 1");
+            wake.learn(next);
+            // The first visit's rate is 5^-0.7.
+            let expected = before + libm::pow(5.0, -0.7) * (29.0 + rest - before);
+            assert!((wake.table().at(state).value - expected).abs() < 1e-9);
+            wake.learn(next);
+            assert!((wake.table().at(state).value - expected).abs() < 1e-9, "learned once");
+        }
+    }
+}
