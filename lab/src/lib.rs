@@ -9,3 +9,5 @@ pub mod run;
 pub mod stats;
 pub mod sweep;
 pub mod table;
+pub mod training;
+pub mod tuning;

@@ -131,6 +131,13 @@ impl Run {
     /// The same as [`Self::grant`], before the eyes of `observer`.
     pub fn grant_seen(&mut self, observer: &mut impl Observer) {
         let k = self.cycle.next_tti();
+        if self.cycle.wants_batteries() {
+            let Self { cycle, machines, .. } = self;
+            cycle.tell_batteries(machines.iter_mut().map(|machine| {
+                machine.settle(k);
+                machine.battery()
+            }));
+        }
         if let Some(update) = self.cycle.announce() {
             for machine in &mut self.machines {
                 machine.set_duty(update.from, update.plan.duty_cycle(machine.id()));

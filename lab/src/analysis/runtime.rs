@@ -26,6 +26,7 @@ pub const fn paper_claim(policy: &PolicyConfig) -> &'static str {
     match policy {
         PolicyConfig::Knn(_) => "O(N(N-1)/2)",
         PolicyConfig::Adjusted(_) => "O(ϱ^N)",
+        PolicyConfig::QLearning(_) => "O(N²)",
         PolicyConfig::Random | PolicyConfig::Genie => "–",
     }
 }
@@ -61,6 +62,8 @@ impl Work {
 pub struct Decisions {
     scenario: Scenario,
     positions: Vec<Point>,
+    /// Charged at random, half full on the mean.
+    batteries: Vec<Energy>,
     policy: PolicyEngine,
     plan: Plan,
     situations: Vec<(Tti, Stimulus, Vec<Report>)>,
@@ -68,10 +71,15 @@ pub struct Decisions {
 
 impl Decisions {
     fn new(scenario: &Scenario, events: u64) -> Self {
-        let positions = Deployment::new(scenario).positions();
-        let mut policy = PolicyEngine::new(scenario, &positions);
+        let deployment = Deployment::new(scenario);
+        let positions = deployment.positions();
+        let mut policy = PolicyEngine::new(scenario, &deployment);
         let nothing = Plan::from_bits(positions.iter().map(|_| false));
-        let plan = policy.decide(&observe(scenario, &positions, &nothing, Tti::ZERO, 0.0));
+        let mut stream = Stream::new(scenario.seed, Purpose::Training, 0);
+        let mut level = |full: Energy| Energy::from_micro((stream.unit() * full.micro() as f64) as u64);
+        let batteries: Vec<Energy> = deployment.devices.iter().map(|d| level(d.energy.e_max)).collect();
+        let ground = (&positions[..], &batteries[..]);
+        let plan = policy.decide(&observe(scenario, ground, &nothing, Tti::ZERO, 0.0));
         let situation = |event| {
             let mut stream = Stream::new(scenario.seed, Purpose::Epicentre, event);
             let epicentre = Point::new(
@@ -91,10 +99,32 @@ impl Decisions {
         Self {
             scenario: scenario.clone(),
             positions,
+            batteries,
             policy,
             plan,
             situations,
         }
+    }
+
+    /// Decides who senses in `ttis` TTIs, one after the other. `None` for a policy whose first plan holds for good. It may be
+    /// repeated.
+    pub fn plan(&mut self, ttis: u64) -> Option<()> {
+        let Self {
+            scenario,
+            positions,
+            batteries,
+            policy,
+            plan,
+            ..
+        } = self;
+        let ground = (&positions[..], &batteries[..]);
+        for k in (1..=ttis).map(Tti) {
+            if policy.next_decision(k) == Tti::NEVER {
+                return None;
+            }
+            *plan = policy.decide(&observe(scenario, ground, plan, k, 0.0));
+        }
+        Some(())
     }
 
     /// Decides all of them, each until the policy asks for no more wake-ups, all of which are answered. Gives the number of
@@ -103,10 +133,12 @@ impl Decisions {
         let Self {
             scenario,
             positions,
+            batteries,
             policy,
             plan,
             situations,
         } = self;
+        let ground = (&positions[..], &batteries[..]);
         let mut wake_ups = 0;
         for (tti, stimulus, reports) in situations {
             let blind = match policy {
@@ -119,12 +151,12 @@ impl Decisions {
             };
             let fused = reports.iter().map(|r| r.information);
             let mut information = fused.fold(0.0, |so_far, i| scenario.sensing.fuse(so_far, i));
-            blind.reported(&observe(scenario, positions, plan, *tti, information), reports);
-            while let Some(woken) = blind.next_wake_up(&observe(scenario, positions, plan, *tti, information)) {
+            blind.reported(&observe(scenario, ground, plan, *tti, information), reports);
+            while let Some(woken) = blind.next_wake_up(&observe(scenario, ground, plan, *tti, information)) {
                 wake_ups += 1;
                 let report = report(scenario, positions, woken, *tti, stimulus.epicentre);
                 information = scenario.sensing.fuse(information, report.information);
-                blind.answered(&observe(scenario, positions, plan, *tti, information), Some(&report));
+                blind.answered(&observe(scenario, ground, plan, *tti, information), Some(&report));
             }
         }
         wake_ups
@@ -143,7 +175,7 @@ fn report(scenario: &Scenario, positions: &[Point], device: DeviceId, tti: Tti, 
 
 const fn observe<'a>(
     scenario: &'a Scenario,
-    positions: &'a [Point],
+    (positions, batteries): (&'a [Point], &'a [Energy]),
     plan: &'a Plan,
     now: Tti,
     information: f64,
@@ -154,6 +186,7 @@ const fn observe<'a>(
         sensing: &scenario.sensing,
         plan,
         information,
+        batteries,
     }
 }
 

@@ -3,6 +3,7 @@
 //! Laid out for a column of a journal, 3.5 inch wide, with no text under 8 points.
 
 use super::font::{Weight, width, wrap};
+use super::note::{Note, Obstacles, settle};
 use super::path::Path;
 use super::scale::{Scale, Tick};
 use super::scene::{Anchor, Paint, Scene, Stroke, Text};
@@ -10,6 +11,8 @@ use super::style::{LINE, MARKER, Style};
 
 /// Width of a picture, points: 3.5 inch.
 pub const COLUMN: f64 = 252.0;
+/// Width of a picture across both columns, points.
+pub const WIDE: f64 = 516.0;
 /// The smallest font size, points.
 pub const SMALL: f64 = 8.0;
 /// The font size of titles, points.
@@ -36,6 +39,8 @@ pub struct Sample {
     pub y: f64,
     /// Half the width of its 95 % interval; NaN where there is none, as for a single run or a closed form.
     pub half: f64,
+    /// The same of x; NaN where x is given rather than measured.
+    pub across: f64,
 }
 
 /// How the intervals of a line are drawn.
@@ -47,6 +52,8 @@ pub enum Interval {
     Area,
     /// A band with its edges, in place of the line.
     Edges,
+    /// Bars with caps at the points in both directions, without a band.
+    Crosses,
 }
 
 /// A line of a chart.
@@ -62,7 +69,7 @@ pub struct Series {
     pub marked: bool,
     /// How its intervals are drawn.
     pub interval: Interval,
-    /// Its points, by rising x.
+    /// Its points, in the order in which they are joined.
     pub samples: Vec<Sample>,
 }
 
@@ -134,6 +141,8 @@ pub struct Chart {
     pub marks: Vec<Mark>,
     /// What it says for ranges of x: hatched.
     pub spans: Vec<Span>,
+    /// What stands beside points, the most important first: those for which there is no room are left out.
+    pub notes: Vec<Note>,
     /// Whether values of zero stand at the lower border, which then says so.
     pub zero_below: bool,
     /// How to read marks and intervals, and what the runs were.
@@ -298,18 +307,46 @@ impl Frame<'_> {
                 series.style.mark(scene, (self.x(sample.x), self.y(sample.y)));
             }
         }
+        self.notes(scene);
+    }
+
+    fn notes(&self, scene: &mut Scene) {
+        let notes = self.chart.notes.iter();
+        let notes: Vec<_> = notes.map(|n| ((self.x(n.x), self.y(n.y)), n.text.as_str())).collect();
+        let mut obstacles = Obstacles::default();
+        for series in &self.chart.series {
+            let at = |s: &Sample| (self.x(s.x), self.y(s.y));
+            let markers = series.samples.iter().map(|s| (at(s), MARKER));
+            obstacles.markers.extend(markers);
+            let lines = series.samples.windows(2).map(|pair| [at(&pair[0]), at(&pair[1])]);
+            obstacles.lines.extend(lines.filter(|_| series.joined));
+            for s in &series.samples {
+                let (x, y) = at(s);
+                let ends = [-1.0, 1.0].map(|side| (self.x(s.x + side * s.across), y));
+                obstacles.lines.extend(s.across.is_finite().then_some(ends));
+                let ends = [-1.0, 1.0].map(|side| (x, self.y(s.y + side * s.half)));
+                obstacles.lines.extend(s.half.is_finite().then_some(ends));
+            }
+        }
+        let marks = self.chart.marks.iter();
+        // A number beside a hollow mark would be taken for its own.
+        let values = marks.map(|m| ((self.aside(m), self.y(m.stated.values()[0])), 4.0 * MARKER));
+        obstacles.markers.extend(values);
+        for text in settle(&notes, &obstacles, [self.left, self.top, self.right, self.bottom]) {
+            scene.text(text);
+        }
     }
 
     /// The band of a joined series, and a bar with caps at each of its points.
     fn intervals(&self, scene: &mut Scene, series: &Series) {
         let known: Vec<&Sample> = series.samples.iter().filter(|s| s.half.is_finite()).collect();
-        if series.joined && known.len() > 1 {
+        if series.joined && known.len() > 1 && series.interval != Interval::Crosses {
             let upper = known.iter().map(|s| (self.x(s.x), self.y(s.y + s.half)));
             let lower = known.iter().rev().map(|s| (self.x(s.x), self.y(s.y - s.half)));
             scene.area(Path::polyline(upper.chain(lower), true), series.style.paint, 0.25);
         }
         match series.interval {
-            Interval::Bars => {}
+            Interval::Bars | Interval::Crosses => {}
             Interval::Area => return,
             Interval::Edges => {
                 for sign in [1.0, -1.0] {
@@ -326,6 +363,14 @@ impl Frame<'_> {
             let mut path = Path::segment((x, top), (x, bottom));
             path.extend(Path::segment((x - 2.0, top), (x + 2.0, top)));
             path.extend(Path::segment((x - 2.0, bottom), (x + 2.0, bottom)));
+            scene.line(path, bar);
+        }
+        for sample in series.samples.iter().filter(|s| s.across.is_finite()) {
+            let y = self.y(sample.y);
+            let (left, right) = (self.x(sample.x - sample.across), self.x(sample.x + sample.across));
+            let mut path = Path::segment((left, y), (right, y));
+            path.extend(Path::segment((left, y - 2.0), (left, y + 2.0)));
+            path.extend(Path::segment((right, y - 2.0), (right, y + 2.0)));
             scene.line(path, bar);
         }
     }
@@ -391,7 +436,7 @@ impl Frame<'_> {
 }
 
 /// Lines that rise through a rectangle at 45°.
-fn hatching([left, top, right, bottom]: [f64; 4]) -> Vec<Path> {
+pub(super) fn hatching([left, top, right, bottom]: [f64; 4]) -> Vec<Path> {
     const STEP: f64 = 6.0;
     let height = bottom - top;
     if height <= 0.0 {

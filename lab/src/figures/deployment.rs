@@ -124,7 +124,7 @@ fn clusters(scenario: &Scenario, positions: &[Point]) -> Option<Vec<u32>> {
             let d_max = scenario.sensing.d_max;
             Some(Clusters::form(positions, scenario.area, d_max, settings, scenario.seed).of)
         }
-        PolicyConfig::Adjusted(_) | PolicyConfig::Random | PolicyConfig::Genie => None,
+        PolicyConfig::Adjusted(_) | PolicyConfig::QLearning(_) | PolicyConfig::Random | PolicyConfig::Genie => None,
     }
 }
 

@@ -106,6 +106,7 @@ pub fn harvest_chart(setting: &Setting, points: &[Point]) -> Chart {
             x,
             y: least + half,
             half,
+            across: f64::NAN,
         });
         series.push(Series {
             name: format!("spent, N = {n}"),
@@ -122,6 +123,7 @@ pub fn harvest_chart(setting: &Setting, points: &[Point]) -> Chart {
             x,
             y: closed_form(e_b, x),
             half: f64::NAN,
+            across: f64::NAN,
         });
         series.push(line_of(format!("E_B = {e_b}"), style, line.collect()));
         let measured = points.iter().filter(|p| (p.e_b - e_b).abs() < 1e-9);
@@ -147,6 +149,7 @@ pub fn harvest_chart(setting: &Setting, points: &[Point]) -> Chart {
             .flat_map(marks_of)
             .collect(),
         spans: Vec::new(),
+        notes: Vec::new(),
         zero_below: false,
     }
 }
@@ -171,6 +174,7 @@ pub fn net_chart(setting: &Setting, points: &[Point]) -> Option<Chart> {
                 x,
                 y: closed_form(e_b, x) - spent,
                 half,
+                across: f64::NAN,
             });
             let style = Style {
                 dashes: Style::of_policy(policy).dashes,
@@ -202,6 +206,7 @@ pub fn net_chart(setting: &Setting, points: &[Point]) -> Option<Chart> {
         },
         marks: marks.collect(),
         spans: Vec::new(),
+        notes: Vec::new(),
         zero_below: false,
         caption: format!(
             "Lines: closed form λ·exp(−λ)·E_B, Eq. (5), less what the policy spends with {NET_N} devices, preset {}: \
@@ -254,6 +259,7 @@ fn harvest_of(point: &Point) -> Sample {
         x: point.lambda,
         y: point.harvested.mean,
         half: point.harvested.half_width,
+        across: f64::NAN,
     }
 }
 
@@ -264,6 +270,7 @@ fn net_of(point: &Point, consumption: &Estimate) -> Sample {
         x: point.lambda,
         y: point.harvested.mean - consumption.mean,
         half: libm::hypot(point.harvested.half_width, consumption.half_width),
+        across: f64::NAN,
     }
 }
 
@@ -293,7 +300,7 @@ pub fn net_csv(chart: &Chart) -> String {
         if series.joined {
             line = &series.name;
         }
-        for Sample { x, y, half } in &series.samples {
+        for Sample { x, y, half, .. } in &series.samples {
             let _ = writeln!(out, "\"{line}\",{kind},{x},{y},{half}");
         }
     }

@@ -74,4 +74,32 @@ pub enum FigureError {
         /// What to do.
         advice: &'static str,
     },
+    /// The file has no table for this number of devices.
+    #[error(
+        "N = {devices}: {file} has tables for {known} devices; reveille train q-learning --devices {devices} --out FILE learns others"
+    )]
+    NoEntry {
+        /// N asked for.
+        devices: u32,
+        /// The file.
+        file: String,
+        /// Every N that it has.
+        known: String,
+    },
+    /// The file does not tell how its training went.
+    #[error("{file}: holds no learning curve; reveille train q-learning --out FILE writes tables with theirs")]
+    NoCurve {
+        /// The file.
+        file: String,
+    },
+    /// Too much for a picture of learning curves that can be read.
+    #[error("{count} {what}: a picture of learning curves shows {limit} at the most")]
+    Curves {
+        /// How many.
+        count: usize,
+        /// Of what.
+        what: &'static str,
+        /// How many it can show.
+        limit: usize,
+    },
 }

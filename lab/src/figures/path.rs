@@ -74,6 +74,19 @@ impl Path {
         Self::polyline((0..2 * n).step_by(step).map(corner), true)
     }
 
+    /// The same path elsewhere.
+    #[must_use]
+    pub fn moved(self, (right, down): (f64, f64)) -> Self {
+        let step = |step| match step {
+            Step::Move(x, y) => Step::Move(x + right, y + down),
+            Step::Line(x, y) => Step::Line(x + right, y + down),
+            Step::Quad(a, b, x, y) => Step::Quad(a + right, b + down, x + right, y + down),
+            Step::Cubic(a, b, c, d, x, y) => Step::Cubic(a + right, b + down, c + right, d + down, x + right, y + down),
+            Step::Close => Step::Close,
+        };
+        Self(self.0.into_iter().map(step).collect())
+    }
+
     /// Appends another path.
     pub fn extend(&mut self, other: Self) {
         self.0.extend(other.0);
@@ -129,6 +142,19 @@ mod tests {
                 assert!((reaches[1] - 2.0 * inner).abs() < 1e-12);
             }
         }
+    }
+
+    #[test]
+    fn a_moved_path_has_its_form() {
+        let here = Path::circle((1.0, 2.0), 1.5).bounds();
+        let mut path = Path(vec![Step::Quad(1.0, -3.0, 2.0, 9.0)]);
+        path.extend(Path::circle((1.0, 2.0), 1.5));
+        let there = path.clone().moved((10.0, -5.0));
+        assert_eq!(there.0[0], Step::Quad(11.0, -8.0, 12.0, 4.0));
+        let moved = Path(there.0[1..].to_vec()).bounds();
+        let expected = [here[0] + 10.0, here[1] - 5.0, here[2] + 10.0, here[3] - 5.0];
+        assert!(moved.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12));
+        assert_eq!(path.0.len(), there.0.len());
     }
 
     #[test]

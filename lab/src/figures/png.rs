@@ -19,8 +19,8 @@ const WHOLE: Option<&Mask> = None;
 pub fn png(scene: &Scene) -> Vec<u8> {
     let scale = DPI / POINTS;
     let (w, h) = (
-        (scene.width * scale).ceil() as u32,
-        (scene.height * scale).ceil() as u32,
+        (scene.width * DPI / POINTS).ceil() as u32,
+        (scene.height * DPI / POINTS).ceil() as u32,
     );
     let mut pixmap = Pixmap::new(w.max(1), h.max(1)).expect("a canvas of a few inches");
     pixmap.fill(Color::WHITE);

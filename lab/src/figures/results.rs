@@ -335,7 +335,7 @@ pub(crate) mod fixtures {
     fn row(preset: &str, policy: &str, n: u32, seed: u64, metric: &str, value: f64) -> Row {
         let overrides = [format!("devices={n}"), "ttis=2000".to_owned(), format!("seed={seed}")];
         // Policies that cannot be run yet can be drawn.
-        let is_known = ["knn", "adjusted", "random", "genie"].contains(&policy);
+        let is_known = ["knn", "adjusted", "q-learning", "random", "genie"].contains(&policy);
         let policy_is = is_known.then(|| format!("policy.name={policy}"));
         let overrides = overrides.into_iter().chain(policy_is);
         let overrides: Vec<Override> = overrides.map(|o| Override::parse(&o).expect("an override")).collect();

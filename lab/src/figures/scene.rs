@@ -237,6 +237,21 @@ impl Scene {
         self.items.push(Item::Text(text));
     }
 
+    /// Puts all that is on another canvas on top, its corner at `at`.
+    pub fn put(&mut self, other: Self, at: (f64, f64)) {
+        let moved = other.items.into_iter().map(|item| match item {
+            Item::Shape(shape) => Item::Shape(Shape {
+                path: shape.path.moved(at),
+                ..shape
+            }),
+            Item::Text(text) => Item::Text(Text {
+                at: (text.at.0 + at.0, text.at.1 + at.1),
+                ..text
+            }),
+        });
+        self.items.extend(moved);
+    }
+
     /// The items that are not wholly on the canvas. A scene that is fit to be seen has none.
     pub fn outside(&self) -> Vec<&Item> {
         let is_outside = |item: &&Item| {

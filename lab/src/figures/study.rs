@@ -169,6 +169,7 @@ impl Figure {
             },
             y: self.y_scale(&series, &marks, &spans),
             caption: self.caption(setting, (&series, &marks, &spans), &undefined),
+            notes: Vec::new(),
             zero_below: self.is_log && has_zero(&series),
             series,
             marks,
@@ -185,6 +186,7 @@ impl Figure {
                 x: f64::from(n),
                 y: estimate.mean,
                 half: estimate.half_width,
+                across: f64::NAN,
             })
         };
         sizes.filter_map(sample).collect()
@@ -254,11 +256,7 @@ impl Figure {
         (series, marks, spans): (&[Series], &[Mark], &[Span]),
         undefined: &[String],
     ) -> String {
-        let runs = match setting.runs_per_cell() {
-            (1, 1) => "one run".to_owned(),
-            (least, most) if least == most => format!("{most} runs"),
-            (least, most) => format!("{least} to {most} runs"),
-        };
+        let runs = runs_in_words(setting);
         let mut text = format!(
             "Preset {}; {runs} of {} TTIs a point, mean with its 95 % interval as band and bar.",
             setting.label(),
@@ -284,20 +282,11 @@ impl Figure {
     /// What is drawn, as CSV: measured means and the paper's statements.
     pub fn csv(&self, setting: &Setting, drawing: &Drawing) -> String {
         let mut out = String::from("kind,setting,policy,n,metric,mean,half_width_95,runs,paper_low,paper_high\n");
-        let label = setting.label();
-        let label = if label.contains([',', '"']) {
-            format!("\"{}\"", label.replace('"', "\"\""))
-        } else {
-            label
-        };
+        let label = csv_cell(&setting.label());
         for series in &drawing.chart.series {
             for n in setting.sizes(&series.name) {
                 if let Some(e) = setting.estimate(&series.name, n, self.metric) {
-                    let half = if e.half_width.is_nan() {
-                        String::new()
-                    } else {
-                        e.half_width.to_string()
-                    };
+                    let half = csv_half(e.half_width);
                     let (policy, metric) = (&series.name, self.metric);
                     let _ = writeln!(
                         out,
@@ -321,6 +310,29 @@ impl Figure {
         }
         out
     }
+}
+
+/// How many runs a point stands for.
+pub(super) fn runs_in_words(setting: &Setting) -> String {
+    match setting.runs_per_cell() {
+        (1, 1) => "one run".to_owned(),
+        (least, most) if least == most => format!("{most} runs"),
+        (least, most) => format!("{least} to {most} runs"),
+    }
+}
+
+/// Text as it may stand in a cell of CSV.
+pub(super) fn csv_cell(text: &str) -> String {
+    if text.contains([',', '"']) {
+        format!("\"{}\"", text.replace('"', "\"\""))
+    } else {
+        text.to_owned()
+    }
+}
+
+/// Half an interval in a cell of CSV, empty where there is none.
+pub(super) fn csv_half(half: f64) -> String {
+    if half.is_nan() { String::new() } else { half.to_string() }
 }
 
 fn has_zero(series: &[Series]) -> bool {

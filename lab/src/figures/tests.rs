@@ -7,6 +7,9 @@ use super::scene::{Item, Scene};
 use super::{FigureError, deployment, energy, png, study, svg, timeline};
 use crate::table::{Hash, Table};
 
+mod learned;
+mod tuned;
+
 const RUNS: [(&str, u32, &[f64]); 8] = [
     ("knn", 10, &[33.0, 35.0, 31.0]),
     ("knn", 250, &[0.0, 0.0, 0.0]),

@@ -7,7 +7,7 @@ use reveille_common::scenario::{EnergyModel, Scenario};
 use reveille_common::units::Energy;
 use reveille_device::machine::State;
 
-use super::chart::{EDGE, LARGE, LEADING, SMALL};
+use super::chart::{EDGE, LARGE, LEADING, SMALL, WIDE};
 use super::error::FigureError;
 use super::font::{Weight, wrap};
 use super::path::Path;
@@ -16,8 +16,6 @@ use super::scene::{Anchor, Paint, Scene, Stroke, Text};
 use super::style::{BLUE, GREEN, ORANGE, VERMILION};
 use super::witness::{Happened, Walk, events};
 
-/// Width of the picture, points: both columns of a journal.
-const WIDE: f64 = 516.0;
 /// Where the plots start and end.
 const LEFT: f64 = 48.0;
 const RIGHT: f64 = WIDE - EDGE - 4.0;

@@ -117,14 +117,41 @@ fn the_lambda_of_a_consumption_solves_the_closed_form() {
         five.found.starts_with("0.0743") && five.verdict == Verdict::Reproduced,
         "{five:?}"
     );
-    for (sites, policy) in [("N = 10", "q-learning, spends most"), ("N = 250", "dt, spends least")] {
+    for (sites, policy, why) in [
+        ("N = 10", "q-learning, spends most", "no such runs"),
+        ("N = 250", "dt, spends least", "not built yet"),
+    ] {
         let absent = at(sites, "1", policy);
         assert!(
-            absent.verdict == Verdict::NotRun && absent.why.contains("not built yet"),
+            absent.verdict == Verdict::NotRun && absent.why.contains(why),
             "{absent:?}"
         );
     }
     assert_eq!(at("N = 100", "1", "adjusted").verdict, Verdict::NotRun);
+}
+
+#[test]
+fn what_the_paper_says_of_q_learning_is_judged_by_its_runs() {
+    let runs: [(&str, u32, &[f64]); 2] = [("q-learning", 250, &[0.23, 0.24]), ("q-learning", 10, &[0.6, 0.62])];
+    let table = fixtures::table("paper", "energy_per_device_tti", &runs);
+    let results = Results::new(std::slice::from_ref(&table)).expect("runs");
+    let report = Report::new(&results);
+    let built = |line: &&Line| line.policy.starts_with("q-learning");
+    for line in report.lines.iter().filter(built) {
+        assert!(
+            !line.ours.iter().any(|ours| ours.why.contains("not built yet")),
+            "{line:?}"
+        );
+    }
+    for sites in ["N = 10", "N = 250"] {
+        let ours = &line(&report, "Fig. 8", "q-learning", sites).ours[0];
+        assert_eq!(ours.verdict, Verdict::Reproduced, "{ours:?}");
+    }
+    let dt = &line(&report, "Fig. 8", "dt", "N = 10").ours[0];
+    assert!(
+        dt.verdict == Verdict::NotRun && dt.why.contains("not built yet"),
+        "{dt:?}"
+    );
 }
 
 #[test]

@@ -40,7 +40,7 @@ impl Cell {
     pub fn device_ttis(&self) -> u64 {
         let searched = match &self.scenario.policy {
             PolicyConfig::Adjusted(settings) => settings.pairs().count() as u64 * settings.pilot_ttis,
-            PolicyConfig::Knn(_) | PolicyConfig::Random | PolicyConfig::Genie => 0,
+            PolicyConfig::Knn(_) | PolicyConfig::QLearning(_) | PolicyConfig::Random | PolicyConfig::Genie => 0,
         };
         u64::from(self.scenario.devices) * (self.scenario.ttis + searched)
     }

@@ -1,0 +1,165 @@
+//! Information per event against energy: what each policy buys with what it spends, a line through rising N.
+
+use std::fmt::Write as _;
+
+use super::chart::{Chart, Interval, Mark, Sample, Series, Stated};
+use super::note::Note;
+use super::results::Setting;
+use super::scale::Scale;
+use super::study::{csv_cell, csv_half, runs_in_words};
+use super::style::Style;
+use crate::report::claims::{Relation, Sites, topic};
+
+/// Its name in commands and files.
+pub const NAME: &str = "pareto";
+/// What its title begins with.
+pub const TITLE: &str = "Information against energy";
+/// The metrics of x and y.
+const METRICS: [&str; 2] = ["energy_per_device_tti", "info_per_event"];
+
+/// The picture for the runs of `setting`; `None` if no policy has both metrics at any N.
+pub fn chart(setting: &Setting) -> Option<Chart> {
+    let mut series = Vec::new();
+    let mut lines = Vec::new();
+    for policy in setting.policies() {
+        let points = points(setting, policy);
+        if points.is_empty() {
+            continue;
+        }
+        lines.push(points.iter().map(|(n, s)| note(*n, s)).collect::<Vec<_>>());
+        series.push(Series {
+            name: policy.to_owned(),
+            style: Style::of_policy(policy),
+            joined: true,
+            marked: true,
+            interval: Interval::Crosses,
+            samples: points.into_iter().map(|(_, sample)| sample).collect(),
+        });
+    }
+    if series.is_empty() {
+        return None;
+    }
+    let (stated, marks): (Vec<u32>, Vec<Mark>) = marks(&series).into_iter().unzip();
+    let samples = || series.iter().flat_map(|s| &s.samples);
+    let ends = |at: f64, half: f64| {
+        let half = if half.is_finite() { half } else { 0.0 };
+        // Neither can be negative, whatever an interval says.
+        [(at - half).max(0.0), at + half]
+    };
+    let xs = samples().flat_map(|s| ends(s.x, s.across));
+    let ys = samples().flat_map(|s| ends(s.y, s.half));
+    Some(Chart {
+        title: format!("{TITLE} (Figs. 7 and 8)"),
+        x_label: "units per device and TTI".to_owned(),
+        y_label: "information per event".to_owned(),
+        x: Scale::linear(xs.chain(marks.iter().map(|m| m.x)), true),
+        y: Scale::linear(ys.chain(marks.iter().flat_map(|m| m.stated.values())), true),
+        caption: caption(setting, stated),
+        notes: in_turn(&lines),
+        series,
+        marks,
+        spans: Vec::new(),
+        zero_below: false,
+    })
+}
+
+/// The points of `policy` by rising N.
+fn points(setting: &Setting, policy: &str) -> Vec<(u32, Sample)> {
+    let point = |n: u32| {
+        let [x, y] = METRICS.map(|metric| setting.estimate(policy, n, metric));
+        let (x, y) = (x?, y?);
+        let sample = Sample {
+            x: x.mean,
+            y: y.mean,
+            half: y.half_width,
+            across: x.half_width,
+        };
+        Some((n, sample))
+    };
+    setting.sizes(policy).into_iter().filter_map(point).collect()
+}
+
+fn note(n: u32, sample: &Sample) -> Note {
+    Note {
+        x: sample.x,
+        y: sample.y,
+        text: n.to_string(),
+    }
+}
+
+/// The last N of each line, then the first, then one halfway.
+fn in_turn(lines: &[Vec<Note>]) -> Vec<Note> {
+    let place: [fn(usize) -> Option<usize>; 3] = [
+        |count| Some(count - 1),
+        |count| (count > 1).then_some(0),
+        |count| (count > 2).then_some(count / 2),
+    ];
+    let at = |place: fn(usize) -> Option<usize>| {
+        let of = move |line: &Vec<Note>| place(line.len()).map(|at| line[at].clone());
+        lines.iter().filter_map(of)
+    };
+    place.into_iter().flat_map(at).collect()
+}
+
+/// What the paper states of both metrics for a policy that is drawn, at one N.
+fn marks(series: &[Series]) -> Vec<(u32, Mark)> {
+    let [energies, informations] = METRICS.map(|metric| topic(metric).map_or(&[][..], |topic| topic.claims));
+    let mut marks = Vec::new();
+    for information in informations {
+        let Some(drawn) = series.iter().find(|s| s.name == information.policy) else {
+            continue;
+        };
+        let same = energies
+            .iter()
+            .filter(|e| e.policy == information.policy && e.sites == information.sites);
+        for energy in same {
+            let (Relation::About(x), Relation::About(y), Sites::At(n)) =
+                (energy.relation, information.relation, information.sites)
+            else {
+                continue;
+            };
+            let mark = Mark {
+                x,
+                aside: 0.0,
+                stated: Stated::Value(y),
+                style: drawn.style,
+            };
+            marks.push((n, mark));
+        }
+    }
+    marks
+}
+
+fn caption(setting: &Setting, mut stated: Vec<u32>) -> String {
+    let mut text = format!(
+        "Preset {}; {} of {} TTIs a point, means with their 95 % intervals in both directions. Lines join rising N, which \
+         stands beside some points. Up and to the left is better.",
+        setting.label(),
+        runs_in_words(setting),
+        setting.ttis
+    );
+    stated.sort_unstable();
+    stated.dedup();
+    let stated: Vec<String> = stated.iter().map(ToString::to_string).collect();
+    if !stated.is_empty() {
+        let _ = write!(text, " Hollow marks are for N = {}.", stated.join(", "));
+    }
+    text
+}
+
+/// What is drawn, as CSV.
+pub fn csv(setting: &Setting) -> String {
+    let mut out = String::from(
+        "setting,policy,n,energy_per_device_tti,energy_half_width_95,info_per_event,info_half_width_95,runs\n",
+    );
+    let label = csv_cell(&setting.label());
+    for policy in setting.policies() {
+        for (n, sample) in points(setting, policy) {
+            let Sample { x, y, half, across } = sample;
+            let runs = setting.runs(policy, n).count();
+            let (half, across) = (csv_half(half), csv_half(across));
+            let _ = writeln!(out, "{label},{policy},{n},{x},{across},{y},{half},{runs}");
+        }
+    }
+    out
+}

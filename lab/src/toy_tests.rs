@@ -1,0 +1,290 @@
+//! A network small enough to be solved exactly: value iteration over all battery vectors and all 2^6 actions, beside which the
+//! learner's table is evaluated, exactly too.
+
+use std::sync::Arc;
+
+use reveille_bs::learn::duty::{Duty, Terms};
+use reveille_common::geometry::{Area, Layout, Point};
+use reveille_common::learned::{Entry, Training, battery_bucket};
+use reveille_common::scenario::{EnergyModel, Override, PolicyConfig, Scenario, load};
+use reveille_common::units::Energy;
+
+use super::Trainer;
+
+const N: usize = 6;
+const ACTIONS: usize = 1 << N;
+/// E_max in units; E_idle is 1, an arrival brings 1, all else costs nothing.
+const E_MAX: usize = 4;
+const LEVELS: usize = E_MAX + 1;
+/// Battery vectors.
+const STATES: usize = LEVELS.pow(N as u32);
+const ALPHA: f64 = 1e-5;
+const ZETA: f64 = 0.95;
+/// Sweeps after which a discounted value has long settled.
+const SWEEPS: usize = 500;
+/// How far apart the least and the largest addition of a sweep may be in the end.
+const SPAN: f64 = 1e-5;
+
+/// The network as the test sees it.
+struct Toy {
+    /// Probability of an arrival.
+    p: f64,
+    /// α μ1.
+    w: f64,
+    /// U by the set of those who sense.
+    uncovered: [f64; ACTIONS],
+    scenario: Scenario,
+    points: Vec<Point>,
+}
+
+impl Toy {
+    fn new(area: Area, points: &[(f64, f64)], lambda: f64, w: f64) -> Self {
+        let points: Vec<Point> = points.iter().map(|&(x, y)| Point::new(x, y)).collect();
+        assert_eq!(points.len(), N);
+        let set = [
+            "devices=6",
+            "policy.name=q-learning",
+            "policy.q-learning.learn=true",
+            "policy.q-learning.table=nothing",
+            "policy.q-learning.window=1",
+            &format!("policy.q-learning.zeta={ZETA}"),
+            &format!("policy.q-learning.mu1={}", w / ALPHA),
+            &format!("events.alpha={ALPHA}"),
+            &format!("area.width={}", area.width),
+            &format!("area.height={}", area.height),
+            &format!("energy.e_max={E_MAX}"),
+            "energy.e_idle=1",
+            "energy.e_wur=0",
+            "energy.e_tx=0",
+            &format!("harvest.lambda={lambda}"),
+            "harvest.e_b=1",
+        ]
+        .map(|text| Override::parse(text).expect("an override"));
+        let mut scenario = load("paper", &set).expect("a scenario");
+        scenario.layout = Layout::File {
+            path: "toy".into(),
+            points: Arc::new(points.clone()),
+        };
+        let mut toy = Self {
+            p: lambda * libm::exp(-lambda),
+            w,
+            uncovered: [0.0; ACTIONS],
+            scenario,
+            points,
+        };
+        toy.uncovered = std::array::from_fn(|set| {
+            let sensing: Vec<Point> = (0..N).filter(|j| set >> j & 1 == 1).map(|j| toy.points[j]).collect();
+            uncovered(area, &sensing)
+        });
+        toy
+    }
+
+    /// The expectation of r(k) if `action` is commanded where the devices of `empty` have nothing in their batteries: they sense
+    /// if an arrival comes in time.
+    fn reward(&self, empty: usize, action: usize) -> f64 {
+        let (sure, maybe) = (action & !empty, action & empty);
+        let mut uncovered = 0.0;
+        for arrived in (0..ACTIONS).filter(|arrived| arrived & !maybe == 0) {
+            let (came, failed) = (arrived.count_ones(), (maybe & !arrived).count_ones());
+            let chance = self.p.powi(came.cast_signed()) * (1.0 - self.p).powi(failed.cast_signed());
+            uncovered += chance * self.uncovered[sure | arrived];
+        }
+        1.0 - f64::from(action.count_ones()) / N as f64 - self.w * uncovered
+    }
+
+    /// Rewards by empty batteries and action.
+    fn rewards(&self) -> Vec<[f64; ACTIONS]> {
+        (0..ACTIONS)
+            .map(|empty| std::array::from_fn(|action| self.reward(empty, action)))
+            .collect()
+    }
+
+    /// The expectation of `values` one TTI later, by action and state: one device at a time.
+    fn later(&self, values: Vec<f64>) -> Vec<Vec<f64>> {
+        let mut by_action = vec![values];
+        for device in 0..N {
+            let of = |on: bool| by_action.iter().map(move |values| self.pass(values, device, on));
+            by_action = of(false).chain(of(true)).collect();
+        }
+        by_action
+    }
+
+    /// The expectation over what one device harvests and pays.
+    fn pass(&self, values: &[f64], device: usize, on: bool) -> Vec<f64> {
+        let stride = LEVELS.pow(device as u32);
+        let at = |state: usize, level: usize, harvest: usize| {
+            let next = (level + harvest).min(E_MAX).saturating_sub(usize::from(on));
+            values[state - level * stride + next * stride]
+        };
+        (0..STATES)
+            .map(|state| {
+                let level = state / stride % LEVELS;
+                self.p * at(state, level, 1) + (1.0 - self.p) * at(state, level, 0)
+            })
+            .collect()
+    }
+
+    /// The mean over all battery vectors of the discounted sum of rewards, times 1 − ζ, or with ζ = 1 the mean r(k) in the long
+    /// run. `policy` gives the action of each state, or all of them are tried.
+    fn worth(&self, zeta: f64, policy: Option<&[usize]>) -> f64 {
+        let rewards = self.rewards();
+        let (mut values, mut mean) = (vec![0.0; STATES], 0.0);
+        for _ in 0..SWEEPS {
+            let later = self.later(values.clone());
+            let after: Vec<f64> = (0..STATES)
+                .map(|state| {
+                    let rewards = &rewards[empty(state)];
+                    let of = |action: usize| rewards[action] + zeta * later[action][state];
+                    match policy {
+                        Some(policy) => of(policy[state]),
+                        None => (0..ACTIONS).map(of).fold(f64::NEG_INFINITY, f64::max),
+                    }
+                })
+                .collect();
+            let added = after.iter().zip(&values).map(|(after, before)| after - before);
+            mean = added.clone().sum::<f64>() / STATES as f64;
+            let (least, most) = added.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
+            values = after;
+            // What all further sweeps add lies within ζ/(1−ζ) times these two.
+            if most - least < SPAN {
+                let mean = values.iter().sum::<f64>() / STATES as f64;
+                return (1.0 - zeta) * mean + zeta * 0.5 * (least + most);
+            }
+        }
+        assert!(zeta >= 1.0, "discounted values settle");
+        // A policy that does not forget where it began: the mean over all beginnings.
+        mean
+    }
+
+    fn discounted(&self, policy: Option<&[usize]>) -> f64 {
+        self.worth(ZETA, policy)
+    }
+
+    fn mean(&self, policy: Option<&[usize]>) -> f64 {
+        self.worth(1.0, policy)
+    }
+
+    /// What a policy does that looks at nothing but the next r(k).
+    fn greedy(&self) -> Vec<usize> {
+        let rewards = self.rewards();
+        let best = |state: usize| {
+            let of = |action: &usize| rewards[empty(state)][*action];
+            (0..ACTIONS).max_by(|a, b| of(a).total_cmp(&of(b))).expect("actions")
+        };
+        (0..STATES).map(best).collect()
+    }
+
+    /// The tables of the learner, trained from nothing.
+    fn train(&self, episodes: u64, ttis: u64) -> Entry {
+        let training = Training {
+            episodes,
+            ttis,
+            epsilon: (0.1, 0.03),
+            seed: 0,
+        };
+        let mut trainer = Trainer::new(&self.scenario, &[N as u32], &training).expect("a training");
+        assert!(trainer.train(1, None, &()).expect("no file"));
+        trainer.learned().entries.swap_remove(0)
+    }
+
+    fn energy(&self) -> EnergyModel {
+        self.scenario.classes[0].energy
+    }
+
+    /// What the policy with these tables does in each state.
+    fn learned(&self, entry: &Entry) -> Vec<usize> {
+        let PolicyConfig::QLearning(settings) = &self.scenario.policy else {
+            panic!("q-learning");
+        };
+        let terms = Terms {
+            weights: settings.weights,
+            alpha: ALPHA,
+            window: 1,
+        };
+        let energy = self.energy();
+        let (area, sensing) = (self.scenario.area, &self.scenario.sensing);
+        let mut duty = Duty::new(entry.duty.clone(), terms, &self.points, vec![energy; N], area, sensing);
+        let choice = |state: usize| {
+            let chosen = duty.choose(&levels(state));
+            chosen.iter().map(|j| 1 << j.index()).sum()
+        };
+        (0..STATES).map(choice).collect()
+    }
+}
+
+/// The share of `area` in cells of d_max/10 that nobody at `points` has within d_max = 4 m, corner by corner.
+pub(super) fn uncovered(area: Area, points: &[Point]) -> f64 {
+    let [columns, rows] = [area.width, area.height].map(|length| (length / 4.0 * 10.0).ceil() as u32);
+    let (width, height) = (area.width / f64::from(columns), area.height / f64::from(rows));
+    let mut missed = 0;
+    for cell in 0..columns * rows {
+        let (column, row) = (cell % columns, cell / columns);
+        let corners = [(0, 0), (1, 0), (0, 1), (1, 1)]
+            .map(|(east, north)| Point::new(f64::from(column + east) * width, f64::from(row + north) * height));
+        let is_seen = |p: &Point| corners.iter().all(|corner| corner.distance(*p) <= 4.0);
+        missed += u32::from(!points.iter().any(is_seen));
+    }
+    f64::from(missed) / f64::from(columns * rows)
+}
+
+fn units(level: u64) -> Energy {
+    Energy::from_micro(level * 1_000_000)
+}
+
+fn levels(state: usize) -> Vec<Energy> {
+    let level = |j: u32| units((state / LEVELS.pow(j) % LEVELS) as u64);
+    (0..N as u32).map(level).collect()
+}
+
+/// The set of those whose batteries are empty.
+fn empty(state: usize) -> usize {
+    (0..N)
+        .filter(|&j| (state / LEVELS.pow(j as u32)).is_multiple_of(LEVELS))
+        .map(|j| 1 << j)
+        .sum()
+}
+
+#[test]
+fn the_learner_comes_close_to_the_optimum() {
+    let cross = [(1.5, 1.5), (6.0, 1.0), (2.0, 6.5), (6.5, 6.0), (4.0, 4.0), (3.0, 3.5)];
+    let pairs = [(2.0, 3.0), (2.4, 2.5), (6.0, 3.2), (6.3, 2.6), (10.0, 3.0), (9.6, 3.4)];
+    // On `pairs`, where devices all but stand in for each other, the table sees too little: it cannot tell a battery that its
+    // neighbour backs up from one that stands alone.
+    for (name, (width, height), points, share) in
+        [("cross", (8.0, 8.0), cross, 0.98), ("pairs", (12.0, 6.0), pairs, 0.9)]
+    {
+        let toy = Toy::new(Area { width, height }, &points, 0.15, 2.0);
+        let in_turn: Vec<usize> = (0..LEVELS as u64)
+            .map(|l| battery_bucket(units(l), &toy.energy()))
+            .collect();
+        assert_eq!(in_turn, [0, 2, 4, 6, 7], "levels differ to the learner");
+        let learned = toy.learned(&toy.train(12, 3000));
+        let greedy = toy.greedy();
+        // What there is to be won: r(k) above that of a network asleep.
+        let above = |reward: f64| reward - (1.0 - toy.w);
+        let [best, own, myopic] = [None, Some(&learned), Some(&greedy)].map(|p| above(toy.mean(p.map(Vec::as_slice))));
+        let [b, o, m] = [None, Some(&learned), Some(&greedy)].map(|p| above(toy.discounted(p.map(Vec::as_slice))));
+        println!(
+            "{name}: mean {best:.5}, learner {own:.5}, ratio {:.4}, greedy {:.4}",
+            own / best,
+            myopic / best
+        );
+        println!(
+            "{name}: discounted {b:.5}, learner {o:.5}, ratio {:.4}, greedy {:.4}",
+            o / b,
+            m / b
+        );
+        assert!(
+            own <= best + SPAN && o <= b + SPAN,
+            "nothing is better than the optimum"
+        );
+        assert!(
+            own >= share * best,
+            "{name}: the learner gains {own}, the optimum {best}"
+        );
+        assert!(
+            myopic < 0.95 * best,
+            "{name}: energy binds, or {myopic} would not be so much less than {best}"
+        );
+    }
+}

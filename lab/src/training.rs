@@ -1,0 +1,421 @@
+//! Training of the `q-learning` policy: episodes in memory, on one deployment after another, for each N.
+//!
+//! An episode is a run of the very policy that is used later, with `learn` on, from random batteries. It begins with the
+//! tables that the one before has left. Wake-up rankings take turns, so that both tables are learned. Each N is trained for itself
+//! and in order, so the result depends neither on the number of threads nor on where a training was interrupted.
+
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use rayon::iter::{IntoParallelRefMutIterator, ParallelIterator};
+use reveille_bs::outcome::{EventRecord, Outcome, Watcher, WindowRecord};
+use reveille_common::deployment::Deployment;
+use reveille_common::learned::{CurvePoint, Entry, Learned, LearnedError, Setting, Training, Weights};
+use reveille_common::rng::{Purpose, Stream};
+use reveille_common::scenario::{PolicyConfig, QLearningSettings, Scenario, WakeUpRanking};
+use reveille_common::units::Energy;
+
+use crate::run::{Options, Run};
+use crate::table::replace;
+
+/// What files say of who made them.
+pub(crate) const MADE_BY: &str = concat!("reveille ", env!("CARGO_PKG_VERSION"));
+/// Added to the seeds of episodes: no evaluation comes near them.
+pub(crate) const SEEDS: u64 = 0x7EA1_C0DE_0000_0000;
+/// The share of an episode that is left out of its point on the curve.
+const WARM_UP: f64 = 0.1;
+/// TTIs between two looks at whether to stop.
+const LOOK: u64 = 200;
+
+/// Why a training could not be begun or finished.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainingError {
+    /// The scenario's policy is another.
+    #[error("policy.name = {0}: only q-learning is trained")]
+    Policy(String),
+    /// A value is out of its range.
+    #[error("{what} = {value}: {allowed}")]
+    Invalid {
+        /// Which.
+        what: &'static str,
+        /// What it is.
+        value: String,
+        /// What it may be.
+        allowed: &'static str,
+    },
+    /// There is a file already.
+    #[error("{}: is there already; --force replaces it", .0.display())]
+    Taken(PathBuf),
+    /// The checkpoint belongs to another training.
+    #[error("{}: is the checkpoint of another training ({why}); finish that, remove the file, or use another --out", path.display())]
+    OtherCheckpoint {
+        /// The checkpoint.
+        path: PathBuf,
+        /// What differs.
+        why: String,
+    },
+    /// The checkpoint cannot be used.
+    #[error("{}: the checkpoint {error}", path.display())]
+    Checkpoint {
+        /// The checkpoint.
+        path: PathBuf,
+        /// Why not.
+        #[source]
+        error: LearnedError,
+    },
+    /// A file cannot be written.
+    #[error("{}: cannot be written: {error}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What the operating system said.
+        #[source]
+        error: std::io::Error,
+    },
+    /// Threads cannot be started.
+    #[error("{threads} threads cannot be started: {reason}")]
+    Threads {
+        /// How many.
+        threads: usize,
+        /// Why not.
+        reason: String,
+    },
+}
+
+/// Follows a training. Called from all threads.
+pub trait Observer: Sync {
+    /// An episode with `devices` devices has ended.
+    fn episode(&self, devices: u32, point: &CurvePoint);
+    /// Whether to stop; what was trained is kept in the checkpoint.
+    fn stop(&self) -> bool;
+}
+
+impl Observer for () {
+    fn episode(&self, _: u32, _: &CurvePoint) {}
+    fn stop(&self) -> bool {
+        false
+    }
+}
+
+/// A training, ready to begin or to go on.
+pub struct Trainer {
+    scenario: Scenario,
+    settings: QLearningSettings,
+    training: Training,
+    entries: Vec<Entry>,
+}
+
+impl Trainer {
+    /// A training for each N of `devices` on the scenario's ground, with its weights. `training` says how long.
+    ///
+    /// # Errors
+    /// The policy is not `q-learning`, or a number is out of its range.
+    pub fn new(scenario: &Scenario, devices: &[u32], training: &Training) -> Result<Self, TrainingError> {
+        let PolicyConfig::QLearning(settings) = &scenario.policy else {
+            return Err(TrainingError::Policy(scenario.policy.name().to_owned()));
+        };
+        let invalid = |what, value: &dyn std::fmt::Display, allowed| TrainingError::Invalid {
+            what,
+            value: value.to_string(),
+            allowed,
+        };
+        let mut devices = devices.to_vec();
+        devices.sort_unstable();
+        devices.dedup();
+        match (devices.first(), devices.last()) {
+            (Some(1..), Some(..=1_000_000)) => {}
+            (least, most) => {
+                let shown = format!("{:?}", [least, most].map(|n| n.copied().unwrap_or(0)));
+                return Err(invalid(
+                    "devices",
+                    &shown,
+                    "must be a list of numbers from 1 to 1 000 000",
+                ));
+            }
+        }
+        let Training {
+            episodes,
+            ttis,
+            epsilon,
+            ..
+        } = training;
+        if !(1..=100_000).contains(episodes) {
+            return Err(invalid("episodes", episodes, "must be at least 1 and at most 100000"));
+        }
+        if !(10..=100_000_000).contains(ttis) {
+            return Err(invalid(
+                "episode-ttis",
+                ttis,
+                "must be at least 10 and at most 100000000",
+            ));
+        }
+        if let Some(bad) = [epsilon.0, epsilon.1].iter().find(|e| !(0.0..1.0).contains(*e)) {
+            return Err(invalid("epsilon", bad, "must be at least 0 and less than 1"));
+        }
+        let surface = scenario.area.surface();
+        // Rounded as a checkpoint holds them, so that going on from one is the same.
+        let begun = devices.iter().map(|&n| {
+            let mut entry = Entry::optimistic(n, surface, &settings.weights);
+            entry.round();
+            entry
+        });
+        Ok(Self {
+            entries: begun.collect(),
+            training: Training {
+                seed: scenario.seed,
+                ..training.clone()
+            },
+            settings: settings.clone(),
+            scenario: scenario.clone(),
+        })
+    }
+
+    /// Episodes that are still to be run.
+    pub fn episodes_left(&self) -> u64 {
+        let left = |entry: &Entry| self.training.episodes.saturating_sub(entry.curve.len() as u64);
+        self.entries.iter().map(left).sum()
+    }
+
+    /// The tables as they are.
+    pub fn learned(&self) -> Learned {
+        let first = Scenario {
+            devices: self.entries[0].devices,
+            ..self.scenario.clone()
+        };
+        Learned {
+            made_by: MADE_BY.to_owned(),
+            scenario: first.hash_hex(),
+            weights: self.settings.weights,
+            window: self.settings.window,
+            training: self.training.clone(),
+            setting: Setting::of(&self.scenario),
+            entries: self.entries.clone(),
+        }
+    }
+
+    /// Goes on from the checkpoint at `path`, if there is one. Says whether there was.
+    ///
+    /// # Errors
+    /// It is damaged or of another training.
+    pub fn resume(&mut self, path: &Path) -> Result<bool, TrainingError> {
+        if !path.exists() {
+            return Ok(false);
+        }
+        let found = Learned::read(path).map_err(|error| TrainingError::Checkpoint {
+            path: path.to_owned(),
+            error,
+        })?;
+        let mine = self.learned();
+        let ns = |learned: &Learned| learned.entries.iter().map(|e| e.devices).collect::<Vec<_>>();
+        let mut why = mine.setting.differences(&found.setting);
+        let differences = [
+            (found.made_by != mine.made_by, "another version of Reveille"),
+            (found.scenario != mine.scenario, "another scenario"),
+            (
+                !is_same_weights(&found.weights, &mine.weights) || found.window != mine.window,
+                "other weights or another window",
+            ),
+            (
+                !is_same_length(&found.training, &mine.training),
+                "other episodes, epsilon or seed",
+            ),
+            (ns(&found) != ns(&mine), "other numbers of devices"),
+        ];
+        why.extend(
+            differences
+                .iter()
+                .filter(|(differs, _)| *differs)
+                .map(|(_, why)| (*why).to_owned()),
+        );
+        if !why.is_empty() {
+            return Err(TrainingError::OtherCheckpoint {
+                path: path.to_owned(),
+                why: why.join(", "),
+            });
+        }
+        for (own, found) in self.entries.iter_mut().zip(found.entries) {
+            let surface = own.surface;
+            *own = Entry { surface, ..found };
+        }
+        Ok(true)
+    }
+
+    /// Trains to the end on `threads` threads, and keeps what is done in the file `checkpoint`, if one is named. Says whether
+    /// it got there: the observer may have stopped it.
+    ///
+    /// # Errors
+    /// The checkpoint cannot be written, or threads cannot be started.
+    pub fn train(
+        &mut self,
+        threads: usize,
+        checkpoint: Option<&Path>,
+        observer: &impl Observer,
+    ) -> Result<bool, TrainingError> {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        let pool = pool.map_err(|error| TrainingError::Threads {
+            threads,
+            reason: error.to_string(),
+        })?;
+        let kept = Mutex::new(self.learned());
+        let Self {
+            scenario,
+            settings,
+            training,
+            entries,
+        } = self;
+        let keep = |index: usize, entry: &Entry| {
+            let Some(path) = checkpoint else { return Ok(()) };
+            let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
+            kept.entries[index] = entry.clone();
+            replace(path, kept.to_json().as_bytes()).map_err(|error| TrainingError::Write {
+                path: path.to_owned(),
+                error,
+            })
+        };
+        // The longest first, so that no thread is left alone with it at the end.
+        let mut work: Vec<(usize, &mut Entry)> = entries.iter_mut().enumerate().collect();
+        work.reverse();
+        let ended = pool.install(|| {
+            work.par_iter_mut()
+                .map(|(index, entry)| {
+                    while (entry.curve.len() as u64) < training.episodes {
+                        let Some(next) = episode(scenario, settings, training, entry, observer) else {
+                            return Ok(false);
+                        };
+                        **entry = next;
+                        keep(*index, entry)?;
+                        observer.episode(entry.devices, entry.curve.last().expect("the episode's"));
+                    }
+                    Ok(true)
+                })
+                .collect::<Result<Vec<bool>, TrainingError>>()
+        })?;
+        Ok(ended.iter().all(|done| *done))
+    }
+}
+
+/// Whether numbers are the same but for the last bits, which reading a file may change.
+fn is_same(found: &[f64], mine: &[f64]) -> bool {
+    let mut pairs = found.iter().zip(mine);
+    pairs.all(|(a, b)| (a - b).abs() <= 1e-12 * a.abs().max(b.abs()))
+}
+
+fn is_same_weights(found: &Weights, mine: &Weights) -> bool {
+    is_same(&[found.mu1, found.mu2, found.zeta], &[mine.mu1, mine.mu2, mine.zeta])
+}
+
+fn is_same_length(found: &Training, mine: &Training) -> bool {
+    let [a, b] = [found, mine].map(|t| [t.epsilon.0, t.epsilon.1]);
+    is_same(&a, &b) && (found.episodes, found.ttis, found.seed) == (mine.episodes, mine.ttis, mine.seed)
+}
+
+/// The tables of `entry` after one more episode; `None` if the observer has stopped it.
+fn episode(
+    scenario: &Scenario,
+    settings: &QLearningSettings,
+    training: &Training,
+    entry: &Entry,
+    observer: &impl Observer,
+) -> Option<Entry> {
+    let number = entry.curve.len() as u64;
+    let (first, last) = training.epsilon;
+    let progress = number as f64 / (training.episodes - 1).max(1) as f64;
+    let settings = QLearningSettings {
+        learn: true,
+        epsilon: first + progress * (last - first),
+        start: Arc::new(entry.clone()),
+        ..settings.clone()
+    };
+    let mut one = Scenario {
+        devices: entry.devices,
+        ttis: training.ttis,
+        warm_up: WARM_UP,
+        seed: SEEDS
+            .wrapping_add(training.seed.wrapping_mul(0x1_0000_0001))
+            .wrapping_add(u64::from(entry.devices) << 20)
+            .wrapping_add(number),
+        policy: PolicyConfig::QLearning(settings),
+        ..scenario.clone()
+    };
+    one.bs.ranking = if number.is_multiple_of(2) {
+        WakeUpRanking::Posterior
+    } else {
+        WakeUpRanking::P42
+    };
+    let mut deployment = Deployment::new(&one);
+    let mut stream = Stream::new(one.seed, Purpose::Training, 0);
+    for device in &mut deployment.devices {
+        device.energy.initial = Energy::from_micro((stream.unit() * device.energy.e_max.micro() as f64) as u64);
+    }
+    let options = Options {
+        window: LOOK,
+        ..Options::default()
+    };
+    let outcome = Run::on(&one, &deployment, options).finish(&mut Stop(observer));
+    let mut learned = outcome.learned.clone().filter(|_| outcome.complete)?;
+    learned.curve.push(point(&outcome, (number + 1) * training.ttis));
+    learned.round();
+    Some(learned)
+}
+
+/// Stops a run when the observer says so.
+struct Stop<'a, O>(&'a O);
+
+impl<O: Observer> Watcher for Stop<'_, O> {
+    fn window(&mut self, _: &WindowRecord, _: &[EventRecord]) -> bool {
+        !self.0.stop()
+    }
+}
+
+/// What the policy has learned in a run of `scenario` that came to `outcome`, as a file of one entry; `None` for one that
+/// does not learn.
+pub fn learned_in(scenario: &Scenario, outcome: &Outcome) -> Option<Learned> {
+    let PolicyConfig::QLearning(settings) = &scenario.policy else {
+        return None;
+    };
+    let mut entry = outcome.learned.clone()?;
+    (entry.devices, entry.surface) = (scenario.devices, scenario.area.surface());
+    let before = entry.curve.last().map_or(0, |point| point.ttis);
+    entry.curve.push(point(outcome, before + outcome.ttis_done));
+    Some(Learned {
+        made_by: MADE_BY.to_owned(),
+        scenario: scenario.hash_hex(),
+        weights: settings.weights,
+        window: settings.window,
+        training: Training {
+            episodes: 1,
+            ttis: outcome.ttis_done.max(1),
+            epsilon: (settings.epsilon, settings.epsilon),
+            seed: scenario.seed,
+        },
+        setting: Setting::of(scenario),
+        entries: vec![entry],
+    })
+}
+
+/// The point on the learning curve after a run that came to `outcome`, at `ttis`.
+fn point(outcome: &Outcome, ttis: u64) -> CurvePoint {
+    let reward = outcome.facts.iter().find(|(name, _)| *name == "reward_per_tti");
+    let defined = |x: f64| if x.is_nan() { 0.0 } else { x };
+    CurvePoint {
+        ttis,
+        reward: reward.map_or(0.0, |(_, reward)| *reward),
+        information: defined(outcome.metrics.info_per_event),
+        energy: defined(outcome.metrics.energy_per_device_tti),
+    }
+}
+
+/// The name of the checkpoint of a training that ends in the file `out`.
+pub fn checkpoint(out: &Path) -> PathBuf {
+    let mut name = out.as_os_str().to_owned();
+    name.push(".checkpoint");
+    PathBuf::from(name)
+}
+
+#[cfg(test)]
+#[path = "toy_tests.rs"]
+mod toy_tests;
+
+#[cfg(test)]
+#[path = "training_tests.rs"]
+mod tests;

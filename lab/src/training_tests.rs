@@ -1,0 +1,183 @@
+use reveille_common::geometry::Area;
+use reveille_common::ids::DeviceId;
+use reveille_common::scenario::{Override, load};
+
+use super::toy_tests::uncovered;
+use super::*;
+
+fn scenario(preset: &str, set: &[&str]) -> Scenario {
+    let always = [
+        "policy.name=q-learning",
+        "policy.q-learning.learn=true",
+        "policy.q-learning.table=nothing",
+    ];
+    let set: Vec<Override> = always
+        .iter()
+        .chain(set)
+        .map(|text| Override::parse(text).expect("an override"))
+        .collect();
+    load(preset, &set).expect("a scenario")
+}
+
+fn training(episodes: u64, ttis: u64) -> Training {
+    Training {
+        episodes,
+        ttis,
+        epsilon: (0.1, 0.03),
+        seed: 1,
+    }
+}
+
+fn trained(scenario: &Scenario, devices: u32, episodes: u64, ttis: u64) -> Entry {
+    let mut trainer = Trainer::new(scenario, &[devices], &training(episodes, ttis)).expect("a training");
+    assert!(
+        trainer.train(1, None, &()).expect("no file is written"),
+        "nobody stops it"
+    );
+    trainer.learned().entries.swap_remove(0)
+}
+
+/// A run with these tables, which learns no more.
+fn evaluation(scenario: &Scenario, entry: &Entry, seed: u64, ttis: u64) -> Scenario {
+    let PolicyConfig::QLearning(settings) = &scenario.policy else {
+        panic!("q-learning");
+    };
+    let settings = QLearningSettings {
+        learn: false,
+        start: Arc::new(entry.clone()),
+        ..settings.clone()
+    };
+    Scenario {
+        devices: entry.devices,
+        policy: PolicyConfig::QLearning(settings),
+        seed,
+        ttis,
+        ..scenario.clone()
+    }
+}
+
+fn sensing_per_tti(outcome: &reveille_bs::outcome::Outcome) -> f64 {
+    let fact = outcome.facts.iter().find(|(name, _)| *name == "sensing_per_tti");
+    fact.expect("a fact of the policy").1
+}
+
+#[test]
+fn without_a_reward_for_detection_everyone_is_asleep() {
+    for preset in ["paper", "paper-literal"] {
+        for devices in [10, 60] {
+            let scenario = scenario(preset, &["policy.q-learning.mu1=0"]);
+            let entry = trained(&scenario, devices, 6, 1000);
+            for seed in 1..=3 {
+                let outcome = crate::run::run(&evaluation(&scenario, &entry, seed, 1500));
+                let sensing = sensing_per_tti(&outcome);
+                assert!(sensing == 0.0, "{preset}, N = {devices}: {sensing} sense");
+            }
+        }
+    }
+    // With a reward the same training has some sense.
+    let scenario = scenario("paper", &["policy.q-learning.mu1=14"]);
+    let entry = trained(&scenario, 10, 6, 1000);
+    let sensing = sensing_per_tti(&crate::run::run(&evaluation(&scenario, &entry, 1, 1500)));
+    assert!(sensing > 1.0, "{sensing} sense");
+}
+
+#[test]
+fn with_energy_for_all_and_a_huge_reward_all_that_can_be_is_covered() {
+    for (window, devices) in [(1, 30), (4, 30), (1, 80)] {
+        let scenario = scenario(
+            "paper",
+            &[
+                "policy.q-learning.mu1=100000",
+                &format!("policy.q-learning.window={window}"),
+                "energy.e_max=10000",
+                "energy.initial=10000",
+                "energy.e_idle=0.001",
+                "energy.e_wur=0.0001",
+            ],
+        );
+        let entry = trained(&scenario, devices, 6, 1000);
+        let Area { width, height } = scenario.area;
+        for seed in 1..=2 {
+            let one = evaluation(&scenario, &entry, seed, 60);
+            let points = Deployment::new(&one).positions();
+            let of = |plans: &[Vec<bool>]| {
+                let sensed = |j: &usize| plans.iter().any(|plan| plan[*j]);
+                let points: Vec<_> = (0..points.len()).filter(sensed).map(|j| points[j]).collect();
+                uncovered(Area { width, height }, &points)
+            };
+            let least = of(&[vec![true; points.len()]]);
+            assert!(least < 0.3, "{least}");
+            let mut run = Run::on(&one, &Deployment::new(&one), Options::default());
+            let mut plans: Vec<Vec<bool>> = Vec::new();
+            for k in 0..60_u64 {
+                run.grant();
+                assert_eq!(run.cycle().next_tti().0, k + 1, "it decides in every TTI");
+                let plan = run.cycle().plan();
+                let is_on = |j: u32| plan.duty_cycle(DeviceId(j)).is_on(reveille_common::ids::Tti(k));
+                plans.push((0..devices).map(is_on).collect());
+                if plans.len() >= window {
+                    let share = of(&plans[plans.len() - window..]);
+                    let what = format!("window {window}, N = {devices}, seed {seed}, TTI {k}");
+                    assert!(
+                        (share - least).abs() < 1e-12,
+                        "{what}: {share}, not {least}, is uncovered"
+                    );
+                }
+            }
+            let all = plans.iter().flatten().filter(|on| **on).count();
+            assert!(all < 60 * devices as usize, "nor more than that");
+        }
+    }
+}
+
+#[test]
+fn a_training_goes_on_from_any_checkpoint_as_if_nothing_had_been() {
+    let folder = std::env::temp_dir().join(format!("reveille-training-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).expect("a folder");
+    let path = folder.join("kept");
+    let mut stream = Stream::new(5, Purpose::Training, 0);
+    for _ in 0..12 {
+        // Numbers that a file does not hold to the last bit, and of 1/(1 − ζ) not even nearly.
+        let set = [
+            format!("policy.q-learning.mu1={}", 20.0 * stream.unit()),
+            format!("policy.q-learning.mu2={}", 5.0 * stream.unit()),
+            format!("policy.q-learning.zeta={}", 0.99 * stream.unit()),
+            format!("area.width={}", 10.0 + 10.0 * stream.unit()),
+            format!("area.height={}", 10.0 + 10.0 * stream.unit()),
+            format!("events.alpha={}", stream.unit()),
+        ];
+        let set: Vec<&str> = set.iter().map(String::as_str).collect();
+        let scenario = scenario("paper", &set);
+        let how = Training {
+            epsilon: (0.9 * stream.unit(), 0.9 * stream.unit()),
+            ..training(3, 60)
+        };
+        let new = || Trainer::new(&scenario, &[5, 9], &how).expect("a training");
+        let mut whole = new();
+        assert!(!whole.resume(&path).expect("none"));
+        assert!(whole.train(2, None, &()).expect("no file"));
+        let stop = AtEpisode(std::sync::atomic::AtomicU64::new(stream.below(6)));
+        let mut cut = new();
+        assert!(!cut.train(1, Some(&path), &stop).expect("a file") || !path.exists());
+        let mut rest = new();
+        let resumed = rest.resume(&path).expect("a checkpoint of this training");
+        assert_eq!(resumed, rest.episodes_left() < 6);
+        assert!(rest.train(1, Some(&path), &()).expect("a file"));
+        assert!(rest.learned().to_json() == whole.learned().to_json());
+        std::fs::remove_file(&path).expect("the checkpoint");
+    }
+    std::fs::remove_dir(&folder).expect("the folder");
+}
+
+/// Stops when so many episodes have ended.
+struct AtEpisode(std::sync::atomic::AtomicU64);
+
+impl Observer for AtEpisode {
+    fn episode(&self, _: u32, _: &CurvePoint) {
+        self.0.fetch_sub(1, std::sync::atomic::Ordering::Relaxed);
+    }
+
+    fn stop(&self) -> bool {
+        self.0.load(std::sync::atomic::Ordering::Relaxed) == 0
+    }
+}

@@ -1,0 +1,116 @@
+//! Bayesian optimisation: a Gaussian process over (ln μ1, ln μ2), and the pair of the largest expected improvement next.
+//!
+//! The work is done by egobox. It runs on one thread and from one seed, so the same points always lead to the same next one.
+
+use egobox_ego::{CorrelationSpec, EgorServiceBuilder, InfillStrategy, RegressionSpec};
+use egobox_gp::GaussianProcess;
+use egobox_gp::correlation_models::Matern52Corr;
+use egobox_gp::mean_models::ConstantMean;
+use linfa::Dataset;
+use linfa::traits::Fit;
+use ndarray::{Array1, Array2, array};
+
+use super::evaluation::pool;
+use super::{History, Pair, Proposer, Ranges, TuningError};
+use crate::figures::tuning::Surface;
+
+/// Values along each side of a surface.
+const SIDE: usize = 40;
+/// The least noise that a surrogate has, as a share of the variance of its points: matrices are regular with it.
+const LEAST_NOISE: f64 = 1e-6;
+
+/// The optimiser: log expected improvement.
+#[derive(Clone, Copy, Debug)]
+pub struct Bayes {
+    /// Its seed.
+    pub seed: u64,
+}
+
+/// The places of `points` in the unit square, and their objectives with mean 0 and variance 1.
+fn standard(ranges: &Ranges, points: &[(Pair, f64)]) -> (Array2<f64>, Array1<f64>, (f64, f64)) {
+    let places: Array1<[f64; 2]> = points.iter().map(|(pair, _)| ranges.place(*pair)).collect();
+    let x = Array2::from_shape_fn((points.len(), 2), |(row, column)| places[row][column]);
+    let count = points.len() as f64;
+    let mean = points.iter().map(|(_, value)| value).sum::<f64>() / count;
+    let variance = points
+        .iter()
+        .map(|(_, value)| (value - mean) * (value - mean))
+        .sum::<f64>()
+        / count;
+    let deviation = variance.sqrt().max(f64::MIN_POSITIVE);
+    let y = points.iter().map(|(_, value)| (value - mean) / deviation).collect();
+    (x, y, (mean, deviation))
+}
+
+impl Proposer for Bayes {
+    fn propose(&self, ranges: &Ranges, points: &[(Pair, f64)]) -> Result<Pair, TuningError> {
+        let (x, y, _) = standard(ranges, points);
+        // The optimiser looks for a minimum.
+        let y = y.mapv(|value| -value).insert_axis(ndarray::Axis(1));
+        let optimiser = EgorServiceBuilder::optimize()
+            .configure(|config| {
+                config
+                    .configure_gp(|gp| {
+                        gp.regression_spec(RegressionSpec::CONSTANT)
+                            .correlation_spec(CorrelationSpec::MATERN52)
+                    })
+                    .infill_strategy(InfillStrategy::LogEI)
+                    .seed(self.seed)
+            })
+            .min_within(&array![[0.0, 1.0], [0.0, 1.0]])
+            .map_err(|error| TuningError::Model {
+                what: "optimiser",
+                why: error.to_string(),
+            })?;
+        let next = pool(1)?.install(|| optimiser.suggest(&x, &y));
+        let place = next.row(0).iter().copied().collect::<Vec<f64>>();
+        match place[..] {
+            [u, v] if u.is_finite() && v.is_finite() => Ok(ranges.at([u.clamp(0.0, 1.0), v.clamp(0.0, 1.0)])),
+            _ => Err(TuningError::Model {
+                what: "optimiser",
+                why: format!("it proposes {place:?}"),
+            }),
+        }
+    }
+}
+
+/// The mean of a Gaussian process through the points of `history`, at the middles of 40 × 40 cells of `ranges`.
+///
+/// Its noise is the mean variance of the objective's mean at a point, from the intervals.
+///
+/// # Errors
+/// The points do not determine a process.
+pub fn surface(ranges: &Ranges, history: &History) -> Result<Surface, TuningError> {
+    let failed = |error: egobox_gp::GpError| TuningError::Model {
+        what: "surrogate",
+        why: error.to_string(),
+    };
+    let (x, y, (mean, deviation)) = standard(ranges, &history.objectives());
+    let process = pool(1)?.install(|| {
+        GaussianProcess::<f64, ConstantMean, Matern52Corr>::params(ConstantMean::default(), Matern52Corr::default())
+            .nugget(noise(history, deviation))
+            .fit(&Dataset::new(x, y))
+            .map_err(failed)
+    })?;
+    let middle = |i: usize| (i as f64 + 0.5) / SIDE as f64;
+    let grid = Array2::from_shape_fn((SIDE * SIDE, 2), |(row, column)| {
+        middle(if column == 0 { row % SIDE } else { row / SIDE })
+    });
+    let values = process.predict(&grid).map_err(failed)?;
+    let values: Vec<f64> = values.iter().map(|value| mean + deviation * value).collect();
+    Ok(Surface {
+        rows: values.chunks(SIDE).map(<[f64]>::to_vec).collect(),
+    })
+}
+
+/// The noise of a point as a share of the variance of all, whose root is `deviation`.
+fn noise(history: &History, deviation: f64) -> f64 {
+    let halves = history.points.iter().map(|point| point.evaluation.objective_half);
+    let errors: Vec<f64> = halves
+        .filter(|half| half.is_finite())
+        // A 95 % interval reaches about two standard errors to each side.
+        .map(|half| (0.5 * half / deviation) * (0.5 * half / deviation))
+        .collect();
+    let mean = errors.iter().sum::<f64>() / errors.len().max(1) as f64;
+    mean.clamp(LEAST_NOISE, 1.0)
+}

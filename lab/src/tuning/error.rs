@@ -1,0 +1,71 @@
+//! What can be wrong with a tuning.
+
+use std::path::PathBuf;
+
+use crate::training::TrainingError;
+
+/// Why a tuning could not be begun or finished.
+#[derive(Debug, thiserror::Error)]
+pub enum TuningError {
+    /// A value is out of its range.
+    #[error("{what} = {value}: {allowed}")]
+    Invalid {
+        /// Which.
+        what: &'static str,
+        /// What it is.
+        value: String,
+        /// What it may be.
+        allowed: &'static str,
+    },
+    /// The tables of a pair cannot be trained.
+    #[error(transparent)]
+    Training(#[from] TrainingError),
+    /// No evaluation run had an event that counts.
+    #[error("none of the evaluation runs of {ttis} TTIs had an event that counts: longer ones do (--ttis)")]
+    NoEvent {
+        /// Their length.
+        ttis: u64,
+    },
+    /// The file is no history.
+    #[error("{}: is no history of a tuning: {why}", path.display())]
+    NotOurs {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        why: String,
+    },
+    /// The history belongs to another tuning.
+    #[error("{}: is the history of another tuning ({why}); give that one's options, another --out, or --force to begin anew", path.display())]
+    Foreign {
+        /// The file.
+        path: PathBuf,
+        /// What differs.
+        why: String,
+    },
+    /// The history cannot be read.
+    #[error("{}: cannot be read: {error}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the operating system said.
+        #[source]
+        error: std::io::Error,
+    },
+    /// The history cannot be written.
+    #[error("{}: cannot be written: {error}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What the operating system said.
+        #[source]
+        error: std::io::Error,
+    },
+    /// The optimiser or the surrogate has failed.
+    #[error("the {what} failed: {why}")]
+    Model {
+        /// Which.
+        what: &'static str,
+        /// What it said.
+        why: String,
+    },
+}
