@@ -18,6 +18,9 @@ use cli::{Cli, Command};
 
 /// The exit code of a run that Ctrl-C cut short, as shells have it.
 const INTERRUPTED: u8 = 130;
+/// The exit code for what this build cannot do, as for a command line that is wrong.
+#[cfg(not(feature = "tune"))]
+const NOT_BUILT: u8 = 2;
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
@@ -27,7 +30,10 @@ fn main() -> ExitCode {
         Err(error) => {
             eprintln!("reveille: {error:#}");
             let by_bs = error.downcast_ref::<BsError>().is_some_and(BsError::is_interruption);
-            if by_bs || error.is::<commands::run::Interrupted>() || error.is::<commands::sweep::Interrupted>() {
+            let in_memory = error.is::<commands::run::Interrupted>()
+                || error.is::<commands::sweep::Interrupted>()
+                || error.is::<commands::train::Interrupted>();
+            if by_bs || in_memory {
                 ExitCode::from(INTERRUPTED)
             } else {
                 ExitCode::FAILURE
@@ -42,6 +48,8 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
         Command::Scenario(command) => commands::scenario::run(&command),
         Command::Run(args) => commands::run::run(&args),
         Command::Sweep(args) => commands::sweep::run(&args),
+        Command::Train(command) => commands::train::run(&command),
+        Command::Tune(args) => tune(&args),
         Command::Merge(args) => commands::merge::run(&args),
         Command::Up(args) => runtime(2)?.block_on(commands::up::run(&args, &log)),
         Command::Bs(args) => runtime(2)?.block_on(commands::bs::run(&args)),
@@ -53,6 +61,18 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
         Command::Analyse(command) => commands::analyse::run(&command),
         Command::Bench(command) => bench::run(&command),
     }
+}
+
+#[cfg(feature = "tune")]
+fn tune(args: &cli::TuneArgs) -> anyhow::Result<ExitCode> {
+    commands::tune::run(args)
+}
+
+#[cfg(not(feature = "tune"))]
+#[expect(clippy::unnecessary_wraps, reason = "as with the feature")]
+fn tune(_: &cli::TuneArgs) -> anyhow::Result<ExitCode> {
+    eprintln!("reveille: this build has no optimiser; build one with `cargo run --release --features tune -- tune …`");
+    Ok(ExitCode::from(NOT_BUILT))
 }
 
 #[expect(clippy::disallowed_methods, reason = "the command line reports how long things took")]

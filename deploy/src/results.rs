@@ -5,6 +5,7 @@
 //! | `scenario.toml` | the resolved scenario |
 //! | `events.csv` | a row per event |
 //! | `windows.csv` | a row per window of TTIs |
+//! | `learned.json` | the tables of a policy that has learned in the run |
 //! | `summary.json` | metrics, digest, timing, versions |
 //! | `RUNNING` | there while the run goes; left behind, the run was killed |
 //! | `FAILED` | why a run ended without a summary |
@@ -21,6 +22,7 @@ use reveille_common::metrics::{Metrics, PICO_PER_INFORMATION, Totals};
 use reveille_common::scenario::Scenario;
 use reveille_common::units::MICRO_PER_UNIT;
 use reveille_lab::table::replace;
+use reveille_lab::training::learned_in;
 use serde::Serialize;
 
 use crate::cli::OutputArgs;
@@ -29,8 +31,9 @@ const RUNNING: &str = "RUNNING";
 const FAILED: &str = "FAILED";
 const SCENARIO: &str = "scenario.toml";
 const SUMMARY: &str = "summary.json";
+const LEARNED: &str = "learned.json";
 /// What a run that was killed while it wrote may have left.
-const PARTS: [&str; 2] = ["scenario.toml.part", "summary.json.part"];
+const PARTS: [&str; 3] = ["scenario.toml.part", "summary.json.part", "learned.json.part"];
 
 /// The form of `summary.json`; raised when a field changes its meaning.
 const SUMMARY_VERSION: u32 = 1;
@@ -217,6 +220,15 @@ impl RunFolder {
         Ok(())
     }
 
+    /// Keeps what the policy has learned in the run, if it learns.
+    pub fn keep_learned(&self, scenario: &Scenario, outcome: &Outcome) -> anyhow::Result<()> {
+        let Some(learned) = learned_in(scenario, outcome) else {
+            return Ok(());
+        };
+        replace(&self.path.join(LEARNED), learned.to_json().as_bytes())
+            .with_context(|| format!("cannot write in the run folder {}", self.path.display()))
+    }
+
     /// Marks the run as failed.
     pub fn fail(mut self, why: &anyhow::Error) {
         self.mark(&format!("{why:#}\n"));
@@ -333,7 +345,7 @@ fn clear(path: &Path, force: bool) -> anyhow::Result<()> {
         };
         bail!("--out {}: the folder is not empty; {hint}", path.display());
     }
-    let files = [SUMMARY, RUNNING, FAILED, SCENARIO, "events.csv", "windows.csv"];
+    let files = [SUMMARY, LEARNED, RUNNING, FAILED, SCENARIO, "events.csv", "windows.csv"];
     for name in files.into_iter().chain(PARTS) {
         let file = path.join(name);
         if file.exists() {

@@ -79,6 +79,7 @@ fn sizes() -> Sizes {
         last: tti,
         stimulus: None,
         account: false,
+        batteries: false,
         plan: Tti::ZERO,
     });
     let answer = Answer::Done {
@@ -87,6 +88,7 @@ fn sizes() -> Sizes {
         reports: 0,
         failures: Vec::new(),
         totals: None,
+        batteries: None,
     };
     Sizes {
         tick: codec::encode(&tick).len(),

@@ -70,7 +70,7 @@ pub struct TransitionsArgs {
     /// Number of devices N.
     #[arg(long, short = 'n', allow_negative_numbers = true)]
     pub devices: Option<String>,
-    /// Policy: knn, adjusted, random or genie.
+    /// Policy: knn, adjusted, q-learning, random or genie.
     #[arg(long, short)]
     pub policy: Option<String>,
     /// Length of a run in TTIs, warm-up included.
@@ -172,7 +172,7 @@ pub struct RuntimeArgs {
     )]
     pub devices: String,
     /// Policies, separated by commas.
-    #[arg(long, short, default_value = "knn,adjusted,random,genie")]
+    #[arg(long, short, default_value = "knn,adjusted,q-learning,random,genie")]
     pub policies: String,
     /// TTIs of a timed run.
     #[arg(long, short = 'k', default_value = "5000", allow_hyphen_values = true)]

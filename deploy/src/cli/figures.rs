@@ -37,7 +37,7 @@ pub struct FiguresArgs {
     #[arg(required = true, value_name = "TABLE")]
     pub tables: Vec<PathBuf>,
     /// Only these figures, separated by commas, of: information, energy, misdetection, low-energy, battery, wrong, wasted,
-    /// harvest, net [default: all].
+    /// harvest, net, pareto [default: all].
     #[arg(long, value_delimiter = ',', value_name = "FIGURE")]
     pub only: Vec<String>,
     /// The pictures.
@@ -52,6 +52,47 @@ pub enum FiguresCommand {
     Deployment(DeploymentArgs),
     /// Battery and states S1 to S4 of some devices, TTI by TTI, with events and wake-ups.
     Timeline(TimelineArgs),
+    /// Learning curves of tables of `reveille train`: reward and information by TTIs of training, for each N.
+    Learning(LearningArgs),
+    /// Learned tables for one N as heat maps: what sensing is worth, or what waking is worth.
+    QTable(QTableArgs),
+}
+
+/// `reveille figures learning`.
+#[derive(Args)]
+pub struct LearningArgs {
+    /// Files of learned tables, at most 6.
+    #[arg(required = true, value_name = "FILE")]
+    pub files: Vec<PathBuf>,
+    /// The pictures.
+    #[command(flatten)]
+    pub pictures: PictureArgs,
+}
+
+/// `reveille figures q-table`.
+#[derive(Args)]
+pub struct QTableArgs {
+    /// A file of learned tables.
+    #[arg(value_name = "FILE")]
+    pub file: PathBuf,
+    /// The N of the tables to draw, or several, separated by commas.
+    #[arg(long, short = 'n', value_delimiter = ',', required = true, value_name = "N")]
+    pub devices: Vec<u32>,
+    /// Draw the wake-up table for this ranking, not the duty cycling.
+    #[arg(long, value_enum, value_name = "RANKING")]
+    pub wake: Option<RankingArg>,
+    /// The pictures.
+    #[command(flatten)]
+    pub pictures: PictureArgs,
+}
+
+/// How wake-up candidates were ranked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum RankingArg {
+    /// By `P_4,2`.
+    P42,
+    /// By the belief over the epicentre.
+    Posterior,
 }
 
 /// `reveille figures deployment`.

@@ -6,17 +6,26 @@ mod parse;
 mod run;
 mod sweep;
 mod tools;
+mod train;
+mod tune;
 
 use clap::{Parser, Subcommand, ValueEnum};
 use reveille_common::logging::LogFormat;
 
 pub use analyse::{AnalyseCommand, BatteryArgs, HarvestArgs, IminArgs, RuntimeArgs, StudyArgs, TransitionsArgs};
-pub use figures::{DeploymentArgs, FiguresArgs, FiguresCommand, FormatArg, PictureArgs, ReportArgs, TimelineArgs};
+pub use figures::{
+    DeploymentArgs, FiguresArgs, FiguresCommand, FormatArg, LearningArgs, PictureArgs, QTableArgs, RankingArg,
+    ReportArgs, TimelineArgs,
+};
 pub use run::{BsArgs, DeviceArgs, DriveArgs, OutputArgs, RunArgs, ScenarioArgs, UpArgs};
 pub use sweep::{MergeArgs, SweepArgs};
 pub use tools::{
     BenchCommand, BusBenchArgs, ClockArgs, InspectCommand, MemoryBenchArgs, ScenarioCommand, TailArgs, TargetArgs,
 };
+pub use train::{TrainArgs, TrainCommand};
+#[cfg(feature = "tune")]
+pub use tune::ObjectiveArg;
+pub use tune::TuneArgs;
 
 /// Emulates a base station and many battery-less IoT devices that live on harvested energy.
 #[derive(Parser)]
@@ -73,6 +82,13 @@ pub enum Command {
     /// Put the tables of the shards of a sweep together.
     #[command(after_help = "Example:\n  reveille merge shard-1 shard-2 shard-3 --out results.parquet")]
     Merge(MergeArgs),
+    /// Train a policy that learns, in memory, and keep what it has learned in a file.
+    #[command(subcommand)]
+    Train(TrainCommand),
+    /// Look for the weights μ1 and μ2 of q-learning that serve an objective best, by Bayesian optimisation. Needs the cargo
+    /// feature `tune`.
+    #[command(after_help = tune::EXAMPLES)]
+    Tune(TuneArgs),
     /// Start only the base station, and wait for devices to connect.
     #[command(
         after_help = "Example, on two machines:\n  reveille bs --listen tcp/0.0.0.0:7447 --run demo --devices 50\n  \

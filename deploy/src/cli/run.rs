@@ -24,9 +24,13 @@ pub struct ScenarioArgs {
     #[arg(long, short = 'n', allow_negative_numbers = true)]
     pub devices: Option<String>,
 
-    /// Policy: knn, adjusted, random or genie.
+    /// Policy: knn, adjusted, q-learning, random or genie.
     #[arg(long, short)]
     pub policy: Option<String>,
+
+    /// Let a policy that learns go on learning in the run; the run folder keeps what it has learned.
+    #[arg(long)]
+    pub learn: bool,
 
     /// Length of the run K in TTIs, warm-up included.
     #[arg(long, short = 'k', allow_negative_numbers = true)]

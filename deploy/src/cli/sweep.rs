@@ -56,7 +56,7 @@ pub struct GridArgs {
     #[arg(long, short, help_heading = "Grid")]
     pub scenario: Option<String>,
 
-    /// Policies, separated by commas: knn, adjusted, random, genie [default: the scenario's].
+    /// Policies, separated by commas: knn, adjusted, q-learning, random, genie [default: the scenario's].
     #[arg(long, short, value_delimiter = ',', help_heading = "Grid")]
     pub policies: Option<Vec<String>>,
 

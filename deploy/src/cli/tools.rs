@@ -160,7 +160,7 @@ pub struct MemoryBenchArgs {
     #[arg(long, value_delimiter = ',', default_value = "10,50,250,2500")]
     pub devices: Vec<u32>,
     /// Policies to measure.
-    #[arg(long, value_delimiter = ',', default_value = "knn,adjusted,random,genie")]
+    #[arg(long, value_delimiter = ',', default_value = "knn,adjusted,q-learning,random,genie")]
     pub policies: Vec<String>,
     /// TTIs of each run.
     #[arg(long, default_value_t = 100_000)]

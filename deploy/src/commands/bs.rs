@@ -139,7 +139,9 @@ pub async fn serve(
             look(&mut timing);
             let summary = Summary::new(scenario, &served.outcome, timing);
             let path = folder.path().to_owned();
-            folder.finish(&summary).and_then(|()| conclude(output, &summary, &path))
+            let kept = folder.keep_learned(scenario, &served.outcome);
+            kept.and_then(|()| folder.finish(&summary))
+                .and_then(|()| conclude(output, &summary, &path))
         }
         Err(error) => {
             let error = match progress.cause.get() {

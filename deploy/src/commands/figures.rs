@@ -4,15 +4,20 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use anyhow::Context as _;
+use anyhow::{Context as _, anyhow};
+use reveille_common::learned::{Entry, Learned};
+use reveille_common::scenario::WakeUpRanking;
 use reveille_lab::figures::results::{Results, Setting};
 use reveille_lab::figures::scene::Scene;
 use reveille_lab::figures::timeline::Timeline;
-use reveille_lab::figures::{deployment, energy, png, study, svg, timeline};
+use reveille_lab::figures::{deployment, energy, learning, pareto, png, q_table, study, svg, timeline};
 use reveille_lab::table::{Table, replace};
 
 use super::{resolve, table_of};
-use crate::cli::{DeploymentArgs, FiguresArgs, FiguresCommand, FormatArg, PictureArgs, TimelineArgs};
+use crate::cli::{
+    DeploymentArgs, FiguresArgs, FiguresCommand, FormatArg, LearningArgs, PictureArgs, QTableArgs, RankingArg,
+    TimelineArgs,
+};
 use crate::display;
 
 /// Draws what is asked for.
@@ -20,12 +25,15 @@ pub fn run(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
     match &args.command {
         Some(FiguresCommand::Deployment(args)) => draw_deployment(args),
         Some(FiguresCommand::Timeline(args)) => draw_timeline(args),
+        Some(FiguresCommand::Learning(args)) => draw_learning(args),
+        Some(FiguresCommand::QTable(args)) => draw_q_table(args),
         None => draw_study(args),
     }
 }
 
 fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
-    let chosen = study::chosen(&args.only, &energy::NAMES)?;
+    let [harvest, net] = energy::NAMES;
+    let chosen = study::chosen(&args.only, &[harvest, net, pareto::NAME])?;
     let results = read(&args.tables)?;
     for (setting, label) in results.settings.iter().zip(results.file_labels()) {
         for figure in &chosen {
@@ -53,14 +61,36 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
             )?;
         }
         draw_energy(args, &label, setting)?;
+        draw_pareto(args, &label, setting)?;
     }
     Ok(ExitCode::SUCCESS)
 }
 
+fn is_chosen(args: &FiguresArgs, name: &str) -> bool {
+    args.only.is_empty() || args.only.iter().any(|only| only == name)
+}
+
+/// Information against energy.
+fn draw_pareto(args: &FiguresArgs, label: &str, setting: &Setting) -> anyhow::Result<()> {
+    if !is_chosen(args, pareto::NAME) {
+        return Ok(());
+    }
+    let name = format!("{}-{label}", pareto::NAME);
+    let Some(chart) = pareto::chart(setting) else {
+        eprintln!("{name}: not drawn, no run has both information per event and energy");
+        return Ok(());
+    };
+    write(&args.pictures, &name, &chart.scene())?;
+    save(
+        &args.pictures.out,
+        &format!("{name}.csv"),
+        pareto::csv(setting).as_bytes(),
+    )
+}
+
 /// Figs. 13 and 14.
 fn draw_energy(args: &FiguresArgs, label: &str, setting: &Setting) -> anyhow::Result<()> {
-    let is_chosen = |name: &str| args.only.is_empty() || args.only.iter().any(|only| only == name);
-    let [harvest, net] = energy::NAMES.map(|name| (is_chosen(name), format!("{name}-{label}")));
+    let [harvest, net] = energy::NAMES.map(|name| (is_chosen(args, name), format!("{name}-{label}")));
     if !harvest.0 && !net.0 {
         return Ok(());
     }
@@ -125,6 +155,63 @@ fn draw_timeline(args: &TimelineArgs) -> anyhow::Result<ExitCode> {
     );
     write(&args.pictures, &name, &timeline::scene(&scenario, &shown))?;
     Ok(ExitCode::SUCCESS)
+}
+
+fn draw_learning(args: &LearningArgs) -> anyhow::Result<ExitCode> {
+    let read = |path: &PathBuf| Ok((path.display().to_string(), learned(path)?));
+    let sources = args.files.iter().map(read).collect::<anyhow::Result<Vec<_>>>()?;
+    let scene = learning::scene(&sources)?;
+    let stems: Vec<String> = args.files.iter().map(|path| stem(path)).collect();
+    let name = format!("learning-{}", stems.join("-"));
+    write(&args.pictures, &name, &scene)?;
+    save(
+        &args.pictures.out,
+        &format!("{name}.csv"),
+        learning::csv(&sources).as_bytes(),
+    )?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn draw_q_table(args: &QTableArgs) -> anyhow::Result<ExitCode> {
+    let (file, learned) = (args.file.display().to_string(), learned(&args.file)?);
+    let entry = |devices: &u32| q_table::entry(&file, &learned, *devices);
+    let entries = args.devices.iter().map(entry).collect::<Result<Vec<&Entry>, _>>()?;
+    for entry in entries {
+        let name = format!("q-table-{}-n{}", stem(&args.file), entry.devices);
+        let Some(ranking) = args.wake else {
+            write(&args.pictures, &name, &q_table::duty_scene(&learned, entry))?;
+            for (name, csv) in [
+                (format!("{name}.csv"), q_table::duty_csv(&learned, entry)),
+                (format!("{name}-value.csv"), q_table::value_csv(&learned, entry)),
+            ] {
+                save(&args.pictures.out, &name, csv.as_bytes())?;
+            }
+            continue;
+        };
+        let ranking = match ranking {
+            RankingArg::P42 => WakeUpRanking::P42,
+            RankingArg::Posterior => WakeUpRanking::Posterior,
+        };
+        let name = format!("{name}-wake-{}", ranking.name());
+        write(&args.pictures, &name, &q_table::wake_scene(&learned, entry, ranking))?;
+        save(
+            &args.pictures.out,
+            &format!("{name}.csv"),
+            q_table::wake_csv(entry, ranking).as_bytes(),
+        )?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The learned tables of the file at `path`.
+fn learned(path: &Path) -> anyhow::Result<Learned> {
+    Learned::read(path).map_err(|error| anyhow!("{}: {error}", path.display()))
+}
+
+/// The name of a file without its ending, as part of another's.
+fn stem(path: &Path) -> String {
+    let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+    stem.unwrap_or_default()
 }
 
 /// Writes a picture in all formats asked for, and says where.

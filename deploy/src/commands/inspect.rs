@@ -219,6 +219,7 @@ fn grant(f: &mut fmt::Formatter<'_>, tick: &Tick) -> fmt::Result {
         last,
         stimulus,
         account,
+        batteries,
         plan: _,
     } = tick;
     if first == last {
@@ -229,7 +230,8 @@ fn grant(f: &mut fmt::Formatter<'_>, tick: &Tick) -> fmt::Result {
     if let Some(Stimulus { event, epicentre }) = stimulus {
         write!(f, ", event {} at ({:.2}, {:.2}) m", event.0, epicentre.x, epicentre.y)?;
     }
-    f.write_str(if *account { ", sums wanted" } else { "" })
+    f.write_str(if *account { ", sums wanted" } else { "" })?;
+    f.write_str(if *batteries { ", batteries wanted" } else { "" })
 }
 
 fn describe(f: &mut fmt::Formatter<'_>, answer: &Answer) -> fmt::Result {

@@ -11,12 +11,15 @@ pub mod report;
 pub mod run;
 pub mod scenario;
 pub mod sweep;
+pub mod train;
+#[cfg(feature = "tune")]
+pub mod tune;
 pub mod up;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use reveille_common::scenario::{Override, Scenario, load};
+use reveille_common::scenario::{Override, PolicyConfig, Scenario, load};
 use reveille_lab::sweep::{SweepError, table_in};
 
 use crate::cli::{OutputArgs, ScenarioArgs};
@@ -41,7 +44,30 @@ pub fn resolve(args: &ScenarioArgs) -> anyhow::Result<Scenario> {
             overrides.push(Override::flag(flag, field, value)?);
         }
     }
-    Ok(load(&args.scenario, &overrides)?)
+    if args.learn {
+        overrides.push(Override::flag("--learn", "policy.q-learning.learn", "true")?);
+    }
+    let scenario = load(&args.scenario, &overrides)?;
+    match &scenario.policy {
+        PolicyConfig::QLearning(settings) if !settings.foreign.is_empty() => {
+            tracing::warn!(
+                "the tables of q-learning were learned on another setting ({}); for tables of its own: reveille train q-learning",
+                settings.foreign.join("; ")
+            );
+        }
+        PolicyConfig::Knn(_) | PolicyConfig::Adjusted(_) | PolicyConfig::Random | PolicyConfig::Genie if args.learn => {
+            anyhow::bail!(
+                "--learn: the policy {} does not learn; add --policy q-learning",
+                scenario.policy.name()
+            );
+        }
+        PolicyConfig::QLearning(_)
+        | PolicyConfig::Knn(_)
+        | PolicyConfig::Adjusted(_)
+        | PolicyConfig::Random
+        | PolicyConfig::Genie => {}
+    }
+    Ok(scenario)
 }
 
 /// TTIs in a window of the per-window series.

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use reveille_lab::figures::results::Setting;
 use reveille_lab::figures::scene::Scene;
-use reveille_lab::figures::{energy, study, svg};
+use reveille_lab::figures::{energy, pareto, study, svg};
 use reveille_lab::report::markdown::markdown;
 use reveille_lab::report::page::page;
 use reveille_lab::report::{Column, Report};
@@ -56,13 +56,18 @@ fn scenes(setting: &Setting) -> anyhow::Result<Vec<(&'static str, Scene)>> {
     if let Some(chart) = energy::net_chart(setting, &points) {
         scenes.push((net, chart.scene()));
     }
+    if let Some(chart) = pareto::chart(setting) {
+        scenes.push((pareto::NAME, chart.scene()));
+    }
     Ok(scenes)
 }
 
-/// Where a picture stands among the others: the paper's order.
+/// Where a picture stands among the others: the paper's order, then what the paper does not have.
 fn order(title: &str) -> usize {
-    let known = study::FIGURES.iter().position(|figure| title.starts_with(figure.title));
-    known.unwrap_or(study::FIGURES.len() + usize::from(title.starts_with("Net")))
+    let titles = study::FIGURES.iter().map(|figure| figure.title);
+    let mut titles = titles.chain(["Harvest", "Net", pareto::TITLE]);
+    let known = titles.position(|known| title.starts_with(known));
+    known.unwrap_or(usize::MAX)
 }
 
 /// The command line that makes this report again.

@@ -57,6 +57,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     };
     let summary = Summary::new(&scenario, &outcome, timing);
     let path = watcher.folder.path().to_owned();
+    watcher.folder.keep_learned(&scenario, &outcome)?;
     watcher.folder.finish(&summary)?;
     conclude(&args.output, &summary, &path)
 }

@@ -18,6 +18,7 @@ const TIMES: &[&str] = &[
     "run_us_per_tti",
     "decision_us",
     "wake_ups_per_decision",
+    "plan_us",
 ];
 const FITS: &[&str] = &["policy", "what", "exponent", "half_width", "paper"];
 
@@ -28,6 +29,8 @@ struct Times {
     tti_s: f64,
     decision_s: f64,
     wake_ups: f64,
+    /// NaN where a plan holds for good.
+    plan_s: f64,
 }
 
 /// Times every policy with every N, and fits.
@@ -76,6 +79,9 @@ pub fn run(args: &RuntimeArgs) -> anyhow::Result<ExitCode> {
             "adjusted searches one (t_on, t_DRX) for all devices, so its set-up is ϱ pilot runs and not the ϱ^N of a search that \
              gives each device its own. knn finds neighbours by a k-d tree, not by all N(N−1)/2 distances."
                 .to_owned(),
+            "q-learning decides in every TTI who senses (plan); a decision is what follows a report, with all wake-ups. The plans of \
+             the others hold for good."
+                .to_owned(),
             "The area is fixed, so density grows with N, and with it the devices that a report concerns.".to_owned(),
         ],
     };
@@ -83,7 +89,7 @@ pub fn run(args: &RuntimeArgs) -> anyhow::Result<ExitCode> {
 }
 
 fn measure(scenario: &Scenario, args: &RuntimeArgs) -> Times {
-    let (mut set_ups, mut runs, mut decisions) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut set_ups, mut runs, mut decisions, mut plans) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     let mut wake_ups = 0;
     for repetition in 0..args.repeat {
         // A seed of its own: what a search found for another deployment is no help.
@@ -101,12 +107,17 @@ fn measure(scenario: &Scenario, args: &RuntimeArgs) -> Times {
         let started = now();
         wake_ups += decide.run();
         decisions.push(started.elapsed().as_secs_f64() / args.events as f64);
+        let started = now();
+        let planned = decide.plan(args.events);
+        let seconds = started.elapsed().as_secs_f64() / args.events as f64;
+        plans.push(planned.map_or(f64::NAN, |()| seconds));
     }
     Times {
         n: f64::from(scenario.devices),
         set_up_s: median(set_ups),
         tti_s: median(runs),
         decision_s: median(decisions),
+        plan_s: median(plans),
         wake_ups: wake_ups as f64 / (args.events * args.repeat) as f64,
     }
 }
@@ -119,6 +130,7 @@ fn row(policy: &str, times: &Times) -> Vec<Cell> {
         (times.tti_s * 1e6).into(),
         (times.decision_s * 1e6).into(),
         times.wake_ups.into(),
+        (times.plan_s * 1e6).into(),
     ]
 }
 
@@ -129,9 +141,13 @@ fn fit(policy: &str, claim: &str, times: &[Times]) -> Vec<Vec<Cell>> {
         let law = power_law(&points).map_or((f64::NAN, f64::NAN), |law| (law.exponent, law.half_width));
         vec![policy.into(), what.into(), law.0.into(), law.1.into(), claim.into()]
     };
-    vec![
+    let mut fits = vec![
         fitted("set-up", |t| t.set_up_s, claim),
         fitted("run, per TTI", |t| t.tti_s, "–"),
         fitted("decision", |t| t.decision_s, "–"),
-    ]
+    ];
+    if times.iter().all(|t| t.plan_s.is_finite()) {
+        fits.push(fitted("plan", |t| t.plan_s, "–"));
+    }
+    fits
 }

@@ -1,0 +1,83 @@
+//! The options of `reveille train`.
+
+use std::num::NonZero;
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+
+use super::run::ScenarioArgs;
+
+/// What to train.
+#[derive(Subcommand)]
+pub enum TrainCommand {
+    /// Learn who senses and whom to wake, for each N, and write the tables to a file.
+    #[command(after_help = "Examples:\n  reveille train q-learning --out mine.json\n  \
+        reveille train q-learning --devices 700 --set policy.q-learning.mu1=5 --out mine.json\n\
+        Then:\n  reveille run --policy q-learning --set policy.q-learning.table=mine.json\n\n\
+        A training that was cut short, even by kill -9, goes on when the same command is given again.")]
+    QLearning(TrainArgs),
+}
+
+/// `reveille train q-learning`.
+#[derive(Args)]
+pub struct TrainArgs {
+    /// A preset's name (paper, paper-literal, quick) or a TOML file.
+    #[arg(long, short, default_value = "paper")]
+    pub scenario: String,
+    /// Override one field, for example --set policy.q-learning.mu1=5. May be repeated.
+    #[arg(long, value_name = "FIELD=VALUE")]
+    pub set: Vec<String>,
+    /// Numbers of devices to train for, separated by commas.
+    #[arg(
+        long,
+        short = 'n',
+        value_delimiter = ',',
+        default_value = "10,20,40,60,80,100,130,160,200,250"
+    )]
+    pub devices: Vec<u32>,
+    /// Episodes for each N, each on a deployment of its own.
+    #[arg(long, default_value_t = 12)]
+    pub episodes: u64,
+    /// Length of an episode, TTIs.
+    #[arg(long, default_value_t = 3000)]
+    pub episode_ttis: u64,
+    /// Share of decisions made at random in the first episode and in the last.
+    #[arg(long, value_delimiter = ',', num_args = 1, default_values_t = [0.1, 0.03])]
+    pub epsilon: Vec<f64>,
+    /// Seed of all episodes.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Threads; the result does not depend on them [default: one for each core].
+    #[arg(long)]
+    pub threads: Option<NonZero<usize>>,
+    /// The file for the tables.
+    #[arg(long, short)]
+    pub out: PathBuf,
+    /// Replace that file if it is there.
+    #[arg(long)]
+    pub force: bool,
+    /// No progress bar.
+    #[arg(long, short)]
+    pub quiet: bool,
+}
+
+impl TrainArgs {
+    /// The scenario's options.
+    pub fn scenario(&self) -> ScenarioArgs {
+        let mut set = vec![
+            "policy.name=q-learning".to_owned(),
+            "policy.q-learning.learn=true".to_owned(),
+        ];
+        set.push("policy.q-learning.table=nothing".to_owned());
+        set.extend(self.set.iter().cloned());
+        ScenarioArgs {
+            scenario: self.scenario.clone(),
+            set,
+            devices: None,
+            policy: None,
+            learn: false,
+            ttis: None,
+            seed: Some(self.seed.to_string()),
+        }
+    }
+}

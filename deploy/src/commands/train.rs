@@ -1,0 +1,136 @@
+//! `reveille train`: learning in memory.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::bail;
+use indicatif::ProgressBar;
+use reveille_common::learned::{CurvePoint, Training};
+use reveille_lab::table::replace;
+use reveille_lab::training::{Observer, Trainer, TrainingError, checkpoint};
+
+use super::resolve;
+use crate::cli::{TrainArgs, TrainCommand};
+use crate::display;
+
+/// Trains what is asked for.
+pub fn run(command: &TrainCommand) -> anyhow::Result<ExitCode> {
+    match command {
+        TrainCommand::QLearning(args) => q_learning(args),
+    }
+}
+
+fn q_learning(args: &TrainArgs) -> anyhow::Result<ExitCode> {
+    let scenario = resolve(&args.scenario())?;
+    let &[first, last] = &args.epsilon[..] else {
+        bail!("--epsilon takes two shares, for example 0.1,0.03");
+    };
+    let training = Training {
+        episodes: args.episodes,
+        ttis: args.episode_ttis,
+        epsilon: (first, last),
+        seed: args.seed,
+    };
+    let mut trainer = Trainer::new(&scenario, &args.devices, &training)?;
+    if args.out.exists() && !args.force {
+        bail!(TrainingError::Taken(args.out.clone()));
+    }
+    let kept = checkpoint(&args.out);
+    if trainer.resume(&kept)? && !args.quiet {
+        eprintln!(
+            "{} episodes left, going on from {}",
+            trainer.episodes_left(),
+            kept.display()
+        );
+    }
+    let threads = match args.threads {
+        Some(threads) => usize::from(threads),
+        None => std::thread::available_parallelism()?.get(),
+    };
+    let runtime = crate::runtime(1)?;
+    let stop = runtime.block_on(async { crate::interrupt::watch() })?;
+    let shown = Shown {
+        bar: display::bar(
+            trainer.episodes_left(),
+            "{bar:24} {pos}/{len} episodes  {msg}",
+            args.quiet,
+        ),
+        stop,
+    };
+    let started = crate::now();
+    let complete = trainer.train(threads, Some(&kept), &shown)?;
+    shown.bar.finish_and_clear();
+    if !complete {
+        bail!(Interrupted(kept));
+    }
+    let learned = trainer.learned();
+    replace(&args.out, learned.to_json().as_bytes()).map_err(|error| TrainingError::Write {
+        path: args.out.clone(),
+        error,
+    })?;
+    // What is in the file is in the checkpoint's place now.
+    let _ = std::fs::remove_file(&kept);
+    if !args.quiet {
+        for entry in &learned.entries {
+            if let Some(CurvePoint {
+                reward,
+                information,
+                energy,
+                ..
+            }) = entry.curve.last()
+            {
+                display::out(&format!(
+                    "N = {:<5} reward {reward:.4}  information {information:.4}  energy {energy:.4}\n",
+                    entry.devices
+                ))?;
+            }
+        }
+        eprintln!("trained in {:.1} s", started.elapsed().as_secs_f64());
+    }
+    display::out(&format!("{}\n", args.out.display()))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Ctrl-C has ended a training; the file is its checkpoint.
+#[derive(Debug)]
+pub struct Interrupted(PathBuf);
+
+impl std::fmt::Display for Interrupted {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        if self.0.exists() {
+            let kept = self.0.display();
+            write!(
+                f,
+                "interrupted; what was learned is kept in {kept}: give the same command again to go on"
+            )
+        } else {
+            f.write_str("interrupted before the first episode was over")
+        }
+    }
+}
+
+impl std::error::Error for Interrupted {}
+
+/// Shows the progress.
+struct Shown {
+    bar: ProgressBar,
+    stop: Arc<AtomicBool>,
+}
+
+impl Observer for Shown {
+    fn episode(&self, devices: u32, point: &CurvePoint) {
+        let CurvePoint {
+            reward, information, ..
+        } = point;
+        self.bar.set_message(format!(
+            "N = {devices}: reward {reward:.3}, information {information:.3}"
+        ));
+        self.bar.inc(1);
+    }
+
+    fn stop(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+}

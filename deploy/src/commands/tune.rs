@@ -1,0 +1,347 @@
+//! `reveille tune`: the weights of q-learning by Bayesian optimisation.
+
+use std::ffi::OsStr;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use anyhow::{anyhow, bail};
+use comfy_table::presets::UTF8_FULL_CONDENSED;
+use comfy_table::{CellAlignment, Table};
+use indicatif::ProgressBar;
+use reveille_common::learned::Training;
+use reveille_lab::figures::{png, svg, tuning as picture};
+use reveille_lab::table::replace;
+use reveille_lab::tuning::bayes::{Bayes, surface};
+use reveille_lab::tuning::{Evaluation, History, Objective, Observer, Pair, Plan, Point, Ranges, Tuner};
+use serde_json::json;
+
+use super::resolve;
+use crate::cli::{FormatArg, ObjectiveArg, TuneArgs};
+use crate::display;
+
+/// Points in the closing table.
+const SHOWN: usize = 5;
+
+/// Tunes, goes on with a tuning, or draws one.
+pub fn run(args: &TuneArgs) -> anyhow::Result<ExitCode> {
+    if let Some(path) = &args.picture_only {
+        let (history, _) = History::read(path)?;
+        for file in draw(&history, path, &args.format)? {
+            display::out(&format!("{}\n", file.display()))?;
+        }
+        return Ok(ExitCode::SUCCESS);
+    }
+    let mut tuner = Tuner::open(plan(args)?, &args.out, args.force)?;
+    announce(args, &tuner);
+    let threads = match args.threads {
+        Some(threads) => usize::from(threads),
+        None => std::thread::available_parallelism()?.get(),
+    };
+    let runtime = crate::runtime(1)?;
+    let stop = runtime.block_on(async { crate::interrupt::watch() })?;
+    let shown = Shown::start(args, &tuner, stop);
+    let started = crate::now();
+    let bayes = Bayes { seed: args.seed };
+    let ended = tuner.run(args.iterations, threads, &bayes, &shown);
+    shown.bar.finish_and_clear();
+    let history = tuner.history();
+    if !ended? {
+        eprintln!(
+            "reveille: interrupted; the {} are kept in {}: give the same command again to go on",
+            display::count(history.points.len(), "finished point"),
+            args.out.display()
+        );
+        return Ok(ExitCode::from(crate::INTERRUPTED));
+    }
+    let pictures = draw(history, &args.out, &args.format)?;
+    if args.json {
+        display::out(&result(args, history, &pictures)?)?;
+    } else if args.quiet {
+        let [mu1, mu2] = best(history)?.weights;
+        display::out(&format!("mu1={mu1} mu2={mu2}\n"))?;
+    } else {
+        display::out(&summary(args, history, &pictures)?)?;
+        eprintln!("tuned in {:.1} s", started.elapsed().as_secs_f64());
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// What the command line asks for, checked.
+fn plan(args: &TuneArgs) -> anyhow::Result<Plan> {
+    let &[first, last] = &args.epsilon[..] else {
+        bail!("--epsilon takes two shares, for example 0.1,0.03");
+    };
+    let ends = |name: &str, ends: &[f64]| match ends {
+        &[from, to] => Ok((from, to)),
+        _ => Err(anyhow!(
+            "--{name} takes the least and the largest weight, for example 1,5"
+        )),
+    };
+    let ranges = Ranges::new(ends("mu1", &args.mu1)?, ends("mu2", &args.mu2)?)?;
+    let plan = Plan {
+        scenario: resolve(&args.scenario())?,
+        ranges,
+        objective: match args.objective {
+            ObjectiveArg::Balance => Objective::Balance {
+                energy: args.energy_weight,
+                miss: args.miss_weight,
+            },
+            ObjectiveArg::Information => Objective::Information,
+            ObjectiveArg::Efficiency => Objective::Efficiency,
+        },
+        design: args.design,
+        training: Training {
+            episodes: args.episodes,
+            ttis: args.episode_ttis,
+            epsilon: (first, last),
+            seed: args.seed,
+        },
+        runs: args.seeds,
+        ttis: args.ttis,
+    };
+    plan.check()?;
+    Ok(plan)
+}
+
+/// Says what was found in the history.
+fn announce(args: &TuneArgs, tuner: &Tuner) {
+    let (found, file) = (tuner.history().points.len(), args.out.display());
+    if tuner.torn() {
+        tracing::warn!("{file} ended in half a line, which is left out");
+    }
+    if found > 0 && !args.quiet {
+        eprintln!(
+            "{} found in {file}, {} left",
+            display::count(found, "finished point"),
+            tuner.left(args.iterations)
+        );
+    }
+}
+
+/// The picture of `history` beside its file, in these formats.
+fn draw(history: &History, path: &Path, formats: &[FormatArg]) -> anyhow::Result<Vec<PathBuf>> {
+    let (Some(mu1), Some(mu2)) = (history.range("mu1"), history.range("mu2")) else {
+        bail!(
+            "{}: does not say in which ranges weights were looked for",
+            path.display()
+        );
+    };
+    if history.points.len() < reveille_lab::tuning::LEAST_DESIGN {
+        bail!(
+            "{}: holds {}, and a picture needs {}",
+            path.display(),
+            display::count(history.points.len(), "point"),
+            reveille_lab::tuning::LEAST_DESIGN
+        );
+    }
+    let ranges = Ranges::new(mu1, mu2)?;
+    let scene = picture::scene(history, &ranges, &surface(&ranges, history)?);
+    let name = path.file_stem().unwrap_or(OsStr::new("tuning")).to_string_lossy();
+    let mut files = Vec::new();
+    for format in formats {
+        let (ending, bytes) = match format {
+            FormatArg::Svg => ("svg", svg::svg(&scene, &name).into_bytes()),
+            FormatArg::Png => ("png", png::png(&scene)),
+        };
+        let file = path.with_extension(ending);
+        replace(&file, &bytes).map_err(|error| anyhow!("{}: cannot be written: {error}", file.display()))?;
+        files.push(file);
+    }
+    Ok(files)
+}
+
+fn best(history: &History) -> anyhow::Result<&Point> {
+    let first = history.ranked().first().copied();
+    first
+        .map(|number| &history.points[number])
+        .ok_or_else(|| anyhow!("the history holds no point"))
+}
+
+/// The command that trains tables with the best weights, as this tuning did.
+fn command(args: &TuneArgs, [mu1, mu2]: Pair) -> String {
+    let mut text = format!("reveille train q-learning --devices {}", args.devices);
+    if args.scenario != "paper" {
+        let _ = write!(text, " --scenario {}", args.scenario);
+    }
+    // Weights that were set are replaced by those that were found.
+    let is_weight = |set: &&String| {
+        let name = set.split('=').next().unwrap_or_default().trim();
+        matches!(name, "policy.q-learning.mu1" | "policy.q-learning.mu2")
+    };
+    for set in args.set.iter().filter(|set| !is_weight(set)) {
+        let _ = write!(text, " --set {set}");
+    }
+    let _ = write!(
+        text,
+        " --set policy.q-learning.mu1={mu1} --set policy.q-learning.mu2={mu2} --episodes {} --episode-ttis {} --epsilon {},{} \
+         --seed {} --out tuned.json",
+        args.episodes, args.episode_ttis, args.epsilon[0], args.epsilon[1], args.seed
+    );
+    text
+}
+
+/// The closing table.
+fn summary(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyhow::Result<String> {
+    let mut table = Table::new();
+    table.load_style(UTF8_FULL_CONDENSED).set_header([
+        "point",
+        "mu1",
+        "mu2",
+        "objective",
+        "information",
+        "missed, %",
+        "energy",
+        "wake-ups",
+    ]);
+    let within = |mean: f64, half: f64| {
+        if half.is_nan() {
+            format!("{mean:.4}")
+        } else {
+            format!("{mean:.4} ± {half:.4}")
+        }
+    };
+    for number in history.ranked().into_iter().take(SHOWN) {
+        let Point {
+            weights: [mu1, mu2],
+            evaluation: e,
+        } = &history.points[number];
+        table.add_row([
+            (number + 1).to_string(),
+            mu1.to_string(),
+            mu2.to_string(),
+            within(e.objective, e.objective_half),
+            within(e.information, e.information_half),
+            format!("{:.3}", e.misdetection_pct),
+            format!("{:.4}", e.energy),
+            format!("{:.2}", e.wake_ups),
+        ]);
+    }
+    for column in table.column_iter_mut() {
+        column.set_cell_alignment(CellAlignment::Right);
+    }
+    let Point {
+        weights: [mu1, mu2], ..
+    } = *best(history)?;
+    let pictures: Vec<String> = pictures.iter().map(|path| path.display().to_string()).collect();
+    Ok(format!(
+        "{} · N = {} · {} points · seed {}\n{table}\nbest: μ1 = {mu1}, μ2 = {mu2}\nto train with them:\n  {}\n\
+         history in {}, pictures in {}\n",
+        history.says("objective"),
+        args.devices,
+        history.points.len(),
+        args.seed,
+        command(args, [mu1, mu2]),
+        args.out.display(),
+        pictures.join(", ")
+    ))
+}
+
+/// The result as JSON.
+fn result(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyhow::Result<String> {
+    let point = |number: usize| {
+        let Point { weights, evaluation } = history.points[number];
+        let Evaluation {
+            objective,
+            objective_half,
+            information,
+            information_half,
+            misdetection_pct,
+            energy,
+            wake_ups,
+        } = evaluation;
+        json!({
+            "point": number + 1,
+            "mu1": weights[0],
+            "mu2": weights[1],
+            "objective": objective,
+            "objective_half_width": objective_half,
+            "info_per_event": information,
+            "info_half_width": information_half,
+            "misdetection_pct": misdetection_pct,
+            "energy_per_device_tti": energy,
+            "wake_ups_per_event": wake_ups,
+        })
+    };
+    let settings: serde_json::Map<String, serde_json::Value> = history
+        .header
+        .iter()
+        .map(|(name, value)| (name.clone(), json!(value)))
+        .collect();
+    let first = history.ranked().first().copied();
+    let text = serde_json::to_string_pretty(&json!({
+        "tuning": settings,
+        "best": first.map(point),
+        "points": (0..history.points.len()).map(point).collect::<Vec<_>>(),
+        "command": command(args, best(history)?.weights),
+        "history": args.out,
+        "pictures": pictures,
+    }))?;
+    Ok(text + "\n")
+}
+
+/// Shows the progress.
+struct Shown {
+    bar: ProgressBar,
+    stop: Arc<AtomicBool>,
+    best: Mutex<Option<(f64, Pair)>>,
+    runs: u64,
+}
+
+impl Shown {
+    fn start(args: &TuneArgs, tuner: &Tuner, stop: Arc<AtomicBool>) -> Self {
+        let steps = args.episodes + args.seeds;
+        let known = tuner.history().ranked().first().copied();
+        let points = &tuner.history().points;
+        Self {
+            bar: display::bar(
+                tuner.left(args.iterations) as u64 * steps,
+                "{bar:24} {percent} %  {eta} left  {msg}",
+                args.quiet,
+            ),
+            stop,
+            best: Mutex::new(known.map(|number| (points[number].evaluation.objective, points[number].weights))),
+            runs: args.seeds,
+        }
+    }
+
+    fn so_far(&self) -> String {
+        let best = *self.best.lock().unwrap_or_else(PoisonError::into_inner);
+        best.map_or_else(String::new, |(objective, [mu1, mu2])| {
+            format!("  best {objective:.4} at μ1 = {mu1:.3}, μ2 = {mu2:.3}")
+        })
+    }
+}
+
+impl Observer for Shown {
+    fn begun(&self, number: usize, [mu1, mu2]: Pair) {
+        let so_far = self.so_far();
+        self.bar.set_message(format!(
+            "point {}: μ1 = {mu1:.3}, μ2 = {mu2:.3} ({} runs){so_far}",
+            number + 1,
+            self.runs
+        ));
+    }
+
+    fn episode(&self) {
+        self.bar.inc(1);
+    }
+
+    fn run(&self) {
+        self.bar.inc(1);
+    }
+
+    fn point(&self, point: &Point) {
+        let mut best = self.best.lock().unwrap_or_else(PoisonError::into_inner);
+        let own = (point.evaluation.objective, point.weights);
+        if best.is_none_or(|(known, _)| own.0 > known) {
+            *best = Some(own);
+        }
+    }
+
+    fn stop(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+}
