@@ -88,6 +88,39 @@ fn genie_on_paper_literal() {
     every_way_agrees("paper-literal", "genie");
 }
 
+/// All four ways to know batteries and to rank candidates; q-learning decides in every TTI.
+fn every_way_agrees_on_q_learning(preset: &str) {
+    for knowledge in ["oracle", "reported"] {
+        for ranking in ["p42", "posterior"] {
+            let fields = format!("--set bs.battery_knowledge={knowledge} --set bs.ranking={ranking}");
+            every_way_agrees(preset, &format!("q-learning {fields}"));
+        }
+    }
+}
+
+#[test]
+fn q_learning_on_paper() {
+    every_way_agrees_on_q_learning("paper");
+}
+
+#[test]
+fn q_learning_on_paper_literal() {
+    every_way_agrees_on_q_learning("paper-literal");
+}
+
+#[test]
+fn learning_on_paper() {
+    let learning = "q-learning --set policy.q-learning.learn=true --set policy.q-learning.table=nothing";
+    every_way_agrees("paper", learning);
+}
+
+#[test]
+fn rankings_agree_for_policies_that_wake() {
+    for policy in ["knn", "adjusted"] {
+        every_way_agrees("paper", &format!("{policy} --set bs.ranking=posterior"));
+    }
+}
+
 #[test]
 fn policies_and_presets_differ() {
     let mut digests: Vec<String> = ["paper", "paper-literal"]

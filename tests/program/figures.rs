@@ -102,10 +102,91 @@ fn tables_that_are_none_are_refused() {
     let end = folder.run("figures junk.parquet --only energy,speed");
     assert_refused(
         &end,
-        &["figure `speed`", "information, energy, misdetection", "harvest, net"],
+        &[
+            "figure `speed`",
+            "information, energy, misdetection",
+            "harvest, net, pareto",
+        ],
     );
     let end = folder.run("figures");
     assert_eq!(end.code(), Some(2), "{end}");
+}
+
+#[test]
+fn learned_tables_become_pictures_the_same_twice() {
+    let folder = Folder::new();
+    let end = folder.run("train q-learning --out mine.json -n 10,30 --episodes 2 --episode-ttis 300 --quiet");
+    assert_eq!(end.code(), Some(0), "{end}");
+    for out in ["a", "b"] {
+        for picture in [
+            "learning mine.json",
+            "q-table mine.json -n 10,30",
+            "q-table mine.json -n 10 --wake posterior",
+            "q-table mine.json -n 10 --wake p42",
+        ] {
+            let end = folder.run(&format!("figures {picture} --out {out}"));
+            assert_eq!(end.code(), Some(0), "{end}");
+        }
+    }
+    let names = folder.list("a");
+    let stems = [
+        "learning-mine",
+        "q-table-mine-n10",
+        "q-table-mine-n30",
+        "q-table-mine-n10-wake-posterior",
+        "q-table-mine-n10-wake-p42",
+    ];
+    for name in stems
+        .iter()
+        .flat_map(|stem| ["svg", "png", "csv"].map(|ending| format!("{stem}.{ending}")))
+    {
+        assert!(names.contains(&name), "{name} in {names:?}");
+    }
+    assert!(names.contains(&"q-table-mine-n10-value.csv".to_owned()));
+    assert_eq!(names.len(), 17, "{names:?}");
+    for name in names {
+        assert_eq!(
+            bytes(&folder, &format!("a/{name}")),
+            bytes(&folder, &format!("b/{name}")),
+            "{name}"
+        );
+    }
+}
+
+#[test]
+fn learned_tables_that_are_none_or_lack_an_n_are_refused() {
+    let folder = Folder::new();
+    let end = folder.run("train q-learning --out mine.json -n 10,30 --episodes 1 --episode-ttis 100 --quiet");
+    assert_eq!(end.code(), Some(0), "{end}");
+    let text = String::from_utf8(bytes(&folder, "mine.json")).expect("text");
+    folder.write("later.json", &text.replacen("\"version\":1", "\"version\":2", 1));
+    folder.write("short.json", &text[..text.len() / 2]);
+    folder.write("junk.json", "{\"rows\": []}");
+    let refused = |args: &str, parts: &[&str]| {
+        assert_refused(&folder.run(&format!("figures {args} --out out")), parts);
+        assert!(!folder.join("out").exists(), "{args} left something");
+    };
+    for command in ["learning", "q-table -n 10"] {
+        refused(
+            &format!("{command} junk.json"),
+            &["junk.json: is not a file of learned tables"],
+        );
+        refused(
+            &format!("{command} later.json"),
+            &["later.json: has version 2", "reveille train q-learning"],
+        );
+        refused(&format!("{command} short.json"), &["short.json: is damaged"]);
+        refused(&format!("{command} nowhere.json"), &["nowhere.json: cannot be read"]);
+    }
+    refused("learning mine.json junk.json", &["junk.json"]);
+    refused(
+        "q-table mine.json -n 10,50",
+        &["N = 50: mine.json has tables for 10, 30 devices", "--devices 50"],
+    );
+    for args in ["learning", "q-table mine.json", "q-table mine.json -n 10 --wake best"] {
+        let end = folder.run(&format!("figures {args}"));
+        assert_eq!(end.code(), Some(2), "{end}");
+    }
 }
 
 #[test]
@@ -115,14 +196,16 @@ fn a_sweep_becomes_figures_and_a_report_the_same_twice() {
     sweep(&folder, "literal", "--scenario paper-literal");
     let tables = "paper/results.parquet literal/results.parquet";
     for out in ["a", "b"] {
-        let end = folder.run(&format!("figures {tables} --only misdetection,energy,net --out {out}"));
+        let end = folder.run(&format!(
+            "figures {tables} --only misdetection,energy,net,pareto --out {out}"
+        ));
         assert_eq!(end.code(), Some(0), "{end}");
     }
-    let end = folder.run("figures paper literal --only misdetection,energy,net --out c");
+    let end = folder.run("figures paper literal --only misdetection,energy,net,pareto --out c");
     assert_eq!(end.code(), Some(0), "a folder stands for its table: {end}");
     assert_eq!(folder.list("c"), folder.list("a"));
     let names = folder.list("a");
-    for figure in ["misdetection", "energy", "net"] {
+    for figure in ["misdetection", "energy", "net", "pareto"] {
         for preset in ["paper", "paper-literal"] {
             for ending in ["svg", "png", "csv"] {
                 let name = format!("{figure}-{preset}.{ending}");
@@ -130,7 +213,7 @@ fn a_sweep_becomes_figures_and_a_report_the_same_twice() {
             }
         }
     }
-    assert_eq!(names.len(), 18, "{names:?}");
+    assert_eq!(names.len(), 24, "{names:?}");
     for name in names {
         assert_eq!(
             bytes(&folder, &format!("a/{name}")),
@@ -143,7 +226,7 @@ fn a_sweep_becomes_figures_and_a_report_the_same_twice() {
         assert_eq!(end.code(), Some(0), "{end}");
     }
     let html = String::from_utf8(bytes(&folder, "report/report.html")).expect("text");
-    assert_eq!(html.matches("<svg").count(), 18, "nine figures for each preset");
+    assert_eq!(html.matches("<svg").count(), 20, "ten figures for each preset");
     assert!(!html.contains("src=") && html.contains("not built yet") && html.contains("seeds 1 to 2"));
     let markdown = String::from_utf8(bytes(&folder, "report/report.md")).expect("text");
     for file in folder.list("report").iter().filter(|name| name.contains(".svg")) {

@@ -117,6 +117,7 @@ fn forgeries(keys: &Keys, tti: u64) -> Vec<(String, Vec<u8>)> {
             last,
             stimulus,
             account: true,
+            batteries: false,
             plan,
         })
     };
@@ -151,6 +152,7 @@ fn forgeries(keys: &Keys, tti: u64) -> Vec<(String, Vec<u8>)> {
             drained: Energy::from_micro(drained),
         }],
         totals: Some(DeviceTotals::default()),
+        batteries: None,
     };
     let ledgers = vec![(DeviceId(0), DeviceTotals::default())];
     let last = Answer::Final {

@@ -24,6 +24,11 @@ pub fn small() -> impl Strategy<Value = String> {
         .prop_map(|(shape, world, events, policy, energy)| format!("{shape}{world}{events}{policy}{energy}"))
 }
 
+/// Any small scenario, under any policy: also under one that has no second implementation to be compared with.
+pub fn any_policy() -> impl Strategy<Value = String> {
+    prop_oneof![3 => small().boxed(), 1 => learning().boxed()]
+}
+
 /// A small scenario in which no action can fail for lack of energy, so that all is as the policy would have it.
 pub fn rich() -> impl Strategy<Value = String> {
     (shape(), world(), events(), policy()).prop_map(|(shape, world, events, policy)| {
@@ -110,6 +115,23 @@ fn policy() -> impl Strategy<Value = String> {
              [policy.adjusted]\nt_on = [1, 3]\nt_drx = {t_drx:?}\npilot_ttis = 40\n"
         )
     })
+}
+
+/// A small scenario under `q-learning` from the optimistic start.
+fn learning() -> impl Strategy<Value = String> {
+    let ranking = prop_oneof![Just("p42"), Just("posterior")];
+    let knowledge = prop_oneof![Just("oracle"), Just("reported")];
+    let settings = (ranking, knowledge, 1..=6u32, 0.0..60.0f64);
+    (shape(), world(), events(), energy_and_harvest(), settings).prop_map(
+        |(shape, world, events, energy, (ranking, knowledge, window, mu1))| {
+            let bs = format!("[bs]\nranking = \"{ranking}\"\nbattery_knowledge = \"{knowledge}\"\n");
+            let shape = shape.replace("[bs]\n", &bs);
+            format!(
+                "{shape}{world}{events}[policy]\nname = \"q-learning\"\n[policy.q-learning]\ntable = \"nothing\"\n\
+                 learn = true\nwindow = {window}\nmu1 = {mu1:?}\nepsilon = 0.2\n{energy}"
+            )
+        },
+    )
 }
 
 /// Sections of energy and harvest: the defaults, and up to three classes that override some of them; without a class all

@@ -22,7 +22,7 @@ proptest! {
     #![proptest_config(Config { cases: 300, failure_persistence: None, ..Config::default() })]
 
     #[test]
-    fn the_books_balance_in_every_tti(text in scenarios::small()) {
+    fn the_books_balance_in_every_tti(text in scenarios::any_policy()) {
         each_tti(&scenarios::scenario(&text), |step| {
             for device in &step.devices {
                 balanced(device)?;
@@ -32,7 +32,7 @@ proptest! {
     }
 
     #[test]
-    fn states_follow_delta_and_the_battery(text in scenarios::small()) {
+    fn states_follow_delta_and_the_battery(text in scenarios::any_policy()) {
         each_tti(&scenarios::scenario(&text), |step| {
             for device in &step.devices {
                 consistent(device)?;
@@ -76,7 +76,7 @@ proptest! {
     }
 
     #[test]
-    fn a_device_that_is_left_alone_ends_as_one_that_is_stepped(text in scenarios::small()) {
+    fn a_device_that_is_left_alone_ends_as_one_that_is_stepped(text in scenarios::any_policy()) {
         let scenario = scenarios::scenario(&text);
         // A window per TTI brings every device up to date in every TTI; without windows a sleeper is touched when needed.
         let (lazy, events) = compare::outcome(&scenario, true, u64::MAX);
@@ -87,7 +87,7 @@ proptest! {
     }
 
     #[test]
-    fn how_ttis_are_granted_changes_nothing(text in scenarios::small(), window in 1..50u64) {
+    fn how_ttis_are_granted_changes_nothing(text in scenarios::any_policy(), window in 1..50u64) {
         let scenario = scenarios::scenario(&text);
         let (plain, events) = compare::outcome(&scenario, false, u64::MAX);
         for (lookahead, window) in [(true, u64::MAX), (true, window), (false, window)] {
@@ -227,6 +227,8 @@ fn clusters(scenario: &Scenario) -> Vec<Vec<DeviceId>> {
             let d_max = scenario.sensing.d_max;
             Clusters::form(&positions, scenario.area, d_max, settings, scenario.seed).members
         }
-        PolicyConfig::Random | PolicyConfig::Adjusted(_) | PolicyConfig::Genie => Vec::new(),
+        PolicyConfig::Random | PolicyConfig::Adjusted(_) | PolicyConfig::QLearning(_) | PolicyConfig::Genie => {
+            Vec::new()
+        }
     }
 }

@@ -94,6 +94,7 @@ impl Policy {
                     })
                     .collect(),
             ),
+            PolicyConfig::QLearning(_) => panic!("a policy that learns has no second implementation here"),
             PolicyConfig::Adjusted(_) => {
                 let PolicyConfig::Adjusted(settings) = &resolve(scenario).policy else {
                     panic!("a search leaves the policy as it is")

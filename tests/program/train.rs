@@ -1,0 +1,339 @@
+//! Training as its users see it: the same file whatever happens on the way, nothing overwritten unasked, and clear words for
+//! files that are none.
+
+use std::fmt::Write as _;
+use std::fs;
+use std::time::Duration;
+
+use reveille_tests::process::{Folder, PATIENCE, assert_refused, wait_until};
+use rustix::process::Signal;
+use sha2::{Digest, Sha256};
+
+/// A training of some seconds, of weights that no file holds to the last digit.
+const TRAINING: &str = "train q-learning --quiet --devices 8,15,30 --episodes 6 --episode-ttis 1500 \
+    --set policy.q-learning.zeta=0.97 --set policy.q-learning.mu1=11.3 --set area.width=17.3";
+/// A training of hours.
+const ENDLESS: &str = "train q-learning --quiet --devices 20 --episodes 100000 --episode-ttis 300";
+
+fn bytes(folder: &Folder, name: &str) -> Vec<u8> {
+    fs::read(folder.join(name)).unwrap_or_default()
+}
+
+/// A table for 10 and for 50 devices, trained hardly at all.
+fn table(folder: &Folder) -> String {
+    let args = "train q-learning --quiet --devices 10,50 --episodes 1 --episode-ttis 50 --out good.json";
+    let end = folder.run(args);
+    assert!(end.is_success(), "{end}");
+    fs::read_to_string(folder.join("good.json")).expect("a table")
+}
+
+#[test]
+fn threads_and_kills_leave_the_same_bytes() {
+    let folder = Folder::new();
+    let end = folder.run(&format!("{TRAINING} --threads 1 --out one.json"));
+    assert!(end.is_success(), "{end}");
+    let expected = bytes(&folder, "one.json");
+    assert!(expected.len() > 10_000);
+    let end = folder.run(&format!("{TRAINING} --threads 2 --out two.json"));
+    assert!(end.is_success(), "{end}");
+    assert!(bytes(&folder, "two.json") == expected, "2 threads");
+
+    let mut killed = 0;
+    for (threads, wait) in [(1, 3), (2, 41), (2, 150), (1, 77), (1, 0)] {
+        let before = bytes(&folder, "cut.json.checkpoint");
+        let training = folder.start(&format!("{TRAINING} --threads {threads} --out cut.json"));
+        let is_done = || folder.join("cut.json").exists();
+        wait_until("an episode", PATIENCE, || {
+            (is_done() || bytes(&folder, "cut.json.checkpoint") != before).then_some(())
+        });
+        std::thread::sleep(Duration::from_millis(wait));
+        training.signal(Signal::KILL);
+        let _killed = training.finish();
+        if is_done() {
+            break;
+        }
+        killed += 1;
+    }
+    assert!(killed >= 3, "{killed} kills are too few to tell");
+    if !folder.join("cut.json").exists() {
+        let end = folder.run(
+            &TRAINING
+                .replace("--quiet ", "")
+                .replace("q-learning ", "q-learning --out cut.json "),
+        );
+        assert!(end.is_success(), "{end}");
+        assert!(
+            end.stderr.contains("episodes left, going on from cut.json.checkpoint"),
+            "{end}"
+        );
+    }
+    assert!(bytes(&folder, "cut.json") == expected, "killed");
+    assert_eq!(folder.list("."), ["cut.json", "one.json", "runtime", "two.json"]);
+}
+
+#[test]
+fn a_file_that_is_there_is_left_alone() {
+    let folder = Folder::new();
+    folder.write("mine.json", "mine");
+    let args = "train q-learning --quiet --devices 5 --episodes 1 --episode-ttis 20 --out mine.json";
+    assert_refused(&folder.run(args), 1, &["mine.json", "is there already", "--force"]);
+    assert_eq!(bytes(&folder, "mine.json"), b"mine");
+    assert_eq!(folder.list("."), ["mine.json", "runtime"]);
+    let end = folder.run(&format!("{args} --force"));
+    assert!(end.is_success(), "{end}");
+    let ran = folder.run("run -n 6 -k 50 --policy q-learning --set policy.q-learning.table=mine.json --out r");
+    assert!(ran.is_success(), "{ran}");
+}
+
+#[test]
+fn ctrl_c_keeps_what_was_learned() {
+    let folder = Folder::new();
+    for signal in [Signal::INT, Signal::TERM] {
+        let before = bytes(&folder, "t.json.checkpoint");
+        let training = folder.start(&format!("{ENDLESS} --out t.json"));
+        wait_until("an episode", PATIENCE, || {
+            (bytes(&folder, "t.json.checkpoint") != before).then_some(())
+        });
+        training.signal(signal);
+        let end = training.finish();
+        assert_refused(
+            &end,
+            130,
+            &[
+                "reveille: interrupted",
+                "kept in t.json.checkpoint",
+                "give the same command again",
+            ],
+        );
+        assert_eq!(folder.list("."), ["runtime", "t.json.checkpoint"]);
+    }
+    // Before the first episode there is nothing to keep.
+    let training = folder.start(&format!(
+        "{} --out u.json",
+        ENDLESS.replace("-ttis 300", "-ttis 100000000")
+    ));
+    std::thread::sleep(Duration::from_secs(1));
+    training.signal(Signal::INT);
+    assert_refused(&training.finish(), 130, &["interrupted before the first episode"]);
+    assert_eq!(folder.list("."), ["runtime", "t.json.checkpoint"]);
+}
+
+#[test]
+fn the_checkpoint_of_another_training_is_refused() {
+    let folder = Folder::new();
+    let training = folder.start(&format!("{ENDLESS} --out t.json"));
+    wait_until("an episode", PATIENCE, || {
+        folder.join("t.json.checkpoint").exists().then_some(())
+    });
+    training.signal(Signal::INT);
+    assert_eq!(training.finish().code(), Some(130));
+    let kept = bytes(&folder, "t.json.checkpoint");
+    for (other, why) in [
+        ("--seed 2", "seed"),
+        ("--epsilon 0.1,0.05", "epsilon"),
+        ("--set policy.q-learning.mu1=3", "other weights"),
+        ("--set policy.q-learning.window=1", "another window"),
+        ("--set events.alpha=0.3", "events.alpha"),
+        ("--set bs.sync_interval=77", "another scenario"),
+    ] {
+        let end = folder.run(&format!("{ENDLESS} --out t.json {other}"));
+        assert_refused(&end, 1, &["t.json.checkpoint", "of another training", why, "--out"]);
+    }
+    let end = folder.run(&format!(
+        "{} --out t.json",
+        ENDLESS.replace("--devices 20", "--devices 20,21")
+    ));
+    assert_refused(&end, 1, &["t.json.checkpoint", "numbers of devices"]);
+    assert!(bytes(&folder, "t.json.checkpoint") == kept, "it is left alone");
+    fs::write(folder.join("t.json.checkpoint"), &kept[..kept.len() / 2]).expect("a test's folder");
+    let end = folder.run(&format!("{ENDLESS} --out t.json"));
+    assert_refused(&end, 1, &["t.json.checkpoint", "damaged"]);
+}
+
+/// The file with another body, as if it had been written so.
+fn sealed(text: &str, change: impl Fn(&str) -> String) -> String {
+    let (_, rest) = text.split_once(",\"body\":").expect("a body");
+    let body = rest.trim_end().strip_suffix('}').expect("an end");
+    let changed = change(body);
+    let digits = Sha256::digest(changed.as_bytes());
+    let sum = digits.iter().fold(String::new(), |mut sum, byte| {
+        let _infallible = write!(sum, "{byte:02x}");
+        sum
+    });
+    format!("{{\"format\":\"reveille-q-table\",\"version\":1,\"sha256\":\"{sum}\",\"body\":{changed}}}\n")
+}
+
+/// Changes the first value of the file's first table.
+fn with_value(text: &str, value: &str) -> String {
+    sealed(text, |body| {
+        let (before, after) = body.split_once("\"q\":[[").expect("a table");
+        let (_, after) = after.split_once(',').expect("a cell");
+        format!("{before}\"q\":[[{value},{after}")
+    })
+}
+
+#[test]
+fn tables_that_cannot_be_used_are_refused() {
+    let folder = Folder::new();
+    let text = table(&folder);
+    assert!(
+        sealed(&text, str::to_owned) == text,
+        "the file is sealed as this test does it"
+    );
+    let use_it = |name: &str, more: &str| {
+        folder.run(&format!(
+            "run -n 20 -k 60 --policy q-learning --out run --force --set policy.q-learning.table={name} {more}"
+        ))
+    };
+    let end = use_it("good.json", "");
+    assert!(end.is_success(), "{end}");
+    folder.write("same.json", &with_value(&text, "20.5"));
+    let end = use_it("same.json", "");
+    assert!(end.is_success(), "a value may be another: {end}");
+    fs::remove_dir_all(folder.join("run")).expect("the run");
+
+    let train = "reveille train q-learning";
+    let cases: [(&str, String, &[&str]); 12] = [
+        (
+            "other-version",
+            text.replacen("\"version\":1", "\"version\":7", 1),
+            &["version 7", "reads 1", train],
+        ),
+        ("truncated", text[..text.len() * 2 / 3].to_owned(), &["damaged", train]),
+        ("nearly-whole", text[..text.len() - 3].to_owned(), &["damaged", train]),
+        ("head-only", text[..60].to_owned(), &["damaged", train]),
+        ("empty", String::new(), &["not a file of learned tables", train]),
+        (
+            "text",
+            "devices = 50\n".to_owned(),
+            &["not a file of learned tables", train],
+        ),
+        (
+            "other-json",
+            "{\"devices\": 50}\n".to_owned(),
+            &["not a file of learned tables", train],
+        ),
+        ("nan", with_value(&text, "NaN"), &["damaged", train]),
+        ("null", with_value(&text, "null"), &["damaged", train]),
+        ("infinite", with_value(&text, "1e999"), &["damaged", train]),
+        ("changed", text.replacen("[1", "[2", 1), &["damaged", "checksum", train]),
+        (
+            "no-entry",
+            sealed(&text, |body| {
+                let (before, _) = body.split_once("\"entries\":[").expect("entries");
+                format!("{before}\"entries\":[]}}")
+            }),
+            &["damaged", "no entry", train],
+        ),
+    ];
+    for (name, content, parts) in &cases {
+        let name = format!("{name}.json");
+        folder.write(&name, content);
+        let end = use_it(&name, "");
+        assert_refused(&end, 1, &["policy.q-learning.table", &name]);
+        assert_refused(&end, 1, parts);
+    }
+    fs::write(folder.join("bytes.json"), [0xFF, 0xFE, 0, 1, 2]).expect("a test's folder");
+    let end = use_it("bytes.json", "");
+    assert_refused(
+        &end,
+        1,
+        &["policy.q-learning.table", "bytes.json", "not a file of learned tables"],
+    );
+    let end = use_it("nowhere.json", "");
+    assert_refused(
+        &end,
+        1,
+        &["policy.q-learning.table", "nowhere.json", "No such file", train],
+    );
+    let end = use_it(".", "");
+    assert_refused(&end, 1, &["policy.q-learning.table", "cannot be read"]);
+    assert!(!folder.join("run").exists(), "no run was begun");
+}
+
+#[test]
+fn a_table_for_other_densities_or_weights_is_refused() {
+    let folder = Folder::new();
+    table(&folder);
+    let base = "run -k 60 --policy q-learning --set policy.q-learning.table=good.json --out run";
+    for n in [700, 101, 4] {
+        let end = folder.run(&format!("{base} -n {n}"));
+        let hint = format!("reveille train q-learning --devices {n}");
+        assert_refused(
+            &end,
+            1,
+            &["policy.q-learning.table", "5 to 100 devices", &n.to_string(), &hint],
+        );
+    }
+    for (name, value) in [("mu1", "3.5"), ("mu2", "4"), ("zeta", "0.5")] {
+        let end = folder.run(&format!("{base} -n 20 --set policy.q-learning.{name}={value}"));
+        let field = format!("policy.q-learning.{name}");
+        let parts = [
+            &*field,
+            value,
+            "its table was learned",
+            "policy.q-learning.learn = true",
+            "reveille train",
+        ];
+        assert_refused(&end, 1, &parts);
+        assert!(!folder.join("run").exists(), "no run was begun");
+        let out = format!("learns-{name}");
+        let end = folder.run(&format!(
+            "run -k 60 -n 20 --policy q-learning --set policy.q-learning.table=good.json --set {field}={value} \
+             --set policy.q-learning.learn=true --out {out}"
+        ));
+        assert!(end.is_success(), "a policy that learns may weigh otherwise: {end}");
+    }
+    let end = folder.run("run -k 60 -n 20 --policy q-learning --set policy.q-learning.table=nothing --out run");
+    assert_refused(&end, 1, &["policy.q-learning.table", "learn = true"]);
+}
+
+#[test]
+fn unknown_rankings_and_knowledge_are_answered_with_those_there_are() {
+    let folder = Folder::new();
+    for (field, known) in [
+        ("bs.ranking", ["p42", "posterior"]),
+        ("bs.battery_knowledge", ["oracle", "reported"]),
+    ] {
+        let end = folder.run(&format!(
+            "run -n 20 -k 60 --policy q-learning --set {field}=guess --out run"
+        ));
+        assert_refused(&end, 1, &[field, "guess", known[0], known[1]]);
+        for value in known {
+            let end = folder.run(&format!(
+                "run -n 20 -k 60 --policy q-learning --set {field}={value} --out {value}"
+            ));
+            assert!(end.is_success(), "{end}");
+        }
+    }
+    assert!(!folder.join("run").exists(), "no run was begun");
+}
+
+#[test]
+fn nonsense_is_refused_before_anything_is_trained() {
+    let folder = Folder::new();
+    for (args, parts) in [
+        ("--devices 0", &["devices"][..]),
+        ("--devices 5 --episodes 0", &["episodes = 0", "at least 1"]),
+        ("--devices 5 --episode-ttis 9", &["episode-ttis = 9", "at least 10"]),
+        ("--devices 5 --epsilon 0.1", &["--epsilon", "0.1,0.03"]),
+        ("--devices 5 --epsilon 0.1,1", &["epsilon = 1", "less than 1"]),
+        ("--devices 5 --epsilon NaN,0.1", &["epsilon", "less than 1"]),
+        ("--devices 5 --set policy.name=knn", &["knn", "q-learning"]),
+        (
+            "--devices 5 --set policy.q-learning.zeta=1",
+            &["policy.q-learning.zeta = 1", "at most 0.999"],
+        ),
+        (
+            "--devices 5 --set policy.q-learning.mu1=-1",
+            &["policy.q-learning.mu1 = -1", "at least 0"],
+        ),
+    ] {
+        assert_refused(
+            &folder.run(&format!("train q-learning --quiet {args} --out t.json")),
+            1,
+            parts,
+        );
+        assert_eq!(folder.list("."), ["runtime"], "{args}");
+    }
+}

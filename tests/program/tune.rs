@@ -1,0 +1,111 @@
+//! `reveille tune`: the same history whatever happens to it, and clear words for what cannot be.
+
+#[cfg(not(feature = "tune"))]
+#[test]
+fn without_the_feature_it_says_how_to_build_it() {
+    use reveille_tests::process::{Folder, assert_refused};
+
+    let folder = Folder::new();
+    let end = folder.run("tune -n 100");
+    assert_refused(&end, 2, &["cargo run --release --features tune -- tune"]);
+    let help = folder.run("--help");
+    assert!(help.stdout.contains("  tune "), "{help}");
+}
+
+#[cfg(feature = "tune")]
+mod with_the_feature {
+    use std::fs;
+
+    use reveille_tests::process::{Folder, PATIENCE, assert_refused, wait_until};
+    use rustix::process::Signal;
+    use serde_json::Value;
+
+    /// A small tuning.
+    const TUNE: &str = "tune -n 12 --design 3 --iterations 2 --episodes 2 --episode-ttis 200 --seeds 2 --ttis 1000";
+
+    fn text(folder: &Folder, name: &str) -> String {
+        fs::read_to_string(folder.join(name)).unwrap_or_default()
+    }
+
+    /// Finished points in a history.
+    fn points(folder: &Folder, name: &str) -> usize {
+        let is_point = |line: &&str| line.starts_with(|c: char| c.is_ascii_digit());
+        text(folder, name).lines().filter(is_point).count()
+    }
+
+    #[test]
+    fn a_tuning_ends_the_same_with_any_threads_and_after_kills() {
+        let folder = Folder::new();
+        let end = folder.run(&format!("{TUNE} --out whole.csv --threads 1"));
+        assert!(end.is_success(), "{end}");
+        for part in [
+            "best: μ1 = ",
+            "reveille train q-learning --devices 12 ",
+            "whole.svg, whole.png",
+        ] {
+            assert!(end.stdout.contains(part), "no {part}: {end}");
+        }
+        assert_eq!(points(&folder, "whole.csv"), 5);
+        // Long enough to be killed in its middle.
+        let slow = format!("{TUNE} --threads 2 --out killed.csv");
+        for (signal, code) in [(Signal::KILL, None), (Signal::INT, Some(130))] {
+            let found = points(&folder, "killed.csv");
+            let tuning = folder.start(&slow);
+            wait_until("a point", PATIENCE, || {
+                (points(&folder, "killed.csv") > found).then_some(())
+            });
+            tuning.signal(signal);
+            let end = tuning.finish();
+            // On a fast machine it may have ended before.
+            assert!(end.code() == code || end.is_success(), "{end}");
+        }
+        let end = folder.run(&format!("{slow} --json"));
+        assert!(end.is_success(), "{end}");
+        assert!(end.stderr.contains("finished points found in killed.csv"), "{end}");
+        for ending in ["csv", "svg", "png"] {
+            let bytes = |name: &str| fs::read(folder.join(&format!("{name}.{ending}"))).expect("written");
+            let (whole, killed) = (bytes("whole"), bytes("killed"));
+            // The picture has its file's name inside.
+            assert!(ending == "svg" || whole == killed, "{ending}");
+        }
+        let json: Value = serde_json::from_str(&end.stdout).expect("JSON");
+        assert_eq!(json["points"].as_array().map(Vec::len), Some(5));
+        let objective = |value: &Value| value["objective"].as_f64().expect("a number");
+        let all = json["points"].as_array().expect("points").iter().map(objective);
+        assert!((objective(&json["best"]) - all.fold(f64::NEG_INFINITY, f64::max)).abs() < 1e-15);
+        assert_refused(
+            &folder.run(&format!("{TUNE} --seed 2 --out whole.csv")),
+            1,
+            &["another tuning", "seed"],
+        );
+        fs::remove_file(folder.join("whole.png")).expect("ours");
+        let end = folder.run("tune --picture-only whole.csv --format png");
+        assert_eq!((end.code(), end.stdout.trim()), (Some(0), "whole.png"), "{end}");
+    }
+
+    #[test]
+    fn wishes_that_cannot_be_met_are_refused() {
+        let folder = Folder::new();
+        folder.write("foreign.csv", "a,b\n1,2\n");
+        for (args, code, part) in [
+            ("--mu1 20,0.5", 1, "mu1 = 20,0.5"),
+            ("--mu2 0,5", 1, "mu2 = 0,5"),
+            ("--mu2 1", 1, "--mu2 takes the least and the largest"),
+            ("--design 2", 1, "design = 2"),
+            ("-n 0", 1, "devices"),
+            ("-n many", 1, "devices"),
+            ("--objective fame", 2, "balance"),
+            ("--energy-weight=-1", 1, "energy-weight = -1"),
+            ("--set policy.name=knn", 1, "only q-learning"),
+            ("--out foreign.csv", 1, "is no history of a tuning"),
+            ("--picture-only foreign.csv", 1, "is no history of a tuning"),
+            ("--picture-only nowhere.csv", 1, "nowhere.csv: cannot be read"),
+        ] {
+            let end = folder.run(&format!("tune {args}"));
+            assert_eq!(end.code(), Some(code), "{args}: {end}");
+            assert!(end.stderr.contains(part), "{args}: no {part:?}: {end}");
+            assert!(!end.stderr.contains("panicked"), "{args}: {end}");
+        }
+        assert_eq!(text(&folder, "foreign.csv"), "a,b\n1,2\n");
+    }
+}
