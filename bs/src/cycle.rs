@@ -70,17 +70,36 @@ enum Phase {
     Waking(Tti, DeviceId),
 }
 
-/// The base station of one run.
-pub struct Cycle {
+/// What the base station knows without being told by a report.
+struct Known {
     scenario: Scenario,
     positions: Vec<Point>,
+    plan: Plan,
+    /// For a policy that looks at batteries.
+    levels: Option<Levels>,
+}
+
+impl Known {
+    /// What a policy sees in TTI `now`, with Î so far.
+    fn observe(&self, now: Tti, information: f64) -> Observation<'_> {
+        Observation {
+            now,
+            positions: &self.positions,
+            sensing: &self.scenario.sensing,
+            plan: &self.plan,
+            information,
+            batteries: self.levels.as_ref().map_or(&[], Levels::all),
+        }
+    }
+}
+
+/// The base station of one run.
+pub struct Cycle {
+    known: Known,
     e_tx: Vec<Energy>,
     buckets: Buckets,
     world: EventProcess,
     policy: PolicyEngine,
-    /// For a policy that looks at batteries.
-    levels: Option<Levels>,
-    plan: Plan,
     plan_is_new: bool,
     next_decision: Tti,
     phase: Phase,
@@ -99,14 +118,9 @@ impl Cycle {
         let positions = deployment.positions();
         let policy = PolicyEngine::new(scenario, deployment);
         Self {
-            levels: policy
-                .looks_at_batteries()
-                .then(|| Levels::new(scenario.bs.battery_knowledge, deployment)),
-            policy,
             buckets: Buckets::new(&positions, scenario.area, scenario.sensing.d_max),
             e_tx: deployment.devices.iter().map(|d| d.energy.e_tx).collect(),
             world: EventProcess::new(scenario),
-            plan: Plan::from_bits(positions.iter().map(|_| false)),
             plan_is_new: false,
             next_decision: Tti::ZERO,
             phase: Phase::Between,
@@ -117,8 +131,15 @@ impl Cycle {
             control: ControlTotals::default(),
             fingerprint: Fingerprint::default(),
             records: keep_records.then(Vec::new),
-            scenario: scenario.clone(),
-            positions,
+            known: Known {
+                scenario: scenario.clone(),
+                plan: Plan::from_bits(positions.iter().map(|_| false)),
+                positions,
+                levels: policy
+                    .looks_at_batteries()
+                    .then(|| Levels::new(scenario.bs.battery_knowledge, deployment)),
+            },
+            policy,
         }
     }
 
@@ -129,7 +150,7 @@ impl Cycle {
 
     /// The plan in force.
     pub const fn plan(&self) -> &Plan {
-        &self.plan
+        &self.known.plan
     }
 
     /// Sums over the counted events so far.
@@ -149,18 +170,20 @@ impl Cycle {
 
     /// Whether the true batteries are to be told before the next TTI is announced.
     pub fn wants_batteries(&self) -> bool {
-        self.next >= self.next_decision && self.next > Tti::ZERO && self.levels.as_ref().is_some_and(Levels::are_told)
+        self.next >= self.next_decision
+            && self.next > Tti::ZERO
+            && self.known.levels.as_ref().is_some_and(Levels::are_told)
     }
 
     /// Whether the true batteries after the TTIs that are granted next will be wanted.
     pub fn will_want_batteries(&self) -> bool {
-        self.levels.as_ref().is_some_and(Levels::are_told)
+        self.known.levels.as_ref().is_some_and(Levels::are_told)
     }
 
     /// The battery levels of all devices, in the order of ids, as the last TTI has left them.
     pub fn tell_batteries(&mut self, levels: impl IntoIterator<Item = Energy>) {
         assert_eq!(self.phase, Phase::Between, "batteries are told between TTIs");
-        if let Some(known) = &mut self.levels {
+        if let Some(known) = &mut self.known.levels {
             known.tell(levels);
         }
     }
@@ -171,27 +194,20 @@ impl Cycle {
         assert_eq!(self.phase, Phase::Between, "a plan is set between TTIs");
         let k = self.next;
         if k >= self.next_decision {
-            let seen = observe(
-                k,
-                &self.positions,
-                &self.scenario,
-                &self.plan,
-                0.0,
-                self.levels.as_ref(),
-            );
+            let seen = self.known.observe(k, 0.0);
             let plan = self.policy.decide(&seen);
             self.next_decision = self.policy.next_decision(k);
             assert!(self.next_decision > k, "a policy decides at most once per TTI");
-            self.plan_is_new = k == Tti::ZERO || plan != self.plan;
-            self.plan = plan;
+            self.plan_is_new = k == Tti::ZERO || plan != self.known.plan;
+            self.known.plan = plan;
         }
-        let is_sync = k.0.is_multiple_of(self.scenario.bs.sync_interval);
+        let is_sync = k.0.is_multiple_of(self.known.scenario.bs.sync_interval);
         if !self.plan_is_new && !is_sync {
             return None;
         }
         let update = PlanUpdate {
             from: k,
-            plan: self.plan.clone(),
+            plan: self.known.plan.clone(),
         };
         if std::mem::take(&mut self.plan_is_new) {
             self.fingerprint.plan(&update);
@@ -204,7 +220,7 @@ impl Cycle {
     pub fn grant(&mut self, horizon: Tti) -> Grant {
         assert_eq!(self.phase, Phase::Between, "TTI {} is still open", self.next);
         let first = self.next;
-        let sync = self.scenario.bs.sync_interval;
+        let sync = self.known.scenario.bs.sync_interval;
         let next_sync = Tti((first.0 / sync + 1) * sync);
         let horizon = horizon.min(next_sync).min(self.next_decision);
         assert!(first < horizon, "a grant covers at least one TTI");
@@ -221,9 +237,9 @@ impl Cycle {
         let Phase::Gathering(tti) = self.phase else {
             panic!("no grant is out")
         };
-        if let Some(levels) = &mut self.levels {
+        if let Some(levels) = &mut self.known.levels {
             // A policy that looks at batteries decides every TTI.
-            levels.pass(tti, &self.plan);
+            levels.pass(tti, &self.known.plan);
             for report in reports.iter() {
                 levels.heard(report.device, report.battery);
             }
@@ -240,24 +256,18 @@ impl Cycle {
         for report in reports.iter() {
             self.fingerprint.report(report);
             current.tally.reports += 1;
-            current.information = self.scenario.sensing.fuse(current.information, report.information);
+            current.information = self
+                .known
+                .scenario
+                .sensing
+                .fuse(current.information, report.information);
         }
         for failure in failures {
             current.tally.wrong_activations += 1;
             current.tally.wasted += failure.drained;
         }
         if let (PolicyEngine::Blind(policy), false) = (&mut self.policy, reports.is_empty()) {
-            policy.reported(
-                &observe(
-                    tti,
-                    &self.positions,
-                    &self.scenario,
-                    &self.plan,
-                    current.information,
-                    self.levels.as_ref(),
-                ),
-                reports,
-            );
+            policy.reported(&self.known.observe(tti, current.information), reports);
         }
         self.next_step(tti)
     }
@@ -269,8 +279,8 @@ impl Cycle {
         };
         let current = self.current.as_mut().expect("only an event makes the BS wake anyone");
         self.fingerprint.wake_up(tti, device, outcome);
-        let sensing = &self.scenario.sensing;
-        let distance = self.positions[device.index()].distance(current.event.stimulus.epicentre);
+        let sensing = &self.known.scenario.sensing;
+        let distance = self.known.positions[device.index()].distance(current.event.stimulus.epicentre);
         let is_far = distance > sensing.d_max;
         let (wrong, wasted, report) = match outcome {
             WakeOutcome::Reported(report) => (
@@ -287,7 +297,7 @@ impl Cycle {
         };
         current.tally.wrong_activations += u64::from(wrong);
         current.tally.wasted += wasted;
-        if let Some(levels) = &mut self.levels {
+        if let Some(levels) = &mut self.known.levels {
             match report {
                 Some(report) => levels.heard(device, report.battery),
                 None => levels.silent(device),
@@ -298,17 +308,7 @@ impl Cycle {
             current.information = sensing.fuse(current.information, report.information);
         }
         if let PolicyEngine::Blind(policy) = &mut self.policy {
-            policy.answered(
-                &observe(
-                    tti,
-                    &self.positions,
-                    &self.scenario,
-                    &self.plan,
-                    current.information,
-                    self.levels.as_ref(),
-                ),
-                report,
-            );
+            policy.answered(&self.known.observe(tti, current.information), report);
         }
         self.next_step(tti)
     }
@@ -320,7 +320,7 @@ impl Cycle {
         let total: DeviceTotals = ledgers.iter().copied().sum();
         let totals = Totals {
             devices: ledgers.len() as u64,
-            ttis: self.next.0.saturating_sub(self.scenario.warm_up_end().0),
+            ttis: self.next.0.saturating_sub(self.known.scenario.warm_up_end().0),
             events: self.events,
             control: self.control,
             energy: at_warm_up.map_or_else(DeviceTotals::default, |before| total - before),
@@ -329,10 +329,10 @@ impl Cycle {
             facts: self.policy.facts(),
             learned: self.policy.learned(),
             digest: self.fingerprint.finish(ledgers, &totals),
-            metrics: Metrics::new(&self.scenario, &totals),
+            metrics: Metrics::new(&self.known.scenario, &totals),
             totals,
             ttis_done: self.next.0,
-            complete: self.next.0 == self.scenario.ttis,
+            complete: self.next.0 == self.known.scenario.ttis,
         }
     }
 
@@ -354,7 +354,7 @@ impl Cycle {
             }
             let mut reaction = Tti::NEVER;
             for &j in &current.audience {
-                let next_on = self.plan.duty_cycle(j).next_on(k);
+                let next_on = self.known.plan.duty_cycle(j).next_on(k);
                 if next_on < reaction {
                     self.detectors.clear();
                     reaction = next_on;
@@ -379,7 +379,7 @@ impl Cycle {
         let event = self.world.start();
         let EventId(id) = event.stimulus.event;
         self.fingerprint.event_started(event.start, &event.stimulus);
-        let (sensing, seed) = (&self.scenario.sensing, self.scenario.seed);
+        let (sensing, seed) = (&self.known.scenario.sensing, self.known.scenario.seed);
         let mut audience = Vec::new();
         let mut genies_choice = None;
         match &self.policy {
@@ -405,14 +405,9 @@ impl Cycle {
             return self.close(tti);
         };
         let wake = match &mut self.policy {
-            PolicyEngine::Blind(policy) if current.tally.reports > 0 => policy.next_wake_up(&observe(
-                tti,
-                &self.positions,
-                &self.scenario,
-                &self.plan,
-                current.information,
-                self.levels.as_ref(),
-            )),
+            PolicyEngine::Blind(policy) if current.tally.reports > 0 => {
+                policy.next_wake_up(&self.known.observe(tti, current.information))
+            }
             PolicyEngine::Blind(_) => None,
             PolicyEngine::Genie(_) => current.genies_choice.take_if(|_| tti == current.event.start),
         };
@@ -446,7 +441,7 @@ impl Cycle {
         };
         self.fingerprint.event_ended(last, &tally);
         let ActiveEvent { stimulus, start, .. } = current.event;
-        let counted = start >= self.scenario.warm_up_end();
+        let counted = start >= self.known.scenario.warm_up_end();
         if counted {
             self.events.count(&tally);
         }
@@ -465,27 +460,9 @@ impl Cycle {
     }
 
     fn count_control(&mut self, tti: Tti, bytes: u64) {
-        if tti >= self.scenario.warm_up_end() {
+        if tti >= self.known.scenario.warm_up_end() {
             self.control.messages += 1;
             self.control.bytes += bytes;
         }
-    }
-}
-
-fn observe<'a>(
-    now: Tti,
-    positions: &'a [Point],
-    scenario: &'a Scenario,
-    plan: &'a Plan,
-    information: f64,
-    levels: Option<&'a Levels>,
-) -> Observation<'a> {
-    Observation {
-        now,
-        positions,
-        sensing: &scenario.sensing,
-        plan,
-        information,
-        batteries: levels.map_or(&[], Levels::all),
     }
 }

@@ -198,6 +198,7 @@ impl Toy {
         };
         let terms = Terms {
             weights: settings.weights,
+            schedule: settings.schedule,
             alpha: ALPHA,
             window: 1,
         };
@@ -248,11 +249,7 @@ fn empty(state: usize) -> usize {
 fn the_learner_comes_close_to_the_optimum() {
     let cross = [(1.5, 1.5), (6.0, 1.0), (2.0, 6.5), (6.5, 6.0), (4.0, 4.0), (3.0, 3.5)];
     let pairs = [(2.0, 3.0), (2.4, 2.5), (6.0, 3.2), (6.3, 2.6), (10.0, 3.0), (9.6, 3.4)];
-    // On `pairs`, where devices all but stand in for each other, the table sees too little: it cannot tell a battery that its
-    // neighbour backs up from one that stands alone.
-    for (name, (width, height), points, share) in
-        [("cross", (8.0, 8.0), cross, 0.98), ("pairs", (12.0, 6.0), pairs, 0.9)]
-    {
+    for (name, (width, height), points) in [("cross", (8.0, 8.0), cross), ("pairs", (12.0, 6.0), pairs)] {
         let toy = Toy::new(Area { width, height }, &points, 0.15, 2.0);
         let in_turn: Vec<usize> = (0..LEVELS as u64)
             .map(|l| battery_bucket(units(l), &toy.energy()))
@@ -279,8 +276,12 @@ fn the_learner_comes_close_to_the_optimum() {
             "nothing is better than the optimum"
         );
         assert!(
-            own >= share * best,
+            own >= 0.98 * best,
             "{name}: the learner gains {own}, the optimum {best}"
+        );
+        assert!(
+            o >= 0.95 * b,
+            "{name}: discounted, the learner gains {o}, the optimum {b}"
         );
         assert!(
             myopic < 0.95 * best,

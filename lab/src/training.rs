@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use rayon::iter::{IntoParallelRefMutIterator, ParallelIterator};
 use reveille_bs::outcome::{EventRecord, Outcome, Watcher, WindowRecord};
 use reveille_common::deployment::Deployment;
-use reveille_common::learned::{CurvePoint, Entry, Learned, LearnedError, Setting, Training, Weights};
+use reveille_common::learned::{CurvePoint, Entry, Learned, LearnedError, Schedule, Setting, Training, Weights};
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::scenario::{PolicyConfig, QLearningSettings, Scenario, WakeUpRanking};
 use reveille_common::units::Energy;
@@ -152,10 +152,13 @@ impl Trainer {
         if let Some(bad) = [epsilon.0, epsilon.1].iter().find(|e| !(0.0..1.0).contains(*e)) {
             return Err(invalid("epsilon", bad, "must be at least 0 and less than 1"));
         }
-        let surface = scenario.area.surface();
         // Rounded as a checkpoint holds them, so that going on from one is the same.
-        let begun = devices.iter().map(|&n| {
-            let mut entry = Entry::optimistic(n, surface, &settings.weights);
+        let begun = devices.iter().map(|&devices| {
+            let one = Scenario {
+                devices,
+                ..scenario.clone()
+            };
+            let mut entry = Entry::optimistic(&one, &settings.weights, settings.window, settings.schedule.optimism);
             entry.round();
             entry
         });
@@ -187,6 +190,7 @@ impl Trainer {
             scenario: first.hash_hex(),
             weights: self.settings.weights,
             window: self.settings.window,
+            schedule: self.settings.schedule,
             training: self.training.clone(),
             setting: Setting::of(&self.scenario),
             entries: self.entries.clone(),
@@ -214,6 +218,10 @@ impl Trainer {
             (
                 !is_same_weights(&found.weights, &mine.weights) || found.window != mine.window,
                 "other weights or another window",
+            ),
+            (
+                !is_same_schedule(&found.schedule, &mine.schedule),
+                "another learning rate or optimism",
             ),
             (
                 !is_same_length(&found.training, &mine.training),
@@ -304,6 +312,11 @@ fn is_same_weights(found: &Weights, mine: &Weights) -> bool {
     is_same(&[found.mu1, found.mu2, found.zeta], &[mine.mu1, mine.mu2, mine.zeta])
 }
 
+fn is_same_schedule(found: &Schedule, mine: &Schedule) -> bool {
+    let [a, b] = [found, mine].map(|s| [s.rate_decay, s.rate_floor, s.optimism]);
+    is_same(&a, &b)
+}
+
 fn is_same_length(found: &Training, mine: &Training) -> bool {
     let [a, b] = [found, mine].map(|t| [t.epsilon.0, t.epsilon.1]);
     is_same(&a, &b) && (found.episodes, found.ttis, found.seed) == (mine.episodes, mine.ttis, mine.seed)
@@ -322,7 +335,7 @@ fn episode(
     let progress = number as f64 / (training.episodes - 1).max(1) as f64;
     let settings = QLearningSettings {
         learn: true,
-        epsilon: first + progress * (last - first),
+        epsilon: [first + progress * (last - first); 2].into(),
         start: Arc::new(entry.clone()),
         ..settings.clone()
     };
@@ -382,10 +395,11 @@ pub fn learned_in(scenario: &Scenario, outcome: &Outcome) -> Option<Learned> {
         scenario: scenario.hash_hex(),
         weights: settings.weights,
         window: settings.window,
+        schedule: settings.schedule,
         training: Training {
             episodes: 1,
             ttis: outcome.ttis_done.max(1),
-            epsilon: (settings.epsilon, settings.epsilon),
+            epsilon: settings.epsilon,
             seed: scenario.seed,
         },
         setting: Setting::of(scenario),

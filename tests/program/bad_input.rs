@@ -347,13 +347,7 @@ fn a_device_process_that_tries_to_connect_can_be_interrupted() {
             "device --connect {} --run x --patience 10min",
             free_endpoint()
         ));
-        // Signals before the handlers are in place end the process too, but by themselves.
-        wait_until("the device process to take a signal", PATIENCE, || {
-            let status = fs::read_to_string(format!("/proc/{}/status", device.pid())).ok()?;
-            let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"))?;
-            let caught = u64::from_str_radix(caught.trim(), 16).ok()?;
-            (caught & 1 << 14 != 0).then_some(())
-        });
+        device.wait_for_handlers();
         device.signal(signal);
         assert_eq!(device.finish().code(), Some(130));
     }

@@ -27,6 +27,13 @@ fn bytes(folder: &Folder, path: &str) -> Vec<u8> {
     fs::read(folder.join(path)).unwrap_or_else(|error| panic!("{path}: {error}"))
 }
 
+/// Whether the folders `a` and `b` hold the same file `name`.
+#[track_caller]
+fn assert_same(folder: &Folder, name: &str) {
+    let [a, b] = ["a", "b"].map(|of| bytes(folder, &format!("{of}/{name}")));
+    assert!(a == b, "{name} differs");
+}
+
 #[test]
 fn pictures_of_a_deployment_and_a_timeline_are_the_same_twice() {
     let folder = Folder::new();
@@ -42,11 +49,7 @@ fn pictures_of_a_deployment_and_a_timeline_are_the_same_twice() {
     let names = folder.list("a");
     assert_eq!(names.len(), 4, "{names:?}");
     for name in names {
-        assert_eq!(
-            bytes(&folder, &format!("a/{name}")),
-            bytes(&folder, &format!("b/{name}")),
-            "{name}"
-        );
+        assert_same(&folder, &name);
     }
 }
 
@@ -145,11 +148,7 @@ fn learned_tables_become_pictures_the_same_twice() {
     assert!(names.contains(&"q-table-mine-n10-value.csv".to_owned()));
     assert_eq!(names.len(), 17, "{names:?}");
     for name in names {
-        assert_eq!(
-            bytes(&folder, &format!("a/{name}")),
-            bytes(&folder, &format!("b/{name}")),
-            "{name}"
-        );
+        assert_same(&folder, &name);
     }
 }
 
@@ -159,7 +158,7 @@ fn learned_tables_that_are_none_or_lack_an_n_are_refused() {
     let end = folder.run("train q-learning --out mine.json -n 10,30 --episodes 1 --episode-ttis 100 --quiet");
     assert_eq!(end.code(), Some(0), "{end}");
     let text = String::from_utf8(bytes(&folder, "mine.json")).expect("text");
-    folder.write("later.json", &text.replacen("\"version\":1", "\"version\":2", 1));
+    folder.write("later.json", &text.replacen("\"version\":2", "\"version\":3", 1));
     folder.write("short.json", &text[..text.len() / 2]);
     folder.write("junk.json", "{\"rows\": []}");
     let refused = |args: &str, parts: &[&str]| {
@@ -173,7 +172,7 @@ fn learned_tables_that_are_none_or_lack_an_n_are_refused() {
         );
         refused(
             &format!("{command} later.json"),
-            &["later.json: has version 2", "reveille train q-learning"],
+            &["later.json: has version 3", "reveille train q-learning"],
         );
         refused(&format!("{command} short.json"), &["short.json: is damaged"]);
         refused(&format!("{command} nowhere.json"), &["nowhere.json: cannot be read"]);
@@ -215,11 +214,7 @@ fn a_sweep_becomes_figures_and_a_report_the_same_twice() {
     }
     assert_eq!(names.len(), 24, "{names:?}");
     for name in names {
-        assert_eq!(
-            bytes(&folder, &format!("a/{name}")),
-            bytes(&folder, &format!("b/{name}")),
-            "{name}"
-        );
+        assert_same(&folder, &name);
     }
     for _ in 0..2 {
         let end = folder.run(&format!("report {tables} --out report"));

@@ -259,6 +259,20 @@ impl Process {
         });
     }
 
+    /// Waits until it takes SIGINT itself: before its handler is in place the signal ends it as well, but without a word.
+    ///
+    /// # Panics
+    /// If that does not come in time.
+    pub fn wait_for_handlers(&self) {
+        wait_until("the process to take a signal", PATIENCE, || {
+            let status = fs::read_to_string(format!("/proc/{}/status", self.pid())).ok()?;
+            let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"))?;
+            let caught = u64::from_str_radix(caught.trim(), 16).ok()?;
+            let bit = Signal::INT.as_raw() - 1;
+            (caught >> bit & 1 == 1).then_some(())
+        });
+    }
+
     /// Waits for its end.
     ///
     /// # Panics

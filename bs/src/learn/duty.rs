@@ -5,7 +5,9 @@ use std::collections::{BinaryHeap, VecDeque};
 
 use reveille_common::geometry::{Area, Point};
 use reveille_common::ids::DeviceId;
-use reveille_common::learned::{AREAS, BATTERIES, DutyTable, NODES, Weights, area_bucket, battery_bucket};
+use reveille_common::learned::{
+    AREAS, BATTERIES, DutyTable, NODES, Rates, Schedule, Weights, area_bucket, battery_bucket,
+};
 use reveille_common::rng::Stream;
 use reveille_common::scenario::EnergyModel;
 use reveille_common::sensing::Sensing;
@@ -18,6 +20,8 @@ use super::coverage::Coverage;
 pub struct Terms {
     /// μ1 and ζ.
     pub weights: Weights,
+    /// How it learns.
+    pub schedule: Schedule,
     /// Probability α that an event starts in a TTI.
     pub alpha: f64,
     /// TTIs within which the area is to be covered once, ≥ 1.
@@ -28,14 +32,12 @@ pub struct Terms {
 #[derive(Clone, Debug)]
 pub struct Duty {
     table: DutyTable,
-    /// Of the table, made monotone.
-    advantages: [[f64; AREAS]; BATTERIES],
+    /// V of the table, made monotone.
     values: [f64; NODES],
     terms: Terms,
-    /// N α μ1: what a device that alone covers the whole area adds to N r(k).
+    rates: Rates,
+    /// What a device that alone covers the whole area adds to N r(k) until it has to be covered again.
     worth: f64,
-    /// Σ ζ^i, i = 0 .. `window`: what an area that is covered now counts for until it has to be covered again.
-    lasting: f64,
     /// Sensing discs that make up the area.
     discs: f64,
     energies: Vec<EnergyModel>,
@@ -86,16 +88,20 @@ impl Duty {
         area: Area,
         sensing: &Sensing,
     ) -> Self {
-        let Terms { weights, alpha, window } = terms;
+        let Terms {
+            weights,
+            schedule,
+            alpha,
+            window,
+        } = terms;
         let coverage = Coverage::new(positions, area, sensing);
         let (most, area_parts) = coverage.most_parts();
         let discs = area.surface() / (std::f64::consts::PI * sensing.d_max * sensing.d_max);
         let mut duty = Self {
-            advantages: [[0.0; AREAS]; BATTERIES],
             values: [0.0; NODES],
             table,
-            worth: alpha * weights.mu1 * positions.len() as f64,
-            lasting: (0..window).fold(0.0, |sum, _| sum * weights.zeta + 1.0),
+            worth: weights.covering(positions.len() as u32, alpha, window),
+            rates: schedule.rates(),
             terms,
             discs,
             batteries: vec![0; energies.len()],
@@ -228,38 +234,34 @@ impl Duty {
         let zeta = self.terms.weights.zeta;
         for ((share, &after), energy) in shares.iter().zip(levels).zip(&self.energies) {
             let Share { battery, area, on, .. } = *share;
-            let reward = if on {
-                self.worth * share.gain * self.lasting
-            } else {
-                1.0
-            };
+            let reward = if on { self.worth * share.gain } else { 1.0 };
             let [before, after] = [share.level, after].map(|level| value_at(&self.values, level, energy));
             let (battery, area) = (usize::from(battery), usize::from(area));
             let outcome = reward + zeta * after;
             let value = self.table.outcome_mut(battery, area, on);
-            value.learn(outcome);
+            value.learn(outcome, self.rates);
             let worth = value.value;
             // Only what the action does to the value tells the two actions apart. What is the same for both would drown the
             // difference for as long as it is itself being learned.
-            self.table.at_mut(battery, area, on).learn(outcome - zeta * before);
+            self.table
+                .at_mut(battery, area, on)
+                .learn(outcome - zeta * before, self.rates);
             let (node, part) = node_of(share.level, energy);
-            self.table.value[node].learn_a_share(worth, 1.0 - part);
-            self.table.value[node + 1].learn_a_share(worth, part);
+            self.table.value[node].learn_a_share(worth, 1.0 - part, self.rates);
+            self.table.value[node + 1].learn_a_share(worth, part, self.rates);
         }
         self.refresh();
     }
 
     /// Makes what is looked up anew from the table.
     fn refresh(&mut self) {
-        self.advantages = self.table.advantages();
+        let advantages = self.table.advantages();
         self.values = self.table.values();
-        let mut sorted: Vec<f64> = self.advantages.iter().flatten().copied().filter(|a| *a > 0.0).collect();
+        let mut sorted: Vec<f64> = advantages.iter().flatten().copied().filter(|a| *a > 0.0).collect();
         sorted.sort_unstable_by(f64::total_cmp);
         sorted.dedup();
         let place = |advantage: f64| sorted.partition_point(|a| *a <= advantage) as u8;
-        self.places = self
-            .advantages
-            .map(|row| row.map(|a| if a > 0.0 { place(a) } else { 0 }));
+        self.places = advantages.map(|row| row.map(|a| if a > 0.0 { place(a) } else { 0 }));
     }
 
     /// r(k) of the last exploration, and the devices' shares of it, which add up to it.
@@ -271,7 +273,7 @@ impl Duty {
         } = self.last.as_ref()?;
         let n = shares.len() as f64;
         let on = shares.iter().filter(|share| share.on).count() as f64;
-        let weight = self.worth / n;
+        let weight = self.terms.alpha * self.terms.weights.mu1;
         let of = move |(share, credit): (&Share, &f64)| {
             let asleep = if share.on { 0.0 } else { 1.0 / n };
             asleep + weight * (credit - 1.0 / n)

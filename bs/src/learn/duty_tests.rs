@@ -107,7 +107,7 @@ impl Ground {
 
 /// A table in which each value is drawn at random.
 fn random_table(stream: &mut Stream) -> DutyTable {
-    let mut table = DutyTable::optimistic(0.0);
+    let mut table = DutyTable::optimistic(0.0, |_| 1.0);
     for cell in table.q.iter_mut().chain(&mut table.value) {
         cell.value = 20.0 + 4.0 * (stream.unit() - 0.5);
         cell.visits = stream.below(5000) as u32;
@@ -136,6 +136,7 @@ impl Case {
 
     fn learner(&self, table: DutyTable, weights: Weights, alpha: f64) -> Duty {
         let terms = Terms {
+            schedule: Schedule::default(),
             weights,
             alpha,
             window: self.window,

@@ -1,6 +1,8 @@
 //! Whom to wake: one candidate after the other, until waking the best is worth nothing.
 
-use reveille_common::learned::{WakeTable, Weights, information_bucket, score_bucket};
+use reveille_common::learned::{
+    INFORMATIONS, REPORTS, Rates, SCORES, Schedule, WakeTable, Weights, information_bucket, score_bucket,
+};
 
 /// What a wake-up is decided in: buckets of the candidate's score, of Î, and the reports so far.
 pub type State = [usize; 3];
@@ -9,6 +11,9 @@ pub type State = [usize; 3];
 #[derive(Clone, Debug)]
 pub struct Wake {
     table: WakeTable,
+    rates: Rates,
+    /// By Î, reports and score: Q, made never to fall with the score.
+    worths: [[[f64; SCORES]; REPORTS]; INFORMATIONS],
     /// μ2 N, the worth of all information in r*(k) N.
     worth: f64,
     psi: f64,
@@ -20,9 +25,12 @@ pub struct Wake {
 
 impl Wake {
     /// A learner with `table` for `devices` devices whose reports are worth up to `psi`.
-    pub fn new(table: WakeTable, weights: &Weights, devices: u32, psi: f64) -> Self {
+    pub fn new(table: WakeTable, weights: &Weights, schedule: &Schedule, devices: u32, psi: f64) -> Self {
+        let of = |information| std::array::from_fn(|reports| table.worths(information, reports));
         Self {
+            worths: std::array::from_fn(of),
             table,
+            rates: schedule.rates(),
             worth: weights.mu2 * f64::from(devices),
             psi,
             open: None,
@@ -46,7 +54,8 @@ impl Wake {
 
     /// Whether waking is worth more than stopping, which is worth 0.
     pub fn is_worth_it(&self, state: State) -> bool {
-        self.table.at(state).value > 0.0
+        let [score, information, reports] = state;
+        self.worths[information][reports][score] > 0.0
     }
 
     /// The candidate of `state` is woken, at `information`.
@@ -70,7 +79,9 @@ impl Wake {
             return;
         };
         let rest = next.map_or(0.0, |next| self.table.at(next).value.max(0.0));
-        self.table.at_mut(state).learn(reward + rest);
+        self.table.at_mut(state).learn(reward + rest, self.rates);
+        let [_, information, reports] = state;
+        self.worths[information][reports] = self.table.worths(information, reports);
     }
 }
 
@@ -104,7 +115,7 @@ mod tests {
                 mu2: 5.0 * stream.unit(),
                 zeta: 0.9,
             };
-            let mut wake = Wake::new(WakeTable::optimistic(1.0), &weights, devices, psi);
+            let mut wake = Wake::new(WakeTable::optimistic(1.0), &weights, &Schedule::default(), devices, psi);
             // The first report; what it brought is not a wake-up's.
             let mut distances = vec![4.0 * stream.unit()];
             let information = |distances: &[f64]| {
@@ -146,8 +157,8 @@ mod tests {
             mu2: 2.0,
             zeta: 0.9,
         };
-        let mut wake = Wake::new(WakeTable::optimistic(1.0), &weights, 50, 1.0);
-        let (good, bad) = ([9, 0, 0], [0, 7, 3]);
+        let mut wake = Wake::new(WakeTable::optimistic(1.0), &weights, &Schedule::default(), 50, 1.0);
+        let (good, bad) = ([19, 0, 0], [0, 7, 3]);
         wake.table.at_mut(good).value = 5.0;
         wake.table.at_mut(bad).value = -5.0;
         // To stop is worth 0, so what follows is never worth less.
@@ -165,5 +176,37 @@ mod tests {
             wake.learn(next);
             assert!((wake.table().at(state).value - expected).abs() < 1e-9, "learned once");
         }
+    }
+
+    #[test]
+    fn a_better_candidate_is_woken_wherever_a_worse_one_is() {
+        let weights = Weights {
+            mu1: 1.0,
+            mu2: 2.0,
+            zeta: 0.9,
+        };
+        let mut table = WakeTable::optimistic(1.0);
+        // Visited often and worth nothing, between cells that nobody knows.
+        *table.at_mut([4, 2, 1]) = (-3.0, 500).into();
+        *table.at_mut([17, 2, 1]) = (6.0, 500).into();
+        let mut wake = Wake::new(table, &weights, &Schedule::default(), 50, 1.0);
+        let woken = |wake: &Wake| (0..SCORES).filter(|&s| wake.is_worth_it([s, 2, 1])).collect::<Vec<_>>();
+        assert_eq!(woken(&wake), (5..SCORES).collect::<Vec<_>>());
+        assert!((0..SCORES).all(|s| wake.is_worth_it([s, 2, 0]) && wake.is_worth_it([s, 3, 1])));
+        // What is learned counts from the next candidate on.
+        for _ in 0..40 {
+            wake.wake([19, 2, 1], 0.0);
+            wake.answered(-0.4);
+            wake.learn(None);
+        }
+        let last = wake.table().at([19, 2, 1]).value;
+        assert!(last < -30.0, "{last}");
+        let worths = wake.table().worths(2, 1);
+        let pooled = (501.0 * 6.0 + 1.0 + 41.0 * last) / 543.0;
+        assert!(
+            worths[17..].iter().all(|worth| (worth - pooled).abs() < 1e-9),
+            "{worths:?}"
+        );
+        assert_eq!(worths, wake.worths[2][1]);
     }
 }

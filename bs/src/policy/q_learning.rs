@@ -19,6 +19,8 @@ pub struct QLearning {
     settings: QLearningSettings,
     ranking: WakeUpRanking,
     seed: u64,
+    /// Length of the run.
+    ttis: u64,
     duty: Duty,
     wake: Wake,
     candidates: Candidates,
@@ -45,6 +47,7 @@ impl QLearning {
         let (sensing, start) = (&scenario.sensing, &settings.start);
         let terms = Terms {
             weights: settings.weights,
+            schedule: settings.schedule,
             alpha: scenario.events.alpha,
             window: settings.window,
         };
@@ -56,8 +59,15 @@ impl QLearning {
         Self {
             ranking: scenario.bs.ranking,
             seed: scenario.seed,
+            ttis: scenario.ttis,
             duty: Duty::new(start.duty.clone(), terms, &positions, energies, scenario.area, sensing),
-            wake: Wake::new(wake_table, &settings.weights, scenario.devices, sensing.psi),
+            wake: Wake::new(
+                wake_table,
+                &settings.weights,
+                &settings.schedule,
+                scenario.devices,
+                sensing.psi,
+            ),
             candidates: Candidates::new(scenario, &positions),
             needed: deployment
                 .devices
@@ -79,6 +89,12 @@ impl QLearning {
         Some((device, self.wake.state(score, seen.information, self.reports)))
     }
 
+    /// ε in TTI `now`.
+    fn epsilon(&self, now: Tti) -> f64 {
+        let (first, last) = self.settings.epsilon;
+        first + (last - first) * (now.0 as f64 / self.ttis.saturating_sub(1).max(1) as f64)
+    }
+
     fn learn_duty(&mut self, seen: &Observation<'_>) {
         if let Some((reward, shares)) = self.duty.rewards() {
             debug_assert!((shares.sum::<f64>() - reward).abs() < 1e-9, "the shares add up to r(k)");
@@ -94,7 +110,7 @@ impl Policy for QLearning {
         let chosen = if self.settings.learn {
             self.learn_duty(seen);
             let mut stream = Stream::new(self.seed, Purpose::Exploration, seen.now.0);
-            self.duty.explore(seen.batteries, self.settings.epsilon, &mut stream)
+            self.duty.explore(seen.batteries, self.epsilon(seen.now), &mut stream)
         } else {
             self.duty.choose(seen.batteries)
         };
@@ -116,7 +132,7 @@ impl Policy for QLearning {
         self.reports = reports.len();
         // An event in which everyone is woken: what comes after a stop is learned only if it is not always made.
         self.is_exploring = self.settings.learn
-            && unit_for_pair(self.seed, Purpose::Exploration, seen.now.0, 1) < self.settings.epsilon;
+            && unit_for_pair(self.seed, Purpose::Exploration, seen.now.0, 1) < self.epsilon(seen.now);
         self.candidates.start(seen, reports);
     }
 

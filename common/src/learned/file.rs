@@ -7,12 +7,12 @@ use std::sync::{Arc, LazyLock};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use super::{DutyTable, Entry, Learned, Setting, Training, WakeTable, Weights};
+use super::{DutyTable, Entry, Learned, Schedule, Setting, Training, WakeTable, Weights};
 
 /// What the file says that it is.
 pub const FORMAT: &str = "reveille-q-table";
 /// The version of its form that this program reads and writes.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 /// The longest file that is read, bytes.
 const LONGEST: u64 = 64 << 20;
 
@@ -64,6 +64,7 @@ struct Body {
     scenario: String,
     weights: Weights,
     window: u32,
+    schedule: Schedule,
     training: Training,
     setting: Setting,
     entries: Vec<Entry>,
@@ -124,6 +125,7 @@ impl Learned {
             scenario: body.scenario,
             weights: body.weights,
             window: body.window,
+            schedule: body.schedule,
             training: body.training,
             setting: body.setting,
             entries: body.entries,
@@ -147,6 +149,7 @@ impl Learned {
             scenario: self.scenario.clone(),
             weights: self.weights,
             window: self.window,
+            schedule: self.schedule,
             training: self.training.clone(),
             setting: self.setting.clone(),
             entries,
@@ -253,6 +256,7 @@ fn sha256(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scenario::{Override, load};
 
     fn learned() -> Learned {
         let weights = Weights {
@@ -264,13 +268,21 @@ mod tests {
             words: vec![("layout.kind".to_owned(), "uniform".to_owned())],
             numbers: vec![("events.alpha".to_owned(), 0.1)],
         };
-        let mut entries: Vec<Entry> = [10, 50].map(|n| Entry::optimistic(n, 400.0, &weights)).to_vec();
-        entries[0].duty.at_mut(3, 4, true).learn(1.0 / 3.0);
+        let entry = |n: u32| {
+            let devices = Override::parse(&format!("devices={n}")).expect("an override");
+            Entry::optimistic(&load("paper", &[devices]).expect("a scenario"), &weights, 4, 1.0)
+        };
+        let mut entries: Vec<Entry> = [10, 50].map(entry).to_vec();
+        entries[0]
+            .duty
+            .at_mut(3, 4, true)
+            .learn(1.0 / 3.0, Schedule::default().rates());
         Learned {
             made_by: "reveille 0.1.0".to_owned(),
             scenario: "00".to_owned(),
             weights,
             window: 4,
+            schedule: Schedule::default(),
             training: Training {
                 episodes: 1,
                 ttis: 100,
@@ -306,7 +318,7 @@ mod tests {
     fn files_of_another_kind_version_or_content_are_refused() {
         let text = learned().to_json();
         refused("devices = 5", "not a file of learned tables");
-        refused(&text.replace("\"version\":1", "\"version\":2"), "has version 2");
+        refused(&text.replace("\"version\":2", "\"version\":3"), "has version 3");
         refused(&text[..text.len() / 2], "damaged");
         refused(&text.replacen("20.0", "21.0", 1), "checksum");
         refused("", "not a file of learned tables");
@@ -316,7 +328,7 @@ mod tests {
     fn values_that_are_no_numbers_and_tables_of_another_size_are_refused() {
         let sealed = |body: &str| {
             format!(
-                "{{\"format\":\"{FORMAT}\",\"version\":1,\"sha256\":\"{}\",\"body\":{body}}}",
+                "{{\"format\":\"{FORMAT}\",\"version\":{VERSION},\"sha256\":\"{}\",\"body\":{body}}}",
                 sha256(body)
             )
         };

@@ -9,8 +9,8 @@ mod tables;
 
 pub use file::{FORMAT, LearnedError, VERSION};
 pub use tables::{
-    AREAS, BATTERIES, Cell, DutyTable, INFORMATIONS, NODES, REPORTS, SCORES, WakeTable, area_bucket, area_edge,
-    battery_bucket, information_bucket, score_bucket,
+    AREAS, BATTERIES, Cell, DutyTable, INFORMATIONS, NODES, REPORTS, Rates, SCORES, Schedule, WakeTable, area_bucket,
+    area_edge, battery_bucket, information_bucket, score_bucket, score_edge,
 };
 
 use serde::{Deserialize, Serialize};
@@ -30,6 +30,15 @@ pub struct Weights {
     pub mu2: f64,
     /// Discount ζ of the duty cycling, `[0, 1)`.
     pub zeta: f64,
+}
+
+impl Weights {
+    /// What covering the whole area once is worth in N r(k), where it then counts as covered for `window` TTIs and an event starts
+    /// with probability `alpha`: N α μ1 Σ ζ^i, i = 0 .. `window`.
+    pub fn covering(&self, devices: u32, alpha: f64, window: u32) -> f64 {
+        let lasting = (0..window).fold(0.0, |sum, _| sum * self.zeta + 1.0);
+        f64::from(devices) * alpha * self.mu1 * lasting
+    }
 }
 
 /// What the tables were learned on: fields of the scenario that change what is worth doing. Energies are in units.
@@ -120,14 +129,18 @@ pub struct Entry {
 }
 
 impl Entry {
-    /// The optimistic start: nothing is known, everything is worth a try.
-    pub fn optimistic(devices: u32, surface: f64, weights: &Weights) -> Self {
+    /// The optimistic start for the devices and the ground of `scenario`: what an action brings at once is known, `optimism`
+    /// times that for sensing; what it costs later is not. Every wake-up is worth a try.
+    pub fn optimistic(scenario: &Scenario, weights: &Weights, window: u32, optimism: f64) -> Self {
+        let (devices, surface) = (scenario.devices, scenario.area.surface());
+        let disc = std::f64::consts::PI * scenario.sensing.d_max * scenario.sensing.d_max;
+        let whole = optimism * weights.covering(devices, scenario.events.alpha, window) * disc / surface;
         Self {
             devices,
             surface,
-            duty: DutyTable::optimistic(1.0 / (1.0 - weights.zeta)),
-            wake_p42: WakeTable::optimistic(1.0),
-            wake_posterior: WakeTable::optimistic(1.0),
+            duty: DutyTable::optimistic(1.0 / (1.0 - weights.zeta), |area| whole * area_edge(area)),
+            wake_p42: WakeTable::optimistic(optimism),
+            wake_posterior: WakeTable::optimistic(optimism),
             curve: Vec::new(),
         }
     }
@@ -163,6 +176,8 @@ pub struct Learned {
     pub weights: Weights,
     /// TTIs within which the area was to be covered once.
     pub window: u32,
+    /// How values were learned.
+    pub schedule: Schedule,
     /// How it was trained.
     pub training: Training,
     /// What it was learned on.

@@ -1,5 +1,7 @@
 //! Tables over a few buckets of what a decision depends on.
 
+use std::f64::consts::FRAC_1_SQRT_2;
+
 use serde::{Deserialize, Serialize};
 
 use crate::scenario::EnergyModel;
@@ -12,7 +14,7 @@ pub const AREAS: usize = 16;
 /// Nodes of the value as a function of the battery, evenly over `0 ..= E_max`.
 pub const NODES: usize = 9;
 /// Buckets of a wake-up candidate's score.
-pub const SCORES: usize = 10;
+pub const SCORES: usize = 20;
 /// Buckets of the information gathered.
 pub const INFORMATIONS: usize = 8;
 /// Buckets of the reports so far: 1, 2, 3, more.
@@ -23,6 +25,8 @@ const LEAST_AREA: f64 = 0.0002;
 /// The end of the first bucket of areas that count, and the ratio of the ends after it.
 const FIRST_AREA: f64 = 0.005;
 const AREA_RATIO: f64 = 1.45;
+/// The bucket up to the whole disc.
+const LAST_AREA: usize = AREAS - 1;
 
 /// One learned value.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -51,17 +55,15 @@ impl Cell {
         Self { value, visits: 0 }
     }
 
-    /// Moves the value towards `target`; the more often that has happened, the less, down to a floor: the rate is
-    /// max((n + 4)^-0.7, 0.002) at the n-th visit, so that the optimistic start outlives the first few.
-    pub fn learn(&mut self, target: f64) {
-        self.visits = self.visits.saturating_add(1);
-        self.value += rate(self.visits) * (target - self.value);
+    /// Moves the value towards `target`; the more often that has happened, the less.
+    pub fn learn(&mut self, target: f64, rates: Rates) {
+        self.learn_a_share(target, 1.0, rates);
     }
 
     /// The same, with a share `weight` of the visit, `[0, 1]`.
-    pub fn learn_a_share(&mut self, target: f64, weight: f64) {
+    pub fn learn_a_share(&mut self, target: f64, weight: f64, rates: Rates) {
         self.visits = self.visits.saturating_add(1);
-        self.value += weight * rate(self.visits) * (target - self.value);
+        self.value += weight * rates.at(self.visits) * (target - self.value);
     }
 
     fn round(&mut self) {
@@ -69,17 +71,61 @@ impl Cell {
     }
 }
 
-/// Visits from which on the learning rate is at its floor.
-const FLOOR_VISITS: u32 = 7160;
-const FLOOR: f64 = 0.002;
 /// Visits that the start counts for.
-const PRIOR: u32 = 4;
+const PRIOR: f64 = 4.0;
 
-fn rate(visits: u32) -> f64 {
-    if visits < FLOOR_VISITS {
-        libm::pow(f64::from(visits + PRIOR), -0.7).max(FLOOR)
-    } else {
-        FLOOR
+/// How values are learned.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Schedule {
+    /// Exponent ω of the learning rate, `(0, 1]`: it is max((n + 4)^−ω, floor) at a value's n-th visit, so that the start outlives
+    /// the first few.
+    pub rate_decay: f64,
+    /// The least learning rate, `(0, 1]`.
+    pub rate_floor: f64,
+    /// How optimistic the start is, ≥ 0: 1 for what an action brings at the most.
+    pub optimism: f64,
+}
+
+impl Default for Schedule {
+    fn default() -> Self {
+        Self {
+            rate_decay: 0.7,
+            rate_floor: 0.002,
+            optimism: 1.0,
+        }
+    }
+}
+
+impl Schedule {
+    /// The learning rates.
+    pub fn rates(&self) -> Rates {
+        let flat = libm::pow(self.rate_floor, -1.0 / self.rate_decay) - PRIOR;
+        Rates {
+            decay: self.rate_decay,
+            floor: self.rate_floor,
+            // What does not fit is never reached.
+            flat: flat.ceil() as u32,
+        }
+    }
+}
+
+/// Learning rates by visits.
+#[derive(Clone, Copy, Debug)]
+pub struct Rates {
+    decay: f64,
+    floor: f64,
+    /// From so many visits on the rate is at its floor.
+    flat: u32,
+}
+
+impl Rates {
+    fn at(self, visits: u32) -> f64 {
+        if visits < self.flat {
+            libm::pow(f64::from(visits) + PRIOR, -self.decay).max(self.floor)
+        } else {
+            self.floor
+        }
     }
 }
 
@@ -97,11 +143,17 @@ pub struct DutyTable {
 }
 
 impl DutyTable {
-    /// Everything worth `value`.
-    pub fn optimistic(value: f64) -> Self {
+    /// The start at `value` = 1/(1 − ζ), that of being asleep for ever: δ = 0 brings its 1, and δ = 1 what `most` says
+    /// for a bucket of areas, with nothing charged for the energy that it takes.
+    pub fn optimistic(value: f64, most: impl Fn(usize) -> f64) -> Self {
+        let rewards: [[f64; 2]; AREAS] = std::array::from_fn(|area| [1.0, most(area)]);
+        let of = |later: f64| -> Vec<Cell> {
+            let by_area = rewards.as_flattened().iter().map(|reward| Cell::new(reward + later));
+            by_area.collect::<Vec<_>>().repeat(BATTERIES)
+        };
         Self {
-            q: vec![Cell::new(value); BATTERIES * AREAS * 2],
-            outcomes: vec![Cell::new(value); BATTERIES * AREAS * 2],
+            q: of(0.0),
+            outcomes: of(value - 1.0),
             value: vec![Cell::new(value); NODES],
         }
     }
@@ -206,6 +258,15 @@ impl WakeTable {
         &mut self.q[(score * INFORMATIONS + information) * REPORTS + reports]
     }
 
+    /// Q by score with Î and reports in these buckets, made never to fall with the score: cells that are hardly ever visited are
+    /// noise, and waking a better candidate is never worth less.
+    pub fn worths(&self, information: usize, reports: usize) -> [f64; SCORES] {
+        let cells: [&Cell; SCORES] = std::array::from_fn(|score| self.at([score, information, reports]));
+        let mut worths = cells.map(|cell| cell.value);
+        rise(&mut worths, &cells.map(|cell| 1.0 + f64::from(cell.visits)));
+        worths
+    }
+
     pub(super) fn has_its_size(&self) -> bool {
         self.q.len() == SCORES * INFORMATIONS * REPORTS
     }
@@ -239,19 +300,29 @@ pub fn area_bucket(share: f64) -> usize {
 pub fn area_edge(bucket: usize) -> f64 {
     match bucket {
         0 => LEAST_AREA,
+        LAST_AREA.. => 1.0,
         _ => FIRST_AREA * (1..bucket).fold(1.0, |edge, _| edge * AREA_RATIO),
     }
 }
 
-/// The bucket of a candidate's score, a share of Ψ, `0 .. SCORES`: halvings from 1 down.
+/// The bucket of a candidate's score, a share of Ψ, `0 .. SCORES`.
 pub fn score_bucket(share: f64) -> usize {
-    let mut bucket = SCORES - 1;
-    let mut edge = 0.5;
-    while bucket > 0 && share < edge {
-        bucket -= 1;
-        edge *= 0.5;
+    (1..SCORES).take_while(|&bucket| share >= score_edge(bucket)).count()
+}
+
+/// Where the `bucket`-th bucket of scores begins, a share of Ψ: the first at 0, each of the others at 1/√2 of where the next
+/// begins; the last ends at 1.
+pub fn score_edge(bucket: usize) -> f64 {
+    if bucket == 0 {
+        return 0.0;
     }
-    bucket
+    let roots = SCORES - bucket;
+    let halved = 1.0 / f64::from(1_u32 << (roots / 2));
+    if roots.is_multiple_of(2) {
+        halved
+    } else {
+        halved * FRAC_1_SQRT_2
+    }
 }
 
 /// The bucket of Î, a share of Ψ, `0 .. INFORMATIONS`.
@@ -284,28 +355,40 @@ mod tests {
             [0, 0, 1, 2, AREAS - 1]
         );
         assert!((0..AREAS - 2).all(|b| area_edge(b) < area_edge(b + 1)) && area_edge(AREAS - 2) < 0.8);
-        assert_eq!([1.0, 0.5, 0.49, 0.24, 1e-9, 0.0].map(score_bucket), [9, 9, 8, 7, 0, 0]);
+        assert_eq!(
+            [1.0, 0.71, 0.7, 0.5, 0.49, 0.24, 1e-9, 0.0].map(score_bucket),
+            [19, 19, 18, 18, 17, 15, 0, 0]
+        );
         assert_eq!([0.0, 0.03, 0.39, 0.76, 1.0].map(information_bucket), [0, 1, 4, 7, 7]);
     }
 
     #[test]
     fn the_learning_rate_falls_to_its_floor() {
+        let schedule = Schedule::default();
+        let rates = schedule.rates();
         let mut cell = Cell::new(20.0);
-        cell.learn(0.0);
+        cell.learn(0.0, rates);
         assert!(
             (cell.value - 20.0 * (1.0 - libm::pow(5.0, -0.7))).abs() < 1e-12,
             "{}",
             cell.value
         );
-        assert!((rate(6) - 0.199_526).abs() < 1e-6);
-        assert!(rate(FLOOR_VISITS - 1) >= FLOOR && rate(FLOOR_VISITS - 1) < 1.001 * FLOOR);
+        assert!((rates.at(6) - 0.199_526).abs() < 1e-6);
+        // 0.002^(−1/0.7) − 4 = 7168.6.
+        assert!(rates.at(7168) > 0.002 && rates.at(7168) < 0.002_001, "{rates:?}");
+        assert!([7169, u32::MAX].map(|n| rates.at(n).to_bits()) == [0.002_f64.to_bits(); 2]);
+        let slow = Schedule {
+            rate_floor: 1e-300,
+            ..schedule
+        };
+        assert!(slow.rates().at(u32::MAX) > 0.0);
     }
 
     #[test]
     fn advantages_and_values_never_fall() {
-        let mut table = DutyTable::optimistic(20.0);
+        let mut table = DutyTable::optimistic(20.0, |_| 1.0);
         for area in 0..AREAS {
-            table.at_mut(3, area, true).value = 20.0 + if area == 5 { 9.0 } else { area as f64 };
+            table.at_mut(3, area, true).value = 1.0 + if area == 5 { 9.0 } else { area as f64 };
         }
         let row = table.advantages()[3];
         assert!(row.windows(2).all(|pair| pair[0] <= pair[1]), "{row:?}");

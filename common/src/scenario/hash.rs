@@ -7,7 +7,7 @@ use sha2::{Digest, Sha256};
 use super::learning::{BatteryKnowledge, WakeUpRanking};
 use super::model::{DeviceClass, EnergyModel, Harvest, PolicyConfig, Scenario, TraceColumns, TraceEnd};
 use crate::geometry::Layout;
-use crate::learned::Weights;
+use crate::learned::{Schedule, Weights};
 use crate::sensing::{DetectionKind, Fusion};
 use crate::units::Energy;
 
@@ -71,7 +71,13 @@ impl Scenario {
             }
             PolicyConfig::QLearning(learning) => {
                 let Weights { mu1, mu2, zeta } = learning.weights;
-                for value in [mu1, mu2, zeta, learning.epsilon] {
+                let (first, last) = learning.epsilon;
+                let Schedule {
+                    rate_decay,
+                    rate_floor,
+                    optimism,
+                } = learning.schedule;
+                for value in [mu1, mu2, zeta, first, last, rate_decay, rate_floor, optimism] {
                     form.float(value);
                 }
                 form.number(u64::from(learning.window));

@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use super::check::{BELOW_ONE, Checker, NOT_NEGATIVE, Range, Section};
+use super::check::{ABOVE_ZERO, BELOW_ONE, Checker, NOT_NEGATIVE, Range, Section};
 use super::error::ScenarioError;
 use super::model::Scenario;
 use super::raw::RawQLearning;
-use crate::learned::{Entry, Learned, Setting, Weights};
+use crate::learned::{Entry, Learned, Schedule, Setting, Weights};
 
 /// How wake-up candidates are ranked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize)]
@@ -73,8 +73,11 @@ pub struct QLearningSettings {
     pub source: TableSource,
     /// Whether the policy goes on learning in the run.
     pub learn: bool,
-    /// Probability that a decision is made at random while the policy learns, `[0, 1)`.
-    pub epsilon: f64,
+    /// Probability that a decision is made at random while the policy learns, in the first TTI and in the last, `[0, 1)`; in
+    /// between it changes evenly.
+    pub epsilon: (f64, f64),
+    /// How it learns.
+    pub schedule: Schedule,
     /// The tables at the start of the run.
     pub start: Arc<Entry>,
     /// Where the tables were learned on another setting, a phrase each.
@@ -148,8 +151,16 @@ pub(super) fn q_learning(
         raw.window.or(Some(duration)),
         (1, u64::from(LONGEST_WINDOW)),
     )? as u32;
+    let usual = Schedule::default();
+    let of = |name, given: Option<f64>, usual, range| check.number(&section, name, given.or(Some(usual)), range);
+    let schedule = Schedule {
+        rate_decay: of("rate_decay", raw.rate_decay, usual.rate_decay, ABOVE_ZERO)?,
+        rate_floor: of("rate_floor", raw.rate_floor, usual.rate_floor, ABOVE_ZERO)?,
+        optimism: of("optimism", raw.optimism, usual.optimism, NOT_NEGATIVE)?,
+    };
+    let epsilon = check.number(&section, "epsilon", raw.epsilon, BELOW_ONE)?;
     let start = match &learned {
-        None => Arc::new(Entry::optimistic(scenario.devices, area.surface(), &weights)),
+        None => Arc::new(Entry::optimistic(scenario, &weights, window, schedule.optimism)),
         Some(tables) => Arc::new(entry(check, &section, name, tables, scenario)?),
     };
     Ok(QLearningSettings {
@@ -157,7 +168,11 @@ pub(super) fn q_learning(
         window,
         source,
         learn,
-        epsilon: check.number(&section, "epsilon", raw.epsilon, BELOW_ONE)?,
+        epsilon: (
+            epsilon,
+            check.number(&section, "epsilon_last", raw.epsilon_last.or(Some(epsilon)), BELOW_ONE)?,
+        ),
+        schedule,
         start,
         foreign: learned.map_or_else(Vec::new, |tables| tables.setting.differences(&setting)),
     })

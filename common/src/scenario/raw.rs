@@ -177,6 +177,10 @@ pub(super) struct RawQLearning {
     pub(super) table: Option<String>,
     pub(super) learn: Option<bool>,
     pub(super) epsilon: Option<f64>,
+    pub(super) epsilon_last: Option<f64>,
+    pub(super) rate_decay: Option<f64>,
+    pub(super) rate_floor: Option<f64>,
+    pub(super) optimism: Option<f64>,
 }
 
 /// One `[[class]]`. Its sections override single fields of the top-level ones.

@@ -104,10 +104,20 @@ fn write_policy(page: &mut Page, policy: &PolicyConfig) {
             page.field("zeta", float(learning.weights.zeta), "discount");
             page.field("window", learning.window, "TTIs within which the area is covered once");
             page.field("learn", learning.learn, "whether it goes on learning in the run");
+            let (first, last) = learning.epsilon;
+            page.field("epsilon", float(first), "share of random decisions while it learns");
+            page.field("epsilon_last", float(last), "the same at the end of the run");
+            let schedule = &learning.schedule;
             page.field(
-                "epsilon",
-                float(learning.epsilon),
-                "share of random decisions while it learns",
+                "rate_decay",
+                float(schedule.rate_decay),
+                "exponent of the learning rate",
+            );
+            page.field("rate_floor", float(schedule.rate_floor), "the least learning rate");
+            page.field(
+                "optimism",
+                float(schedule.optimism),
+                "of the start, 1 for the most an action brings",
             );
         }
     }

@@ -40,6 +40,10 @@ pub struct FiguresArgs {
     /// harvest, net, pareto [default: all].
     #[arg(long, value_delimiter = ',', value_name = "FIGURE")]
     pub only: Vec<String>,
+    /// Draw pareto once for each preset and length of runs, with a line for each policy under each setting, for example for
+    /// q-learning with tables of several weights. Other figures are drawn for each setting, as always.
+    #[arg(long)]
+    pub together: bool,
     /// The pictures.
     #[command(flatten)]
     pub pictures: PictureArgs,

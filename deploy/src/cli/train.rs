@@ -3,7 +3,9 @@
 use std::num::NonZero;
 use std::path::PathBuf;
 
+use anyhow::bail;
 use clap::{Args, Subcommand};
+use reveille_common::learned::Training;
 
 use super::run::ScenarioArgs;
 
@@ -35,21 +37,8 @@ pub struct TrainArgs {
         default_value = "10,20,40,60,80,100,130,160,200,250"
     )]
     pub devices: Vec<u32>,
-    /// Episodes for each N, each on a deployment of its own.
-    #[arg(long, default_value_t = 12)]
-    pub episodes: u64,
-    /// Length of an episode, TTIs.
-    #[arg(long, default_value_t = 3000)]
-    pub episode_ttis: u64,
-    /// Share of decisions made at random in the first episode and in the last.
-    #[arg(long, value_delimiter = ',', num_args = 1, default_values_t = [0.1, 0.03])]
-    pub epsilon: Vec<f64>,
-    /// Seed of all episodes.
-    #[arg(long, default_value_t = 1)]
-    pub seed: u64,
-    /// Threads; the result does not depend on them [default: one for each core].
-    #[arg(long)]
-    pub threads: Option<NonZero<usize>>,
+    #[command(flatten)]
+    pub episodes: EpisodeArgs,
     /// The file for the tables.
     #[arg(long, short)]
     pub out: PathBuf,
@@ -64,16 +53,60 @@ pub struct TrainArgs {
 impl TrainArgs {
     /// The scenario's options.
     pub fn scenario(&self) -> ScenarioArgs {
-        let mut set = vec![
-            "policy.name=q-learning".to_owned(),
-            "policy.q-learning.learn=true".to_owned(),
-        ];
-        set.push("policy.q-learning.table=nothing".to_owned());
-        set.extend(self.set.iter().cloned());
+        self.episodes.scenario(&self.scenario, &self.set, None)
+    }
+}
+
+/// How tables are trained.
+#[derive(Args)]
+pub struct EpisodeArgs {
+    /// Episodes for each table, each on a deployment of its own.
+    #[arg(long, default_value_t = 36)]
+    pub episodes: u64,
+    /// Length of an episode, TTIs.
+    #[arg(long, default_value_t = 3000)]
+    pub episode_ttis: u64,
+    /// Share of decisions made at random in the first episode and in the last.
+    #[arg(long, value_delimiter = ',', num_args = 1, default_values_t = [0.1, 0.03])]
+    pub epsilon: Vec<f64>,
+    /// Seed of everything that is drawn.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Threads; the result does not depend on them [default: one for each core].
+    #[arg(long)]
+    pub threads: Option<NonZero<usize>>,
+}
+
+impl EpisodeArgs {
+    /// The same for the learner.
+    pub fn training(&self) -> anyhow::Result<Training> {
+        let &[first, last] = &self.epsilon[..] else {
+            bail!("--epsilon takes two shares, for example 0.1,0.03");
+        };
+        Ok(Training {
+            episodes: self.episodes,
+            ttis: self.episode_ttis,
+            epsilon: (first, last),
+            seed: self.seed,
+        })
+    }
+
+    /// How many threads.
+    pub fn threads(&self) -> std::io::Result<usize> {
+        match self.threads {
+            Some(threads) => Ok(usize::from(threads)),
+            None => Ok(std::thread::available_parallelism()?.get()),
+        }
+    }
+
+    /// The scenario `name` with the overrides in `set` for a learner that begins with nothing.
+    pub(super) fn scenario(&self, name: &str, set: &[String], devices: Option<String>) -> ScenarioArgs {
+        let learner = ["name=q-learning", "q-learning.learn=true", "q-learning.table=nothing"];
+        let learner = learner.map(|set| format!("policy.{set}"));
         ScenarioArgs {
-            scenario: self.scenario.clone(),
-            set,
-            devices: None,
+            scenario: name.to_owned(),
+            set: learner.into_iter().chain(set.iter().cloned()).collect(),
+            devices,
             policy: None,
             learn: false,
             ttis: None,

@@ -1,6 +1,5 @@
 //! The options of `reveille tune`.
 
-use std::num::NonZero;
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
@@ -8,6 +7,7 @@ use clap::{Args, ValueEnum};
 use super::FormatArg;
 #[cfg(feature = "tune")]
 use super::ScenarioArgs;
+use super::train::EpisodeArgs;
 
 /// What stands below the options.
 pub(super) const EXAMPLES: &str = "Examples:\n  reveille tune -n 100 --out tuning.csv\n  \
@@ -49,27 +49,14 @@ pub struct TuneArgs {
     /// Pairs after those, each chosen by all before it.
     #[arg(long, default_value_t = 10)]
     pub iterations: usize,
-    /// Episodes of each training.
-    #[arg(long, default_value_t = 12)]
-    pub episodes: u64,
-    /// Length of an episode, TTIs.
-    #[arg(long, default_value_t = 3000)]
-    pub episode_ttis: u64,
-    /// Share of decisions made at random in the first episode and in the last.
-    #[arg(long, value_delimiter = ',', num_args = 1, default_values_t = [0.1, 0.03])]
-    pub epsilon: Vec<f64>,
+    #[command(flatten)]
+    pub episodes: EpisodeArgs,
     /// Evaluation runs of each pair, with seeds that no training has.
     #[arg(long, default_value_t = 8)]
     pub seeds: u64,
     /// Length of an evaluation run, TTIs.
     #[arg(long, short = 'k', default_value_t = 10_000)]
     pub ttis: u64,
-    /// Seed of everything that is drawn.
-    #[arg(long, default_value_t = 1)]
-    pub seed: u64,
-    /// Threads; the result does not depend on them [default: one for each core].
-    #[arg(long)]
-    pub threads: Option<NonZero<usize>>,
     /// The file for the history, a CSV; the picture goes beside it.
     #[arg(long, short, default_value = "tuning.csv")]
     pub out: PathBuf,
@@ -105,20 +92,7 @@ pub enum ObjectiveArg {
 impl TuneArgs {
     /// The scenario's options.
     pub fn scenario(&self) -> ScenarioArgs {
-        let mut set = vec![
-            "policy.name=q-learning".to_owned(),
-            "policy.q-learning.learn=true".to_owned(),
-            "policy.q-learning.table=nothing".to_owned(),
-        ];
-        set.extend(self.set.iter().cloned());
-        ScenarioArgs {
-            scenario: self.scenario.clone(),
-            set,
-            devices: Some(self.devices.clone()),
-            policy: None,
-            learn: false,
-            ttis: None,
-            seed: Some(self.seed.to_string()),
-        }
+        let devices = Some(self.devices.clone());
+        self.episodes.scenario(&self.scenario, &self.set, devices)
     }
 }

@@ -61,7 +61,14 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
             )?;
         }
         draw_energy(args, &label, setting)?;
-        draw_pareto(args, &label, setting)?;
+        if !args.together {
+            draw_pareto(args, &label, &[setting])?;
+        }
+    }
+    if args.together {
+        for (label, settings) in results.together() {
+            draw_pareto(args, &label, &settings)?;
+        }
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -71,12 +78,12 @@ fn is_chosen(args: &FiguresArgs, name: &str) -> bool {
 }
 
 /// Information against energy.
-fn draw_pareto(args: &FiguresArgs, label: &str, setting: &Setting) -> anyhow::Result<()> {
+fn draw_pareto(args: &FiguresArgs, label: &str, settings: &[&Setting]) -> anyhow::Result<()> {
     if !is_chosen(args, pareto::NAME) {
         return Ok(());
     }
     let name = format!("{}-{label}", pareto::NAME);
-    let Some(chart) = pareto::chart(setting) else {
+    let Some(chart) = pareto::chart(settings) else {
         eprintln!("{name}: not drawn, no run has both information per event and energy");
         return Ok(());
     };
@@ -84,7 +91,7 @@ fn draw_pareto(args: &FiguresArgs, label: &str, setting: &Setting) -> anyhow::Re
     save(
         &args.pictures.out,
         &format!("{name}.csv"),
-        pareto::csv(setting).as_bytes(),
+        pareto::csv(settings).as_bytes(),
     )
 }
 

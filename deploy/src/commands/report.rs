@@ -56,7 +56,7 @@ fn scenes(setting: &Setting) -> anyhow::Result<Vec<(&'static str, Scene)>> {
     if let Some(chart) = energy::net_chart(setting, &points) {
         scenes.push((net, chart.scene()));
     }
-    if let Some(chart) = pareto::chart(setting) {
+    if let Some(chart) = pareto::chart(&[setting]) {
         scenes.push((pareto::NAME, chart.scene()));
     }
     Ok(scenes)

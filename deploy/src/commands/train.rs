@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::bail;
 use indicatif::ProgressBar;
-use reveille_common::learned::{CurvePoint, Training};
+use reveille_common::learned::CurvePoint;
 use reveille_lab::table::replace;
 use reveille_lab::training::{Observer, Trainer, TrainingError, checkpoint};
 
@@ -24,16 +24,7 @@ pub fn run(command: &TrainCommand) -> anyhow::Result<ExitCode> {
 
 fn q_learning(args: &TrainArgs) -> anyhow::Result<ExitCode> {
     let scenario = resolve(&args.scenario())?;
-    let &[first, last] = &args.epsilon[..] else {
-        bail!("--epsilon takes two shares, for example 0.1,0.03");
-    };
-    let training = Training {
-        episodes: args.episodes,
-        ttis: args.episode_ttis,
-        epsilon: (first, last),
-        seed: args.seed,
-    };
-    let mut trainer = Trainer::new(&scenario, &args.devices, &training)?;
+    let mut trainer = Trainer::new(&scenario, &args.devices, &args.episodes.training()?)?;
     if args.out.exists() && !args.force {
         bail!(TrainingError::Taken(args.out.clone()));
     }
@@ -45,10 +36,7 @@ fn q_learning(args: &TrainArgs) -> anyhow::Result<ExitCode> {
             kept.display()
         );
     }
-    let threads = match args.threads {
-        Some(threads) => usize::from(threads),
-        None => std::thread::available_parallelism()?.get(),
-    };
+    let threads = args.episodes.threads()?;
     let runtime = crate::runtime(1)?;
     let stop = runtime.block_on(async { crate::interrupt::watch() })?;
     let shown = Shown {

@@ -11,7 +11,6 @@ use anyhow::{anyhow, bail};
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};
 use indicatif::ProgressBar;
-use reveille_common::learned::Training;
 use reveille_lab::figures::{png, svg, tuning as picture};
 use reveille_lab::table::replace;
 use reveille_lab::tuning::bayes::{Bayes, surface};
@@ -36,15 +35,14 @@ pub fn run(args: &TuneArgs) -> anyhow::Result<ExitCode> {
     }
     let mut tuner = Tuner::open(plan(args)?, &args.out, args.force)?;
     announce(args, &tuner);
-    let threads = match args.threads {
-        Some(threads) => usize::from(threads),
-        None => std::thread::available_parallelism()?.get(),
-    };
+    let threads = args.episodes.threads()?;
     let runtime = crate::runtime(1)?;
     let stop = runtime.block_on(async { crate::interrupt::watch() })?;
     let shown = Shown::start(args, &tuner, stop);
     let started = crate::now();
-    let bayes = Bayes { seed: args.seed };
+    let bayes = Bayes {
+        seed: args.episodes.seed,
+    };
     let ended = tuner.run(args.iterations, threads, &bayes, &shown);
     shown.bar.finish_and_clear();
     let history = tuner.history();
@@ -71,9 +69,6 @@ pub fn run(args: &TuneArgs) -> anyhow::Result<ExitCode> {
 
 /// What the command line asks for, checked.
 fn plan(args: &TuneArgs) -> anyhow::Result<Plan> {
-    let &[first, last] = &args.epsilon[..] else {
-        bail!("--epsilon takes two shares, for example 0.1,0.03");
-    };
     let ends = |name: &str, ends: &[f64]| match ends {
         &[from, to] => Ok((from, to)),
         _ => Err(anyhow!(
@@ -93,12 +88,7 @@ fn plan(args: &TuneArgs) -> anyhow::Result<Plan> {
             ObjectiveArg::Efficiency => Objective::Efficiency,
         },
         design: args.design,
-        training: Training {
-            episodes: args.episodes,
-            ttis: args.episode_ttis,
-            epsilon: (first, last),
-            seed: args.seed,
-        },
+        training: args.episodes.training()?,
         runs: args.seeds,
         ttis: args.ttis,
     };
@@ -174,11 +164,12 @@ fn command(args: &TuneArgs, [mu1, mu2]: Pair) -> String {
     for set in args.set.iter().filter(|set| !is_weight(set)) {
         let _ = write!(text, " --set {set}");
     }
+    let how = &args.episodes;
     let _ = write!(
         text,
         " --set policy.q-learning.mu1={mu1} --set policy.q-learning.mu2={mu2} --episodes {} --episode-ttis {} --epsilon {},{} \
          --seed {} --out tuned.json",
-        args.episodes, args.episode_ttis, args.epsilon[0], args.epsilon[1], args.seed
+        how.episodes, how.episode_ttis, how.epsilon[0], how.epsilon[1], how.seed
     );
     text
 }
@@ -232,7 +223,7 @@ fn summary(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyhow::
         history.says("objective"),
         args.devices,
         history.points.len(),
-        args.seed,
+        args.episodes.seed,
         command(args, [mu1, mu2]),
         args.out.display(),
         pictures.join(", ")
@@ -243,27 +234,11 @@ fn summary(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyhow::
 fn result(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyhow::Result<String> {
     let point = |number: usize| {
         let Point { weights, evaluation } = history.points[number];
-        let Evaluation {
-            objective,
-            objective_half,
-            information,
-            information_half,
-            misdetection_pct,
-            energy,
-            wake_ups,
-        } = evaluation;
-        json!({
-            "point": number + 1,
-            "mu1": weights[0],
-            "mu2": weights[1],
-            "objective": objective,
-            "objective_half_width": objective_half,
-            "info_per_event": information,
-            "info_half_width": information_half,
-            "misdetection_pct": misdetection_pct,
-            "energy_per_device_tti": energy,
-            "wake_ups_per_event": wake_ups,
-        })
+        let mut point = json!({"point": number + 1, "mu1": weights[0], "mu2": weights[1]});
+        for (name, value) in Evaluation::NAMES.iter().zip(evaluation.values()) {
+            point[name] = json!(value);
+        }
+        point
     };
     let settings: serde_json::Map<String, serde_json::Value> = history
         .header
@@ -292,7 +267,7 @@ struct Shown {
 
 impl Shown {
     fn start(args: &TuneArgs, tuner: &Tuner, stop: Arc<AtomicBool>) -> Self {
-        let steps = args.episodes + args.seeds;
+        let steps = args.episodes.episodes + args.seeds;
         let known = tuner.history().ranked().first().copied();
         let points = &tuner.history().points;
         Self {

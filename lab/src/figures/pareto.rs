@@ -1,6 +1,7 @@
 //! Information per event against energy: what each policy buys with what it spends, a line through rising N.
 
 use std::fmt::Write as _;
+use std::path::Path;
 
 use super::chart::{Chart, Interval, Mark, Sample, Series, Stated};
 use super::note::Note;
@@ -17,29 +18,97 @@ pub const TITLE: &str = "Information against energy";
 /// The metrics of x and y.
 const METRICS: [&str; 2] = ["energy_per_device_tti", "info_per_event"];
 
-/// The picture for the runs of `setting`; `None` if no policy has both metrics at any N.
-pub fn chart(setting: &Setting) -> Option<Chart> {
-    let mut series = Vec::new();
-    let mut lines = Vec::new();
-    for policy in setting.policies() {
-        let points = points(setting, policy);
-        if points.is_empty() {
-            continue;
+/// A policy under a setting.
+struct Line<'a> {
+    setting: &'a Setting,
+    policy: &'a str,
+    /// What it is called; with what its setting changes, if another has the policy too.
+    name: String,
+    style: Style,
+    /// By rising N.
+    points: Vec<(u32, Sample)>,
+}
+
+/// The lines of `settings`, each policy's side by side. Runs that two of them share count once.
+fn lines<'a>(settings: &[&'a Setting]) -> Vec<Line<'a>> {
+    let mut lines: Vec<Line<'a>> = Vec::new();
+    for setting in settings {
+        for policy in setting.policies() {
+            let points = points(setting, policy);
+            let is_known = |line: &Line<'_>| line.policy == policy && has_same_runs(line.setting, setting, policy);
+            if points.is_empty() || lines.iter().any(is_known) {
+                continue;
+            }
+            let others = lines.iter().filter(|line| line.policy == policy).count();
+            let style = Style::of_policy(policy);
+            let variant = Style::nth(others);
+            lines.push(Line {
+                setting,
+                policy,
+                name: name(policy, setting),
+                style: match others {
+                    0 => style,
+                    _ => Style {
+                        paint: style.paint,
+                        ..variant
+                    },
+                },
+                points,
+            });
         }
-        lines.push(points.iter().map(|(n, s)| note(*n, s)).collect::<Vec<_>>());
-        series.push(Series {
-            name: policy.to_owned(),
-            style: Style::of_policy(policy),
+    }
+    let place = |line: &Line<'_>| {
+        settings
+            .iter()
+            .flat_map(|s| s.policies())
+            .position(|p| p == line.policy)
+    };
+    lines.sort_by_key(place);
+    lines
+}
+
+/// Whether the runs of `policy` are the same in both.
+fn has_same_runs(a: &Setting, b: &Setting, policy: &str) -> bool {
+    let digests = |setting: &Setting| {
+        let cells = setting.sizes(policy).into_iter();
+        let of = |n: u32| setting.runs(policy, n).map(|row| row.digest).collect::<Vec<_>>();
+        cells.map(|n| (n, of(n))).collect::<Vec<_>>()
+    };
+    digests(a) == digests(b)
+}
+
+/// The policy, and what its setting changes.
+fn name(policy: &str, setting: &Setting) -> String {
+    let mut name = policy.to_owned();
+    for (path, value) in setting.changed() {
+        let own = path.strip_prefix("policy.").and_then(|rest| rest.split_once('.'));
+        let field = own.map_or(path.as_str(), |(_, field)| field);
+        let file = Path::new(value).file_stem().filter(|_| field == "table");
+        let value = file.map_or_else(|| value.into(), |stem| stem.to_string_lossy());
+        let _ = write!(name, ", {field} {value}");
+    }
+    name
+}
+
+/// The picture for the runs of `settings`, which have preset and K in common; `None` if no policy has both metrics at any N.
+pub fn chart(settings: &[&Setting]) -> Option<Chart> {
+    let lines = lines(settings);
+    let notes: Vec<Vec<Note>> = lines
+        .iter()
+        .map(|line| line.points.iter().map(|(n, s)| note(*n, s)).collect())
+        .collect();
+    let series: Vec<Series> = lines
+        .iter()
+        .map(|line| Series {
+            name: line.name.clone(),
+            style: line.style,
             joined: true,
             marked: true,
             interval: Interval::Crosses,
-            samples: points.into_iter().map(|(_, sample)| sample).collect(),
-        });
-    }
-    if series.is_empty() {
-        return None;
-    }
-    let (stated, marks): (Vec<u32>, Vec<Mark>) = marks(&series).into_iter().unzip();
+            samples: line.points.iter().map(|(_, sample)| *sample).collect(),
+        })
+        .collect();
+    let (stated, marks): (Vec<u32>, Vec<Mark>) = marks(&lines).into_iter().unzip();
     let samples = || series.iter().flat_map(|s| &s.samples);
     let ends = |at: f64, half: f64| {
         let half = if half.is_finite() { half } else { 0.0 };
@@ -48,14 +117,15 @@ pub fn chart(setting: &Setting) -> Option<Chart> {
     };
     let xs = samples().flat_map(|s| ends(s.x, s.across));
     let ys = samples().flat_map(|s| ends(s.y, s.half));
+    let first = lines.first()?;
     Some(Chart {
         title: format!("{TITLE} (Figs. 7 and 8)"),
         x_label: "units per device and TTI".to_owned(),
         y_label: "information per event".to_owned(),
         x: Scale::linear(xs.chain(marks.iter().map(|m| m.x)), true),
         y: Scale::linear(ys.chain(marks.iter().flat_map(|m| m.stated.values())), true),
-        caption: caption(setting, stated),
-        notes: in_turn(&lines),
+        caption: caption(first.setting, settings, stated),
+        notes: in_turn(&notes),
         series,
         marks,
         spans: Vec::new(),
@@ -102,11 +172,11 @@ fn in_turn(lines: &[Vec<Note>]) -> Vec<Note> {
 }
 
 /// What the paper states of both metrics for a policy that is drawn, at one N.
-fn marks(series: &[Series]) -> Vec<(u32, Mark)> {
+fn marks(lines: &[Line<'_>]) -> Vec<(u32, Mark)> {
     let [energies, informations] = METRICS.map(|metric| topic(metric).map_or(&[][..], |topic| topic.claims));
     let mut marks = Vec::new();
     for information in informations {
-        let Some(drawn) = series.iter().find(|s| s.name == information.policy) else {
+        let Some(drawn) = lines.iter().find(|line| line.policy == information.policy) else {
             continue;
         };
         let same = energies
@@ -130,12 +200,17 @@ fn marks(series: &[Series]) -> Vec<(u32, Mark)> {
     marks
 }
 
-fn caption(setting: &Setting, mut stated: Vec<u32>) -> String {
+fn caption(setting: &Setting, settings: &[&Setting], mut stated: Vec<u32>) -> String {
+    let what = match settings {
+        [one] => one.label(),
+        _ => format!("{}, also changed as the legend says", setting.preset),
+    };
+    let counts = || settings.iter().map(|s| s.runs_per_cell());
+    let (least, most) = (counts().map(|c| c.0).min(), counts().map(|c| c.1).max());
     let mut text = format!(
-        "Preset {}; {} of {} TTIs a point, means with their 95 % intervals in both directions. Lines join rising N, which \
+        "Preset {what}; {} of {} TTIs a point, means with their 95 % intervals in both directions. Lines join rising N, which \
          stands beside some points. Up and to the left is better.",
-        setting.label(),
-        runs_in_words(setting),
+        runs_in_words((least.unwrap_or(0), most.unwrap_or(0))),
         setting.ttis
     );
     stated.sort_unstable();
@@ -148,13 +223,19 @@ fn caption(setting: &Setting, mut stated: Vec<u32>) -> String {
 }
 
 /// What is drawn, as CSV.
-pub fn csv(setting: &Setting) -> String {
+pub fn csv(settings: &[&Setting]) -> String {
     let mut out = String::from(
         "setting,policy,n,energy_per_device_tti,energy_half_width_95,info_per_event,info_half_width_95,runs\n",
     );
-    let label = csv_cell(&setting.label());
-    for policy in setting.policies() {
-        for (n, sample) in points(setting, policy) {
+    for Line {
+        setting,
+        policy,
+        points,
+        ..
+    } in lines(settings)
+    {
+        let label = csv_cell(&setting.label());
+        for (n, sample) in points {
             let Sample { x, y, half, across } = sample;
             let runs = setting.runs(policy, n).count();
             let (half, across) = (csv_half(half), csv_half(across));

@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 use std::fmt::Write as _;
 
 use reveille_common::learned::{
-    AREAS, BATTERIES, Cell, Entry, INFORMATIONS, Learned, NODES, REPORTS, SCORES, WakeTable, area_edge,
+    AREAS, BATTERIES, Cell, Entry, INFORMATIONS, Learned, NODES, REPORTS, SCORES, WakeTable, area_edge, score_edge,
 };
 use reveille_common::scenario::WakeUpRanking;
 
@@ -74,12 +74,9 @@ fn area_ends() -> [f64; AREAS + 1] {
     })
 }
 
-/// The ends of the score buckets, shares of Ψ: halvings from 1 down.
+/// The ends of the score buckets, shares of Ψ.
 fn score_ends() -> [f64; SCORES + 1] {
-    std::array::from_fn(|end| match end {
-        0 => 0.0,
-        _ => 1.0 / f64::from(1_u32 << (SCORES - end)),
-    })
+    std::array::from_fn(score_edge)
 }
 
 /// `value` to two digits, without more zeros than it needs.
@@ -150,7 +147,7 @@ pub fn duty_scene(learned: &Learned, entry: &Entry) -> Scene {
          policy lets it sense, those with most to gain first: there the advantage is positive once it is made never to fall with \
          the area, and the battery is enough to sense and report. Colours follow the root of the number. {}{}",
         if map.count(Known::Half) > 0 {
-            "Where one action was never tried, its value is still the optimistic start, so read such a number as a guess. "
+            "Where one action was never tried, it is worth its start, what it brings at once, so read such a number as a guess. "
         } else {
             ""
         },
@@ -245,11 +242,11 @@ fn learned_on(learned: &Learned, entry: &Entry) -> String {
 
 /// By whom a file was learned, how, and for which weights; `place` says on how many devices or how large an area.
 pub(super) fn trained(learned: &Learned, place: &str) -> String {
-    let (weights, training) = (learned.weights, &learned.training);
+    let (weights, schedule, training) = (learned.weights, &learned.schedule, &learned.training);
     let (first, last) = training.epsilon;
     format!(
         "Learned by {} for μ1 = {}, μ2 = {}, ζ = {} and a window of {} TTIs, in {} episodes of {} TTIs {place}, ε from {first} \
-         to {last}, seed {}.",
+         to {last}, learning rate max((n + 4)^−{}, {}), optimism {}, seed {}.",
         learned.made_by,
         weights.mu1,
         weights.mu2,
@@ -257,6 +254,9 @@ pub(super) fn trained(learned: &Learned, place: &str) -> String {
         learned.window,
         training.episodes,
         training.ttis,
+        schedule.rate_decay,
+        schedule.rate_floor,
+        schedule.optimism,
         training.seed,
     )
 }
@@ -325,19 +325,22 @@ pub const fn wake_table(entry: &Entry, ranking: WakeUpRanking) -> &WakeTable {
 
 /// The wake-up table after `reports` reports, a bucket.
 fn wake_map(table: &WakeTable, reports: usize) -> HeatMap {
+    let used: [_; INFORMATIONS] = std::array::from_fn(|information| table.worths(information, reports));
     let cell = |score: usize, information: usize| {
         let cell = table.at([score, information, reports]);
         HeatCell {
             value: cell.value,
             known: if cell.visits == 0 { Known::Never } else { Known::Well },
-            framed: cell.value <= 0.0,
+            framed: used[information][score] <= 0.0,
         }
     };
     let row = |score: usize| (0..INFORMATIONS).map(|information| cell(score, information)).collect();
+    // Every other end is a root between two halvings.
     let score = |end: usize| match SCORES - end {
         _ if end == 0 => "0".to_owned(),
         0 => "1".to_owned(),
-        halvings => format!("1/{}", 1_u32 << halvings),
+        roots if roots % 2 == 1 => String::new(),
+        roots => format!("1/{}", 1_u32 << (roots / 2)),
     };
     HeatMap {
         x_label: "information so far Î / Ψ".to_owned(),
@@ -355,8 +358,8 @@ pub fn wake_scene(learned: &Learned, entry: &Entry, ranking: WakeUpRanking) -> S
     let text = format!(
         "A cell is what the BS knows of an event: the score of the best device that it could wake (rows, as a share of Ψ), \
          the information that it has (columns), and the reports so far (panels). The number is what waking is worth, in units of \
-         N r*(k), where stopping is worth 0. Within the bold line the policy does not wake. Elsewhere it does, also in cells that \
-         were never visited: they keep the optimistic start, so that they are tried. Colours follow the root of the \
+         N r*(k), where stopping is worth 0. Within the bold line the policy does not wake: there the number is not positive once it is made never to fall with \
+         the score. Cells that were never visited keep the optimistic start. Colours follow the root of the \
          number, the same in all panels. {}",
         learned_on(learned, entry)
     );
@@ -390,15 +393,16 @@ pub fn wake_scene(learned: &Learned, entry: &Entry, ranking: WakeUpRanking) -> S
 
 /// What is drawn of a wake-up table, as CSV.
 pub fn wake_csv(entry: &Entry, ranking: WakeUpRanking) -> String {
-    let mut out = String::from("reports,score_from,score_to,information_from,information_to,q,visits,wakes\n");
+    let mut out = String::from("reports,score_from,score_to,information_from,information_to,q,visits,used,wakes\n");
     let (table, scores) = (wake_table(entry, ranking), score_ends());
     for reports in 0..REPORTS {
         for score in 0..SCORES {
             for information in 0..INFORMATIONS {
                 let cell = table.at([score, information, reports]);
+                let used = table.worths(information, reports)[score];
                 let _ = writeln!(
                     out,
-                    "{},{},{},{},{},{},{},{}",
+                    "{},{},{},{},{},{},{},{used},{}",
                     reports + 1,
                     scores[score],
                     scores[score + 1],
@@ -406,7 +410,7 @@ pub fn wake_csv(entry: &Entry, ranking: WakeUpRanking) -> String {
                     INFORMATION[information + 1],
                     cell.value,
                     cell.visits,
-                    u8::from(cell.value > 0.0)
+                    u8::from(used > 0.0)
                 );
             }
         }

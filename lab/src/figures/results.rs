@@ -228,10 +228,15 @@ impl Setting {
         (seeds().min().copied().unwrap_or(0), seeds().max().copied().unwrap_or(0))
     }
 
+    /// Fields that it changes, for the whole table and then for some of its cells, with their values.
+    pub fn changed(&self) -> impl Iterator<Item = &(String, String)> {
+        self.changes.iter().chain(&self.swept)
+    }
+
     /// What it is, in words.
     pub fn label(&self) -> String {
         let mut label = self.preset.clone();
-        for (path, value) in self.changes.iter().chain(&self.swept) {
+        for (path, value) in self.changed() {
             label = format!("{label}, {path} = {value}");
         }
         match &self.changed_in {
@@ -253,7 +258,7 @@ impl Setting {
     /// What it is, as part of a file's name; with `folder` of the table that it comes from, if it takes a table to tell.
     fn file_label(&self, has_folder: bool) -> String {
         let mut label = self.preset.clone();
-        for (path, value) in self.changes.iter().chain(&self.swept) {
+        for (path, value) in self.changed() {
             label = format!("{label}-{path}-{value}");
         }
         if let Some(table) = &self.changed_in {
@@ -302,6 +307,25 @@ impl Results {
             labels.extend(free);
         }
         labels
+    }
+}
+
+impl Results {
+    /// The settings by what they have in common, preset and K, with a part of a file's name for each group.
+    pub fn together(&self) -> Vec<(String, Vec<&Setting>)> {
+        let has_lengths = self.settings.windows(2).any(|pair| pair[0].ttis != pair[1].ttis);
+        let mut groups: Vec<(String, Vec<&Setting>)> = Vec::new();
+        for setting in &self.settings {
+            let mut label = format!("{}-together", setting.preset);
+            if has_lengths {
+                label = format!("{label}-k{}", setting.ttis);
+            }
+            match groups.iter_mut().find(|(known, _)| *known == label) {
+                Some((_, group)) => group.push(setting),
+                None => groups.push((label, vec![setting])),
+            }
+        }
+        groups
     }
 }
 

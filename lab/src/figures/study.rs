@@ -256,7 +256,7 @@ impl Figure {
         (series, marks, spans): (&[Series], &[Mark], &[Span]),
         undefined: &[String],
     ) -> String {
-        let runs = runs_in_words(setting);
+        let runs = runs_in_words(setting.runs_per_cell());
         let mut text = format!(
             "Preset {}; {runs} of {} TTIs a point, mean with its 95 % interval as band and bar.",
             setting.label(),
@@ -313,8 +313,8 @@ impl Figure {
 }
 
 /// How many runs a point stands for.
-pub(super) fn runs_in_words(setting: &Setting) -> String {
-    match setting.runs_per_cell() {
+pub(super) fn runs_in_words(per_cell: (usize, usize)) -> String {
+    match per_cell {
         (1, 1) => "one run".to_owned(),
         (least, most) if least == most => format!("{most} runs"),
         (least, most) => format!("{least} to {most} runs"),

@@ -63,6 +63,54 @@ pub struct Evaluation {
     pub wake_ups: f64,
 }
 
+impl Evaluation {
+    /// What [`Self::values`] are called in files, in their order.
+    pub const NAMES: [&str; 7] = [
+        "objective",
+        "objective_half_width",
+        "info_per_event",
+        "info_half_width",
+        "misdetection_pct",
+        "energy_per_device_tti",
+        "wake_ups_per_event",
+    ];
+
+    /// The fields.
+    pub const fn values(&self) -> [f64; 7] {
+        [
+            self.objective,
+            self.objective_half,
+            self.information,
+            self.information_half,
+            self.misdetection_pct,
+            self.energy,
+            self.wake_ups,
+        ]
+    }
+
+    /// The evaluation with these [`Self::values`].
+    pub const fn of(values: [f64; 7]) -> Self {
+        let [
+            objective,
+            objective_half,
+            information,
+            information_half,
+            misdetection_pct,
+            energy,
+            wake_ups,
+        ] = values;
+        Self {
+            objective,
+            objective_half,
+            information,
+            information_half,
+            misdetection_pct,
+            energy,
+            wake_ups,
+        }
+    }
+}
+
 /// What is tuned, and how each pair is judged.
 #[derive(Clone, Debug)]
 pub struct Plan {
@@ -215,7 +263,7 @@ impl Plan {
         let entry = trainer.learned().entries.swap_remove(0);
         let settings = QLearningSettings {
             learn: false,
-            epsilon: 0.0,
+            epsilon: (0.0, 0.0),
             start: Arc::new(entry),
             ..settings
         };

@@ -8,9 +8,11 @@ use crate::table::replace;
 
 /// The first line of a history.
 const FIRST: &str = "# reveille tuning 1";
-/// The columns.
-const COLUMNS: &str = "number,mu1,mu2,objective,objective_half_width,info_per_event,info_half_width,misdetection_pct,\
-                       energy_per_device_tti,wake_ups_per_event";
+
+/// The line above the points.
+fn columns() -> String {
+    format!("number,mu1,mu2,{}", Evaluation::NAMES.join(","))
+}
 
 /// A pair of weights and what it came to.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -87,10 +89,13 @@ impl History {
         for (name, value) in &self.header {
             let _ = writeln!(out, "# {name} = {value}");
         }
-        let _ = writeln!(out, "{COLUMNS}");
-        for (number, point) in self.points.iter().enumerate() {
-            let values = values(point).map(|value| value.to_string());
-            let _ = writeln!(out, "{number},{}", values.join(","));
+        let _ = writeln!(out, "{}", columns());
+        for (number, Point { weights, evaluation }) in self.points.iter().enumerate() {
+            let _ = write!(out, "{number}");
+            for value in weights.iter().chain(&evaluation.values()) {
+                let _ = write!(out, ",{value}");
+            }
+            out.push('\n');
         }
         out
     }
@@ -107,7 +112,7 @@ impl History {
             return Err(format!("it does not begin with `{FIRST}`"));
         }
         let mut history = Self::new(Vec::new());
-        let columns = loop {
+        let found = loop {
             match lines.next() {
                 Some(line) if line.starts_with('#') => {
                     let pair = line.trim_start_matches("# ").split_once(" = ");
@@ -117,7 +122,7 @@ impl History {
                 other => break other,
             }
         };
-        if columns != Some(COLUMNS) {
+        if found != Some(columns().as_str()) {
             return Err("its columns are not those of a history".to_owned());
         }
         for (number, line) in lines.enumerate() {
@@ -157,30 +162,6 @@ impl History {
     }
 }
 
-fn values(point: &Point) -> [f64; 9] {
-    let [mu1, mu2] = point.weights;
-    let Evaluation {
-        objective,
-        objective_half,
-        information,
-        information_half,
-        misdetection_pct,
-        energy,
-        wake_ups,
-    } = point.evaluation;
-    [
-        mu1,
-        mu2,
-        objective,
-        objective_half,
-        information,
-        information_half,
-        misdetection_pct,
-        energy,
-        wake_ups,
-    ]
-}
-
 /// The point `number` that `line` tells of.
 fn point(number: usize, line: &str) -> Option<Point> {
     let (own, rest) = line.split_once(',')?;
@@ -190,31 +171,14 @@ fn point(number: usize, line: &str) -> Option<Point> {
         .collect::<Result<_, _>>()
         .ok()
         .filter(|_| own.parse() == Ok(number))?;
-    let &[
-        mu1,
-        mu2,
-        objective,
-        objective_half,
-        information,
-        information_half,
-        misdetection_pct,
-        energy,
-        wake_ups,
-    ] = &values[..]
-    else {
-        return None;
-    };
-    let is_whole = [mu1, mu2, objective].iter().all(|value| value.is_finite()) && mu1 > 0.0 && mu2 > 0.0;
-    is_whole.then_some(Point {
-        weights: [mu1, mu2],
-        evaluation: Evaluation {
-            objective,
-            objective_half,
-            information,
-            information_half,
-            misdetection_pct,
-            energy,
-            wake_ups,
-        },
+    let (weights, values) = values.split_first_chunk::<2>()?;
+    let evaluation = Evaluation::of(values.try_into().ok()?);
+    let is_finite = weights
+        .iter()
+        .chain([&evaluation.objective])
+        .all(|value| value.is_finite());
+    (is_finite && weights.iter().all(|weight| *weight > 0.0)).then_some(Point {
+        weights: *weights,
+        evaluation,
     })
 }

@@ -1,11 +1,16 @@
 //! Pictures of learned tables, and information against energy.
 
-use reveille_common::learned::{BATTERIES, CurvePoint, Entry, Learned, Setting, Training, Weights};
+use reveille_common::learned::{BATTERIES, CurvePoint, Entry, Learned, Schedule, Setting, Training, Weights};
 use reveille_common::scenario::WakeUpRanking;
 
 use super::super::heat::Known;
 use super::super::{learning, pareto, q_table};
 use super::{FigureError, Results, check, fixtures, scenario};
+
+/// The start of a training with `n` devices.
+fn untrained(n: u32, weights: &Weights) -> Entry {
+    Entry::optimistic(&scenario(&[&format!("devices={n}")]), weights, 4, 1.0)
+}
 
 /// Tables for each of `sizes` with a curve of `episodes` points, of which some cells were learned.
 fn learned(sizes: &[u32], episodes: u64) -> Learned {
@@ -15,7 +20,8 @@ fn learned(sizes: &[u32], episodes: u64) -> Learned {
         zeta: 0.95,
     };
     let entry = |&n: &u32| {
-        let mut entry = Entry::optimistic(n, 400.0, &weights);
+        let mut entry = untrained(n, &weights);
+        let rates = Schedule::default().rates();
         for area in 0..16 {
             for delta in [false, true] {
                 let cell = entry.duty.at_mut(5, area, delta);
@@ -23,10 +29,10 @@ fn learned(sizes: &[u32], episodes: u64) -> Learned {
                 cell.visits = 3;
             }
         }
-        entry.duty.at_mut(4, 2, true).learn(-1000.0);
-        entry.duty.at_mut(1, 15, false).learn(-1000.0);
-        *entry.wake_posterior.at_mut([9, 0, 0]) = (f64::from(n), 7).into();
-        *entry.wake_posterior.at_mut([3, 1, 3]) = (-0.25, 2).into();
+        entry.duty.at_mut(4, 2, true).learn(-1000.0, rates);
+        entry.duty.at_mut(1, 15, false).learn(-1000.0, rates);
+        *entry.wake_posterior.at_mut([19, 0, 0]) = (f64::from(n), 7).into();
+        *entry.wake_posterior.at_mut([3, 1, 3]) = (-0.25, 20).into();
         let point = |episode: u64| CurvePoint {
             ttis: 3000 * (episode + 1),
             reward: 1.0 - 3.0 / f64::from(n) + 0.001 * episode as f64,
@@ -41,6 +47,7 @@ fn learned(sizes: &[u32], episodes: u64) -> Learned {
         scenario: "00".to_owned(),
         weights,
         window: 4,
+        schedule: Schedule::default(),
         training: Training {
             episodes,
             ttis: 3000,
@@ -112,7 +119,7 @@ fn files_without_curves_or_too_many_of_them_are_refused() {
 fn tables_are_drawn_whether_little_or_nothing_was_learned() {
     let mut all = vec![learned(&[10, 250], 2), learned(&[1_000_000], 2)];
     let mut nothing = learned(&[50], 0);
-    nothing.entries[0] = Entry::optimistic(50, 400.0, &nothing.weights);
+    nothing.entries[0] = untrained(50, &nothing.weights);
     nothing.setting.numbers.clear();
     all.push(nothing);
     for learned in &all {
@@ -149,14 +156,20 @@ fn a_cell_is_the_advantage_and_is_framed_where_the_policy_senses() {
     let own = csv.lines().find(|line| line.starts_with("5,")).expect("the row");
     assert!(own.ends_with(",20,3,-55,3,-75,-75,0"), "{own}");
     let wake = q_table::wake_csv(entry, WakeUpRanking::Posterior);
-    assert!(wake.contains("\n1,0.5,1,0,0.03,10,7,1\n"), "{wake}");
-    assert!(wake.contains("\n4,0.0078125,0.015625,0.03,0.08,-0.25,2,0\n"), "{wake}");
+    assert!(wake.contains("\n1,0.7071067811865476,1,0,0.03,10,7,10,1\n"), "{wake}");
+    // Pooled with the three cells below, each 1 and never visited: (3 · 1 − 21 · 0.25) / 24.
+    let own = wake.lines().find(|line| line.starts_with("4,0.0027"));
+    assert!(
+        own.is_some_and(|line| line.ends_with(",0.00390625,0,0.03,1,0,1,1")),
+        "{wake}"
+    );
+    assert!(wake.contains(",0.00390625,0.03,0.08,-0.25,20,-0.09375,0\n"), "{wake}");
     let text = q_table::duty_scene(&learned, entry).description;
     for part in [
         "μ1 = 14, μ2 = 1.6, ζ = 0.95",
         "with N = 10 on 400 m²",
         "sensing.d_max = 4",
-        "optimistic start",
+        "what it brings at once",
     ] {
         assert!(text.contains(part), "no {part:?} in {text}");
     }
@@ -181,7 +194,7 @@ fn information_is_drawn_against_energy_with_intervals_in_both_directions() {
     ];
     let results = Results::new(&[fixtures::table("paper", "info_per_event", &runs)]).expect("runs");
     let setting = &results.settings[0];
-    let chart = pareto::chart(setting).expect("a picture");
+    let chart = pareto::chart(&[setting]).expect("a picture");
     check("pareto", &chart.scene());
     let names: Vec<&str> = chart.series.iter().map(|s| s.name.as_str()).collect();
     assert_eq!(names, ["knn", "q-learning"], "dt has no information");
@@ -203,10 +216,10 @@ fn information_is_drawn_against_energy_with_intervals_in_both_directions() {
         "{}",
         chart.caption
     );
-    let csv = pareto::csv(setting);
+    let csv = pareto::csv(&[setting]);
     assert_eq!(csv.lines().count(), 4);
     let none = fixtures::table("paper", "info_per_event", &[("knn", 10, &[f64::NAN])]);
-    assert!(pareto::chart(&Results::new(&[none]).expect("runs").settings[0]).is_none());
+    assert!(pareto::chart(&[&Results::new(&[none]).expect("runs").settings[0]]).is_none());
 }
 
 #[test]
@@ -217,8 +230,56 @@ fn each_setting_has_its_own_pareto_picture() {
     let captions = results
         .settings
         .iter()
-        .filter_map(pareto::chart)
+        .filter_map(|setting| pareto::chart(&[setting]))
         .map(|chart| chart.caption);
     let captions: Vec<String> = captions.collect();
     assert!(captions[0].starts_with("Preset paper;") && captions[1].starts_with("Preset paper-literal;"));
+}
+
+#[test]
+fn settings_drawn_together_have_a_line_for_each_policy_and_shared_runs_once() {
+    let [plain, uniform] = [
+        &[("knn", 10, &[0.1, 0.2][..]), ("q-learning", 10, &[0.3, 0.4])],
+        &[("knn", 10, &[0.2, 0.2][..]), ("q-learning", 10, &[0.5, 0.4])],
+    ]
+    .map(|runs| fixtures::table("paper", "info_per_event", runs).1);
+    let mut uniform = uniform;
+    uniform.about.experiment += "[set]\n\"layout.kind\" = \"uniform\"\n";
+    for row in &mut uniform.rows {
+        let set = [
+            "layout.kind=uniform",
+            "devices=10",
+            "ttis=2000",
+            &format!("seed={}", row.seed),
+            &format!("policy.name={}", row.policy),
+        ];
+        row.scenario_hash = crate::table::Hash(scenario(&set).hash());
+        row.digest = if &*row.policy == "knn" {
+            row.digest
+        } else {
+            row.scenario_hash
+        };
+    }
+    let literal = fixtures::table("paper-literal", "info_per_event", &[("knn", 10, &[0.3])]);
+    let tables = [("a".to_owned(), plain), ("b".to_owned(), uniform), literal];
+    let results = Results::new(&tables).expect("runs");
+    let groups = results.together();
+    let labels: Vec<(&str, usize)> = groups.iter().map(|(label, all)| (label.as_str(), all.len())).collect();
+    assert_eq!(labels, [("paper-together", 2), ("paper-literal-together", 1)]);
+    let chart = pareto::chart(&groups[0].1).expect("a picture");
+    check("pareto-together", &chart.scene());
+    let names: Vec<&str> = chart.series.iter().map(|s| s.name.as_str()).collect();
+    assert_eq!(
+        names,
+        ["knn", "q-learning", "q-learning, layout.kind uniform"],
+        "knn has the same digests twice"
+    );
+    let [_, a, b] = &chart.series[..] else { unreachable!() };
+    assert!(a.style.paint == b.style.paint && a.style.marker != b.style.marker && a.style.dashes != b.style.dashes);
+    assert_eq!(pareto::csv(&groups[0].1).lines().count(), 4);
+    assert!(
+        chart
+            .caption
+            .starts_with("Preset paper, also changed as the legend says; 2 runs of 2000 TTIs")
+    );
 }
