@@ -130,6 +130,52 @@ fn with_energy_for_all_and_a_huge_reward_all_that_can_be_is_covered() {
     }
 }
 
+/// Who senses in each of the first `ttis` TTIs while the policy learns, and what it has learned then.
+fn while_learning(set: &[&str], ttis: u64) -> (Vec<usize>, Entry) {
+    let rich = ["energy.e_idle=0.001", "energy.e_wur=0.0001", "devices=40"];
+    let ttis_are = format!("ttis={ttis}");
+    let set: Vec<&str> = rich.iter().chain(set).copied().chain([ttis_are.as_str()]).collect();
+    let scenario = scenario("paper", &set);
+    let mut run = Run::on(&scenario, &Deployment::new(&scenario), Options::default());
+    let mut sensing = Vec::new();
+    for k in 0..ttis {
+        run.grant();
+        let plan = run.cycle().plan();
+        let is_on = |j: &u32| plan.duty_cycle(DeviceId(*j)).is_on(reveille_common::ids::Tti(k));
+        sensing.push((0..40).filter(is_on).count());
+    }
+    (sensing, run.finish(&mut ()).learned.expect("it learns"))
+}
+
+#[test]
+fn exploration_rates_and_optimism_are_those_of_the_scenario() {
+    // Without a reward for detection nobody senses but by the dice: ε/2 of them.
+    let dice = ["policy.q-learning.mu1=0", "policy.q-learning.epsilon=0.8"];
+    let share = |sensing: &[usize]| sensing.iter().sum::<usize>() as f64 / (40 * sensing.len()) as f64;
+    let (even, _) = while_learning(&dice, 600);
+    assert!((share(&even) - 0.4).abs() < 0.02, "{}", share(&even));
+    let (falling, _) = while_learning(&[&dice[..], &["policy.q-learning.epsilon_last=0"]].concat(), 600);
+    for (third, expected) in falling.chunks(200).zip([0.4 * 5.0 / 6.0, 0.2, 0.4 / 6.0]) {
+        assert!(
+            (share(third) - expected).abs() < 0.02,
+            "{}, not {expected}",
+            share(third)
+        );
+    }
+    // Whom nothing is expected of is never tried; what is expected at the start is.
+    let calm = |optimism: &str| while_learning(&["policy.q-learning.epsilon=0", optimism], 50);
+    let (none, _) = calm("policy.q-learning.optimism=0");
+    assert_eq!(none.iter().sum::<usize>(), 0);
+    let (some, usual) = calm("policy.q-learning.optimism=1");
+    assert!(some[0] > 5, "{some:?}");
+    // With a rate of 1 a value is the last that was seen, of δ = 0 always the 1 that sleep brings and what the battery gained.
+    let (_, last) = while_learning(&["policy.q-learning.epsilon=0", "policy.q-learning.rate_floor=1"], 50);
+    let asleep = |entry: &Entry| entry.duty.at(7, 0, false).value;
+    assert!(asleep(&last) >= 1.0 && last.duty != usual.duty, "{}", asleep(&last));
+    let slow = ["policy.q-learning.epsilon=0", "policy.q-learning.rate_decay=0.1"];
+    assert!(while_learning(&slow, 50).1.duty != usual.duty);
+}
+
 #[test]
 fn a_training_goes_on_from_any_checkpoint_as_if_nothing_had_been() {
     let folder = std::env::temp_dir().join(format!("reveille-training-{}", std::process::id()));

@@ -134,6 +134,11 @@ fn the_checkpoint_of_another_training_is_refused() {
         ("--epsilon 0.1,0.05", "epsilon"),
         ("--set policy.q-learning.mu1=3", "other weights"),
         ("--set policy.q-learning.window=1", "another window"),
+        ("--set policy.q-learning.rate_floor=0.01", "another learning rate"),
+        (
+            "--set policy.q-learning.optimism=0",
+            "another learning rate or optimism",
+        ),
         ("--set events.alpha=0.3", "events.alpha"),
         ("--set bs.sync_interval=77", "another scenario"),
     ] {
@@ -198,7 +203,7 @@ fn tables_that_cannot_be_used_are_refused() {
         (
             "other-version",
             text.replacen("\"version\":2", "\"version\":7", 1),
-            &["version 7", "reads 1", train],
+            &["version 7", "reads 2", train],
         ),
         ("truncated", text[..text.len() * 2 / 3].to_owned(), &["damaged", train]),
         ("nearly-whole", text[..text.len() - 3].to_owned(), &["damaged", train]),
