@@ -6,7 +6,8 @@ use reveille_common::plan::Plan;
 use reveille_common::sensing::Sensing;
 use reveille_common::units::Energy;
 
-/// The BS's knowledge in a TTI: positions, its own δ, and what was reported. Epicentres and harvests are not in it.
+/// The BS's knowledge in a TTI: positions, its own δ, what was reported, and batteries as far as it may know them. Epicentres and
+/// harvests are not in it.
 #[derive(Clone, Copy, Debug)]
 pub struct Observation<'a> {
     /// The TTI.

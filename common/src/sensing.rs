@@ -35,6 +35,16 @@ pub enum Fusion {
     SumSaturation,
 }
 
+impl Fusion {
+    /// Its name, as in `sensing.g` of a scenario.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Max => "max",
+            Self::SumSaturation => "sum-saturation",
+        }
+    }
+}
+
 /// The sensing model that all devices share.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Sensing {

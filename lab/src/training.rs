@@ -60,7 +60,6 @@ pub enum TrainingError {
         /// The checkpoint.
         path: PathBuf,
         /// Why not.
-        #[source]
         error: LearnedError,
     },
     /// A file cannot be written.
@@ -69,7 +68,6 @@ pub enum TrainingError {
         /// The file.
         path: PathBuf,
         /// What the operating system said.
-        #[source]
         error: std::io::Error,
     },
     /// Threads cannot be started.
@@ -190,6 +188,7 @@ impl Trainer {
             scenario: first.hash_hex(),
             weights: self.settings.weights,
             window: self.settings.window,
+            begun_from: None,
             schedule: self.settings.schedule,
             training: self.training.clone(),
             setting: Setting::of(&self.scenario),
@@ -395,6 +394,7 @@ pub fn learned_in(scenario: &Scenario, outcome: &Outcome) -> Option<Learned> {
         scenario: scenario.hash_hex(),
         weights: settings.weights,
         window: settings.window,
+        begun_from: settings.begun_from.clone(),
         schedule: settings.schedule,
         training: Training {
             episodes: 1,

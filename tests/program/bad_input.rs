@@ -5,9 +5,7 @@ use std::fs;
 use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt;
 
-use reveille_tests::process::{
-    Finished, Folder, PATIENCE, Summary, assert_refused, free_endpoint, unique_run, wait_until,
-};
+use reveille_tests::process::{Finished, Folder, Summary, assert_refused, free_endpoint, unique_run};
 use rustix::process::Signal;
 
 /// Nothing in the folder but what the test put there.

@@ -182,6 +182,11 @@ fn learned_tables_that_are_none_or_lack_an_n_are_refused() {
         "q-table mine.json -n 10,50",
         &["N = 50: mine.json has tables for 10, 30 devices", "--devices 50"],
     );
+    for (name, n) in [("shipped", 2500), ("shipped-paper-literal", 250)] {
+        let end = folder.run(&format!("figures q-table {name} -n {n} --format svg --out {name}"));
+        assert_eq!(end.code(), Some(0), "{end}");
+        assert_eq!(folder.list(name).len(), 3, "a picture and two CSV files");
+    }
     for args in ["learning", "q-table mine.json", "q-table mine.json -n 10 --wake best"] {
         let end = folder.run(&format!("figures {args}"));
         assert_eq!(end.code(), Some(2), "{end}");

@@ -271,7 +271,7 @@ fn a_table_for_other_densities_or_weights_is_refused() {
             &["policy.q-learning.table", "5 to 100 devices", &n.to_string(), &hint],
         );
     }
-    for (name, value) in [("mu1", "3.5"), ("mu2", "4"), ("zeta", "0.5")] {
+    for (name, value) in [("mu1", "3.5"), ("mu2", "4"), ("zeta", "0.5"), ("window", "2")] {
         let end = folder.run(&format!("{base} -n 20 --set policy.q-learning.{name}={value}"));
         let field = format!("policy.q-learning.{name}");
         let parts = [
@@ -289,6 +289,10 @@ fn a_table_for_other_densities_or_weights_is_refused() {
              --set policy.q-learning.learn=true --out {out}"
         ));
         assert!(end.is_success(), "a policy that learns may weigh otherwise: {end}");
+        // What came of it says what it was begun with.
+        let learned = fs::read_to_string(folder.join(&format!("{out}/learned.json"))).expect("a table");
+        let from = "\"begun_from\":\"tables for N = 10, μ1 = 14, μ2 = 1.6, ζ = 0.95 and a window of 4 TTIs, learned in 50 TTIs\"";
+        assert!(learned.contains(from), "{learned:.600}");
     }
     let end = folder.run("run -k 60 -n 20 --policy q-learning --set policy.q-learning.table=nothing --out run");
     assert_refused(&end, 1, &["policy.q-learning.table", "learn = true"]);
@@ -326,6 +330,28 @@ fn nonsense_is_refused_before_anything_is_trained() {
         ("--devices 5 --epsilon 0.1,1", &["epsilon = 1", "less than 1"]),
         ("--devices 5 --epsilon NaN,0.1", &["epsilon", "less than 1"]),
         ("--devices 5 --set policy.name=knn", &["knn", "q-learning"]),
+        ("--devices 5 --set seed=3", &["--set seed=3", "from --seed"]),
+        ("--devices 5 --set policy.q-learning.epsilon=0.5", &["from --epsilon"]),
+        (
+            "--devices 5 --set policy.q-learning.epsilon_last=0.5",
+            &["from --epsilon"],
+        ),
+        (
+            "--devices 5 --set policy.q-learning.table=a.json",
+            &["begins with nothing"],
+        ),
+        (
+            "--devices 5 --set policy.q-learning.rate_floor=0",
+            &["policy.q-learning.rate_floor = 0", "greater than 0"],
+        ),
+        (
+            "--devices 5 --set policy.q-learning.optimism=NaN",
+            &["policy.q-learning.optimism", "at least 0"],
+        ),
+        (
+            "--devices 5 --out nowhere/t.json",
+            &["nowhere/t.json: the folder nowhere is not there"],
+        ),
         (
             "--devices 5 --set policy.q-learning.zeta=1",
             &["policy.q-learning.zeta = 1", "at most 0.999"],
@@ -336,7 +362,7 @@ fn nonsense_is_refused_before_anything_is_trained() {
         ),
     ] {
         assert_refused(
-            &folder.run(&format!("train q-learning --quiet {args} --out t.json")),
+            &folder.run(&format!("train q-learning --quiet --out t.json {args}")),
             1,
             parts,
         );

@@ -98,6 +98,9 @@ mod with_the_feature {
             ("--energy-weight=-1", 1, "energy-weight = -1"),
             ("--set policy.name=knn", 1, "only q-learning"),
             ("--out foreign.csv", 1, "is no history of a tuning"),
+            ("--out tuning.svg", 1, "tuning.svg: is the name of a picture"),
+            ("--picture-only tuning.png", 1, "tuning.png: is the name of a picture"),
+            ("--set ttis=300", 1, "from --episode-ttis"),
             ("--picture-only foreign.csv", 1, "is no history of a tuning"),
             ("--picture-only nowhere.csv", 1, "nowhere.csv: cannot be read"),
         ] {

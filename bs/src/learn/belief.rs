@@ -27,6 +27,9 @@ static CIRCLE: LazyLock<[(f64, f64); FINE]> = LazyLock::new(|| {
 /// The weight of a place within reach of a device that should have detected an event there and did not report: it may
 /// have failed to.
 const SILENCE: f64 = 0.02;
+/// The weight of a place within reach of a device that was woken and found it farther than d_max: none, but for what keeps weights
+/// apart if all places are ruled out.
+const RULED_OUT: f64 = 1e-12;
 /// How far from a ring a place may lie and still be on it, metres per metre of d_max.
 const TOLERANCE: f64 = 1e-6;
 
@@ -40,7 +43,10 @@ pub struct Belief {
     places: Vec<Place>,
     /// The reports: where from, and the distance to the event.
     rings: Vec<(Point, f64)>,
+    /// Devices in S1 that did not report.
     silent: Vec<Point>,
+    /// Devices that were woken and are farther than d_max.
+    far: Vec<Point>,
     is_given_out: Vec<bool>,
     given_out: Vec<DeviceId>,
 }
@@ -63,6 +69,7 @@ impl Belief {
             places: Vec::new(),
             rings: Vec::new(),
             silent: Vec::new(),
+            far: Vec::new(),
             given_out: Vec::new(),
         }
     }
@@ -72,6 +79,7 @@ impl Belief {
         self.places.clear();
         self.rings.clear();
         self.silent.clear();
+        self.far.clear();
         for device in self.given_out.drain(..) {
             self.is_given_out[device.index()] = false;
         }
@@ -80,12 +88,16 @@ impl Belief {
     /// `device` has reported an event `d` metres away, 0 ..= d_max.
     pub fn add_reporter(&mut self, device: DeviceId, d: f64) {
         let at = self.positions[device.index()];
-        match self.rings.len() {
-            0 => self.places = self.ring(at, d),
-            1 => self.meet(at, d),
-            _ => self.keep_nearest(at, d),
+        let slack = TOLERANCE * self.sensing.d_max;
+        // Two devices at one place tell the same.
+        if self.rings.iter().all(|(centre, _)| centre.distance(at) > slack) {
+            match self.rings.len() {
+                0 => self.places = self.ring(at, d),
+                1 => self.meet(at, d),
+                _ => self.keep_nearest(at, d),
+            }
+            self.rings.push((at, d));
         }
-        self.rings.push((at, d));
         self.take_out(device);
     }
 
@@ -94,10 +106,10 @@ impl Belief {
         let at = self.positions[device.index()];
         for place in &mut self.places {
             if place.at.distance(at) <= self.sensing.d_max {
-                place.weight *= SILENCE;
+                place.weight *= RULED_OUT;
             }
         }
-        self.silent.push(at);
+        self.far.push(at);
     }
 
     /// Weighs the devices in S1, those for which `is_sensing` holds, that could have reported and did not. To be called once,
@@ -240,9 +252,6 @@ impl Belief {
     fn meet(&mut self, centre: Point, d: f64) {
         let (first, d_first) = self.rings[0];
         let gamma = first.distance(centre);
-        if gamma <= TOLERANCE * self.sensing.d_max {
-            return;
-        }
         let (east, north) = ((centre.x - first.x) / gamma, (centre.y - first.y) / gamma);
         let along = (gamma * gamma + d_first * d_first - d * d) / (2.0 * gamma);
         let across = (d_first * d_first - along * along).max(0.0).sqrt();
@@ -277,7 +286,7 @@ impl Belief {
         self.places.retain(|place| off(place) <= limit);
     }
 
-    /// How likely the silent devices make an event at `at`, up to a factor.
+    /// How likely those who did not report make an event at `at`, up to a factor.
     fn weight_of(&self, at: Point) -> f64 {
         let Sensing { d_max, .. } = self.sensing;
         let of = |device: &Point| {
@@ -290,7 +299,8 @@ impl Belief {
                 DetectionKind::Probabilistic => 1.0 - (1.0 - SILENCE) * self.sensing.p(d),
             }
         };
-        self.silent.iter().map(of).product()
+        let far = self.far.iter().filter(|device| device.distance(at) <= d_max).count();
+        self.silent.iter().map(of).product::<f64>() * libm::pow(RULED_OUT, far as f64)
     }
 }
 
@@ -375,7 +385,7 @@ mod tests {
                 let information = sensing.p(d);
                 // More places, and all of them; the weights by the definition.
                 let centre = points[h as usize];
-                let (mut best, mut most) = (0, 0.0);
+                let mut gains = vec![0.0; 120];
                 for j in (0..120).filter(|&j| j != h && !is_on(DeviceId(j))) {
                     let (mut gain, mut sum) = (0.0, 0.0);
                     for i in 0..2000 {
@@ -393,10 +403,9 @@ mod tests {
                         gain += weight * (sensing.fuse(information, report) - information);
                         sum += weight;
                     }
-                    if gain / sum > most {
-                        (best, most) = (j, gain / sum);
-                    }
+                    gains[j as usize] = gain / sum;
                 }
+                let most = gains.iter().copied().fold(0.0, f64::max);
                 let found = belief.next(information, |j| !is_on(j));
                 if most < 1e-9 {
                     assert!(found.is_none_or(|(_, gain)| gain < 1e-6));
@@ -404,11 +413,61 @@ mod tests {
                 }
                 // Where few places are likely, one more or less at their edge is a tenth of them.
                 let (next, gain) = found.expect("somebody");
+                let own = gains[next.index()];
                 assert!(
-                    (gain - most).abs() < 0.15 * most,
-                    "{case} {h}: {gain} against {most} of {best}, got {next}"
+                    (gain - most).abs() < 0.15 * most && own > 0.95 * most,
+                    "{case} {h}: {gain} against {most}, but {next} has {own}"
                 );
             }
+        }
+    }
+
+    #[test]
+    fn devices_at_one_place_tell_the_same_and_a_third_report_finds_the_event() {
+        let mut points = place(&Layout::Uniform, AREA, 40, 9);
+        let event = Point::new(9.0, 9.0);
+        points[0] = Point::new(7.0, 9.5);
+        points[1] = points[0];
+        points[2] = Point::new(10.0, 7.0);
+        points[3] = Point::new(10.5, 11.0);
+        let mut belief = Belief::new(&points, AREA, &sensing(Fusion::Max));
+        belief.start();
+        for (j, places) in [(0, 512), (1, 512), (2, 2), (3, 1)] {
+            belief.add_reporter(DeviceId(j), points[j as usize].distance(event));
+            assert_eq!(belief.places.len(), places, "after {j}");
+        }
+        assert!(belief.places[0].at.distance(event) < 1e-5);
+    }
+
+    #[test]
+    fn a_device_that_was_woken_in_vain_rules_its_reach_out() {
+        let points = [Point::new(10.0, 10.0), Point::new(12.5, 10.0), Point::new(10.0, 13.0)];
+        for kind in [DetectionKind::Range, DetectionKind::Probabilistic] {
+            let sensing = Sensing {
+                kind,
+                ..sensing(Fusion::Max)
+            };
+            let mut belief = Belief::new(&points, AREA, &sensing);
+            belief.start();
+            belief.add_reporter(DeviceId(0), 3.0);
+            belief.add_far(DeviceId(1));
+            let weights = |belief: &Belief| -> [f64; 2] {
+                let of = |near: bool| {
+                    let own = belief
+                        .places
+                        .iter()
+                        .filter(|p| (p.at.distance(points[1]) <= 4.0) == near);
+                    own.map(|place| place.weight).sum()
+                };
+                [of(true), of(false)]
+            };
+            let [near, far] = weights(&belief);
+            assert!(near < 1e-9 * far && far > 0.0, "{kind:?}: {near} {far}");
+            // A second ring, of two points: one within that reach, one without.
+            let left = Point::new(10.0 - 3.0 * 0.8, 10.0 + 3.0 * 0.6);
+            belief.add_reporter(DeviceId(2), points[2].distance(left));
+            let [near, far] = weights(&belief);
+            assert!(belief.places.len() == 2 && near < 1e-9 * far, "{kind:?}: {near} {far}");
         }
     }
 

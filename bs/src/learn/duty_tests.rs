@@ -174,7 +174,7 @@ fn cases() -> Vec<Case> {
 
 #[test]
 fn the_shares_add_up_to_the_papers_reward_in_every_tti() {
-    let (mut sensed, mut repeated) = (0, 0);
+    let (mut sensed, mut repeated, mut exceeded) = (0, 0, 0);
     for case in cases() {
         let n = case.devices as usize;
         let mut stream = Stream::new(case.seed, Purpose::Training, 3);
@@ -187,6 +187,7 @@ fn the_shares_add_up_to_the_papers_reward_in_every_tti() {
         let mut duty = case.learner(random_table(&mut stream), weights, alpha);
         let ground = Ground::new(case.area, case.kind, &case.positions());
         let mut plans: Vec<Vec<usize>> = Vec::new();
+        let mut gains: VecDeque<Vec<f64>> = VecDeque::new();
         for k in 0..30 {
             let levels = random_levels(n, &mut stream);
             let plan = duty.explore(
@@ -208,6 +209,27 @@ fn the_shares_add_up_to_the_papers_reward_in_every_tti() {
             );
             assert!((sum - expected).abs() < 1e-9, "{what}: shares {sum}, r(k) = {expected}");
             assert!((reward - expected).abs() < 1e-9, "{what}: {reward}, r(k) = {expected}");
+            // What is promised at a choice: in each TTI of the window at least what it newly covered, and with a window of
+            // one TTI just that.
+            let last = duty.last.as_ref().expect("an exploration");
+            let own = |share: &Share| if share.on { share.gain } else { 0.0 };
+            gains.push_back(last.shares.iter().map(own).collect());
+            if gains.len() > case.window as usize {
+                gains.pop_front();
+            }
+            for (j, credit) in last.credits.iter().enumerate() {
+                let promised: f64 = gains.iter().map(|then| then[j]).sum();
+                assert!(
+                    *credit > promised - 1e-9,
+                    "{what}: {j} has {credit}, promised {promised}"
+                );
+                let is_more = *credit > promised + 1e-9;
+                assert!(
+                    !is_more || case.window > 1,
+                    "{what}: {j} has {credit}, promised {promised}"
+                );
+                exceeded += usize::from(is_more);
+            }
             sensed += plan.len();
             repeated += usize::from(window.len() > plan.len());
             duty.learn(&random_levels(n, &mut stream));
@@ -215,8 +237,8 @@ fn the_shares_add_up_to_the_papers_reward_in_every_tti() {
         }
     }
     assert!(
-        sensed > 1000 && repeated > 300,
-        "{sensed} and {repeated} are too few to tell"
+        sensed > 1000 && repeated > 300 && exceeded > 300,
+        "{sensed}, {repeated} and {exceeded} are too few to tell"
     );
 }
 

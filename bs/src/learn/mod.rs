@@ -16,7 +16,9 @@
 //! where c_j(k) is the share of the area whose first coverer in the window is device j: earlier TTIs come first, and within a
 //! TTI those who were chosen earlier. Every covered place has one first coverer, so Σ_j c_j = 1 − U, and
 //! Σ_j r_j = (1 − δ·1/N) + α μ1 (1 − U − 1) = r. A choice adds to c_j in its own TTI what it newly covers, and keeps that
-//! for the whole window; so the table's target for δ_j = 1 is N α μ1 · (newly covered share) · (1 + ζ + … + ζ^(window − 1)).
+//! for the whole window; so the table's target for δ_j = 1 has N α μ1 · (newly covered share) · (1 + ζ + … + ζ^(window − 1)).
+//! With `window` = 1 that is N times the share's α μ1 c_j. With a longer one it is the part that is certain when the choice
+//! is made: a place that somebody else had covered earlier falls to j as well once that has run out, and is left out.
 //!
 //! Wake-ups are decided one after the other too: the m-th of a TTI has the share μ2 (Î_m − Î_{m−1}) − 1/N. These telescope to
 //! r*(k) = μ2 I_i − δ*·1/N, but for μ2 Î_0, the information that came without a wake-up.

@@ -7,6 +7,8 @@ use std::sync::{Arc, LazyLock};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+use crate::scenario::LONGEST_WINDOW;
+
 use super::{DutyTable, Entry, Learned, Schedule, Setting, Training, WakeTable, Weights};
 
 /// What the file says that it is.
@@ -47,10 +49,11 @@ pub enum LearnedError {
 
 /// What stands in front of the body.
 #[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
 struct Head {
     format: String,
     version: u64,
+    // A later version may have something else.
+    #[serde(default)]
     sha256: String,
 }
 
@@ -64,6 +67,8 @@ struct Body {
     scenario: String,
     weights: Weights,
     window: u32,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    begun_from: Option<String>,
     schedule: Schedule,
     training: Training,
     setting: Setting,
@@ -77,6 +82,16 @@ impl Learned {
             .iter()
             .min_by_key(|tables| tables.setting.differences(setting).len());
         Arc::clone(fewest.expect("some tables are shipped"))
+    }
+
+    /// The shipped tables called `name`: `shipped` or `shipped-paper`, those of the preset `paper`, or `shipped-paper-literal`.
+    pub fn shipped_as(name: &str) -> Option<Arc<Self>> {
+        let [paper, literal] = &SHIPPED;
+        match name {
+            "shipped" | "shipped-paper" => Some(Arc::clone(paper)),
+            "shipped-paper-literal" => Some(Arc::clone(literal)),
+            _ => None,
+        }
     }
 
     /// Reads the file at `path`.
@@ -125,6 +140,7 @@ impl Learned {
             scenario: body.scenario,
             weights: body.weights,
             window: body.window,
+            begun_from: body.begun_from,
             schedule: body.schedule,
             training: body.training,
             setting: body.setting,
@@ -149,6 +165,7 @@ impl Learned {
             scenario: self.scenario.clone(),
             weights: self.weights,
             window: self.window,
+            begun_from: self.begun_from.clone(),
             schedule: self.schedule,
             training: self.training.clone(),
             setting: self.setting.clone(),
@@ -167,6 +184,20 @@ impl Learned {
         let Weights { mu1, mu2, zeta } = self.weights;
         if ![mu1, mu2].iter().all(|mu| mu.is_finite() && *mu >= 0.0) || !(0.0..1.0).contains(&zeta) {
             return Err(format!("its weights are mu1 {mu1}, mu2 {mu2}, zeta {zeta}"));
+        }
+        if !(1..=LONGEST_WINDOW).contains(&self.window) {
+            return Err(format!("its window is {} TTIs", self.window));
+        }
+        let Schedule {
+            rate_decay,
+            rate_floor,
+            optimism,
+        } = self.schedule;
+        let is_rate = |rate: f64| rate > 0.0 && rate <= 1.0;
+        if !is_rate(rate_decay) || !is_rate(rate_floor) || !optimism.is_finite() || optimism < 0.0 {
+            return Err(format!(
+                "its schedule is rate_decay {rate_decay}, rate_floor {rate_floor}, optimism {optimism}"
+            ));
         }
         if self.entries.is_empty() {
             return Err("it holds no entry".to_owned());
@@ -282,6 +313,7 @@ mod tests {
             scenario: "00".to_owned(),
             weights,
             window: 4,
+            begun_from: None,
             schedule: Schedule::default(),
             training: Training {
                 episodes: 1,
@@ -319,6 +351,10 @@ mod tests {
         let text = learned().to_json();
         refused("devices = 5", "not a file of learned tables");
         refused(&text.replace("\"version\":2", "\"version\":3"), "has version 3");
+        refused(
+            "{\"format\":\"reveille-q-table\",\"version\":9,\"made\":1}",
+            "has version 9",
+        );
         refused(&text[..text.len() / 2], "damaged");
         refused(&text.replacen("20.0", "21.0", 1), "checksum");
         refused("", "not a file of learned tables");
@@ -341,6 +377,19 @@ mod tests {
         refused(&sealed(&body.replacen("[20.0,0],", "", 1)), "another size");
         refused(&sealed(&body.replacen("\"zeta\":0.95", "\"zeta\":1.5", 1)), "zeta 1.5");
         refused(
+            &sealed(&body.replacen("\"window\":4", "\"window\":0", 1)),
+            "window is 0",
+        );
+        for (field, value) in [
+            ("rate_decay\":0.7", "-7.0"),
+            ("rate_floor\":0.002", "0.0"),
+            ("optimism\":1.0", "-1.0"),
+        ] {
+            let (name, _) = field.split_once('"').expect("a name");
+            let other = format!("{name}\":{value}");
+            refused(&sealed(&body.replacen(field, &other, 1)), "its schedule is");
+        }
+        refused(
             &sealed(&body.replacen("\"devices\":10", "\"devices\":90", 1)),
             "order of their densities",
         );
@@ -359,10 +408,23 @@ mod tests {
     }
 
     #[test]
-    fn the_shipped_tables_are_in_order() {
-        for tables in &SHIPPED {
+    fn the_shipped_tables_are_those_of_a_training_with_the_presets_as_they_are() {
+        for (preset, tables) in ["paper", "paper-literal"].into_iter().zip(&SHIPPED) {
             assert!(tables.entries.len() >= 10);
             assert_eq!(tables.range(400.0).0, 5);
+            let set = ["name=q-learning", "q-learning.learn=true", "q-learning.table=nothing"];
+            let set = set.map(|set| Override::parse(&format!("policy.{set}")).expect("an override"));
+            let mut scenario = load(preset, &set).expect("a preset");
+            assert!(
+                Setting::of(&scenario).differences(&tables.setting).is_empty(),
+                "{preset}"
+            );
+            scenario.devices = tables.entries[0].devices;
+            assert_eq!(
+                scenario.hash_hex(),
+                tables.scenario,
+                "{preset}: train again, docs/q-learning.md"
+            );
         }
     }
 }

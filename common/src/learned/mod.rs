@@ -13,6 +13,8 @@ pub use tables::{
     area_edge, battery_bucket, information_bucket, score_bucket, score_edge,
 };
 
+use std::fmt::Display;
+
 use serde::{Deserialize, Serialize};
 
 use crate::scenario::Scenario;
@@ -52,48 +54,76 @@ pub struct Setting {
 }
 
 impl Setting {
-    /// The setting of `scenario`, with the energy model of its first device class.
+    /// The setting of `scenario`.
     pub fn of(scenario: &Scenario) -> Self {
         let word = |name: &str, value: &str| (name.to_owned(), value.to_owned());
-        let class = &scenario.classes[0];
-        let (energy, sensing) = (class.energy, &scenario.sensing);
-        let harvest = class.harvest.mean(scenario.tau).units();
         let number = |name: &str, value: f64| (name.to_owned(), value);
+        let sensing = &scenario.sensing;
+        let mut numbers = vec![
+            number("events.alpha", scenario.events.alpha),
+            number("events.duration", scenario.events.duration as f64),
+            number("sensing.d_max", sensing.d_max),
+            number("sensing.eta", sensing.eta),
+            number("sensing.psi", sensing.psi),
+        ];
+        let is_lone = scenario.classes.len() == 1;
+        for class in &scenario.classes {
+            let energy = &class.energy;
+            let of = |name: &str, value: f64| {
+                if is_lone {
+                    number(name, value)
+                } else {
+                    (format!("class.{}.{name}", class.name), value)
+                }
+            };
+            numbers.extend([
+                of("energy.e_max", energy.e_max.units()),
+                of("energy.e_idle", energy.e_idle.units()),
+                of("energy.e_wur", energy.e_wur.units()),
+                of("energy.e_tx", energy.e_tx.units()),
+                of("mean harvest", class.harvest.mean(scenario.tau).units()),
+            ]);
+            if !is_lone {
+                numbers.push(of("share", class.share));
+            }
+        }
         Self {
             words: vec![
                 word("layout.kind", scenario.layout.name()),
                 word("sensing.kind", sensing.kind.name()),
+                word("sensing.g", sensing.g.name()),
                 word("bs.battery_knowledge", scenario.bs.battery_knowledge.name()),
             ],
-            numbers: vec![
-                number("events.alpha", scenario.events.alpha),
-                number("events.duration", scenario.events.duration as f64),
-                number("sensing.d_max", sensing.d_max),
-                number("sensing.eta", sensing.eta),
-                number("energy.e_max", energy.e_max.units()),
-                number("energy.e_idle", energy.e_idle.units()),
-                number("energy.e_wur", energy.e_wur.units()),
-                number("energy.e_tx", energy.e_tx.units()),
-                number("mean harvest", harvest),
-            ],
+            numbers,
         }
     }
 
-    /// Where `other` differs, a phrase each: "events.alpha 0.2, here 0.3".
-    pub fn differences(&self, other: &Self) -> Vec<String> {
-        let mut found = Vec::new();
-        for ((name, own), (_, here)) in self.words.iter().zip(&other.words) {
-            if own != here {
-                found.push(format!("{name} {own}, here {here}"));
-            }
-        }
-        for ((name, own), (_, here)) in self.numbers.iter().zip(&other.numbers) {
-            if (own - here).abs() > 1e-6 * own.abs().max(here.abs()) {
-                found.push(format!("{name} {own}, here {here}"));
-            }
-        }
-        found
+    /// Where `here` differs, a phrase each: "events.alpha 0.2, here 0.3".
+    pub fn differences(&self, here: &Self) -> Vec<String> {
+        let words = differences(&self.words, &here.words, |own, here| own == here);
+        let is_close = |own: &f64, here: &f64| (own - here).abs() <= 1e-6 * own.abs().max(here.abs());
+        words
+            .into_iter()
+            .chain(differences(&self.numbers, &here.numbers, is_close))
+            .collect()
     }
+}
+
+/// The fields in which `own` and `here` are not the same, a phrase each.
+fn differences<T: Display>(own: &[(String, T)], here: &[(String, T)], is_same: impl Fn(&T, &T) -> bool) -> Vec<String> {
+    let in_other = |fields: &'_ [(String, T)], name: &str| fields.iter().position(|(other, _)| other == name);
+    let mut found = Vec::new();
+    for (name, value) in own {
+        match in_other(here, name).map(|at| &here[at].1) {
+            Some(other) if is_same(value, other) => {}
+            Some(other) => found.push(format!("{name} {value}, here {other}")),
+            None => found.push(format!("{name} {value}, not known here")),
+        }
+    }
+    for (name, value) in here.iter().filter(|(name, _)| in_other(own, name).is_none()) {
+        found.push(format!("{name} not known there, here {value}"));
+    }
+    found
 }
 
 /// One point of a learning curve.
@@ -176,6 +206,8 @@ pub struct Learned {
     pub weights: Weights,
     /// TTIs within which the area was to be covered once.
     pub window: u32,
+    /// What it went on from, in words; nothing for a training from the start.
+    pub begun_from: Option<String>,
     /// How values were learned.
     pub schedule: Schedule,
     /// How it was trained.
@@ -187,6 +219,20 @@ pub struct Learned {
 }
 
 impl Learned {
+    /// What was learned, in a few words, for those who go on from it.
+    pub fn in_words(&self, entry: &Entry) -> String {
+        let Weights { mu1, mu2, zeta } = self.weights;
+        let ttis = entry.curve.last().map_or(0, |point| point.ttis);
+        let before = self
+            .begun_from
+            .as_ref()
+            .map_or_else(String::new, |from| format!(", begun from {from}"));
+        format!(
+            "tables for N = {}, μ1 = {mu1}, μ2 = {mu2}, ζ = {zeta} and a window of {} TTIs, learned in {ttis} TTIs{before}",
+            entry.devices, self.window
+        )
+    }
+
     /// The entry for `devices` on `surface` m²: the nearest density, if it is within a factor of 2.
     pub fn closest(&self, devices: u32, surface: f64) -> Option<&Entry> {
         let density = f64::from(devices) / surface;
@@ -200,5 +246,49 @@ impl Learned {
         let at = |entry: Option<&Entry>| entry.map_or(0.0, Entry::density) * surface;
         let (least, most) = (at(self.entries.first()), at(self.entries.last()));
         ((least / REACH).ceil().max(1.0) as u32, (most * REACH).floor() as u32)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::scenario::{Override, load};
+
+    use super::*;
+
+    fn setting(set: &[&str]) -> Setting {
+        let set: Vec<Override> = set
+            .iter()
+            .map(|set| Override::parse(set).expect("an override"))
+            .collect();
+        Setting::of(&load("paper", &set).expect("a scenario"))
+    }
+
+    #[test]
+    fn settings_differ_in_what_changes_the_worth_of_doing_something() {
+        let own = setting(&[]);
+        assert!(
+            own.differences(&setting(&["seed=3", "devices=7", "ttis=99"]))
+                .is_empty()
+        );
+        for (set, phrase) in [
+            ("events.alpha=0.3", "events.alpha 0.2, here 0.3"),
+            ("sensing.psi=0.5", "sensing.psi 1, here 0.5"),
+            ("sensing.g=sum-saturation", "sensing.g max, here sum-saturation"),
+            ("layout.kind=uniform", "layout.kind jittered-grid, here uniform"),
+            ("energy.e_tx=9", "energy.e_tx 10, here 9"),
+        ] {
+            assert_eq!(own.differences(&setting(&[set])), [phrase]);
+        }
+        // A field that only one of them has differs too.
+        let mut fewer = own.clone();
+        let lost = fewer.numbers.remove(0);
+        assert_eq!(
+            own.differences(&fewer),
+            [format!("{} {}, not known here", lost.0, lost.1)]
+        );
+        assert_eq!(
+            fewer.differences(&own),
+            [format!("{} not known there, here {}", lost.0, lost.1)]
+        );
     }
 }

@@ -66,8 +66,8 @@ pub enum TableSource {
 pub struct QLearningSettings {
     /// μ1, μ2 and ζ. Those of the tables, unless the policy learns.
     pub weights: Weights,
-    /// TTIs within which the area is to be covered once, `1 ..= `[`LONGEST_WINDOW`]; by default the duration of an event. With
-    /// 1 the area is to be covered in every TTI.
+    /// TTIs within which the area is to be covered once, `1 ..= `[`LONGEST_WINDOW`]; by default that of the tables, or the
+    /// duration of an event. With 1 the area is to be covered in every TTI.
     pub window: u32,
     /// Where the tables come from.
     pub source: TableSource,
@@ -80,6 +80,8 @@ pub struct QLearningSettings {
     pub schedule: Schedule,
     /// The tables at the start of the run.
     pub start: Arc<Entry>,
+    /// What the tables are, in words; nothing for the optimistic start.
+    pub begun_from: Option<String>,
     /// Where the tables were learned on another setting, a phrase each.
     pub foreign: Vec<String>,
 }
@@ -144,13 +146,24 @@ pub(super) fn q_learning(
         mu2: weight("mu2", raw.mu2, |w| w.mu2, NOT_NEGATIVE)?,
         zeta: weight("zeta", raw.zeta, |w| w.zeta, DISCOUNT)?,
     };
-    let duration = scenario.events.duration.min(u64::from(LONGEST_WINDOW));
-    let window = check.whole(
+    let window = window(
+        check,
         &section,
-        "window",
-        raw.window.or(Some(duration)),
-        (1, u64::from(LONGEST_WINDOW)),
-    )? as u32;
+        raw,
+        scenario,
+        learned.as_ref().map(|tables| tables.window),
+    )?;
+    if let Some(known) = learned
+        .as_ref()
+        .map(|tables| tables.window)
+        .filter(|known| *known != window && !learn)
+    {
+        let allowed = format!(
+            "must be {known}, for which its table was learned, unless policy.q-learning.learn = true; for a table of your own: \
+             reveille train q-learning --set policy.q-learning.window={window} --out FILE"
+        );
+        return Err(check.refuse(&section, "window", window, allowed));
+    }
     let usual = Schedule::default();
     let of = |name, given: Option<f64>, usual, range| check.number(&section, name, given.or(Some(usual)), range);
     let schedule = Schedule {
@@ -173,9 +186,24 @@ pub(super) fn q_learning(
             check.number(&section, "epsilon_last", raw.epsilon_last.or(Some(epsilon)), BELOW_ONE)?,
         ),
         schedule,
+        begun_from: learned.as_ref().map(|tables| tables.in_words(&start)),
         start,
         foreign: learned.map_or_else(Vec::new, |tables| tables.setting.differences(&setting)),
     })
+}
+
+/// The window: that of the scenario, of the tables, or the duration of an event.
+fn window(
+    check: &Checker<'_>,
+    section: &Section,
+    raw: &RawQLearning,
+    scenario: &Scenario,
+    known: Option<u32>,
+) -> Result<u32, ScenarioError> {
+    let longest = u64::from(LONGEST_WINDOW);
+    let usual = known.map_or(scenario.events.duration.min(longest), u64::from);
+    let window = check.whole(section, "window", raw.window.or(Some(usual)), (1, longest))?;
+    Ok(window as u32)
 }
 
 fn tables(

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use super::learning::TableSource;
 use super::model::{DeviceClass, EnergyModel, Harvest, PolicyConfig, Scenario, Trace, TraceColumns, TraceEnd};
 use crate::geometry::Layout;
-use crate::sensing::{Fusion, Sensing};
+use crate::sensing::Sensing;
 use crate::units::{Energy, MICRO_PER_UNIT};
 
 impl Scenario {
@@ -132,16 +132,12 @@ fn write_layout(page: &mut Page, layout: &Layout) {
 }
 
 fn write_sensing(page: &mut Page, sensing: &Sensing) {
-    let g = match sensing.g {
-        Fusion::Max => "max",
-        Fusion::SumSaturation => "sum-saturation",
-    };
     page.section("[sensing]");
     page.field("kind", text(sensing.kind.name()), "");
     page.field("d_max", float(sensing.d_max), "metres");
     page.field("eta", float(sensing.eta), "per metre");
     page.field("psi", float(sensing.psi), "information of a report from distance 0");
-    page.field("g", text(g), "how reports of one event are joined");
+    page.field("g", text(sensing.g.name()), "how reports of one event are joined");
 }
 
 fn write_class(page: &mut Page, prefix: &str, class: &DeviceClass) {

@@ -65,7 +65,7 @@ pub enum FiguresCommand {
 /// `reveille figures learning`.
 #[derive(Args)]
 pub struct LearningArgs {
-    /// Files of learned tables, at most 6.
+    /// Files of learned tables, at most 6; `shipped` and `shipped-paper-literal` for those that come with the program.
     #[arg(required = true, value_name = "FILE")]
     pub files: Vec<PathBuf>,
     /// The pictures.
@@ -76,7 +76,7 @@ pub struct LearningArgs {
 /// `reveille figures q-table`.
 #[derive(Args)]
 pub struct QTableArgs {
-    /// A file of learned tables.
+    /// A file of learned tables; `shipped` or `shipped-paper-literal` for those that come with the program.
     #[arg(value_name = "FILE")]
     pub file: PathBuf,
     /// The N of the tables to draw, or several, separated by commas.

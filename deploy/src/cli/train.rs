@@ -52,10 +52,24 @@ pub struct TrainArgs {
 
 impl TrainArgs {
     /// The scenario's options.
-    pub fn scenario(&self) -> ScenarioArgs {
+    pub fn scenario(&self) -> anyhow::Result<ScenarioArgs> {
         self.episodes.scenario(&self.scenario, &self.set, None)
     }
 }
+
+/// Fields of a scenario that a training decides, and how to.
+const DECIDED: [(&str, &str); 7] = [
+    ("seed", "a training takes it from --seed"),
+    ("devices", "a training takes them from --devices"),
+    ("ttis", "a training takes it from --episode-ttis"),
+    ("policy.q-learning.epsilon", "a training takes it from --epsilon"),
+    ("policy.q-learning.epsilon_last", "a training takes it from --epsilon"),
+    ("policy.q-learning.learn", "a training learns: leave it out"),
+    (
+        "policy.q-learning.table",
+        "a training begins with nothing: leave it out; to go on from tables, reveille run --learn",
+    ),
+];
 
 /// How tables are trained.
 #[derive(Args)]
@@ -67,7 +81,13 @@ pub struct EpisodeArgs {
     #[arg(long, default_value_t = 3000)]
     pub episode_ttis: u64,
     /// Share of decisions made at random in the first episode and in the last.
-    #[arg(long, value_delimiter = ',', num_args = 1, default_values_t = [0.1, 0.03])]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        num_args = 1,
+        default_value = "0.1,0.03",
+        value_name = "FIRST,LAST"
+    )]
     pub epsilon: Vec<f64>,
     /// Seed of everything that is drawn.
     #[arg(long, default_value_t = 1)]
@@ -100,10 +120,16 @@ impl EpisodeArgs {
     }
 
     /// The scenario `name` with the overrides in `set` for a learner that begins with nothing.
-    pub(super) fn scenario(&self, name: &str, set: &[String], devices: Option<String>) -> ScenarioArgs {
+    pub(super) fn scenario(&self, name: &str, set: &[String], devices: Option<String>) -> anyhow::Result<ScenarioArgs> {
+        for set in set {
+            let field = set.split('=').next().unwrap_or_default().trim();
+            if let Some((_, instead)) = DECIDED.iter().find(|(decided, _)| *decided == field) {
+                bail!("--set {set}: {instead}");
+            }
+        }
         let learner = ["name=q-learning", "q-learning.learn=true", "q-learning.table=nothing"];
         let learner = learner.map(|set| format!("policy.{set}"));
-        ScenarioArgs {
+        Ok(ScenarioArgs {
             scenario: name.to_owned(),
             set: learner.into_iter().chain(set.iter().cloned()).collect(),
             devices,
@@ -111,6 +137,6 @@ impl EpisodeArgs {
             learn: false,
             ttis: None,
             seed: Some(self.seed.to_string()),
-        }
+        })
     }
 }

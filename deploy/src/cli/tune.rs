@@ -22,7 +22,8 @@ pub struct TuneArgs {
     /// A preset's name (paper, paper-literal, quick) or a TOML file.
     #[arg(long, short, default_value = "paper")]
     pub scenario: String,
-    /// Override one field, for example --set bs.ranking=posterior. May be repeated. Weights that are set are tried first.
+    /// Override one field, for example --set bs.ranking=posterior. May be repeated. Weights that are set are tried first,
+    /// if the ranges hold them.
     #[arg(long, value_name = "FIELD=VALUE")]
     pub set: Vec<String>,
     /// Number of devices N.
@@ -38,12 +39,25 @@ pub struct TuneArgs {
     #[arg(long, default_value_t = 1.0, value_name = "WEIGHT")]
     pub miss_weight: f64,
     /// Least and largest μ1.
-    #[arg(long, value_delimiter = ',', num_args = 1, default_values_t = [0.5, 20.0], value_name = "FROM,TO")]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        num_args = 1,
+        default_value = "0.5,20",
+        value_name = "FROM,TO"
+    )]
     pub mu1: Vec<f64>,
     /// Least and largest μ2.
-    #[arg(long, value_delimiter = ',', num_args = 1, default_values_t = [1.0, 5.0], value_name = "FROM,TO")]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        num_args = 1,
+        default_value = "1,5",
+        value_name = "FROM,TO"
+    )]
     pub mu2: Vec<f64>,
-    /// Pairs of weights that are spread over the ranges, at least 3. The first is the scenario's own.
+    /// Pairs of weights that are spread over the ranges, at least 3. The first is the scenario's own, if the
+    /// ranges hold it.
     #[arg(long, default_value_t = 6, value_name = "PAIRS")]
     pub design: usize,
     /// Pairs after those, each chosen by all before it.
@@ -91,7 +105,7 @@ pub enum ObjectiveArg {
 #[cfg(feature = "tune")]
 impl TuneArgs {
     /// The scenario's options.
-    pub fn scenario(&self) -> ScenarioArgs {
+    pub fn scenario(&self) -> anyhow::Result<ScenarioArgs> {
         let devices = Some(self.devices.clone());
         self.episodes.scenario(&self.scenario, &self.set, devices)
     }

@@ -210,8 +210,12 @@ fn draw_q_table(args: &QTableArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The learned tables of the file at `path`.
+/// The learned tables of the file at `path`, or those that come with the program if it is called so.
 fn learned(path: &Path) -> anyhow::Result<Learned> {
+    let shipped = path.to_str().filter(|_| !path.exists()).and_then(Learned::shipped_as);
+    if let Some(tables) = shipped {
+        return Ok(Learned::clone(&tables));
+    }
     Learned::read(path).map_err(|error| anyhow!("{}: {error}", path.display()))
 }
 

@@ -23,10 +23,14 @@ pub fn run(command: &TrainCommand) -> anyhow::Result<ExitCode> {
 }
 
 fn q_learning(args: &TrainArgs) -> anyhow::Result<ExitCode> {
-    let scenario = resolve(&args.scenario())?;
+    let scenario = resolve(&args.scenario()?)?;
     let mut trainer = Trainer::new(&scenario, &args.devices, &args.episodes.training()?)?;
     if args.out.exists() && !args.force {
         bail!(TrainingError::Taken(args.out.clone()));
+    }
+    let folder = args.out.parent().filter(|folder| !folder.as_os_str().is_empty());
+    if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
+        bail!("{}: the folder {} is not there", args.out.display(), folder.display());
     }
     let kept = checkpoint(&args.out);
     if trainer.resume(&kept)? && !args.quiet {
@@ -52,6 +56,10 @@ fn q_learning(args: &TrainArgs) -> anyhow::Result<ExitCode> {
     shown.bar.finish_and_clear();
     if !complete {
         bail!(Interrupted(kept));
+    }
+    if args.out.exists() && !args.force {
+        eprintln!("what was learned is kept in {}", kept.display());
+        bail!(TrainingError::Taken(args.out.clone()));
     }
     let learned = trainer.learned();
     replace(&args.out, learned.to_json().as_bytes()).map_err(|error| TrainingError::Write {

@@ -26,6 +26,16 @@ const SHOWN: usize = 5;
 
 /// Tunes, goes on with a tuning, or draws one.
 pub fn run(args: &TuneArgs) -> anyhow::Result<ExitCode> {
+    let history = args.picture_only.as_ref().unwrap_or(&args.out);
+    if history
+        .extension()
+        .is_some_and(|ending| ending == "svg" || ending == "png")
+    {
+        bail!(
+            "{}: is the name of a picture; the history is a CSV, and its picture goes beside it",
+            history.display()
+        );
+    }
     if let Some(path) = &args.picture_only {
         let (history, _) = History::read(path)?;
         for file in draw(&history, path, &args.format)? {
@@ -77,7 +87,7 @@ fn plan(args: &TuneArgs) -> anyhow::Result<Plan> {
     };
     let ranges = Ranges::new(ends("mu1", &args.mu1)?, ends("mu2", &args.mu2)?)?;
     let plan = Plan {
-        scenario: resolve(&args.scenario())?,
+        scenario: resolve(&args.scenario()?)?,
         ranges,
         objective: match args.objective {
             ObjectiveArg::Balance => Objective::Balance {

@@ -1,7 +1,6 @@
 //! Information per event against energy: what each policy buys with what it spends, a line through rising N.
 
 use std::fmt::Write as _;
-use std::path::Path;
 
 use super::chart::{Chart, Interval, Mark, Sample, Series, Stated};
 use super::note::Note;
@@ -83,8 +82,10 @@ fn name(policy: &str, setting: &Setting) -> String {
     for (path, value) in setting.changed() {
         let own = path.strip_prefix("policy.").and_then(|rest| rest.split_once('.'));
         let field = own.map_or(path.as_str(), |(_, field)| field);
-        let file = Path::new(value).file_stem().filter(|_| field == "table");
-        let value = file.map_or_else(|| value.into(), |stem| stem.to_string_lossy());
+        let value = value
+            .strip_suffix(".json")
+            .filter(|_| field == "table")
+            .unwrap_or(value);
         let _ = write!(name, ", {field} {value}");
     }
     name

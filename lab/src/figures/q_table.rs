@@ -246,7 +246,7 @@ pub(super) fn trained(learned: &Learned, place: &str) -> String {
     let (first, last) = training.epsilon;
     format!(
         "Learned by {} for μ1 = {}, μ2 = {}, ζ = {} and a window of {} TTIs, in {} episodes of {} TTIs {place}, ε from {first} \
-         to {last}, learning rate max((n + 4)^−{}, {}), optimism {}, seed {}.",
+         to {last}, learning rate max((n + 4)^−{}, {}), optimism {}, seed {}{}.",
         learned.made_by,
         weights.mu1,
         weights.mu2,
@@ -258,6 +258,10 @@ pub(super) fn trained(learned: &Learned, place: &str) -> String {
         schedule.rate_floor,
         schedule.optimism,
         training.seed,
+        learned
+            .begun_from
+            .as_ref()
+            .map_or_else(String::new, |from| format!("; begun from {from}")),
     )
 }
 

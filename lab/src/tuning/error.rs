@@ -48,7 +48,6 @@ pub enum TuningError {
         /// The file.
         path: PathBuf,
         /// What the operating system said.
-        #[source]
         error: std::io::Error,
     },
     /// The history cannot be written.
@@ -57,7 +56,6 @@ pub enum TuningError {
         /// The file.
         path: PathBuf,
         /// What the operating system said.
-        #[source]
         error: std::io::Error,
     },
     /// The optimiser or the surrogate has failed.
