@@ -346,11 +346,7 @@ fn nonsense_is_refused_before_anything_is_trained() {
         ),
         (
             "--devices 5 --set policy.q-learning.optimism=NaN",
-            &["policy.q-learning.optimism", "at least 0"],
-        ),
-        (
-            "--devices 5 --out nowhere/t.json",
-            &["nowhere/t.json: the folder nowhere is not there"],
+            &["policy.q-learning.optimism = NaN", "must be a number"],
         ),
         (
             "--devices 5 --set policy.q-learning.zeta=1",
@@ -362,10 +358,15 @@ fn nonsense_is_refused_before_anything_is_trained() {
         ),
     ] {
         assert_refused(
-            &folder.run(&format!("train q-learning --quiet --out t.json {args}")),
+            &folder.run(&format!("train q-learning --quiet {args} --out t.json")),
             1,
             parts,
         );
         assert_eq!(folder.list("."), ["runtime"], "{args}");
     }
+    assert_refused(
+        &folder.run("train q-learning --quiet --devices 5 --out nowhere/t.json"),
+        1,
+        &["nowhere/t.json: the folder nowhere is not there"],
+    );
 }

@@ -264,6 +264,30 @@ mod tests {
     }
 
     #[test]
+    fn what_is_covered_is_worth_its_discounted_sum_and_the_start_a_disc_of_it() {
+        for (mu1, zeta, window) in [(14.0, 0.95, 4), (2.0, 0.5, 1), (3.0, 0.0, 7), (1.0, 0.999, 1000)] {
+            let weights = Weights { mu1, mu2: 1.0, zeta };
+            let expected = 250.0 * 0.2 * mu1 * (1.0 - libm::pow(zeta, f64::from(window))) / (1.0 - zeta);
+            let found = weights.covering(250, 0.2, window);
+            assert!((found - expected).abs() < 1e-9 * expected, "{found} is not {expected}");
+            let set = Override::parse("devices=250").expect("an override");
+            let scenario = load("paper", &[set]).expect("a scenario");
+            for optimism in [0.0, 0.5, 2.0] {
+                let entry = Entry::optimistic(&scenario, &weights, window, optimism);
+                // A whole disc of 4 m radius on 20 m × 20 m, with α = 0.2.
+                let most = optimism * expected * std::f64::consts::PI * 16.0 / 400.0;
+                for battery in 0..BATTERIES {
+                    let [off, on] = [false, true].map(|delta| entry.duty.at(battery, AREAS - 1, delta).value);
+                    assert!(
+                        (off - 1.0).abs() < 1e-12 && (on - most).abs() < 1e-9 * expected,
+                        "{on}, not {most}"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
     fn settings_differ_in_what_changes_the_worth_of_doing_something() {
         let own = setting(&[]);
         assert!(
