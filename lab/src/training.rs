@@ -55,7 +55,7 @@ pub enum TrainingError {
         why: String,
     },
     /// The checkpoint cannot be used.
-    #[error("{}: the checkpoint {error}", path.display())]
+    #[error("{}: the checkpoint {error}, or remove it to begin anew", path.display())]
     Checkpoint {
         /// The checkpoint.
         path: PathBuf,

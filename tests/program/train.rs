@@ -108,6 +108,8 @@ fn ctrl_c_keeps_what_was_learned() {
         );
         assert_eq!(folder.list("."), ["runtime", "t.json.checkpoint"]);
     }
+    let end = folder.run("run -n 20 -k 60 --policy q-learning --set policy.q-learning.table=t.json.checkpoint --out r");
+    assert_refused(&end, 1, &["t.json.checkpoint", "cut short"]);
     // Before the first episode there is nothing to keep.
     let training = folder.start(&format!(
         "{} --out u.json",

@@ -99,7 +99,11 @@ impl Learned {
     /// # Errors
     /// It cannot be read, is of another kind or version, or is damaged.
     pub fn read(path: &Path) -> Result<Self, LearnedError> {
-        let length = std::fs::metadata(path)?.len();
+        let about = std::fs::metadata(path)?;
+        if !about.is_file() && !about.is_dir() {
+            return Err(LearnedError::Foreign("it is no regular file".to_owned()));
+        }
+        let length = about.len();
         if length > LONGEST {
             return Err(LearnedError::Foreign(format!("it has {length} bytes")));
         }

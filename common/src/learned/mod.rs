@@ -233,6 +233,12 @@ impl Learned {
         )
     }
 
+    /// Whether it is the checkpoint of a training that has not come to its end.
+    pub fn is_cut_short(&self) -> bool {
+        let is_short = |entry: &Entry| (entry.curve.len() as u64) < self.training.episodes;
+        self.entries.iter().any(is_short)
+    }
+
     /// The entry for `devices` on `surface` m²: the nearest density, if it is within a factor of 2.
     pub fn closest(&self, devices: u32, surface: f64) -> Option<&Entry> {
         let density = f64::from(devices) / surface;

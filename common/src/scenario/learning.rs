@@ -218,6 +218,10 @@ fn tables(
         file => {
             let path = check.file(section, "table", file)?;
             match Learned::read(&path) {
+                Ok(tables) if tables.is_cut_short() => {
+                    let why = "is the checkpoint of a training that was cut short: go on with that".to_owned();
+                    return Err(check.data(section, "table", path, why));
+                }
                 Ok(tables) => (TableSource::File(path), Some(Arc::new(tables))),
                 Err(error) => return Err(check.data(section, "table", path, error.to_string())),
             }
@@ -238,7 +242,7 @@ fn entry(
         let (least, most) = tables.range(surface);
         let allowed = format!(
             "serves {least} to {most} devices on {surface} m², not {n}; train for yours: reveille train q-learning --devices {n} \
-             --out FILE",
+             --out FILE, with the same --scenario and --set",
             n = scenario.devices
         );
         check.refuse(section, "table", name, allowed)

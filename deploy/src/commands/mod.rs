@@ -50,10 +50,7 @@ pub fn resolve(args: &ScenarioArgs) -> anyhow::Result<Scenario> {
     let scenario = load(&args.scenario, &overrides)?;
     match &scenario.policy {
         PolicyConfig::QLearning(settings) if !settings.foreign.is_empty() => {
-            tracing::warn!(
-                "the tables of q-learning were learned on another setting ({}); for tables of its own: reveille train q-learning",
-                settings.foreign.join("; ")
-            );
+            warn_of_setting(&settings.foreign.join("; "));
         }
         PolicyConfig::Knn(_) | PolicyConfig::Adjusted(_) | PolicyConfig::Random | PolicyConfig::Genie if args.learn => {
             anyhow::bail!(
@@ -68,6 +65,14 @@ pub fn resolve(args: &ScenarioArgs) -> anyhow::Result<Scenario> {
         | PolicyConfig::Genie => {}
     }
     Ok(scenario)
+}
+
+/// Says that tables were learned on another setting: in what it `differs`.
+fn warn_of_setting(differs: &str) {
+    tracing::warn!(
+        "the tables of q-learning were learned on another setting ({differs}); for tables of its own: reveille train q-learning \
+         --out FILE, with the same --scenario and --set"
+    );
 }
 
 /// TTIs in a window of the per-window series.

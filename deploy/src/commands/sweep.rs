@@ -4,6 +4,7 @@ mod grid;
 mod progress;
 mod report;
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -11,6 +12,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::bail;
+use reveille_common::scenario::PolicyConfig;
 use reveille_lab::sweep::{Grid, Shard, Sweep, hash, seeds_in};
 
 use crate::cli::SweepArgs;
@@ -29,6 +31,7 @@ pub fn run(args: &SweepArgs) -> anyhow::Result<ExitCode> {
     let shard = args.shard.unwrap_or(Shard::WHOLE);
     grid.check_shard(shard)?;
     let folder = folder(args, &mut grid, shard);
+    warn_of_tables(&grid);
     if args.dry_run {
         display::out(&report::dry_run(args, &grid, shard, &folder)?)?;
         return Ok(ExitCode::SUCCESS);
@@ -68,6 +71,19 @@ pub fn run(args: &SweepArgs) -> anyhow::Result<ExitCode> {
         display::out(&report.to_text())?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Says where tables of q-learning were learned on another setting than that of cells.
+fn warn_of_tables(grid: &Grid) {
+    let settings = grid.cells.iter().filter_map(|cell| match &cell.scenario.policy {
+        PolicyConfig::QLearning(settings) => Some(settings),
+        PolicyConfig::Knn(_) | PolicyConfig::Adjusted(_) | PolicyConfig::Random | PolicyConfig::Genie => None,
+    });
+    let foreign: BTreeSet<&str> = settings.flat_map(|s| &s.foreign).map(String::as_str).collect();
+    if !foreign.is_empty() {
+        let foreign: Vec<&str> = foreign.into_iter().collect();
+        super::warn_of_setting(&foreign.join("; "));
+    }
 }
 
 /// Ends the program when the sweep has not ended by itself soon after a signal: a run that is being set up does not look for

@@ -28,6 +28,12 @@ fn q_learning(args: &TrainArgs) -> anyhow::Result<ExitCode> {
     if args.out.exists() && !args.force {
         bail!(TrainingError::Taken(args.out.clone()));
     }
+    if args.out.is_dir() {
+        bail!(
+            "{}: is a folder; --out names the file for the tables",
+            args.out.display()
+        );
+    }
     let folder = args.out.parent().filter(|folder| !folder.as_os_str().is_empty());
     if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
         bail!("{}: the folder {} is not there", args.out.display(), folder.display());

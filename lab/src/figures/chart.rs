@@ -204,8 +204,13 @@ impl Chart {
         const SWATCH: f64 = 22.0;
         let mut x = EDGE;
         for series in self.series.iter().filter(|s| !s.name.is_empty()) {
-            let needed = SWATCH + width(&series.name, Weight::Regular, SMALL);
-            if x > EDGE && x + needed > COLUMN - EDGE {
+            let lines = wrap(&series.name, Weight::Regular, SMALL, COLUMN - 2.0 * EDGE - SWATCH);
+            let widest = lines
+                .iter()
+                .map(|line| width(line, Weight::Regular, SMALL))
+                .fold(0.0, f64::max);
+            let needed = SWATCH + widest;
+            if x > EDGE && (x + needed > COLUMN - EDGE || lines.len() > 1) {
                 (x, y) = (EDGE, y + LEADING + 1.0);
             }
             let middle = y - 0.35 * SMALL;
@@ -215,7 +220,10 @@ impl Chart {
             if series.marked {
                 series.style.mark(scene, (x + 9.0, middle));
             }
-            scene.text(Text::new(series.name.as_str(), (x + SWATCH, y), SMALL));
+            for (i, line) in lines.into_iter().enumerate() {
+                y += if i > 0 { LEADING } else { 0.0 };
+                scene.text(Text::new(line, (x + SWATCH, y), SMALL));
+            }
             x += needed + 9.0;
         }
         if let Some(mark) = self.marks.first() {

@@ -14,6 +14,8 @@ use crate::report::claims::{Relation, Sites, topic};
 pub const NAME: &str = "pareto";
 /// What its title begins with.
 pub const TITLE: &str = "Information against energy";
+/// Styles to choose from for a policy's other lines.
+const STYLES: usize = 6;
 /// The metrics of x and y.
 const METRICS: [&str; 2] = ["energy_per_device_tti", "info_per_event"];
 
@@ -40,7 +42,8 @@ fn lines<'a>(settings: &[&'a Setting]) -> Vec<Line<'a>> {
             }
             let others = lines.iter().filter(|line| line.policy == policy).count();
             let style = Style::of_policy(policy);
-            let variant = Style::nth(others);
+            let looks = |variant: &Style| variant.marker != style.marker && variant.dashes != style.dashes;
+            let mut variants = (0..STYLES).map(Style::nth).filter(looks).cycle();
             lines.push(Line {
                 setting,
                 policy,
@@ -49,7 +52,7 @@ fn lines<'a>(settings: &[&'a Setting]) -> Vec<Line<'a>> {
                     0 => style,
                     _ => Style {
                         paint: style.paint,
-                        ..variant
+                        ..variants.nth(others - 1).unwrap_or(style)
                     },
                 },
                 points,
@@ -87,6 +90,9 @@ fn name(policy: &str, setting: &Setting) -> String {
             .filter(|_| field == "table")
             .unwrap_or(value);
         let _ = write!(name, ", {field} {value}");
+    }
+    if let Some(table) = &setting.changed_in {
+        let _ = write!(name, ", changed as in {table}");
     }
     name
 }

@@ -217,10 +217,19 @@ impl Experiment {
     }
 }
 
+/// Whether the field `name` with this `value` names a file.
+fn is_path(name: &str, value: &str) -> bool {
+    match name {
+        "file" => !value.is_empty(),
+        "table" => !matches!(value, "" | "shipped" | "nothing"),
+        _ => false,
+    }
+}
+
 /// Puts `folder` in front of the relative files in the field `name`.
 fn place(name: &str, value: &mut Value, folder: &Path) {
     match value {
-        Value::String(file) if name == "file" && !file.is_empty() => {
+        Value::String(file) if is_path(name, file) => {
             *file = folder.join(&*file).to_string_lossy().into_owned();
         }
         Value::Table(inner) => inner.iter_mut().for_each(|(name, value)| place(name, value, folder)),
