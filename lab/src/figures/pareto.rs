@@ -23,7 +23,7 @@ const METRICS: [&str; 2] = ["energy_per_device_tti", "info_per_event"];
 struct Line<'a> {
     setting: &'a Setting,
     policy: &'a str,
-    /// What it is called; with what its setting changes, if another has the policy too.
+    /// What it is called; with what its setting changes, if there are several settings.
     name: String,
     style: Style,
     /// By rising N.
@@ -47,7 +47,11 @@ fn lines<'a>(settings: &[&'a Setting]) -> Vec<Line<'a>> {
             lines.push(Line {
                 setting,
                 policy,
-                name: name(policy, setting),
+                // A lone setting is that of the caption.
+                name: match settings {
+                    [_] => policy.to_owned(),
+                    _ => name(policy, setting),
+                },
                 style: match others {
                     0 => style,
                     _ => Style {
