@@ -1,27 +1,25 @@
-//! What a base station may know.
+//! What a policy sees in a TTI.
 
-use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::plan::Plan;
-use reveille_common::sensing::Sensing;
 use reveille_common::units::Energy;
 
-/// The BS's knowledge in a TTI: positions, its own δ, what was reported, and batteries as far as it may know them. Epicentres and
-/// harvests are not in it.
+use crate::knowledge::Knowledge;
+
+/// The BS's view in a TTI: what it knew before, its own δ, what was reported, and batteries as far as it may know them.
+/// Epicentres and harvests are not in it.
 #[derive(Clone, Copy, Debug)]
 pub struct Observation<'a> {
     /// The TTI.
     pub now: Tti,
-    /// Positions of all devices.
-    pub positions: &'a [Point],
-    /// The sensing model, whose p is known and invertible.
-    pub sensing: &'a Sensing,
+    /// What was known before the first TTI.
+    pub known: &'a Knowledge,
     /// δ as commanded.
     pub plan: &'a Plan,
     /// Î, the information gathered about the event in this TTI (Algorithm 1).
     pub information: f64,
-    /// Batteries at the end of the last TTI, as far as `bs.battery_knowledge` goes; empty for a policy that does not look at
-    /// them ([`crate::policy::Policy::looks_at_batteries`]).
+    /// Batteries at the end of the last TTI, as far as `bs.battery_knowledge` goes; empty for a policy that does not
+    /// look at them ([`crate::policy::contract::Policy::looks_at_batteries`]).
     pub batteries: &'a [Energy],
 }
 

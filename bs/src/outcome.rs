@@ -1,12 +1,10 @@
 //! What a run came to.
 
-use reveille_common::deployment::Deployment;
-use reveille_common::digest::Digest;
-use reveille_common::geometry::Point;
-use reveille_common::ids::{EventId, Tti};
-use reveille_common::learned::Entry;
-use reveille_common::metrics::{DeviceTotals, EventTally, EventTotals, Metrics, Totals};
-use reveille_common::units::Energy;
+use reveille_common::score::Digest;
+use reveille_common::score::Metrics;
+use reveille_common::totals::Totals;
+
+use crate::policy::q_learning::learned::Entry;
 
 /// The result of a run, whole or cut short.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,94 +23,4 @@ pub struct Outcome {
     pub ttis_done: u64,
     /// Whether that is all of them.
     pub complete: bool,
-}
-
-/// One ended event, for the per-event series.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct EventRecord {
-    /// Its number.
-    pub event: EventId,
-    /// Where it was.
-    pub epicentre: Point,
-    /// Its first TTI.
-    pub start: Tti,
-    /// Its last TTI.
-    pub last: Tti,
-    /// Whether it counts in the metrics.
-    pub counted: bool,
-    /// What it came to.
-    pub tally: EventTally,
-}
-
-/// One row of the per-window series: the sums of the TTIs `first .. end`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct WindowRecord {
-    /// First TTI.
-    pub first: Tti,
-    /// The TTI after the last.
-    pub end: Tti,
-    /// All devices.
-    pub energy: DeviceTotals,
-    /// Counted events that ended in the window.
-    pub events: EventTotals,
-}
-
-/// Turns running sums into window records, and keeps the sum at the end of the warm-up.
-#[derive(Clone, Debug, Default)]
-pub struct Accounts {
-    first: Tti,
-    energy: DeviceTotals,
-    events: EventTotals,
-    at_warm_up: Option<DeviceTotals>,
-}
-
-impl Accounts {
-    /// Accounts that start from the devices' initial batteries; a run without warm-up is measured from there.
-    pub fn new(deployment: &Deployment, warm_up_end: Tti) -> Self {
-        let initial: Energy = deployment.devices.iter().map(|d| d.energy.initial).sum();
-        let energy = DeviceTotals {
-            initial,
-            battery: initial,
-            ..DeviceTotals::default()
-        };
-        let at_warm_up = (warm_up_end == Tti::ZERO).then_some(energy);
-        Self {
-            energy,
-            at_warm_up,
-            ..Self::default()
-        }
-    }
-
-    /// The sums over all devices and counted events at boundary `k`, where all TTIs before `k` have ended.
-    pub fn reach(&mut self, k: Tti, warm_up_end: Tti, energy: DeviceTotals, events: EventTotals) -> WindowRecord {
-        if k == warm_up_end {
-            self.at_warm_up = Some(energy);
-        }
-        let record = WindowRecord {
-            first: self.first,
-            end: k,
-            energy: energy - self.energy,
-            events: events - self.events,
-        };
-        (self.first, self.energy, self.events) = (k, energy, events);
-        record
-    }
-
-    /// The sum over all devices at the end of the warm-up, once it is reached.
-    pub const fn at_warm_up(&self) -> Option<DeviceTotals> {
-        self.at_warm_up
-    }
-}
-
-/// Follows a run while it goes.
-pub trait Watcher {
-    /// A window has ended, with the events that ended in it. Says whether to go on.
-    fn window(&mut self, window: &WindowRecord, events: &[EventRecord]) -> bool;
-}
-
-/// A watcher that does not look.
-impl Watcher for () {
-    fn window(&mut self, _: &WindowRecord, _: &[EventRecord]) -> bool {
-        true
-    }
 }

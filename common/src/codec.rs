@@ -25,7 +25,8 @@ pub enum CodecError {
     Empty,
     /// Another version of Reveille sent it.
     #[error(
-        "the payload has wire version {0}, this program speaks version {WIRE_VERSION}: use the same release of reveille on both sides"
+        "the payload has wire version {0}, this program speaks version {WIRE_VERSION}: use the same release of \
+            reveille on both sides"
     )]
     Version(u8),
     /// The bytes are not a message of the expected kind.

@@ -3,10 +3,9 @@
 use std::sync::Arc;
 
 use crate::geometry::{Point, place};
-use crate::harvest::HarvestSetup;
 use crate::ids::{DeviceId, HostId};
 use crate::message::{Assignment, DeviceSetup};
-use crate::scenario::{Harvest, Scenario, TraceColumns, assign_classes};
+use crate::scenario::{Scenario, assign_classes};
 use crate::units::Energy;
 
 /// The devices of a run. The same scenario and seed always give the same deployment.
@@ -14,6 +13,8 @@ use crate::units::Energy;
 pub struct Deployment {
     /// The devices, in the order of ids.
     pub devices: Vec<DeviceSetup>,
+    /// The class of each device, an index into [`Scenario::classes`].
+    pub classes: Vec<u16>,
     /// Recorded energy per TTI by row, that the devices' sources refer to.
     pub traces: Vec<Arc<Vec<Energy>>>,
 }
@@ -24,16 +25,17 @@ impl Deployment {
         let (traces, first_trace) = collect_traces(scenario);
         let positions = place(&scenario.layout, scenario.area, scenario.devices, scenario.seed);
         let mut of_class = vec![0u32; scenario.classes.len()];
+        let classes = assign_classes(scenario);
         let devices = positions
             .into_iter()
-            .zip(assign_classes(scenario))
+            .zip(&classes)
             .zip(0..)
-            .map(|((position, class), id)| {
+            .map(|((position, &class), id)| {
                 let class = usize::from(class);
                 let kind = &scenario.classes[class];
-                let trace = first_trace[class] + column_of(&kind.harvest, of_class[class]);
+                let trace = first_trace[class] + kind.harvest.column_of(of_class[class]);
                 of_class[class] += 1;
-                let harvest = HarvestSetup::new(&kind.harvest, scenario.tau, trace);
+                let harvest = kind.harvest.setup(scenario.tau, trace);
                 DeviceSetup {
                     id: DeviceId(id),
                     position,
@@ -42,7 +44,11 @@ impl Deployment {
                 }
             })
             .collect();
-        Self { devices, traces }
+        Self {
+            devices,
+            classes,
+            traces,
+        }
     }
 
     /// The positions, in the order of ids.
@@ -53,7 +59,7 @@ impl Deployment {
     /// What `host` needs to carry the devices `first .. first + count`.
     pub fn assignment(&self, scenario: &Scenario, host: HostId, first: u32, count: u32) -> Assignment {
         let devices = self.devices[first as usize..(first + count) as usize].to_vec();
-        let traces = if devices.iter().any(|d| matches!(d.harvest, HarvestSetup::Trace { .. })) {
+        let traces = if devices.iter().any(|d| d.harvest.reads_a_trace()) {
             self.traces.clone()
         } else {
             Vec::new()
@@ -77,22 +83,9 @@ fn collect_traces(scenario: &Scenario) -> (Vec<Arc<Vec<Energy>>>, Vec<u32>) {
         .iter()
         .map(|class| {
             let first = traces.len() as u32;
-            if let Harvest::Trace(trace) = &class.harvest {
-                traces.extend(trace.values.iter().cloned().map(Arc::new));
-            }
+            traces.extend(class.harvest.columns().iter().cloned().map(Arc::new));
             first
         })
         .collect();
     (traces, first)
-}
-
-/// The column that the `nth` device of a class reads, counted from the class's first.
-fn column_of(harvest: &Harvest, nth: u32) -> u32 {
-    match harvest {
-        Harvest::Trace(trace) => match &trace.columns {
-            TraceColumns::Shared(_) => 0,
-            TraceColumns::PerDevice(columns) => nth % columns.len() as u32,
-        },
-        Harvest::Eq5 { .. } | Harvest::ExpMinusLambda { .. } | Harvest::Mpp { .. } => 0,
-    }
 }

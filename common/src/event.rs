@@ -1,15 +1,17 @@
 //! Events: when they start, where, and when they end (paper Sec. II).
 //!
 //! Event i starts a geometric gap after event i − 1 has ended. Its gap and its epicentre are drawn from streams of its
-//! own, so the i-th event of a scenario has the same epicentre under every policy; its TTI depends on how long the events
-//! before it lasted, which depends on who reported them.
+//! own, so the i-th event of a scenario has the same epicentre under every policy; its TTI depends on how long the
+//! events before it lasted, which depends on who reported them.
+
+pub mod settings;
 
 use serde::{Deserialize, Serialize};
 
+use self::settings::Events;
 use crate::geometry::{Area, Point};
 use crate::ids::{EventId, Tti};
 use crate::rng::{Geometric, Purpose, Stream};
-use crate::scenario::Scenario;
 
 /// What the physical world shows the devices in a TTI: an event at its epicentre.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -31,26 +33,57 @@ pub struct ActiveEvent {
     pub last: Tti,
 }
 
+/// An event of a script.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ScriptedEvent {
+    /// Its first TTI, after the last of the event before it.
+    pub start: Tti,
+    /// TTIs that it lasts unless a report ends it, ≥ 1.
+    pub duration: u64,
+    /// Where it is.
+    pub epicentre: Point,
+}
+
+/// Where events come from.
+#[derive(Clone, Debug)]
+enum Source {
+    Drawn {
+        seed: u64,
+        area: Area,
+        gap: Geometric,
+        duration: u64,
+    },
+    Script(Vec<ScriptedEvent>),
+}
+
 /// The event process: at most one event is active at a time.
 #[derive(Clone, Debug)]
 pub struct EventProcess {
-    seed: u64,
-    area: Area,
-    gap: Geometric,
-    duration: u64,
+    source: Source,
     next_event: EventId,
     next_start: Tti,
     active: Option<ActiveEvent>,
 }
 
 impl EventProcess {
-    /// The process of `scenario`, before TTI 0.
-    pub fn new(scenario: &Scenario) -> Self {
+    /// The process of a scenario with `settings`, before TTI 0: of its `seed`, on its `area`.
+    pub fn new(seed: u64, area: Area, settings: &Events) -> Self {
+        Self::from_source(Source::Drawn {
+            seed,
+            area,
+            gap: Geometric::new(settings.alpha),
+            duration: settings.duration,
+        })
+    }
+
+    /// A process of these events, in order, whatever is reported.
+    pub fn scripted(events: Vec<ScriptedEvent>) -> Self {
+        Self::from_source(Source::Script(events))
+    }
+
+    fn from_source(source: Source) -> Self {
         let mut process = Self {
-            seed: scenario.seed,
-            area: scenario.area,
-            gap: Geometric::new(scenario.events.alpha),
-            duration: scenario.events.duration,
+            source,
             next_event: EventId(0),
             next_start: Tti::ZERO,
             active: None,
@@ -75,15 +108,27 @@ impl EventProcess {
     pub fn start(&mut self) -> ActiveEvent {
         assert!(self.active.is_none(), "one event at a time");
         let event = self.next_event;
-        let mut stream = Stream::new(self.seed, Purpose::Epicentre, event.0);
-        let epicentre = Point::new(stream.unit() * self.area.width, stream.unit() * self.area.height);
+        let (epicentre, duration) = match &self.source {
+            Source::Drawn {
+                seed, area, duration, ..
+            } => {
+                let mut stream = Stream::new(*seed, Purpose::Epicentre, event.0);
+                let epicentre = Point::new(stream.unit() * area.width, stream.unit() * area.height);
+                (epicentre, *duration)
+            }
+            Source::Script(events) => {
+                let ScriptedEvent {
+                    epicentre, duration, ..
+                } = events[event.0 as usize];
+                (epicentre, duration)
+            }
+        };
         let start = self.next_start;
-        let last = start.saturating_add(self.duration - 1);
         self.next_event = EventId(event.0 + 1);
         *self.active.insert(ActiveEvent {
             stimulus: Stimulus { event, epicentre },
             start,
-            last,
+            last: start.saturating_add(duration - 1),
         })
     }
 
@@ -94,9 +139,13 @@ impl EventProcess {
     }
 
     fn schedule(&mut self, earliest: Tti) {
-        let gap = self
-            .gap
-            .draw(&mut Stream::new(self.seed, Purpose::EventGap, self.next_event.0));
-        self.next_start = earliest.saturating_add(gap - 1);
+        let EventId(next) = self.next_event;
+        self.next_start = match &self.source {
+            Source::Drawn { seed, gap, .. } => {
+                let gap = gap.draw(&mut Stream::new(*seed, Purpose::EventGap, next));
+                earliest.saturating_add(gap - 1)
+            }
+            Source::Script(events) => events.get(next as usize).map_or(Tti::NEVER, |event| event.start),
+        };
     }
 }

@@ -5,6 +5,11 @@ use std::ops::{Add, Sub};
 
 use serde::{Deserialize, Serialize};
 
+/// The largest number of devices N.
+pub const MAX_DEVICES: u32 = 1_000_000;
+/// The longest run K, event or interval, in TTIs.
+pub const MAX_TTIS: u64 = 1_000_000_000;
+
 /// A device's number, `0 .. N`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]

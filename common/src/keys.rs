@@ -1,20 +1,17 @@
 //! The key expressions of a run, one place for all of them.
 //!
-//! | key | what | direction |
-//! |---|---|---|
-//! | `reveille/{run}/air/plan` | [`PlanUpdate`](crate::message::PlanUpdate) | BS → all |
-//! | `reveille/{run}/air/wake/{device}` | [`WakeUp`](crate::message::WakeUp) | BS → one device |
-//! | `reveille/{run}/air/report/{device}` | [`Report`](crate::message::Report) | device → BS |
-//! | `reveille/{run}/emu/clock` | [`Clock`](crate::message::Clock) | BS → all |
-//! | `reveille/{run}/emu/answer/{host}` | [`Answer`](crate::message::Answer) | host → BS |
-//! | `reveille/{run}/emu/join`, `…/ready`, `…/control` | queries | host or operator → BS |
-//! | `reveille/{run}/emu/alive/{bs or host}` | liveliness tokens | |
-//! | `reveille/{run}/tap` | [`TapBatch`](crate::message::TapBatch) | BS → observers |
+//! | key | what |
+//! |---|---|
+//! | `reveille/{run}/{plane}/{kind}` | a [kind of message](MessageKind) that has a single key |
+//! | `reveille/{run}/{plane}/{kind}/{number}` | one that has a key for each device or each host |
+//! | `reveille/{run}/emu/alive/{host}`, `reveille/{run}/emu/bs` | liveliness tokens |
+//! | `reveille/{run}/tap` | [`TapBatch`](crate::message::TapBatch), BS → observers |
 
 use std::fmt;
 use std::str::FromStr;
 
-use crate::ids::{DeviceId, HostId};
+use crate::ids::HostId;
+use crate::message::{Address, MessageKind, Payload};
 
 /// A run's name on the bus: 1 to 64 letters, digits, `-` and `_`.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -45,82 +42,6 @@ impl fmt::Display for RunName {
     }
 }
 
-/// The two planes on the bus.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Plane {
-    /// What a real deployment would send over the radio.
-    Air,
-    /// What only the emulation needs.
-    Emu,
-}
-
-/// The kinds of message, each with a key of its own.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
-    /// δ, air.
-    Plan,
-    /// A wake-up to one device, air.
-    Wake,
-    /// A report, air.
-    Report,
-    /// The virtual clock, emulation.
-    Clock,
-    /// A host's answer to the clock, emulation.
-    Answer,
-    /// A host asks for places, emulation.
-    Join,
-    /// A host is ready, emulation.
-    Ready,
-    /// A command to the virtual clock, emulation.
-    Control,
-}
-
-impl Kind {
-    /// Every kind.
-    pub const ALL: [Self; 8] = [
-        Self::Plan,
-        Self::Wake,
-        Self::Report,
-        Self::Clock,
-        Self::Answer,
-        Self::Join,
-        Self::Ready,
-        Self::Control,
-    ];
-
-    /// The name of the kind in keys and on the command line.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Plan => "plan",
-            Self::Wake => "wake",
-            Self::Report => "report",
-            Self::Clock => "clock",
-            Self::Answer => "answer",
-            Self::Join => "join",
-            Self::Ready => "ready",
-            Self::Control => "control",
-        }
-    }
-
-    /// The plane it travels on.
-    pub const fn plane(self) -> Plane {
-        match self {
-            Self::Plan | Self::Wake | Self::Report => Plane::Air,
-            Self::Clock | Self::Answer | Self::Join | Self::Ready | Self::Control => Plane::Emu,
-        }
-    }
-}
-
-impl Plane {
-    /// The name of the plane in keys and on the command line.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Air => "air",
-            Self::Emu => "emu",
-        }
-    }
-}
-
 /// The keys of one run.
 #[derive(Clone, Debug)]
 pub struct Keys {
@@ -138,29 +59,27 @@ impl Keys {
         &self.run
     }
 
-    /// The key of a kind that has only one.
-    pub fn of(&self, kind: Kind) -> String {
+    /// The key of a kind that has only one; where there is one for each device or host, what they begin with.
+    pub fn of(&self, kind: MessageKind) -> String {
         format!("reveille/{}/{}/{}", self.run, kind.plane().name(), kind.name())
     }
 
-    /// All keys of a kind that has one per device or host.
-    pub fn all(&self, kind: Kind) -> String {
+    /// The key of a kind for the device or host with this number.
+    pub fn to(&self, kind: MessageKind, number: u32) -> String {
+        format!("{}/{number}", self.of(kind))
+    }
+
+    /// All keys of a kind that has one for each device or host.
+    pub fn all(&self, kind: MessageKind) -> String {
         format!("{}/*", self.of(kind))
     }
 
-    /// One device's wake-up radio.
-    pub fn wake(&self, device: DeviceId) -> String {
-        format!("{}/{device}", self.of(Kind::Wake))
-    }
-
-    /// One device's reports.
-    pub fn report(&self, device: DeviceId) -> String {
-        format!("{}/{device}", self.of(Kind::Report))
-    }
-
-    /// One host's answers.
-    pub fn answer(&self, host: HostId) -> String {
-        format!("{}/{host}", self.of(Kind::Answer))
+    /// The key that payloads of type `P` travel on.
+    pub fn typed<P: Payload>(&self, address: P::Address) -> String {
+        match address.number() {
+            Some(number) => self.to(P::KIND, number),
+            None => self.of(P::KIND),
+        }
     }
 
     /// The liveliness token of a host.
@@ -195,11 +114,12 @@ pub fn last_number(key: &str) -> Option<u32> {
 }
 
 /// The kind of message that `key` carries, and the number at its end if it has one.
-pub fn classify(key: &str) -> Option<(Kind, Option<u32>)> {
+pub fn classify(key: &str) -> Option<(MessageKind, Option<u32>)> {
     let mut parts = key.split('/').skip(2);
     let (plane, name) = (parts.next()?, parts.next()?);
-    let kind = Kind::ALL
-        .into_iter()
+    let kind = MessageKind::ALL
+        .iter()
+        .copied()
         .find(|k| k.plane().name() == plane && k.name() == name)?;
     Some((kind, parts.next().and_then(|n| n.parse().ok())))
 }
@@ -207,6 +127,8 @@ pub fn classify(key: &str) -> Option<(Kind, Option<u32>)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ids::DeviceId;
+    use crate::message::{Answer, PlanUpdate, WakeUp};
 
     #[test]
     fn run_names_cannot_break_out_of_their_key() {
@@ -217,10 +139,20 @@ mod tests {
     }
 
     #[test]
+    fn the_key_of_a_payload_is_as_it_is_declared() {
+        let keys = Keys::new("r1".parse().expect("valid"));
+        assert_eq!(keys.typed::<WakeUp>(DeviceId(17)), "reveille/r1/air/wake/17");
+        assert_eq!(keys.typed::<Answer>(HostId(2)), "reveille/r1/emu/answer/2");
+        assert_eq!(keys.typed::<PlanUpdate>(()), "reveille/r1/air/plan");
+    }
+
+    #[test]
     fn keys_are_classified() {
         let keys = Keys::new("r1".parse().expect("valid"));
-        assert_eq!(classify(&keys.wake(DeviceId(17))), Some((Kind::Wake, Some(17))));
-        assert_eq!(classify(&keys.of(Kind::Clock)), Some((Kind::Clock, None)));
+        for &kind in MessageKind::ALL {
+            assert_eq!(classify(&keys.of(kind)), Some((kind, None)));
+            assert_eq!(classify(&keys.to(kind, 17)), Some((kind, Some(17))));
+        }
         assert_eq!(classify("reveille/r1/air/clock"), None);
         assert_eq!(classify("reveille"), None);
         assert_eq!(last_number(&keys.alive(HostId(3))), Some(3));

@@ -1,25 +1,30 @@
 //! The vocabulary of the Reveille emulator.
 //!
-//! Everything here but [`bus`] and [`logging`] is pure: no clock, no entropy, no I/O. The physical world ([`sensing`],
-//! [`harvest`], [`event`]), the scenario that configures it, the messages that cross the bus, and the one definition of
-//! every metric and of the run's digest.
+//! Everything here but [`bus`], [`io`] and [`logging`] is pure: no clock, no entropy, no I/O. The physical world
+//! ([`sensing`], [`harvest`], [`event`]), the scenario that configures it, the messages that cross the bus, and the one
+//! definition of every metric and of the run's digest.
 
 #[cfg(feature = "bus")]
 pub mod bus;
 pub mod codec;
+pub mod columns;
+pub mod declare;
 pub mod deployment;
-pub mod digest;
+pub mod energy;
 pub mod event;
 pub mod geometry;
 pub mod harvest;
 pub mod ids;
+pub mod io;
 pub mod keys;
-pub mod learned;
 pub mod logging;
 pub mod message;
-pub mod metrics;
 pub mod plan;
 pub mod rng;
 pub mod scenario;
+pub mod score;
 pub mod sensing;
+pub mod state;
+pub mod totals;
 pub mod units;
+pub mod world;

@@ -15,8 +15,9 @@ pub enum LogFormat {
     Json,
 }
 
-/// Sends log lines to `writer`, standard error as a rule, never to standard output, where results go. `RUST_LOG` decides what is logged;
-/// without it `verbosity` does: 0 warnings, 1 information, 2 debugging, 3 and more everything, zenoh's own lines included.
+/// Sends log lines to `writer`, standard error as a rule, never to standard output, where results go. `RUST_LOG`
+/// decides what is logged; without it `verbosity` does: 0 warnings, 1 information, 2 debugging, 3 and more everything,
+/// zenoh's own lines included.
 pub fn init<W>(verbosity: u8, format: LogFormat, writer: W)
 where
     W: for<'a> MakeWriter<'a> + Send + Sync + 'static,

@@ -55,8 +55,8 @@ impl DutyCycle {
     }
 
     /// Over `n` TTIs, the first of them `phase` TTIs into its cycle (`0 .. t_drx`): how many have δ_j = 1, the sum over
-    /// those of the TTIs from it to the end of the span, itself included, and the phase after the span. The second is what
-    /// a cost paid in S1 takes off the battery, summed over the span. `n` is at most 2³⁰.
+    /// those of the TTIs from it to the end of the span, itself included, and the phase after the span. The second is
+    /// what a cost paid in S1 takes off the battery, summed over the span. `n` is at most 2³⁰.
     #[inline]
     pub const fn span(self, phase: u32, n: u32) -> (u64, u64, u32) {
         let end = phase + n;
@@ -70,7 +70,8 @@ impl DutyCycle {
             least(phase, self.t_on) as u64,
             least(rest, self.t_on) as u64,
         );
-        // With x counted from the start of the first cycle: how many x before the end have δ = 1, and the sum of those x.
+        // With x counted from the start of the first cycle: how many x before the end have δ = 1, and the sum of those
+        // x.
         let (cycles, cycle) = (cycles as u64, self.t_drx as u64);
         let on = cycles * t_on + after - before;
         let full = cycle * t_on * triangle(cycles) + cycles * triangle(t_on);
@@ -168,7 +169,9 @@ mod tests {
 
     proptest! {
         #[test]
-        fn closed_forms_agree_with_counting(t_drx in 1u32..40, on in 0u32..40, off in 0u32..40, from in 0u64..200, n in 0u64..300) {
+        fn closed_forms_agree_with_counting(
+            t_drx in 1u32..40, on in 0u32..40, off in 0u32..40, from in 0u64..200, n in 0u64..300
+        ) {
             let cycle = DutyCycle { t_on: on.min(t_drx), t_drx, offset: off % t_drx };
             let on_ttis: Vec<u64> = (0..n).filter(|i| cycle.is_on(Tti(from + i))).collect();
             let remaining: u64 = on_ttis.iter().map(|i| n - i).sum();

@@ -76,6 +76,58 @@ pub fn unit_for_pair(seed: u64, purpose: Purpose, a: u64, b: u64) -> f64 {
     to_unit(mix(key(seed, purpose, a) ^ mix(b ^ 0xD1B5_4A32_D192_ED03)))
 }
 
+/// What a policy may draw.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PolicyPurpose {
+    /// See [`Purpose::DutyCycle`].
+    DutyCycle,
+    /// See [`Purpose::Clusters`].
+    Clusters,
+    /// See [`Purpose::Exploration`].
+    Exploration,
+}
+
+impl PolicyPurpose {
+    const fn purpose(self) -> Purpose {
+        match self {
+            Self::DutyCycle => Purpose::DutyCycle,
+            Self::Clusters => Purpose::Clusters,
+            Self::Exploration => Purpose::Exploration,
+        }
+    }
+}
+
+/// The random streams of a policy. They come from the scenario's seed, which cannot be read here: with it a policy
+/// could foresee events and harvests.
+#[derive(Clone)]
+pub struct PolicyStreams {
+    seed: u64,
+}
+
+impl PolicyStreams {
+    /// The streams of a run with this seed.
+    pub const fn new(seed: u64) -> Self {
+        Self { seed }
+    }
+
+    /// The stream of `purpose` for `id`, as [`Stream::new`].
+    pub fn stream(&self, purpose: PolicyPurpose, id: u64) -> Stream {
+        Stream::new(self.seed, purpose.purpose(), id)
+    }
+
+    /// The draw of `purpose` for (`a`, `b`), uniform on `[0, 1)`, as [`unit_for_pair`].
+    pub fn unit_for_pair(&self, purpose: PolicyPurpose, a: u64, b: u64) -> f64 {
+        unit_for_pair(self.seed, purpose.purpose(), a, b)
+    }
+}
+
+/// Without the seed.
+impl std::fmt::Debug for PolicyStreams {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("PolicyStreams")
+    }
+}
+
 /// The law of the gap between two successes of a Bernoulli trial made once per TTI.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Geometric {
@@ -118,8 +170,8 @@ fn never_or_now(law: Geometric) -> u64 {
 /// Bits of a draw that index a [`GapTable`].
 const GUIDE_BITS: u32 = 11;
 
-/// A [`Geometric`] law whose draws take no logarithm, but for a few: a table over the leading bits of the draw holds the
-/// gap wherever those bits alone decide it. Every draw is the same as the law's.
+/// A [`Geometric`] law whose draws take no logarithm, but for a few: a table over the leading bits of the draw holds
+/// the gap wherever those bits alone decide it. Every draw is the same as the law's.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GapTable {
     law: Geometric,

@@ -2,62 +2,80 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::declare;
+use crate::declare::{POSITIVE, Reader, ScenarioError, choice, choices, number};
+use crate::geometry::Area;
 use crate::ids::{DeviceId, EventId};
 use crate::rng::{Purpose, unit_for_pair};
 
-/// How a device in S1 comes to detect the active event.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum DetectionKind {
-    /// Every S1 device within `d_max` of the epicentre detects it.
-    Range,
-    /// An S1 device within `d_max` detects with probability p(d): the literal P_1,2 = α p(d) of Sec. IV.
-    Probabilistic,
-}
+/// The largest η · `d_max`: `p(d_max)` is still above 0 in double precision.
+const MAX_DECAY: f64 = 700.0;
 
-impl DetectionKind {
-    /// Its name, as in `sensing.kind` of a scenario.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Range => "range",
-            Self::Probabilistic => "probabilistic",
-        }
+choices! {
+    /// How a device in S1 comes to detect the active event.
+    #[derive(Serialize, Deserialize)]
+    #[serde(rename_all = "kebab-case")]
+    pub enum DetectionKind {
+        /// Every device in S1 within `d_max` of the epicentre detects it.
+        Range = "range",
+        /// A device in S1 within `d_max` detects it with probability p(d): P_1,2 = α p(d) of Sec. IV taken literally.
+        Probabilistic = "probabilistic",
     }
 }
 
-/// The function g that joins the reports of one event (Eq. (2)).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Fusion {
-    /// The largest report counts.
-    Max,
-    /// Reports add up to at most Ψ, Eq. (3).
-    SumSaturation,
-}
-
-impl Fusion {
-    /// Its name, as in `sensing.g` of a scenario.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Max => "max",
-            Self::SumSaturation => "sum-saturation",
-        }
+choices! {
+    /// The function g that joins the reports of one event (Eq. (2)).
+    #[derive(Serialize, Deserialize)]
+    #[serde(rename_all = "kebab-case")]
+    pub enum Fusion {
+        /// The largest report counts.
+        Max = "max",
+        /// Reports add up to at most Ψ, Eq. (3).
+        SumSaturation = "sum-saturation",
     }
 }
 
-/// The sensing model that all devices share.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Sensing {
-    /// Detection in S1.
-    pub kind: DetectionKind,
-    /// Sensing range d_max, metres, > 0 (Table II: 4).
-    pub d_max: f64,
-    /// Decay η of the sensing function, per metre, > 0 (Table II: 1).
-    pub eta: f64,
-    /// Largest information Ψ of one report, > 0 (Table II: 1).
-    pub psi: f64,
-    /// The function g of Eq. (2).
-    pub g: Fusion,
+declare! {
+    /// What a device senses of an event, and what its report is worth (paper Sec. II-A). All devices share it.
+    #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+    pub struct Sensing in "sensing" {
+        /// How a device in S1 comes to detect the active event.
+        pub kind: DetectionKind = choice::<DetectionKind>("range").source("Sec. II-A, Sec. IV"),
+        /// Sensing range d_max, at most the area's diagonal.
+        pub d_max: f64 = number(POSITIVE, 4.0).unit("metres").source("Table II"),
+        /// Decay η of the sensing function p(d) = exp(-η d); η · d_max is at most 700.
+        pub eta: f64 = number(POSITIVE, 1.0).unit("per metre").source("Table II"),
+        /// Largest information Ψ of one report, that from distance 0.
+        pub psi: f64 = number(POSITIVE, 1.0).unit("information").source("Table II"),
+        /// The function g that joins the reports of one event.
+        pub g: Fusion = choice::<Fusion>("max").source("Eq. (2), Eq. (3)"),
+    }
+}
+
+impl Sensing {
+    /// The settings that `reader` has, for devices on `area`.
+    ///
+    /// # Errors
+    /// A value that may not be.
+    pub fn settle(reader: &Reader<'_>, area: Area) -> Result<Self, ScenarioError> {
+        let sensing = Self::read(reader)?;
+        let Self { d_max, eta, .. } = sensing;
+        if d_max > area.diagonal() {
+            let allowed = format!(
+                "must be greater than 0 and at most {:.2} (the area's diagonal in metres)",
+                area.diagonal()
+            );
+            return Err(reader.refuse("sensing.d_max", d_max, allowed));
+        }
+        if eta * d_max > MAX_DECAY {
+            let allowed = format!(
+                "must be at most {} ({MAX_DECAY} / d_max), or p(d_max) is too small to count",
+                MAX_DECAY / d_max
+            );
+            return Err(reader.refuse("sensing.eta", eta, allowed));
+        }
+        Ok(sensing)
+    }
 }
 
 impl Sensing {

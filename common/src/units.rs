@@ -1,7 +1,7 @@
 //! Energy in integer micro-units.
 //!
-//! The paper counts energy in "units" (Table II: a transmission costs 10). Batteries, costs and harvests are held as whole
-//! micro-units so that sums do not depend on the order in which they are taken.
+//! The paper counts energy in "units" (Table II: a transmission costs 10). Batteries, costs and harvests are held as
+//! whole micro-units so that sums do not depend on the order in which they are taken.
 
 use std::fmt;
 use std::iter::Sum;
@@ -12,7 +12,8 @@ use serde::{Deserialize, Serialize};
 /// Micro-units in one unit of energy.
 pub const MICRO_PER_UNIT: u64 = 1_000_000;
 
-/// The largest energy that a scenario may name, in units. It keeps every sum of a run of 10⁹ device-TTIs within 64 bits.
+/// The largest energy that a scenario may name, in units. It keeps every sum of a run of 10⁹ device-TTIs within 64
+/// bits.
 pub const MAX_UNITS: f64 = 10_000.0;
 
 /// An amount of energy, in whole micro-units (1 unit = 1 000 000 micro-units), never negative.
@@ -34,6 +35,11 @@ impl Energy {
         (0.0..=MAX_UNITS)
             .contains(&units)
             .then(|| Self((units * MICRO_PER_UNIT as f64).round() as u64))
+    }
+
+    /// `units` units of a declared default, rounded to the nearest micro-unit.
+    pub(crate) const fn rounded(units: f64) -> Self {
+        Self((units * MICRO_PER_UNIT as f64 + 0.5) as u64)
     }
 
     /// The amount in micro-units.

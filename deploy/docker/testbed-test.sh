@@ -75,6 +75,8 @@ if [ -z "${RUNTIME_IMAGE:-}" ]; then
     "$here/make-base-image.sh" "$RUNTIME_IMAGE"
 fi
 export RUNTIME_IMAGE
+# Any free port of this machine, and nothing of the caller's own testbed.
+export REVEILLE_PORT='' REVEILLE_SET='' REVEILLE_PACE=max REVEILLE_ON_LOSS=end REVEILLE_JOIN_TIMEOUT=2min
 say "packing $binary into $image"
 log=$("$here/build-prebuilt.sh" "$image" "$binary" 2>&1) || {
     printf '%s\n' "$log" >&2

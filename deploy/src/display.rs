@@ -9,7 +9,7 @@ use anyhow::Context;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
-use reveille_bs::actor::Progress;
+use reveille_bs::host::Progress;
 use reveille_common::scenario::Scenario;
 use reveille_common::units::MICRO_PER_UNIT;
 

@@ -22,7 +22,7 @@ pub fn watch() -> std::io::Result<Arc<AtomicBool>> {
                 _ = hang_up.recv() => {}
             }
             if set.swap(true, Ordering::Relaxed) {
-                std::process::exit(i32::from(crate::INTERRUPTED));
+                crate::exit::Exit::Interrupted.now();
             }
             tracing::warn!("ending the run after this TTI; once more to end at once");
         }

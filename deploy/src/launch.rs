@@ -22,8 +22,8 @@ pub struct Children {
 impl Children {
     /// Starts `processes` processes that together carry `devices` devices. `log` are their options for logging.
     ///
-    /// Call it from a thread that lives as long as the run: the kernel ends the children when the thread that started them
-    /// ends.
+    /// Call it from a thread that lives as long as the run: the kernel ends the children when the thread that started
+    /// them ends.
     ///
     /// # Errors
     /// If a process cannot be started.
@@ -92,7 +92,7 @@ impl Children {
 
     /// Waits for all to leave, and ends those that do not.
     pub fn wait(mut self) {
-        let started = crate::now();
+        let started = crate::wall::now();
         while started.elapsed() < LEAVE {
             self.running
                 .retain_mut(|(_, child)| !matches!(child.try_wait(), Ok(Some(_))));

@@ -4,23 +4,20 @@ mod bench;
 mod cli;
 mod commands;
 mod display;
+mod ending;
+mod exit;
 mod interrupt;
 mod launch;
 mod local;
 mod results;
+mod wall;
 
 use std::process::ExitCode;
 
 use clap::Parser;
-use reveille_bs::actor::BsError;
 
 use cli::{Cli, Command};
-
-/// The exit code of a run that Ctrl-C cut short, as shells have it.
-const INTERRUPTED: u8 = 130;
-/// The exit code for what this build cannot do, as for a command line that is wrong.
-#[cfg(not(feature = "tune"))]
-const NOT_BUILT: u8 = 2;
+use wall::runtime;
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
@@ -29,15 +26,7 @@ fn main() -> ExitCode {
         Ok(code) => code,
         Err(error) => {
             eprintln!("reveille: {error:#}");
-            let by_bs = error.downcast_ref::<BsError>().is_some_and(BsError::is_interruption);
-            let in_memory = error.is::<commands::run::Interrupted>()
-                || error.is::<commands::sweep::Interrupted>()
-                || error.is::<commands::train::Interrupted>();
-            if by_bs || in_memory {
-                ExitCode::from(INTERRUPTED)
-            } else {
-                ExitCode::FAILURE
-            }
+            ending::of(&error).into()
         }
     }
 }
@@ -72,18 +61,5 @@ fn tune(args: &cli::TuneArgs) -> anyhow::Result<ExitCode> {
 #[expect(clippy::unnecessary_wraps, reason = "as with the feature")]
 fn tune(_: &cli::TuneArgs) -> anyhow::Result<ExitCode> {
     eprintln!("reveille: this build has no optimiser; build one with `cargo run --release --features tune -- tune …`");
-    Ok(ExitCode::from(NOT_BUILT))
-}
-
-#[expect(clippy::disallowed_methods, reason = "the command line reports how long things took")]
-fn now() -> std::time::Instant {
-    std::time::Instant::now()
-}
-
-/// zenoh needs a multi-thread runtime, even with one worker.
-fn runtime(workers: usize) -> std::io::Result<tokio::runtime::Runtime> {
-    tokio::runtime::Builder::new_multi_thread()
-        .worker_threads(workers)
-        .enable_all()
-        .build()
+    Ok(exit::Exit::Usage.into())
 }

@@ -16,12 +16,14 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use reveille_bs::outcome::{EventRecord, Outcome, Watcher, WindowRecord};
-use reveille_common::digest::Digest;
-use reveille_common::metrics::{Metrics, PICO_PER_INFORMATION, Totals};
+use reveille_bs::observe::{Happening, Observer};
+use reveille_bs::outcome::Outcome;
 use reveille_common::scenario::Scenario;
-use reveille_common::units::MICRO_PER_UNIT;
-use reveille_lab::table::replace;
+use reveille_common::score::Digest;
+use reveille_common::score::Metrics;
+use reveille_common::score::{EventRecord, WindowRecord};
+use reveille_common::totals::{PICO_PER_INFORMATION, Totals};
+use reveille_lab::io::replace;
 use reveille_lab::training::learned_in;
 use serde::Serialize;
 
@@ -34,6 +36,15 @@ const SUMMARY: &str = "summary.json";
 const LEARNED: &str = "learned.json";
 /// What a run that was killed while it wrote may have left.
 const PARTS: [&str; 3] = ["scenario.toml.part", "summary.json.part", "learned.json.part"];
+
+/// Metrics of all devices that `windows.csv` has for each window.
+const WINDOW_METRICS: [&str; 5] = [
+    "mean_battery",
+    "low_energy_pct",
+    "energy_per_device_tti",
+    "harvested_per_device_tti",
+    "overflow_per_device_tti",
+];
 
 /// The form of `summary.json`; raised when a field changes its meaning.
 const SUMMARY_VERSION: u32 = 1;
@@ -149,6 +160,7 @@ pub struct RunFolder {
     events: csv::Writer<BufWriter<File>>,
     windows: csv::Writer<BufWriter<File>>,
     devices: u32,
+    alpha: f64,
     error: Option<csv::Error>,
     is_closed: bool,
 }
@@ -176,6 +188,7 @@ impl RunFolder {
             events: open("events.csv").with_context(cannot)?,
             windows: open("windows.csv").with_context(cannot)?,
             devices: scenario.devices,
+            alpha: scenario.events.alpha,
             error: None,
             is_closed: false,
             path,
@@ -258,56 +271,51 @@ impl RunFolder {
             "wrong_activations",
             "wasted_units",
         ])?;
-        self.windows.write_record([
-            "first_tti",
-            "end_tti",
-            "mean_battery",
-            "low_energy_pct",
-            "energy_per_device_tti",
-            "harvested_per_device_tti",
-            "overflow_per_device_tti",
-            "events",
-            "misdetected",
-            "information",
-            "wake_ups",
-            "wrong_activations",
-        ])?;
+        let sums = ["events", "misdetected", "information", "wake_ups", "wrong_activations"];
+        let columns = ["first_tti", "end_tti"].into_iter().chain(WINDOW_METRICS).chain(sums);
+        self.windows.write_record(columns)?;
         Ok(())
     }
 
-    fn write(&mut self, window: &WindowRecord, events: &[EventRecord]) -> Result<(), csv::Error> {
-        for event in events {
-            let tally = event.tally;
-            self.events.write_record([
-                event.event.0.to_string(),
-                event.start.to_string(),
-                event.last.to_string(),
-                event.epicentre.x.to_string(),
-                event.epicentre.y.to_string(),
-                u8::from(event.counted).to_string(),
-                tally.reports.to_string(),
-                tally.wake_ups.to_string(),
-                (tally.information_pico as f64 / PICO_PER_INFORMATION).to_string(),
-                tally.wrong_activations.to_string(),
-                tally.wasted.units().to_string(),
-            ])?;
-        }
-        let device_ttis = (window.end - window.first) as f64 * f64::from(self.devices);
-        let (energy, totals) = (window.energy, window.events);
-        self.windows.write_record([
-            window.first.to_string(),
-            window.end.to_string(),
-            (energy.battery_sum as f64 / MICRO_PER_UNIT as f64 / device_ttis).to_string(),
-            (100.0 * energy.low_ttis as f64 / device_ttis).to_string(),
-            (energy.spent.units() / device_ttis).to_string(),
-            (energy.harvested.units() / device_ttis).to_string(),
-            (energy.overflow.units() / device_ttis).to_string(),
+    fn write_event(&mut self, event: &EventRecord) -> Result<(), csv::Error> {
+        let tally = event.tally;
+        self.events.write_record([
+            event.event.0.to_string(),
+            event.start.to_string(),
+            event.last.to_string(),
+            event.epicentre.x.to_string(),
+            event.epicentre.y.to_string(),
+            u8::from(event.counted).to_string(),
+            tally.reports.to_string(),
+            tally.wake_ups.to_string(),
+            (tally.information_pico as f64 / PICO_PER_INFORMATION).to_string(),
+            tally.wrong_activations.to_string(),
+            tally.wasted.units().to_string(),
+        ])
+    }
+
+    fn write_window(&mut self, window: &WindowRecord) -> Result<(), csv::Error> {
+        let totals = window.events;
+        let metrics = Metrics::of(
+            self.alpha,
+            &Totals {
+                devices: u64::from(self.devices),
+                ttis: window.end - window.first,
+                events: totals,
+                energy: window.energy,
+                ..Totals::default()
+            },
+        );
+        let times = [window.first, window.end].map(|tti| tti.to_string());
+        let means = WINDOW_METRICS.map(|name| metrics.value(name).unwrap_or(f64::NAN).to_string());
+        let sums = [
             totals.events.to_string(),
             totals.misdetected.to_string(),
             (totals.information_pico as f64 / PICO_PER_INFORMATION).to_string(),
             totals.wake_ups.to_string(),
             totals.wrong_activations.to_string(),
-        ])
+        ];
+        self.windows.write_record(times.into_iter().chain(means).chain(sums))
     }
 }
 
@@ -319,10 +327,16 @@ impl Drop for RunFolder {
     }
 }
 
-impl Watcher for RunFolder {
-    fn window(&mut self, window: &WindowRecord, events: &[EventRecord]) -> bool {
+impl Observer for RunFolder {
+    fn see(&mut self, happening: &Happening<'_>) {
+        if let (Happening::EventEnded(event), None) = (happening, &self.error) {
+            self.error = self.write_event(event).err();
+        }
+    }
+
+    fn window(&mut self, window: &WindowRecord) -> bool {
         if window.end > window.first && self.error.is_none() {
-            self.error = self.write(window, events).err();
+            self.error = self.write_window(window).err();
         }
         self.error.is_none()
     }

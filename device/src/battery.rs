@@ -1,7 +1,7 @@
 //! The battery and its ledger.
 
-use reveille_common::metrics::DeviceTotals;
 use reveille_common::scenario::EnergyModel;
+use reveille_common::totals::DeviceTotals;
 use reveille_common::units::Energy;
 
 /// A battery of capacity E_max that never holds less than nothing, with the account of all that went in and out.
@@ -73,3 +73,6 @@ impl Battery {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

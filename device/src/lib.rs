@@ -1,9 +1,6 @@
-//! One battery-less IoT device (IoTD): its energy ledger and its state machine, both without I/O, and the tokio shell that
-//! carries many of them in one process.
+//! One battery-less IoT device (IoTD): its energy ledger and its state machine, both without I/O, and the tokio shell
+//! that carries many of them in one process.
 
-pub mod actor;
 pub mod battery;
 pub mod host;
 pub mod machine;
-pub mod round;
-pub mod uplink;

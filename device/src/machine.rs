@@ -12,7 +12,8 @@
 //!    └──────────────────────────────────────────────────────────────┘
 //!            wake-up heard (WuR powered)
 //! ```
-//! A device that cannot pay for S1 or for its wake-up radio ends up with an empty battery, in S4, deaf until the next TTI.
+//! A device that cannot pay for S1 or for its wake-up radio ends up with an empty battery, in S4, deaf until the next
+//! TTI.
 //!
 //! The machine is lazy: TTIs in which nothing but harvest and δ happens are caught up with, exactly and many at a time,
 //! when the device is next needed ([`Machine::settle`], [`Machine::begin`]).
@@ -24,29 +25,14 @@ use reveille_common::geometry::Point;
 use reveille_common::harvest::{HarvestSource, Sources};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{DeviceSetup, Failure, Report, WakeOutcome};
-use reveille_common::metrics::DeviceTotals;
 use reveille_common::plan::DutyCycle;
 use reveille_common::scenario::EnergyModel;
 use reveille_common::sensing::Sensing;
+use reveille_common::state::{DeviceState, DeviceView};
+use reveille_common::totals::DeviceTotals;
 use reveille_common::units::Energy;
 
 use crate::battery::Battery;
-
-/// The state S^(j) of a device (paper Sec. II).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum State {
-    /// S1, "idle": sensing, waits for an event.
-    Idle,
-    /// S2, "active": has sensed an event or was woken, about to transmit. Left within the same TTI.
-    Active,
-    /// S3, "transmission": has sent its report in this TTI.
-    Transmission,
-    /// S4, "sleep": only the wake-up radio is on, if it has power.
-    Sleep {
-        /// Whether the wake-up radio has power and can hear.
-        powered: bool,
-    },
-}
 
 /// TTIs that are caught up with at a time: levels of up to 10¹⁰ micro-units, summed over that many, fit in 64 bits.
 const LONGEST_SPAN: u64 = 1 << 13;
@@ -62,9 +48,9 @@ pub enum Sensed {
     Failed(Failure),
 }
 
-/// What all devices of a run share.
+/// The physics that all devices of a run share.
 #[derive(Clone, Debug)]
-pub struct World {
+pub struct Physics {
     /// Seed of the run's streams.
     pub seed: u64,
     /// The sensing model.
@@ -73,8 +59,8 @@ pub struct World {
     pub sources: Sources,
 }
 
-impl World {
-    /// The world of `devices`, with the streams of `seed`. `traces` are recorded energy per TTI by row.
+impl Physics {
+    /// The physics of `devices`, with the streams of `seed`. `traces` are recorded energy per TTI by row.
     pub fn new(seed: u64, sensing: Sensing, devices: &[DeviceSetup], traces: Vec<Arc<Vec<Energy>>>) -> Self {
         Self {
             seed,
@@ -93,7 +79,7 @@ pub struct Machine {
     battery: Battery,
     source: HarvestSource,
     duty: DutyCycle,
-    state: State,
+    state: DeviceState,
     /// The first TTI whose harvest and δ have not been applied.
     next: Tti,
     /// Whether TTI `next - 1` still waits for its end, when the battery is accounted.
@@ -104,15 +90,15 @@ pub struct Machine {
 
 impl Machine {
     /// The device of `setup` before TTI 0, asleep until a plan says otherwise.
-    pub fn new(setup: &DeviceSetup, world: &World) -> Self {
+    pub fn new(setup: &DeviceSetup, physics: &Physics) -> Self {
         Self {
             id: setup.id,
             position: setup.position,
             costs: setup.energy,
             battery: Battery::new(&setup.energy),
-            source: HarvestSource::new(&setup.harvest, &world.sources, world.seed, setup.id),
+            source: HarvestSource::new(&setup.harvest, &physics.sources, physics.seed, setup.id),
             duty: DutyCycle::ASLEEP,
-            state: State::Sleep { powered: true },
+            state: DeviceState::Sleep { powered: true },
             next: Tti::ZERO,
             open: false,
             battery_sum: 0,
@@ -126,13 +112,21 @@ impl Machine {
     }
 
     /// Its state after the last step taken.
-    pub const fn state(&self) -> State {
+    pub const fn state(&self) -> DeviceState {
         self.state
     }
 
     /// Its battery level after the last step taken.
     pub const fn battery(&self) -> Energy {
         self.battery.level()
+    }
+
+    /// Its state and battery level after the last step taken.
+    pub const fn view(&self) -> DeviceView {
+        DeviceView {
+            state: self.state,
+            battery: self.battery.level(),
+        }
     }
 
     /// δ is `duty` from TTI `from` on.
@@ -177,40 +171,45 @@ impl Machine {
         let on = self.duty.is_on(k);
         let cost = if on { self.costs.e_idle } else { self.costs.e_wur };
         self.state = match (self.battery.pay(cost), on) {
-            (Ok(()), true) => State::Idle,
-            (Ok(()), false) => State::Sleep { powered: true },
-            (Err(_), _) => State::Sleep { powered: false },
+            (Ok(()), true) => DeviceState::Idle,
+            (Ok(()), false) => DeviceState::Sleep { powered: true },
+            (Err(_), _) => DeviceState::Sleep { powered: false },
         };
         self.next = k + 1;
         self.open = true;
     }
 
     /// Steps 4 and 5 of TTI `k`: senses `stimulus` and transmits. TTI `k` is begun if it was not.
-    pub fn sense(&mut self, k: Tti, stimulus: &Stimulus, world: &World) -> Sensed {
+    pub fn sense(&mut self, k: Tti, stimulus: &Stimulus, physics: &Physics) -> Sensed {
         self.begin(k);
         match self.state {
-            State::Idle => {
+            DeviceState::Idle => {
                 let d = self.position.distance(stimulus.epicentre);
-                if world.sensing.detects(world.seed, stimulus.event, self.id, d) {
-                    self.transmit(k, d, world).map_or_else(Sensed::Failed, Sensed::Reported)
+                if physics.sensing.detects(physics.seed, stimulus.event, self.id, d) {
+                    self.transmit(k, d, physics)
+                        .map_or_else(Sensed::Failed, Sensed::Reported)
                 } else {
                     Sensed::Nothing
                 }
             }
-            State::Active | State::Transmission | State::Sleep { .. } => Sensed::Nothing,
+            DeviceState::Active | DeviceState::Transmission | DeviceState::Sleep { .. } => Sensed::Nothing,
         }
     }
 
-    /// Step 6 of TTI `k`: a wake-up sent to this device. `stimulus` is what the world shows. TTI `k` is begun if it was not.
-    pub fn wake(&mut self, k: Tti, stimulus: &Stimulus, world: &World) -> WakeOutcome {
+    /// Step 6 of TTI `k`: a wake-up sent to this device. `stimulus` is what the world shows. TTI `k` is begun if it was
+    /// not.
+    pub fn wake(&mut self, k: Tti, stimulus: &Stimulus, physics: &Physics) -> WakeOutcome {
         self.begin(k);
         match self.state {
-            State::Sleep { powered: true } => {
+            DeviceState::Sleep { powered: true } => {
                 let d = self.position.distance(stimulus.epicentre);
-                self.transmit(k, d, world)
+                self.transmit(k, d, physics)
                     .map_or_else(WakeOutcome::Failed, WakeOutcome::Reported)
             }
-            State::Sleep { powered: false } | State::Idle | State::Active | State::Transmission => WakeOutcome::Unheard,
+            DeviceState::Sleep { powered: false }
+            | DeviceState::Idle
+            | DeviceState::Active
+            | DeviceState::Transmission => WakeOutcome::Unheard,
         }
     }
 
@@ -224,12 +223,12 @@ impl Machine {
     }
 
     /// S2, and from there to S3 with a report or to S4.
-    fn transmit(&mut self, k: Tti, d: f64, world: &World) -> Result<Report, Failure> {
-        self.state = State::Active;
+    fn transmit(&mut self, k: Tti, d: f64, physics: &Physics) -> Result<Report, Failure> {
+        self.state = DeviceState::Active;
         match self.battery.pay(self.costs.e_tx) {
             Ok(()) => {
-                self.state = State::Transmission;
-                let information = world.sensing.information(d);
+                self.state = DeviceState::Transmission;
+                let information = physics.sensing.information(d);
                 Ok(Report {
                     device: self.id,
                     tti: k,
@@ -238,7 +237,7 @@ impl Machine {
                 })
             }
             Err(drained) => {
-                self.state = State::Sleep { powered: false };
+                self.state = DeviceState::Sleep { powered: false };
                 Err(Failure {
                     device: self.id,
                     drained,
@@ -278,8 +277,8 @@ impl Machine {
             self.quiet_step_by_step(n);
             return phase_after;
         }
-        // Paid i TTIs before the end of the span, a cost lowers i of the span's end-of-TTI levels. A span is short enough
-        // for 64 bits.
+        // Paid i TTIs before the end of the span, a cost lowers i of the span's end-of-TTI levels. A span is short
+        // enough for 64 bits.
         let off_remaining = n * (n + 1) / 2 - on_remaining;
         let lowered = e_idle.times(on_remaining) + e_wur.times(off_remaining);
         self.battery_sum += u128::from(level.times(n).micro() - lowered.micro());
@@ -306,3 +305,6 @@ impl Machine {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

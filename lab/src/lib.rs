@@ -1,10 +1,8 @@
-//! Runs of the Reveille machines in memory, without a bus: one, or a whole sweep with its result table; what the paper's
-//! analysis says of them; and figures and a report that hold them against the paper.
+//! Runs of the Reveille machines in memory, without a bus: one, or a whole sweep with its result table; training and
+//! tuning.
 
-pub mod adjusted;
-pub mod analysis;
-pub mod figures;
-pub mod report;
+pub mod io;
+pub mod preparation;
 pub mod run;
 pub mod stats;
 pub mod sweep;

@@ -1,15 +1,17 @@
 //! One run in memory: the same device and BS machines as in the emulator, driven by a loop.
 
-use crate::adjusted::resolve;
-use reveille_bs::cycle::{Cycle, Grant, Step};
-use reveille_bs::outcome::{Accounts, Outcome, Watcher};
-use reveille_bs::schedule::Schedule;
-use reveille_common::deployment::Deployment;
-use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{Failure, Report, WakeOutcome};
-use reveille_common::metrics::DeviceTotals;
-use reveille_common::scenario::Scenario;
-use reveille_device::machine::{Machine, Sensed, World};
+use reveille_bs::boundaries::Boundaries;
+use reveille_bs::cycle::{Cycle, Step};
+use reveille_bs::observe::{Happening, Observer};
+use reveille_bs::outcome::Outcome;
+use reveille_bs::prepared::Prepared;
+use reveille_common::ids::Tti;
+use reveille_common::message::{Failure, Report};
+use reveille_common::score::{Accounts, WindowRecord};
+use reveille_common::state::DeviceView;
+use reveille_common::totals::DeviceTotals;
+use reveille_common::world::World;
+use reveille_device::machine::{Machine, Physics, Sensed};
 
 /// How to run; none of it changes the outcome.
 #[derive(Clone, Copy, Debug)]
@@ -18,8 +20,6 @@ pub struct Options {
     pub lookahead: bool,
     /// TTIs in a window of the per-window series; `u64::MAX` for none.
     pub window: u64,
-    /// Whether to keep the per-event series.
-    pub keep_records: bool,
 }
 
 impl Default for Options {
@@ -27,30 +27,16 @@ impl Default for Options {
         Self {
             lookahead: true,
             window: u64::MAX,
-            keep_records: false,
         }
     }
 }
-
-/// Sees everything that happens in a run, as nobody in it can. It changes nothing.
-pub trait Observer {
-    /// These TTIs come next.
-    fn granted(&mut self, _grant: &Grant) {}
-    /// The devices with δ = 1 have done the last of them; these reported and these failed to.
-    fn gathered(&mut self, _reports: &[Report], _failures: &[Failure]) {}
-    /// The BS has woken `device`.
-    fn woken(&mut self, _device: DeviceId, _outcome: &WakeOutcome) {}
-}
-
-/// An observer that does not look.
-impl Observer for () {}
 
 /// A run under way.
 pub struct Run {
     cycle: Cycle,
     machines: Vec<Machine>,
-    world: World,
-    schedule: Schedule,
+    physics: Physics,
+    boundaries: Boundaries,
     accounts: Accounts,
     options: Options,
     reports: Vec<Report>,
@@ -58,30 +44,34 @@ pub struct Run {
 }
 
 impl Run {
-    /// A run of `scenario` before TTI 0. What its policy has to search for is searched first.
-    pub fn new(scenario: &Scenario, options: Options) -> Self {
-        Self::on(&resolve(scenario), &Deployment::new(scenario), options)
+    /// The run that is `prepared`, before TTI 0.
+    pub fn new(prepared: &Prepared, options: Options) -> Self {
+        let world = World::new(&prepared.scenario, &prepared.deployment);
+        Self::with_world(prepared, world, options)
     }
 
-    /// A run of `scenario`, ready as [`resolve`] leaves it, on the ground of `deployment`.
-    pub fn on(scenario: &Scenario, deployment: &Deployment, options: Options) -> Self {
-        let world = World::new(
+    /// The same in a world of the caller's, such as one with scripted events.
+    pub fn with_world(prepared: &Prepared, world: World, options: Options) -> Self {
+        let Prepared {
+            scenario, deployment, ..
+        } = prepared;
+        let physics = Physics::new(
             scenario.seed,
             scenario.sensing.clone(),
             &deployment.devices,
             deployment.traces.clone(),
         );
-        let schedule = Schedule::new(scenario, options.window);
+        let boundaries = Boundaries::new(scenario, options.window);
         Self {
-            cycle: Cycle::new(scenario, deployment, options.keep_records),
+            cycle: Cycle::with_world(prepared, world),
             machines: deployment
                 .devices
                 .iter()
-                .map(|setup| Machine::new(setup, &world))
+                .map(|setup| Machine::new(setup, &physics))
                 .collect(),
-            accounts: Accounts::new(deployment, schedule.warm_up_end()),
-            world,
-            schedule,
+            accounts: Accounts::new(deployment, boundaries.warm_up_end()),
+            physics,
+            boundaries,
             options,
             reports: Vec::new(),
             failures: Vec::new(),
@@ -93,8 +83,8 @@ impl Run {
         &self.machines
     }
 
-    /// The devices where the last granted TTI has left them, in the order of ids, S1 or S4 where nothing else has happened.
-    /// Looking brings them all up to date and changes nothing else.
+    /// The devices where the last granted TTI has left them, in the order of ids, S1 or S4 where nothing else has
+    /// happened. Looking brings them all up to date and changes nothing else.
     ///
     /// # Panics
     /// Before the first grant.
@@ -109,12 +99,12 @@ impl Run {
         &self.cycle
     }
 
-    /// Runs to the end, or until `watcher` says stop.
-    pub fn finish(mut self, watcher: &mut impl Watcher) -> Outcome {
-        while self.cycle.next_tti() < self.schedule.end() {
-            self.grant();
+    /// Runs to the end, or until `observer` says stop.
+    pub fn finish(mut self, observer: &mut impl Observer) -> Outcome {
+        while self.cycle.next_tti() < self.boundaries.end() {
+            self.grant(observer);
             let k = self.cycle.next_tti();
-            if self.schedule.is_boundary(k) && !self.reach(k, watcher) {
+            if self.boundaries.is_boundary(k) && !self.reach(k, observer) {
                 break;
             }
         }
@@ -124,59 +114,67 @@ impl Run {
     }
 
     /// One grant of the clock: all its TTIs, with the reports and wake-ups of the last.
-    pub fn grant(&mut self) {
-        self.grant_seen(&mut ());
-    }
-
-    /// The same as [`Self::grant`], before the eyes of `observer`.
-    pub fn grant_seen(&mut self, observer: &mut impl Observer) {
-        let k = self.cycle.next_tti();
-        if self.cycle.wants_batteries() {
-            let Self { cycle, machines, .. } = self;
+    pub fn grant(&mut self, observer: &mut impl Observer) {
+        let Self {
+            cycle,
+            machines,
+            physics,
+            reports,
+            failures,
+            ..
+        } = self;
+        let k = cycle.next_tti();
+        if cycle.wants_batteries() {
             cycle.tell_batteries(machines.iter_mut().map(|machine| {
                 machine.settle(k);
                 machine.battery()
             }));
         }
-        if let Some(update) = self.cycle.announce() {
-            for machine in &mut self.machines {
-                machine.set_duty(update.from, update.plan.duty_cycle(machine.id()));
-            }
-        }
         let horizon = if self.options.lookahead {
-            self.schedule.next_boundary(k)
+            self.boundaries.next_boundary(k)
         } else {
             k + 1
         };
-        let grant = self.cycle.grant(horizon);
-        observer.granted(&grant);
-        self.reports.clear();
-        self.failures.clear();
-        if let Some(stimulus) = &grant.stimulus {
-            for device in self.cycle.detectors() {
-                match self.machines[device.index()].sense(grant.last, stimulus, &self.world) {
+        let wants_states = observer.wants_states();
+        let granted = cycle.grant(horizon, observer);
+        if let Some(update) = &granted.update {
+            for machine in machines.iter_mut() {
+                machine.set_duty(update.from, update.plan.duty_cycle(machine.id()));
+            }
+        }
+        let (last, stimulus) = (granted.grant.last, granted.grant.stimulus);
+        reports.clear();
+        failures.clear();
+        if let Some(stimulus) = &stimulus {
+            for device in cycle.detectors() {
+                match machines[device.index()].sense(last, stimulus, physics) {
                     Sensed::Nothing => {}
-                    Sensed::Reported(report) => self.reports.push(report),
-                    Sensed::Failed(failure) => self.failures.push(failure),
+                    Sensed::Reported(report) => reports.push(report),
+                    Sensed::Failed(failure) => failures.push(failure),
                 }
             }
         }
-        observer.gathered(&self.reports, &self.failures);
-        let mut step = self.cycle.gathered(&mut self.reports, &self.failures);
-        while let Step::WakeUp(device) = step {
-            let stimulus = grant.stimulus.as_ref().expect("only an event makes the BS wake anyone");
-            let outcome = self.machines[device.index()].wake(grant.last, stimulus, &self.world);
-            observer.woken(device, &outcome);
-            step = self.cycle.woken(&outcome);
+        let mut step = cycle.gathered(granted, reports, failures, observer);
+        while let Step::WakeUp(waking) = step {
+            let stimulus = stimulus.as_ref().expect("only an event makes the BS wake anyone");
+            let outcome = machines[waking.device().index()].wake(last, stimulus, physics);
+            step = cycle.woken(waking, &outcome, observer);
+        }
+        if wants_states {
+            let view = |machine: &mut Machine| {
+                machine.begin(last);
+                machine.view()
+            };
+            let states: Vec<DeviceView> = machines.iter_mut().map(view).collect();
+            observer.see(&Happening::States(&states));
         }
     }
 
-    fn reach(&mut self, k: Tti, watcher: &mut impl Watcher) -> bool {
+    fn reach(&mut self, k: Tti, observer: &mut impl Observer) -> bool {
         let energy = self.machines.iter_mut().map(|machine| settled(machine, k)).sum();
-        let window = self
-            .accounts
-            .reach(k, self.schedule.warm_up_end(), energy, *self.cycle.event_totals());
-        watcher.window(&window, &self.cycle.take_records())
+        let warm_up_end = self.boundaries.warm_up_end();
+        let window = self.accounts.reach(k, warm_up_end, energy, *self.cycle.event_totals());
+        observer.window(&window)
     }
 }
 
@@ -185,7 +183,12 @@ fn settled(machine: &mut Machine, k: Tti) -> DeviceTotals {
     machine.totals()
 }
 
-/// Runs `scenario` from its first TTI to its last.
-pub fn run(scenario: &Scenario) -> Outcome {
-    Run::new(scenario, Options::default()).finish(&mut ())
+/// An observer that stops a run when this says so, looking at the end of each window.
+#[derive(Clone, Copy, Debug)]
+pub struct StopWhen<F>(pub F);
+
+impl<F: Fn() -> bool> Observer for StopWhen<F> {
+    fn window(&mut self, _: &WindowRecord) -> bool {
+        !(self.0)()
+    }
 }

@@ -50,8 +50,8 @@ impl Estimate {
         (value - self.mean).abs() <= self.half_width
     }
 
-    /// Half-width over the magnitude of the mean; 0 where all values are the same, infinite where it is not known. It is
-    /// not known where the mean is 0: runs without a single miss do not tell how rare misses are.
+    /// Half-width over the magnitude of the mean; 0 where all values are the same, infinite where it is not known. It
+    /// is not known where the mean is 0: runs without a single miss do not tell how rare misses are.
     pub fn relative(&self) -> f64 {
         if self.half_width.is_nan() || self.mean == 0.0 {
             f64::INFINITY

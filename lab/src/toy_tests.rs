@@ -1,12 +1,13 @@
-//! A network small enough to be solved exactly: value iteration over all battery vectors and all 2^6 actions, beside which the
-//! learner's table is evaluated, exactly too.
+//! A network small enough to be solved exactly: value iteration over all battery vectors and all 2^6 actions, beside
+//! which the learner's table is evaluated, exactly too.
 
 use std::sync::Arc;
 
-use reveille_bs::learn::duty::{Duty, Terms};
-use reveille_common::geometry::{Area, Layout, Point};
-use reveille_common::learned::{Entry, Training, battery_bucket};
-use reveille_common::scenario::{EnergyModel, Override, PolicyConfig, Scenario, load};
+use reveille_bs::policy::q_learning::duty::{Duty, Terms};
+use reveille_bs::policy::q_learning::learned::{Entry, Training, battery_bucket};
+use reveille_bs::policy::q_learning::settings::QLearningSettings;
+use reveille_bs::scenario::{EnergyModel, Override, Scenario, load};
+use reveille_common::geometry::{Area, FromFile, Layout, Point};
 use reveille_common::units::Energy;
 
 use super::Trainer;
@@ -61,10 +62,11 @@ impl Toy {
         ]
         .map(|text| Override::parse(text).expect("an override"));
         let mut scenario = load("paper", &set).expect("a scenario");
-        scenario.layout = Layout::File {
+        scenario.layout = Layout::File(FromFile {
             path: "toy".into(),
             points: Arc::new(points.clone()),
-        };
+            classes: None,
+        });
         let mut toy = Self {
             p: lambda * libm::exp(-lambda),
             w,
@@ -79,8 +81,8 @@ impl Toy {
         toy
     }
 
-    /// The expectation of r(k) if `action` is commanded where the devices of `empty` have nothing in their batteries: they sense
-    /// if an arrival comes in time.
+    /// The expectation of r(k) if `action` is commanded where the devices of `empty` have nothing in their batteries:
+    /// they sense if an arrival comes in time.
     fn reward(&self, empty: usize, action: usize) -> f64 {
         let (sure, maybe) = (action & !empty, action & empty);
         let mut uncovered = 0.0;
@@ -124,8 +126,8 @@ impl Toy {
             .collect()
     }
 
-    /// The mean over all battery vectors of the discounted sum of rewards, times 1 − ζ, or with ζ = 1 the mean r(k) in the long
-    /// run. `policy` gives the action of each state, or all of them are tried.
+    /// The mean over all battery vectors of the discounted sum of rewards, times 1 − ζ, or with ζ = 1 the mean r(k) in
+    /// the long run. `policy` gives the action of each state, or all of them are tried.
     fn worth(&self, zeta: f64, policy: Option<&[usize]>) -> f64 {
         let rewards = self.rewards();
         let (mut values, mut mean) = (vec![0.0; STATES], 0.0);
@@ -193,7 +195,7 @@ impl Toy {
 
     /// What the policy with these tables does in each state.
     fn learned(&self, entry: &Entry) -> Vec<usize> {
-        let PolicyConfig::QLearning(settings) = &self.scenario.policy else {
+        let Some(settings) = self.scenario.policy.settings::<QLearningSettings>() else {
             panic!("q-learning");
         };
         let terms = Terms {

@@ -1,24 +1,29 @@
 //! Training of the `q-learning` policy: episodes in memory, on one deployment after another, for each N.
 //!
-//! An episode is a run of the very policy that is used later, with `learn` on, from random batteries. It begins with the
-//! tables that the one before has left. Wake-up rankings take turns, so that both tables are learned. Each N is trained for itself
-//! and in order, so the result depends neither on the number of threads nor on where a training was interrupted.
+//! An episode is a run of the very policy that is used later, with `learn` on, from random batteries. It begins with
+//! the tables that the one before has left. Wake-up rankings take turns, so that both tables are learned. Each N is
+//! trained for itself and in order, so the result depends neither on the number of threads nor on where a training was
+//! interrupted.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use rayon::iter::{IntoParallelRefMutIterator, ParallelIterator};
-use reveille_bs::outcome::{EventRecord, Outcome, Watcher, WindowRecord};
-use reveille_common::deployment::Deployment;
-use reveille_common::learned::{CurvePoint, Entry, Learned, LearnedError, Schedule, Setting, Training, Weights};
+use reveille_bs::outcome::Outcome;
+use reveille_bs::policy::q_learning::learned::{
+    CurvePoint, Entry, Learned, LearnedError, Schedule, Setting, Training, Weights,
+};
+use reveille_bs::policy::q_learning::settings::QLearningSettings;
+use reveille_bs::prepared::Prepared;
+use reveille_common::io::Disk;
 use reveille_common::rng::{Purpose, Stream};
-use reveille_common::scenario::{PolicyConfig, QLearningSettings, Scenario, WakeUpRanking};
+use reveille_common::scenario::{Scenario, WakeUpRanking};
 use reveille_common::units::Energy;
 
-use crate::run::{Options, Run};
-use crate::table::replace;
+use crate::io::replace;
+use crate::run::{Options, Run, StopWhen};
 
-/// What files say of who made them.
+/// The version that made a file, as files name it.
 pub(crate) const MADE_BY: &str = concat!("reveille ", env!("CARGO_PKG_VERSION"));
 /// Added to the seeds of episodes: no evaluation comes near them.
 pub(crate) const SEEDS: u64 = 0x7EA1_C0DE_0000_0000;
@@ -47,7 +52,10 @@ pub enum TrainingError {
     #[error("{}: is there already; --force replaces it", .0.display())]
     Taken(PathBuf),
     /// The checkpoint belongs to another training.
-    #[error("{}: is the checkpoint of another training ({why}); finish that, remove the file, or use another --out", path.display())]
+    #[error(
+        "{}: is the checkpoint of another training ({why}); finish that, remove the file, or use another --out",
+        path.display()
+    )]
     OtherCheckpoint {
         /// The checkpoint.
         path: PathBuf,
@@ -81,14 +89,14 @@ pub enum TrainingError {
 }
 
 /// Follows a training. Called from all threads.
-pub trait Observer: Sync {
+pub trait TrainingProgress: Sync {
     /// An episode with `devices` devices has ended.
     fn episode(&self, devices: u32, point: &CurvePoint);
     /// Whether to stop; what was trained is kept in the checkpoint.
     fn stop(&self) -> bool;
 }
 
-impl Observer for () {
+impl TrainingProgress for () {
     fn episode(&self, _: u32, _: &CurvePoint) {}
     fn stop(&self) -> bool {
         false
@@ -109,7 +117,7 @@ impl Trainer {
     /// # Errors
     /// The policy is not `q-learning`, or a number is out of its range.
     pub fn new(scenario: &Scenario, devices: &[u32], training: &Training) -> Result<Self, TrainingError> {
-        let PolicyConfig::QLearning(settings) = &scenario.policy else {
+        let Some(settings) = scenario.policy.settings::<QLearningSettings>() else {
             return Err(TrainingError::Policy(scenario.policy.name().to_owned()));
         };
         let invalid = |what, value: &dyn std::fmt::Display, allowed| TrainingError::Invalid {
@@ -204,7 +212,7 @@ impl Trainer {
         if !path.exists() {
             return Ok(false);
         }
-        let found = Learned::read(path).map_err(|error| TrainingError::Checkpoint {
+        let found = Learned::read(&Disk, path).map_err(|error| TrainingError::Checkpoint {
             path: path.to_owned(),
             error,
         })?;
@@ -247,8 +255,8 @@ impl Trainer {
         Ok(true)
     }
 
-    /// Trains to the end on `threads` threads, and keeps what is done in the file `checkpoint`, if one is named. Says whether
-    /// it got there: the observer may have stopped it.
+    /// Trains to the end on `threads` threads, and keeps what is done in the file `checkpoint`, if one is named. Says
+    /// whether it got there: the observer may have stopped it.
     ///
     /// # Errors
     /// The checkpoint cannot be written, or threads cannot be started.
@@ -256,7 +264,7 @@ impl Trainer {
         &mut self,
         threads: usize,
         checkpoint: Option<&Path>,
-        observer: &impl Observer,
+        observer: &impl TrainingProgress,
     ) -> Result<bool, TrainingError> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
         let pool = pool.map_err(|error| TrainingError::Threads {
@@ -327,7 +335,7 @@ fn episode(
     settings: &QLearningSettings,
     training: &Training,
     entry: &Entry,
-    observer: &impl Observer,
+    observer: &impl TrainingProgress,
 ) -> Option<Entry> {
     let number = entry.curve.len() as u64;
     let (first, last) = training.epsilon;
@@ -346,7 +354,7 @@ fn episode(
             .wrapping_add(training.seed.wrapping_mul(0x1_0000_0001))
             .wrapping_add(u64::from(entry.devices) << 20)
             .wrapping_add(number),
-        policy: PolicyConfig::QLearning(settings),
+        policy: scenario.policy.with_settings(settings),
         ..scenario.clone()
     };
     one.bs.ranking = if number.is_multiple_of(2) {
@@ -354,37 +362,26 @@ fn episode(
     } else {
         WakeUpRanking::P42
     };
-    let mut deployment = Deployment::new(&one);
+    let mut prepared = Prepared::without_pilots(&one);
     let mut stream = Stream::new(one.seed, Purpose::Training, 0);
-    for device in &mut deployment.devices {
+    for device in &mut prepared.deployment.devices {
         device.energy.initial = Energy::from_micro((stream.unit() * device.energy.e_max.micro() as f64) as u64);
     }
     let options = Options {
         window: LOOK,
         ..Options::default()
     };
-    let outcome = Run::on(&one, &deployment, options).finish(&mut Stop(observer));
+    let outcome = Run::new(&prepared, options).finish(&mut StopWhen(|| observer.stop()));
     let mut learned = outcome.learned.clone().filter(|_| outcome.complete)?;
     learned.curve.push(point(&outcome, (number + 1) * training.ttis));
     learned.round();
     Some(learned)
 }
 
-/// Stops a run when the observer says so.
-struct Stop<'a, O>(&'a O);
-
-impl<O: Observer> Watcher for Stop<'_, O> {
-    fn window(&mut self, _: &WindowRecord, _: &[EventRecord]) -> bool {
-        !self.0.stop()
-    }
-}
-
-/// What the policy has learned in a run of `scenario` that came to `outcome`, as a file of one entry; `None` for one that
-/// does not learn.
+/// What the policy has learned in a run of `scenario` that came to `outcome`, as a file of one entry; `None` for one
+/// that does not learn.
 pub fn learned_in(scenario: &Scenario, outcome: &Outcome) -> Option<Learned> {
-    let PolicyConfig::QLearning(settings) = &scenario.policy else {
-        return None;
-    };
+    let settings = scenario.policy.settings::<QLearningSettings>()?;
     let mut entry = outcome.learned.clone()?;
     (entry.devices, entry.surface) = (scenario.devices, scenario.area.surface());
     let before = entry.curve.last().map_or(0, |point| point.ttis);

@@ -1,6 +1,7 @@
+use reveille_bs::scenario::{Override, load};
+use reveille_common::deployment::Deployment;
 use reveille_common::geometry::Area;
 use reveille_common::ids::DeviceId;
-use reveille_common::scenario::{Override, load};
 
 use super::toy_tests::uncovered;
 use super::*;
@@ -39,7 +40,7 @@ fn trained(scenario: &Scenario, devices: u32, episodes: u64, ttis: u64) -> Entry
 
 /// A run with these tables, which learns no more.
 fn evaluation(scenario: &Scenario, entry: &Entry, seed: u64, ttis: u64) -> Scenario {
-    let PolicyConfig::QLearning(settings) = &scenario.policy else {
+    let Some(settings) = scenario.policy.settings::<QLearningSettings>() else {
         panic!("q-learning");
     };
     let settings = QLearningSettings {
@@ -49,7 +50,7 @@ fn evaluation(scenario: &Scenario, entry: &Entry, seed: u64, ttis: u64) -> Scena
     };
     Scenario {
         devices: entry.devices,
-        policy: PolicyConfig::QLearning(settings),
+        policy: scenario.policy.with_settings(settings),
         seed,
         ttis,
         ..scenario.clone()
@@ -68,7 +69,7 @@ fn without_a_reward_for_detection_everyone_is_asleep() {
             let scenario = scenario(preset, &["policy.q-learning.mu1=0"]);
             let entry = trained(&scenario, devices, 6, 1000);
             for seed in 1..=3 {
-                let outcome = crate::run::run(&evaluation(&scenario, &entry, seed, 1500));
+                let outcome = crate::preparation::run(&evaluation(&scenario, &entry, seed, 1500));
                 let sensing = sensing_per_tti(&outcome);
                 assert!(sensing == 0.0, "{preset}, N = {devices}: {sensing} sense");
             }
@@ -77,7 +78,7 @@ fn without_a_reward_for_detection_everyone_is_asleep() {
     // With a reward the same training has some sense.
     let scenario = scenario("paper", &["policy.q-learning.mu1=14"]);
     let entry = trained(&scenario, 10, 6, 1000);
-    let sensing = sensing_per_tti(&crate::run::run(&evaluation(&scenario, &entry, 1, 1500)));
+    let sensing = sensing_per_tti(&crate::preparation::run(&evaluation(&scenario, &entry, 1, 1500)));
     assert!(sensing > 1.0, "{sensing} sense");
 }
 
@@ -107,10 +108,10 @@ fn with_energy_for_all_and_a_huge_reward_all_that_can_be_is_covered() {
             };
             let least = of(&[vec![true; points.len()]]);
             assert!(least < 0.3, "{least}");
-            let mut run = Run::on(&one, &Deployment::new(&one), Options::default());
+            let mut run = Run::new(&Prepared::without_pilots(&one), Options::default());
             let mut plans: Vec<Vec<bool>> = Vec::new();
             for k in 0..60_u64 {
-                run.grant();
+                run.grant(&mut ());
                 assert_eq!(run.cycle().next_tti().0, k + 1, "it decides in every TTI");
                 let plan = run.cycle().plan();
                 let is_on = |j: u32| plan.duty_cycle(DeviceId(j)).is_on(reveille_common::ids::Tti(k));
@@ -136,10 +137,10 @@ fn while_learning(set: &[&str], ttis: u64) -> (Vec<usize>, Entry) {
     let ttis_are = format!("ttis={ttis}");
     let set: Vec<&str> = rich.iter().chain(set).copied().chain([ttis_are.as_str()]).collect();
     let scenario = scenario("paper", &set);
-    let mut run = Run::on(&scenario, &Deployment::new(&scenario), Options::default());
+    let mut run = Run::new(&Prepared::without_pilots(&scenario), Options::default());
     let mut sensing = Vec::new();
     for k in 0..ttis {
-        run.grant();
+        run.grant(&mut ());
         let plan = run.cycle().plan();
         let is_on = |j: &u32| plan.duty_cycle(DeviceId(*j)).is_on(reveille_common::ids::Tti(k));
         sensing.push((0..40).filter(is_on).count());
@@ -168,7 +169,8 @@ fn exploration_rates_and_optimism_are_those_of_the_scenario() {
     assert_eq!(none.iter().sum::<usize>(), 0);
     let (some, usual) = calm("policy.q-learning.optimism=1");
     assert!(some[0] > 5, "{some:?}");
-    // With a rate of 1 a value is the last that was seen, of δ = 0 always the 1 that sleep brings and what the battery gained.
+    // With a rate of 1 a value is the last that was seen, of δ = 0 always the 1 that sleep brings and what the battery
+    // gained.
     let (_, last) = while_learning(&["policy.q-learning.epsilon=0", "policy.q-learning.rate_floor=1"], 50);
     let asleep = |entry: &Entry| entry.duty.at(7, 0, false).value;
     assert!(asleep(&last) >= 1.0 && last.duty != usual.duty, "{}", asleep(&last));
@@ -218,7 +220,7 @@ fn a_training_goes_on_from_any_checkpoint_as_if_nothing_had_been() {
 /// Stops when so many episodes have ended.
 struct AtEpisode(std::sync::atomic::AtomicU64);
 
-impl Observer for AtEpisode {
+impl TrainingProgress for AtEpisode {
     fn episode(&self, _: u32, _: &CurvePoint) {
         self.0.fetch_sub(1, std::sync::atomic::Ordering::Relaxed);
     }

@@ -1,5 +1,5 @@
-//! What users get wrong: one paragraph that says what, where and what is allowed, a failing exit code, and no run folder that
-//! looks like a run.
+//! What users get wrong: one paragraph that says what, where and what is allowed, a failing exit code, and no run
+//! folder that looks like a run.
 
 use std::fs;
 use std::net::TcpListener;
@@ -106,9 +106,9 @@ fn a_broken_row_of_a_trace_is_named() {
         "[harvest]\nkind = \"trace\"\n[harvest.trace]\nfile = \"sun.csv\"\ncolumn = \"w\"\n",
     );
     for (rows, reason) in [
-        ("1.5\ndark\n", "row 2"),
-        ("1.5\n2.5,7\n", "row 2"),
-        ("1\n2\n-3\n", "row 3"),
+        ("1.5\ndark\n", "line 3"),
+        ("1.5\n2.5,7\n", "line 3"),
+        ("1\n2\n-3\n", "line 4"),
         ("", "no rows"),
     ] {
         folder.write("sun.csv", &format!("w\n{rows}"));

@@ -1,36 +1,25 @@
-//! `reveille figures` and `reveille report`: pictures and pages that are whole and the same each time, and clear words where
-//! there is nothing to draw.
+//! `reveille figures` and `reveille report`: pictures and pages that are whole and the same each time, and clear words
+//! where there is nothing to draw.
 
 use std::fs;
+use std::path::Path;
+use std::process::Command;
 
-use reveille_tests::process::{Finished, Folder};
-
-/// Checks a refusal: one paragraph with all of `parts`, and exit code 1.
-fn assert_refused(end: &Finished, parts: &[&str]) {
-    assert_eq!(end.code(), Some(1), "{end}");
-    for part in parts {
-        assert!(end.stderr.contains(part), "no {part:?}: {end}");
-    }
-    assert!(!end.stderr.contains("panicked"), "{end}");
-    assert_eq!(end.stderr.trim().lines().count(), 1, "one paragraph: {end}");
-}
+use reveille_tests::process::{Folder, Process, assert_refused, reveille};
 
 /// A small table at `NAME` in `folder`.
 fn sweep(folder: &Folder, name: &str, options: &str) {
     let end = folder.run(&format!(
-        "sweep --policies knn,adjusted,random,genie --devices 10,100 --seeds 2 --ttis 300 --quiet --out {name} {options}"
+        "sweep --policies knn,adjusted,random,genie --devices 10,100 --seeds 2 --ttis 300 --quiet \
+         --out {name} {options}"
     ));
     assert_eq!(end.code(), Some(0), "{end}");
-}
-
-fn bytes(folder: &Folder, path: &str) -> Vec<u8> {
-    fs::read(folder.join(path)).unwrap_or_else(|error| panic!("{path}: {error}"))
 }
 
 /// Whether the folders `a` and `b` hold the same file `name`.
 #[track_caller]
 fn assert_same(folder: &Folder, name: &str) {
-    let [a, b] = ["a", "b"].map(|of| bytes(folder, &format!("{of}/{name}")));
+    let [a, b] = ["a", "b"].map(|of| folder.bytes(&format!("{of}/{name}")));
     assert!(a == b, "{name} differs");
 }
 
@@ -57,7 +46,7 @@ fn pictures_of_a_deployment_and_a_timeline_are_the_same_twice() {
 fn wishes_that_no_run_can_meet_are_refused() {
     let folder = Folder::new();
     let refused = |args: &str, parts: &[&str]| {
-        assert_refused(&folder.run(&format!("figures {args} --out out")), parts);
+        assert_refused(&folder.run(&format!("figures {args} --out out")), 1, parts);
         assert!(!folder.join("out").exists(), "{args} left something");
     };
     refused(
@@ -95,7 +84,7 @@ fn tables_that_are_none_are_refused() {
     folder.write("junk.csv", "a,b\n1,2\n");
     for command in ["figures", "report"] {
         let refused = |args: &str, parts: &[&str]| {
-            assert_refused(&folder.run(&format!("{command} {args} --out out")), parts);
+            assert_refused(&folder.run(&format!("{command} {args} --out out")), 1, parts);
             assert!(!folder.join("out").exists(), "{command} {args} left something");
         };
         refused("nowhere.parquet", &["nowhere.parquet"]);
@@ -105,6 +94,7 @@ fn tables_that_are_none_are_refused() {
     let end = folder.run("figures junk.parquet --only energy,speed");
     assert_refused(
         &end,
+        1,
         &[
             "figure `speed`",
             "information, energy, misdetection",
@@ -157,12 +147,12 @@ fn learned_tables_that_are_none_or_lack_an_n_are_refused() {
     let folder = Folder::new();
     let end = folder.run("train q-learning --out mine.json -n 10,30 --episodes 1 --episode-ttis 100 --quiet");
     assert_eq!(end.code(), Some(0), "{end}");
-    let text = String::from_utf8(bytes(&folder, "mine.json")).expect("text");
+    let text = String::from_utf8(folder.bytes("mine.json")).expect("text");
     folder.write("later.json", &text.replacen("\"version\":2", "\"version\":3", 1));
     folder.write("short.json", &text[..text.len() / 2]);
     folder.write("junk.json", "{\"rows\": []}");
     let refused = |args: &str, parts: &[&str]| {
-        assert_refused(&folder.run(&format!("figures {args} --out out")), parts);
+        assert_refused(&folder.run(&format!("figures {args} --out out")), 1, parts);
         assert!(!folder.join("out").exists(), "{args} left something");
     };
     for command in ["learning", "q-table -n 10"] {
@@ -225,10 +215,10 @@ fn a_sweep_becomes_figures_and_a_report_the_same_twice() {
         let end = folder.run(&format!("report {tables} --out report"));
         assert_eq!(end.code(), Some(0), "{end}");
     }
-    let html = String::from_utf8(bytes(&folder, "report/report.html")).expect("text");
+    let html = String::from_utf8(folder.bytes("report/report.html")).expect("text");
     assert_eq!(html.matches("<svg").count(), 20, "ten figures for each preset");
     assert!(!html.contains("src=") && html.contains("not built yet") && html.contains("seeds 1 to 2"));
-    let markdown = String::from_utf8(bytes(&folder, "report/report.md")).expect("text");
+    let markdown = String::from_utf8(folder.bytes("report/report.md")).expect("text");
     for file in folder.list("report").iter().filter(|name| name.contains(".svg")) {
         assert!(markdown.contains(&format!("]({file})")), "{file} is not shown");
     }
@@ -269,14 +259,14 @@ fn tables_without_runs_or_of_another_version_are_refused_and_a_lone_one_is_enoug
     let end = folder.run("report paper/results.csv --out report");
     assert_eq!(end.code(), Some(0), "{end}");
     assert!(end.stderr.contains("no table of preset paper-literal"), "{end}");
-    let markdown = String::from_utf8(bytes(&folder, "report/report.md")).expect("text");
+    let markdown = String::from_utf8(folder.bytes("report/report.md")).expect("text");
     assert!(
         markdown.contains("paper, events.alpha = 0.3, K = 300"),
         "a changed preset is not the preset"
     );
 
-    let text = String::from_utf8(bytes(&folder, "paper/results.csv")).expect("text");
-    let side_car = String::from_utf8(bytes(&folder, "paper/results.csv.toml")).expect("text");
+    let text = String::from_utf8(folder.bytes("paper/results.csv")).expect("text");
+    let side_car = String::from_utf8(folder.bytes("paper/results.csv.toml")).expect("text");
     let header = text.lines().next().expect("a header");
     folder.write("empty.csv", &format!("{header}\n"));
     let empty: String = side_car
@@ -293,9 +283,30 @@ fn tables_without_runs_or_of_another_version_are_refused_and_a_lone_one_is_enoug
     folder.write("later.csv.toml", &later);
     for command in ["figures", "report"] {
         let end = folder.run(&format!("{command} empty.csv --out out"));
-        assert_refused(&end, &["empty.csv", "no rows", "reveille sweep"]);
+        assert_refused(&end, 1, &["empty.csv", "no rows", "reveille sweep"]);
         let end = folder.run(&format!("{command} paper/results.csv later.csv --out out"));
-        assert_refused(&end, &["later.csv", "version 2"]);
+        assert_refused(&end, 1, &["later.csv", "version 2"]);
         assert!(!folder.join("out").exists());
+    }
+}
+
+#[test]
+fn the_pictures_of_the_readme_can_be_drawn_again() {
+    let folder = Folder::new();
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/pictures/make.sh");
+    let mut command = Command::new("bash");
+    command
+        .arg(script)
+        .arg(reveille())
+        .arg(folder.join("pictures"))
+        .arg("1000");
+    let end = Process::start(&mut command).finish();
+    assert_eq!(end.code(), Some(0), "{end}");
+    for name in ["run", "result"] {
+        let text = fs::read_to_string(folder.join(&format!("pictures/{name}.svg"))).expect("a picture");
+        assert!(
+            text.starts_with("<svg ") && text.contains("fill=\"#fff\"/>\n<defs>"),
+            "{name}"
+        );
     }
 }

@@ -7,10 +7,12 @@ use reveille_common::codec;
 use reveille_common::event::Stimulus;
 use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, EventId, HostId, Tti};
-use reveille_common::keys::{Keys, Kind};
-use reveille_common::message::{Answer, Clock, Failure, JoinReply, JoinRequest, PlanUpdate, Report, Tick, WakeUp};
-use reveille_common::metrics::DeviceTotals;
+use reveille_common::keys::Keys;
+use reveille_common::message::{
+    Answer, Clock, Failure, JoinReply, JoinRequest, MessageKind, PlanUpdate, Report, Tick, WakeUp,
+};
 use reveille_common::plan::{DutyCycle, Plan};
+use reveille_common::totals::DeviceTotals;
 use reveille_common::units::Energy;
 use reveille_tests::process::{Folder, PATIENCE, Summary, ask, free_endpoint, unique_run};
 
@@ -32,7 +34,7 @@ async fn another_version_is_refused_in_words() {
         count: 1,
         nonce: 1,
     };
-    let reply = ask(&bus, Kind::Join, &request).await.expect("a reply");
+    let reply = ask(&bus, &request).await.expect("a reply");
     let JoinReply::Refused(why) = reply else {
         panic!("{reply:?}")
     };
@@ -40,13 +42,15 @@ async fn another_version_is_refused_in_words() {
         why.contains("0.0.9") && why.contains(env!("CARGO_PKG_VERSION")),
         "{why}"
     );
-    let reply: Result<JoinReply, _> = ask(&bus, Kind::Join, &"not a request at all, but a text").await;
+    let text = codec::encode(&"not a request at all, but a text");
+    let reply = bus.ask_raw(bus.keys().of(MessageKind::Join), text, PATIENCE).await;
     let why = reply.expect_err("refused").to_string();
     assert!(why.contains("malformed") || why.contains("bytes follow"), "{why}");
     bus.close().await;
 }
 
-/// Payloads that are no message of any kind: nothing, another wire version, too little, too much, endless lengths, noise.
+/// Payloads that are no message of any kind: nothing, another wire version, too little, too much, endless lengths,
+/// noise.
 fn garbage() -> Vec<Vec<u8>> {
     let noise: Vec<u8> = (0..4096_u32)
         .map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8)
@@ -75,21 +79,21 @@ async fn garbage_on_every_key_changes_nothing() {
     let tail = folder.start(&format!("inspect tail --run {run}"));
     let bus = peer(&endpoint, &run).await;
     let keys = bus.keys();
-    let mut all: Vec<String> = Kind::ALL.iter().map(|&kind| keys.of(kind)).collect();
-    all.extend([0, 7, 29, 30, u32::MAX].into_iter().flat_map(|j| {
-        let answer = format!("{}/{j}", keys.of(Kind::Answer));
-        [keys.wake(DeviceId(j)), keys.report(DeviceId(j)), answer]
-    }));
-    all.extend([format!("{}/x", keys.of(Kind::Answer)), keys.tap()]);
+    let mut all: Vec<String> = MessageKind::ALL.iter().map(|&kind| keys.of(kind)).collect();
+    all.extend(
+        [0, 7, 29, 30, u32::MAX]
+            .into_iter()
+            .flat_map(|j| [MessageKind::Wake, MessageKind::Report, MessageKind::Answer].map(|kind| keys.to(kind, j))),
+    );
+    all.extend([format!("{}/x", keys.of(MessageKind::Answer)), keys.tap()]);
     folder.clock(&run, "resume");
     for payload in garbage() {
         for key in &all {
             bus.put_raw(key, payload.clone()).expect("sent");
         }
-        for kind in [Kind::Join, Kind::Ready, Kind::Control] {
-            let reply = bus
-                .ask::<_, bool>(keys.of(kind), &(&payload, "and more"), Duration::from_secs(5))
-                .await;
+        for kind in [MessageKind::Join, MessageKind::Ready, MessageKind::Control] {
+            let question = codec::encode(&(&payload, "and more"));
+            let reply = bus.ask_raw(keys.of(kind), question, Duration::from_secs(5)).await;
             assert!(reply.is_err(), "{kind:?}");
         }
     }
@@ -117,7 +121,7 @@ fn forgeries(keys: &Keys, tti: u64) -> Vec<(String, Vec<u8>)> {
             last,
             stimulus,
             account: true,
-            batteries: false,
+            views: false,
             plan,
         })
     };
@@ -152,23 +156,29 @@ fn forgeries(keys: &Keys, tti: u64) -> Vec<(String, Vec<u8>)> {
             drained: Energy::from_micro(drained),
         }],
         totals: Some(DeviceTotals::default()),
-        batteries: None,
+        views: None,
     };
     let ledgers = vec![(DeviceId(0), DeviceTotals::default())];
     let last = Answer::Final {
         host: HostId(0),
         ledgers,
     };
-    let mut all: Vec<(String, Vec<u8>)> = clock.iter().map(|c| (keys.of(Kind::Clock), codec::encode(c))).collect();
-    all.push((keys.of(Kind::Plan), codec::encode(&plan)));
-    all.push((keys.wake(DeviceId(0)), codec::encode(&WakeUp { tti: Tti(u64::MAX) })));
+    let mut all: Vec<(String, Vec<u8>)> = clock
+        .iter()
+        .map(|c| (keys.typed::<Clock>(()), codec::encode(c)))
+        .collect();
+    all.push((keys.typed::<PlanUpdate>(()), codec::encode(&plan)));
+    all.push((
+        keys.typed::<WakeUp>(DeviceId(0)),
+        codec::encode(&WakeUp { tti: Tti(u64::MAX) }),
+    ));
     for (key, report) in [
         (9999, report(9999, 0.5)),
         (3, report(4, 0.5)),
         (3, report(3, f64::NAN)),
         (3, report(3, 7.0)),
     ] {
-        all.push((keys.report(DeviceId(key)), codec::encode(&report)));
+        all.push((keys.typed::<Report>(DeviceId(key)), codec::encode(&report)));
     }
     for (key, answer) in [
         (0, done(0, 1000, 1)),
@@ -177,7 +187,7 @@ fn forgeries(keys: &Keys, tti: u64) -> Vec<(String, Vec<u8>)> {
         (0, done(0, 0, u64::MAX)),
         (0, last),
     ] {
-        all.push((keys.answer(HostId(key)), codec::encode(&answer)));
+        all.push((keys.typed::<Answer>(HostId(key)), codec::encode(&answer)));
     }
     all
 }

@@ -5,6 +5,7 @@ use std::io::Read as _;
 use std::path::Path;
 use std::time::Duration;
 
+use reveille_common::score::Metrics;
 use reveille_tests::disk::SmallDisk;
 use reveille_tests::process::{Folder, PATIENCE, assert_refused, now, wait_until};
 use rustix::process::Signal;
@@ -22,12 +23,6 @@ fn swept(folder: &Folder, args: &str, out: &str) -> Vec<u8> {
     let end = folder.run(&format!("sweep {args} --out {out} --quiet"));
     assert!(end.is_success(), "{end}");
     fs::read(folder.join(&format!("{out}/results.parquet"))).expect("a table")
-}
-
-/// Finished runs in the journal of a sweep.
-fn journal_lines(folder: &Folder, out: &str) -> usize {
-    let text = fs::read_to_string(folder.join(&format!("{out}/runs.journal"))).unwrap_or_default();
-    text.matches('\n').count().saturating_sub(1)
 }
 
 /// The rows of a CSV file as names and values.
@@ -109,7 +104,7 @@ fn rows_are_those_of_single_runs() {
         assert_eq!(summary["digest"], *get("digest"), "{command}");
         assert_eq!(summary["scenario_hash"], *get("scenario_hash"), "{command}");
         let metrics = summary["metrics"].as_object().expect("metrics");
-        assert_eq!(metrics.len(), 15);
+        assert_eq!(metrics.len(), Metrics::ALL.len());
         for (name, value) in metrics {
             // serde_json may read the last digit of a number otherwise.
             let same = match (value.as_f64(), get(name).parse::<f64>().ok()) {
@@ -134,19 +129,20 @@ fn a_killed_sweep_goes_on_and_ends_the_same() {
     let folder = Folder::new();
     let grid = &GRID.replace("--ttis 600", "--ttis 60000");
     let expected = swept(&folder, grid, "undisturbed");
-    // Random moments: so many runs after the last one, that the machine's speed does not matter, and a while after that.
+    // Random moments: so many runs after the last one, that the machine's speed does not matter, and a while after
+    // that.
     let mut found = 0;
     for kill in 1..=10 {
         let (more, delay) = (random(12) as usize, Duration::from_micros(random(30_000)));
         let sweep = folder.start(&format!("sweep {grid} --threads 2 --out killed"));
         wait_until("the sweep to get on", PATIENCE, || {
             let is_there = folder.join("killed/runs.journal").exists();
-            (is_there && journal_lines(&folder, "killed") >= (found + more).min(RUNS)).then_some(())
+            (is_there && folder.journal_lines("killed") >= (found + more).min(RUNS)).then_some(())
         });
         std::thread::sleep(delay);
         sweep.signal(Signal::KILL);
         sweep.finish();
-        let lines = journal_lines(&folder, "killed");
+        let lines = folder.journal_lines("killed");
         println!("kill {kill}: {more} runs and {delay:?} after {found} runs, at {lines}");
         assert!(lines >= found, "finished runs were lost");
         found = lines;
@@ -390,8 +386,9 @@ fn an_experiment_file_and_options_mean_the_same() {
     let folder = Folder::new();
     folder.write(
         "e.toml",
-        "policies = [\"knn\", \"random\", \"adjusted\", \"genie\"]\ndevices = [8]\nttis = 600\nseeds = { first = 5, count = 3 }\n\
-         [set]\npolicy.adjusted = { pilot_ttis = 100, t_on = [1, 2], t_drx = [2, 8] }\n[grid]\nharvest.lambda = [0.05, 0.1]\n",
+        "policies = [\"knn\", \"random\", \"adjusted\", \"genie\"]\ndevices = [8]\nttis = 600\n\
+         seeds = { first = 5, count = 3 }\n[set]\n\
+         policy.adjusted = { pilot_ttis = 100, t_on = [1, 2], t_drx = [2, 8] }\n[grid]\nharvest.lambda = [0.05, 0.1]\n",
     );
     let by_file = swept(&folder, "e.toml --devices 8,20 --seeds 12", "file");
     assert!(by_file == swept(&folder, GRID, "options"));
@@ -452,7 +449,7 @@ fn a_full_disk_loses_no_finished_run() {
             "give the same command again",
         ],
     );
-    let kept = journal_lines(&folder, "disk/s");
+    let kept = folder.journal_lines("disk/s");
     assert!(kept > 20 && kept < RUNS, "{kept} runs");
     fs::remove_file(&ballast).expect("there");
     let end = folder.run(&format!("sweep {GRID} --out disk/s"));

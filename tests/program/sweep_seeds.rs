@@ -1,5 +1,5 @@
-//! How many seeds a sweep takes: as few as make it narrow, and more in the same folder, where it ends as if it had begun with
-//! them and loses no finished run on the way.
+//! How many seeds a sweep takes: as few as make it narrow, and more in the same folder, where it ends as if it had
+//! begun with them and loses no finished run on the way.
 
 use std::fs;
 use std::time::Duration;
@@ -20,12 +20,6 @@ fn swept(folder: &Folder, args: &str, out: &str) -> (Vec<u8>, u64) {
     let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
     let table = fs::read(folder.join(&format!("{out}/results.parquet"))).expect("a table");
     (table, report["found"].as_u64().expect("a number"))
-}
-
-/// Finished runs in the journal of a sweep.
-fn journal_lines(folder: &Folder, out: &str) -> usize {
-    let text = fs::read_to_string(folder.join(&format!("{out}/runs.journal"))).unwrap_or_default();
-    text.matches('\n').count().saturating_sub(1)
 }
 
 #[test]
@@ -89,9 +83,9 @@ fn a_table_of_fewer_seeds_is_not_taken_for_that_of_more() {
     assert!(folder.run("report whole --out b").is_success());
     for (args, out) in [("--shard 1/2", "s1"), ("", "whole")] {
         let sweep = folder.start(&format!("sweep {GRID} --seeds 100000 {args} --out {out}"));
-        let before = journal_lines(&folder, out);
+        let before = folder.journal_lines(out);
         wait_until("runs of the new seeds", PATIENCE, || {
-            (journal_lines(&folder, out) > before).then_some(())
+            (folder.journal_lines(out) > before).then_some(())
         });
         sweep.signal(Signal::KILL);
         sweep.finish();
@@ -222,8 +216,8 @@ fn a_cell_stops_when_it_is_narrow_enough() {
     assert_eq!(report["not_narrow"], Value::Array(Vec::new()));
 
     // Events that everybody sees, and energy in plenty: no miss, in no run.
-    let args = "--policies random --devices 20 --ttis 500 --seeds 12 --min-seeds 4 --until-ci 50% --set sensing.d_max=28 \
-        --set harvest.lambda=1 --ci-metrics misdetection_pct";
+    let args = "--policies random --devices 20 --ttis 500 --seeds 12 --min-seeds 4 --until-ci 50% \
+        --set sensing.d_max=28 --set harvest.lambda=1 --ci-metrics misdetection_pct";
     let end = folder.run(&format!("sweep {args} --json --out none"));
     let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
     let cell = &report["cells"][0];
@@ -256,7 +250,7 @@ fn shards_with_more_seeds_are_those_of_a_fresh_sweep() {
     for index in 1..=3 {
         let (shard, out) = (format!("--shard {index}/3"), format!("s{index}"));
         swept(&folder, &format!("{GRID} --seeds 5 {shard}"), &out);
-        let lines = journal_lines(&folder, &out);
+        let lines = folder.journal_lines(&out);
         assert!((12..=14).contains(&lines), "a third of 40 runs, or so: {lines}");
         let (_, found) = swept(&folder, &format!("{GRID} --seeds 7 {shard}"), &out);
         assert_eq!(found as usize, lines, "a run stays in its shard");
@@ -281,7 +275,7 @@ fn a_kill_while_seeds_are_added_loses_no_run() {
             .next()
             .map(str::to_owned)
     };
-    let mut found = journal_lines(&folder, "s");
+    let mut found = folder.journal_lines("s");
     for more in 1..=10_u64 {
         let before = head();
         let sweep = folder.start(&format!("sweep {GRID} --seeds {} --threads 2 --out s", 20 + more));
@@ -293,7 +287,7 @@ fn a_kill_while_seeds_are_added_loses_no_run() {
         }
         sweep.signal(Signal::KILL);
         sweep.finish();
-        let lines = journal_lines(&folder, "s");
+        let lines = folder.journal_lines("s");
         println!("kill {more}: {lines} runs after {found}");
         assert!(lines >= found, "finished runs were lost");
         found = lines;

@@ -1,5 +1,5 @@
-//! Training as its users see it: the same file whatever happens on the way, nothing overwritten unasked, and clear words for
-//! files that are none.
+//! Training as its users see it: the same file whatever happens on the way, nothing overwritten unasked, and clear
+//! words for files that are none.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -293,7 +293,8 @@ fn a_table_for_other_densities_or_weights_is_refused() {
         assert!(end.is_success(), "a policy that learns may weigh otherwise: {end}");
         // What came of it says what it was begun with.
         let learned = fs::read_to_string(folder.join(&format!("{out}/learned.json"))).expect("a table");
-        let from = "\"begun_from\":\"tables for N = 10, μ1 = 14, μ2 = 1.6, ζ = 0.95 and a window of 4 TTIs, learned in 50 TTIs\"";
+        let from = "\"begun_from\":\"tables for N = 10, μ1 = 14, μ2 = 1.6, ζ = 0.95 and a window of 4 TTIs, \
+            learned in 50 TTIs\"";
         assert!(learned.contains(from), "{learned:.600}");
     }
     let end = folder.run("run -k 60 -n 20 --policy q-learning --set policy.q-learning.table=nothing --out run");

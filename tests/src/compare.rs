@@ -1,43 +1,44 @@
 //! The emulator's run of a scenario in the form in which the reference gives its own.
 
-use reveille_bs::outcome::{EventRecord, Outcome, Watcher, WindowRecord};
+use reveille_bs::observe::{Happening, Observer};
+use reveille_bs::outcome::Outcome;
 use reveille_common::ids::Tti;
-use reveille_common::metrics::DeviceTotals;
 use reveille_common::scenario::Scenario;
-use reveille_device::machine::{Machine, State as MachineState};
-use reveille_lab::run::{Options, Run};
+use reveille_common::score::EventRecord;
+use reveille_common::state::DeviceState;
+use reveille_common::totals::DeviceTotals;
+use reveille_device::machine::Machine;
+use reveille_lab::preparation::start;
+use reveille_lab::run::Options;
 
 use crate::reference::State;
 
-/// A watcher that keeps every event.
+/// An observer that keeps every event.
 #[derive(Clone, Debug, Default)]
 pub struct Collected {
     /// The events.
     pub events: Vec<EventRecord>,
 }
 
-impl Watcher for Collected {
-    fn window(&mut self, _: &WindowRecord, events: &[EventRecord]) -> bool {
-        self.events.extend_from_slice(events);
-        true
+impl Observer for Collected {
+    fn see(&mut self, happening: &Happening<'_>) {
+        if let Happening::EventEnded(event) = happening {
+            self.events.push(**event);
+        }
     }
 }
 
 /// The whole run: its outcome and its ended events.
 pub fn outcome(scenario: &Scenario, lookahead: bool, window: u64) -> (Outcome, Vec<EventRecord>) {
     let mut collected = Collected::default();
-    let options = Options {
-        lookahead,
-        window,
-        keep_records: true,
-    };
-    let outcome = Run::new(scenario, options).finish(&mut collected);
+    let options = Options { lookahead, window };
+    let outcome = start(scenario, options).finish(&mut collected);
     (outcome, collected.events)
 }
 
 /// The ledger of each device at the end of the run.
 pub fn ledgers(scenario: &Scenario, lookahead: bool) -> Vec<DeviceTotals> {
-    let mut run = Run::new(
+    let mut run = start(
         scenario,
         Options {
             lookahead,
@@ -45,7 +46,7 @@ pub fn ledgers(scenario: &Scenario, lookahead: bool) -> Vec<DeviceTotals> {
         },
     );
     while run.cycle().next_tti() < Tti(scenario.ttis) {
-        run.grant();
+        run.grant(&mut ());
     }
     let settled = |machine: &Machine| {
         let mut machine = machine.clone();
@@ -61,10 +62,10 @@ pub fn trace(scenario: &Scenario) -> Vec<Vec<(State, u64)>> {
         lookahead: false,
         ..Options::default()
     };
-    let mut run = Run::new(scenario, options);
+    let mut run = start(scenario, options);
     let mut trace = Vec::new();
     for k in (0..scenario.ttis).map(Tti) {
-        run.grant();
+        run.grant(&mut ());
         let now = |machine: &Machine| {
             let mut machine = machine.clone();
             machine.begin(k);
@@ -79,12 +80,12 @@ pub fn trace(scenario: &Scenario) -> Vec<Vec<(State, u64)>> {
 ///
 /// # Panics
 /// In S2, which no device is in at the end of a step.
-pub fn translated(state: MachineState) -> State {
+pub fn translated(state: DeviceState) -> State {
     match state {
-        MachineState::Idle => State::Idle,
-        MachineState::Transmission => State::Transmission,
-        MachineState::Sleep { powered: true } => State::Asleep,
-        MachineState::Sleep { powered: false } => State::Dark,
-        MachineState::Active => panic!("S2 is left within the TTI"),
+        DeviceState::Idle => State::Idle,
+        DeviceState::Transmission => State::Transmission,
+        DeviceState::Sleep { powered: true } => State::Asleep,
+        DeviceState::Sleep { powered: false } => State::Dark,
+        DeviceState::Active => panic!("S2 is left within the TTI"),
     }
 }

@@ -9,10 +9,8 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use reveille_common::bus::{Bus, BusError};
-use reveille_common::keys::Kind;
+use reveille_common::message::Question;
 use rustix::process::{Pid, Signal, kill_process};
-use serde::Serialize;
-use serde::de::DeserializeOwned;
 use serde_json::Value;
 
 /// How long anything that should end by itself may take. Generous: it only bounds how long a broken test lasts.
@@ -21,8 +19,8 @@ pub const PATIENCE: Duration = Duration::from_mins(2);
 /// How long to wait between two looks at a condition.
 const LOOK: Duration = Duration::from_millis(10);
 
-/// The program under test: the one that the variable `REVEILLE` names, or else the one beside the running test. The tests
-/// that use it belong to the package of the command (`tests/program/`), so cargo has built it before they run.
+/// The program under test: the one that the variable `REVEILLE` names, or else the one beside the running test. The
+/// tests that use it belong to the package of the command (`tests/program/`), so cargo has built it before they run.
 ///
 /// # Panics
 /// If it is not there.
@@ -143,6 +141,20 @@ impl Folder {
         bs
     }
 
+    /// The bytes of a file in it.
+    ///
+    /// # Panics
+    /// If it cannot be read.
+    pub fn bytes(&self, name: &str) -> Vec<u8> {
+        fs::read(self.join(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
+    }
+
+    /// Finished runs in the journal of the sweep in the folder `out` within this one.
+    pub fn journal_lines(&self, out: &str) -> usize {
+        let text = fs::read_to_string(self.join(&format!("{out}/runs.journal"))).unwrap_or_default();
+        text.matches('\n').count().saturating_sub(1)
+    }
+
     /// The names of what is in a folder within this one; none if it is not there.
     pub fn list(&self, name: &str) -> Vec<String> {
         let entries = fs::read_dir(self.join(name)).into_iter().flatten().flatten();
@@ -259,7 +271,8 @@ impl Process {
         });
     }
 
-    /// Waits until it takes SIGINT itself: before its handler is in place the signal ends it as well, but without a word.
+    /// Waits until it takes SIGINT itself: before its handler is in place the signal ends it as well, but without a
+    /// word.
     ///
     /// # Panics
     /// If that does not come in time.
@@ -435,10 +448,10 @@ pub fn wait_until<T>(what: &str, patience: Duration, mut look: impl FnMut() -> O
 ///
 /// # Panics
 /// If it does not answer.
-pub async fn ask<Q: Serialize, R: DeserializeOwned>(bus: &Bus, kind: Kind, request: &Q) -> Result<R, BusError> {
+pub async fn ask<Q: Question<Address = ()>>(bus: &Bus, request: &Q) -> Result<Q::Reply, BusError> {
     let deadline = now() + PATIENCE;
     loop {
-        if let Some(reply) = bus.ask(bus.keys().of(kind), request, PATIENCE).await? {
+        if let Some(reply) = bus.ask(request, PATIENCE).await? {
             return Ok(reply);
         }
         assert!(now() < deadline, "waited {PATIENCE:?} for an answer");
@@ -458,8 +471,8 @@ pub fn send_signal(pid: u32, signal: Signal) {
     let _gone = pid.is_some_and(|pid| kill_process(pid, signal).is_err());
 }
 
-/// The living `reveille device` processes of a run, by their command lines. Those that have ended and were not waited for
-/// have none.
+/// The living `reveille device` processes of a run, by their command lines. Those that have ended and were not waited
+/// for have none.
 pub fn hosts_of(run: &str) -> Vec<u32> {
     let processes = fs::read_dir("/proc").into_iter().flatten().flatten();
     let pids = processes.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());

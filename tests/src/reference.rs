@@ -1,6 +1,6 @@
 //! A second implementation of the model, as plain as it can be: every device goes through every TTI, one step after the
-//! other. It shares the scenario, the positions, the classes and the random streams with the emulator, and of the rest only
-//! what the next paragraph names.
+//! other. It shares the scenario, the positions, the classes and the random streams with the emulator, and of the rest
+//! only what the next paragraph names.
 //!
 //! Of the `knn` policy it takes the clusters and `I_min` from the emulator and does the rest itself. Where its own
 //! integration rule for `P_4,2` cannot tell two candidates apart, it stops and says in which TTI ([`Run::ambiguous`]).
@@ -8,14 +8,14 @@
 mod harvest;
 mod policy;
 
-use reveille_bs::outcome::EventRecord;
 use reveille_common::deployment::Deployment;
 use reveille_common::geometry::Point;
 use reveille_common::ids::{EventId, Tti};
-use reveille_common::metrics::{DeviceTotals, EventTally, EventTotals};
 use reveille_common::rng::{Geometric, Purpose, Stream, unit_for_pair};
 use reveille_common::scenario::{EnergyModel, Scenario, assign_classes};
+use reveille_common::score::EventRecord;
 use reveille_common::sensing::{DetectionKind, Fusion};
+use reveille_common::totals::{DeviceTotals, EventTally, EventTotals};
 use reveille_common::units::Energy;
 
 use harvest::Source;

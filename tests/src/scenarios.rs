@@ -4,10 +4,10 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use proptest::prelude::*;
-use reveille_common::scenario::{Scenario, parse};
+use reveille_bs::scenario::{Scenario, parse};
 
-/// The files that random scenarios name: `energy.csv`, units per TTI, and `points.csv`, a layout within the smallest area
-/// of random scenarios with two devices at the same place.
+/// The files that random scenarios name: `energy.csv`, units per TTI, and `points.csv`, a layout within the smallest
+/// area of random scenarios with two devices at the same place.
 const FILES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/data");
 
 /// The scenario of `text`, which may name the files of this package's `data` folder.
@@ -134,8 +134,8 @@ fn learning() -> impl Strategy<Value = String> {
     )
 }
 
-/// Sections of energy and harvest: the defaults, and up to three classes that override some of them; without a class all
-/// devices follow the defaults.
+/// Sections of energy and harvest: the defaults, and up to three classes that override some of them; without a class
+/// all devices follow the defaults.
 fn energy_and_harvest() -> impl Strategy<Value = String> {
     let class = (
         0.1..1.0f64,
@@ -180,7 +180,8 @@ fn energy() -> impl Strategy<Value = String> {
 #[derive(Clone, Debug)]
 struct HarvestLines {
     source: String,
-    trace: String,
+    /// Of recorded energy alone.
+    trace: Option<String>,
     column: &'static str,
     columns: &'static str,
 }
@@ -188,10 +189,9 @@ struct HarvestLines {
 impl HarvestLines {
     fn text(&self, section: &str, shared: bool) -> String {
         let column = if shared { self.column } else { self.columns };
-        format!(
-            "[{section}]\n{}[{section}.trace]\n{}{column}\n",
-            self.source, self.trace
-        )
+        let trace = self.trace.as_ref();
+        let trace = trace.map_or_else(String::new, |trace| format!("[{section}.trace]\n{trace}{column}\n"));
+        format!("[{section}]\n{}{trace}", self.source)
     }
 }
 
@@ -213,12 +213,16 @@ fn harvest() -> impl Strategy<Value = HarvestLines> {
     let trace = (1..=4u64, end, 0.0..2.0f64);
     (kind, column, columns, e_b, 0.02..3.0f64, off, trace).prop_map(
         |(kind, column, columns, e_b, lambda, off, (per_row, end, scale))| {
-            let mut source = format!("kind = \"{kind}\"\nlambda = {lambda:?}\ne_b = {e_b:?}\n");
+            let mut source = format!("kind = \"{kind}\"\n");
+            if kind != "trace" {
+                writeln!(source, "lambda = {lambda:?}\ne_b = {e_b:?}").expect("text takes it");
+            }
             if let Some(off) = off.filter(|_| kind == "mpp") {
                 writeln!(source, "off_mean = {off:?}").expect("text takes it");
             }
-            let file = if kind == "trace" { "file = \"energy.csv\"\n" } else { "" };
-            let trace = format!("{file}ttis_per_row = {per_row}\nend = \"{end}\"\nscale = {scale:?}\n");
+            let trace = (kind == "trace").then(|| {
+                format!("file = \"energy.csv\"\nttis_per_row = {per_row}\nend = \"{end}\"\nscale = {scale:?}\n")
+            });
             HarvestLines {
                 source,
                 trace,

@@ -4,15 +4,16 @@ use proptest::prelude::*;
 use proptest::test_runner::Config;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::scenario::Scenario;
-use reveille_lab::analysis::transitions::measure;
-use reveille_lab::run::{Options, Run};
+use reveille_lab::preparation::start;
+use reveille_lab::run::Options;
+use reveille_study::analysis::transitions::measure;
 use reveille_tests::reference::State;
 use reveille_tests::{reference, scenarios};
 
 /// Transitions by (m, n) in the measured TTIs of a run of the reference in which every action can be paid.
 fn brute(scenario: &Scenario, run: &reference::Run) -> [[u64; 5]; 5] {
-    let mut first = Run::new(scenario, Options::default());
-    first.grant();
+    let mut first = start(scenario, Options::default());
+    first.grant(&mut ());
     let plan = first.cycle().plan().clone();
     let from = scenario.warm_up_end().0;
     let mut counts = [[0; 5]; 5];

@@ -1,11 +1,11 @@
 //! Whole runs against what can be worked out on paper. Seeds are fixed: a run either is within three standard errors or
 //! is not.
 
-use reveille_bs::wakeup::i_min;
+use reveille_bs::beliefs::ranking::i_min;
 use reveille_common::deployment::Deployment;
 use reveille_common::geometry::{Area, Point};
 use reveille_common::scenario::Scenario;
-use reveille_lab::run::run;
+use reveille_lab::preparation::run;
 use reveille_tests::scenarios::scenario;
 
 /// Every battery is full at every event.
@@ -112,8 +112,8 @@ fn arrivals_have_the_mean_of_their_law() {
 
 #[test]
 fn recorded_energy_arrives_to_the_last_micro_unit() {
-    // Two devices. The columns of the test's file by half, where half a micro-unit rounds up: `rain` is 0, 0.000001, 40,
-    // 0, 0 units, `wind` 1.5, 0, 0.333334, 2, 0, `sun` 0, 3.25, 12.5, 0, 0.7. A row lasts 4 TTIs, the file 20.
+    // Two devices. The columns of the test's file by half, where half a micro-unit rounds up: `rain` is 0, 0.000001,
+    // 40, 0, 0 units, `wind` 1.5, 0, 0.333334, 2, 0, `sun` 0, 3.25, 12.5, 0, 0.7. A row lasts 4 TTIs, the file 20.
     let (rain, wind) = (4 * (1 + 20_000_000), 4 * (750_000 + 166_667 + 1_000_000));
     let sun = 4 * (1_625_000 + 6_250_000 + 350_000);
     for (end, ttis, columns, expected) in [
@@ -137,7 +137,8 @@ fn the_least_information_of_a_grid_is_that_at_the_corner_of_a_cell() {
     for (side, per_row, eta) in [(20.0f64, 1u32, 0.3), (20.0, 5, 1.0), (7.5, 9, 1.7), (100.0, 16, 0.2)] {
         let n = per_row * per_row;
         let scenario = scenario(&format!(
-            "devices = {n}\nlayout.kind = \"grid\"\narea.width = {side:?}\narea.height = {side:?}\nsensing.eta = {eta:?}\n"
+            "devices = {n}\nlayout.kind = \"grid\"\narea.width = {side:?}\narea.height = {side:?}\n\
+             sensing.eta = {eta:?}\n"
         ));
         let found = i_min(
             &Deployment::new(&scenario).positions(),

@@ -2,20 +2,23 @@
 
 use proptest::prelude::*;
 use proptest::test_runner::Config;
-use reveille_bs::clusters::Clusters;
+use reveille_bs::beliefs::clusters::Clusters;
+use reveille_bs::policy::knn::settings::KnnSettings;
 use reveille_common::deployment::Deployment;
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::metrics::DeviceTotals;
-use reveille_common::scenario::{EnergyModel, PolicyConfig, Scenario};
-use reveille_device::machine::{Machine, State};
-use reveille_lab::run::{Options, Run};
+use reveille_common::rng::{Purpose, Stream};
+use reveille_common::scenario::{EnergyModel, Scenario};
+use reveille_common::state::DeviceState;
+use reveille_common::totals::DeviceTotals;
+use reveille_device::machine::Machine;
+use reveille_lab::preparation::start;
+use reveille_lab::run::Options;
 use reveille_tests::{compare, scenarios};
 
 /// One TTI at a time.
 const STEPPED: Options = Options {
     lookahead: false,
     window: u64::MAX,
-    keep_records: false,
 };
 
 proptest! {
@@ -49,7 +52,7 @@ proptest! {
             for cluster in &clusters {
                 let sensing = |member: &&DeviceId| step.devices[member.index()].delta;
                 prop_assert_eq!(cluster.iter().filter(sensing).count(), 1, "δ in {}", step.k);
-                let idle = |member: &&DeviceId| step.devices[member.index()].before == State::Idle;
+                let idle = |member: &&DeviceId| step.devices[member.index()].before == DeviceState::Idle;
                 prop_assert!(cluster.iter().filter(idle).count() <= 1, "S1 in {}", step.k);
             }
             Ok(())
@@ -62,13 +65,13 @@ proptest! {
         let clusters = clusters(&scenario);
         each_tti(&scenario, |step| {
             for device in &step.devices {
-                let expected = if device.delta { State::Idle } else { State::Sleep { powered: true } };
+                let expected = if device.delta { DeviceState::Idle } else { DeviceState::Sleep { powered: true } };
                 prop_assert_eq!(device.before, expected, "{}", step.k);
-                let unwell = matches!(device.after, State::Sleep { powered: false });
+                let unwell = matches!(device.after, DeviceState::Sleep { powered: false });
                 prop_assert!(!unwell, "a failure with a full battery in {}", step.k);
             }
             for cluster in &clusters {
-                let idle = |member: &&DeviceId| step.devices[member.index()].before == State::Idle;
+                let idle = |member: &&DeviceId| step.devices[member.index()].before == DeviceState::Idle;
                 prop_assert_eq!(cluster.iter().filter(idle).count(), 1, "S1 in {}", step.k);
             }
             Ok(())
@@ -78,7 +81,8 @@ proptest! {
     #[test]
     fn a_device_that_is_left_alone_ends_as_one_that_is_stepped(text in scenarios::any_policy()) {
         let scenario = scenarios::scenario(&text);
-        // A window per TTI brings every device up to date in every TTI; without windows a sleeper is touched when needed.
+        // A window per TTI brings every device up to date in every TTI; without windows a sleeper is touched when
+        // needed.
         let (lazy, events) = compare::outcome(&scenario, true, u64::MAX);
         let (stepped, same) = compare::outcome(&scenario, false, 1);
         prop_assert_eq!(&lazy.digest, &stepped.digest);
@@ -104,11 +108,11 @@ struct Passed {
     costs: EnergyModel,
     /// δ.
     delta: bool,
-    /// State and battery after steps 1 and 2.
-    before: State,
+    /// DeviceState and battery after steps 1 and 2.
+    before: DeviceState,
     level: u64,
-    /// State at the end.
-    after: State,
+    /// DeviceState at the end.
+    after: DeviceState,
     /// Ledgers before and after the TTI.
     opened: DeviceTotals,
     closed: DeviceTotals,
@@ -125,10 +129,10 @@ type Checked = Result<(), TestCaseError>;
 /// Runs `scenario` and shows every TTI to `check`.
 fn each_tti(scenario: &Scenario, mut check: impl FnMut(&Step) -> Checked) -> Checked {
     let deployment = Deployment::new(scenario);
-    let mut run = Run::new(scenario, STEPPED);
+    let mut run = start(scenario, STEPPED);
     for k in (0..scenario.ttis).map(Tti) {
         let unstepped = run.machines().to_vec();
-        run.grant();
+        run.grant(&mut ());
         prop_assert_eq!(run.cycle().next_tti(), k + 1);
         let plan = run.cycle().plan();
         let passed = |(mut before, after): (Machine, &Machine)| {
@@ -195,26 +199,26 @@ fn consistent(device: &Passed) -> Checked {
     } = device;
     let end = closed.battery.micro();
     match before {
-        State::Idle => prop_assert!(delta, "S1 with δ = 0"),
-        State::Sleep { powered: true } => prop_assert!(!delta, "asleep with δ = 1"),
-        State::Sleep { powered: false } => prop_assert_eq!(*level, 0, "power left"),
-        State::Active | State::Transmission => prop_assert!(false, "{:?} before any event", before),
+        DeviceState::Idle => prop_assert!(delta, "S1 with δ = 0"),
+        DeviceState::Sleep { powered: true } => prop_assert!(!delta, "asleep with δ = 1"),
+        DeviceState::Sleep { powered: false } => prop_assert_eq!(*level, 0, "power left"),
+        DeviceState::Active | DeviceState::Transmission => prop_assert!(false, "{:?} before any event", before),
     }
     match after {
-        State::Transmission => {
+        DeviceState::Transmission => {
             // A sensing device that detected, or a sleeper that could hear: nobody else reports.
             prop_assert!(
-                !matches!(before, State::Sleep { powered: false }),
+                !matches!(before, DeviceState::Sleep { powered: false }),
                 "reported without power"
             );
             prop_assert_eq!(end + costs.e_tx.micro(), *level);
         }
-        State::Sleep { powered: false } => prop_assert_eq!(end, 0, "a failed action leaves nothing"),
-        State::Idle | State::Sleep { powered: true } => {
+        DeviceState::Sleep { powered: false } => prop_assert_eq!(end, 0, "a failed action leaves nothing"),
+        DeviceState::Idle | DeviceState::Sleep { powered: true } => {
             prop_assert_eq!(after, before);
             prop_assert_eq!(end, *level);
         }
-        State::Active => prop_assert!(false, "S2 is left within the TTI"),
+        DeviceState::Active => prop_assert!(false, "S2 is left within the TTI"),
     }
     Ok(())
 }
@@ -222,13 +226,10 @@ fn consistent(device: &Passed) -> Checked {
 /// The clusters of a scenario under `knn`; none under another policy.
 fn clusters(scenario: &Scenario) -> Vec<Vec<DeviceId>> {
     let positions = Deployment::new(scenario).positions();
-    match &scenario.policy {
-        PolicyConfig::Knn(settings) => {
-            let d_max = scenario.sensing.d_max;
-            Clusters::form(&positions, scenario.area, d_max, settings, scenario.seed).members
-        }
-        PolicyConfig::Random | PolicyConfig::Adjusted(_) | PolicyConfig::QLearning(_) | PolicyConfig::Genie => {
-            Vec::new()
-        }
-    }
+    let d_max = scenario.sensing.d_max;
+    let start = Stream::new(scenario.seed, Purpose::Clusters, 0);
+    let settings = scenario.policy.settings::<KnnSettings>();
+    settings.map_or_else(Vec::new, |settings| {
+        Clusters::form(&positions, scenario.area, d_max, settings.voting(), start).members
+    })
 }

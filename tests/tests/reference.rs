@@ -5,8 +5,9 @@ use std::collections::BTreeMap;
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::{Config, TestRunner};
-use reveille_common::metrics::{Metrics, Totals};
 use reveille_common::scenario::Scenario;
+use reveille_common::score::Metrics;
+use reveille_common::totals::Totals;
 use reveille_tests::{compare, reference, scenarios};
 
 proptest! {
@@ -119,7 +120,7 @@ fn synchronisations(scenario: &Scenario) -> u64 {
     (warm_up_end(scenario)..scenario.ttis).filter(is_due).count() as u64
 }
 
-/// The metrics are MODEL's arithmetic on the totals.
+/// The metrics are their definitions' arithmetic on the totals.
 fn same_metrics(scenario: &Scenario, totals: &Totals, metrics: &Metrics) -> Result<(), TestCaseError> {
     let (events, energy) = (&totals.events, &totals.energy);
     let (n, ttis) = (f64::from(scenario.devices), totals.ttis as f64);

@@ -1,5 +1,6 @@
 //! Who is there: liveliness tokens.
 
+use std::pin::Pin;
 use std::time::Duration;
 
 use zenoh::Wait;
@@ -8,6 +9,11 @@ use zenoh::sample::{Sample, SampleKind};
 
 use super::{Bus, BusError, Declared};
 use crate::keys::Keys;
+
+/// Is told of a token that came or went.
+type Handle = dyn Fn(&str, bool) + Send + Sync;
+/// Keys of liveliness tokens.
+type Tokens<'b> = Pin<Box<dyn Future<Output = Result<Vec<Option<String>>, BusError>> + Send + 'b>>;
 
 impl Bus {
     /// Shows others that this session lives, until dropped or lost.
@@ -27,6 +33,11 @@ impl Bus {
     where
         F: Fn(&str, bool) + Send + Sync + 'static,
     {
+        self.watch_boxed(key, Box::new(handle))
+    }
+
+    /// The same, apart so that zenoh's part of it is compiled here and once.
+    fn watch_boxed(&self, key: String, handle: Box<Handle>) -> Result<Declared, BusError> {
         let on_sample = move |sample: Sample| handle(sample.key_expr().as_str(), sample.kind() == SampleKind::Put);
         Ok(Declared::new(
             self.session
@@ -43,13 +54,9 @@ impl Bus {
     /// # Errors
     /// If zenoh refuses.
     pub async fn runs(&self, patience: Duration) -> Result<Vec<String>, BusError> {
-        let replies = self.session.liveliness().get(Keys::any_bs()).timeout(patience).await?;
-        let mut runs = Vec::new();
-        while let Ok(reply) = replies.recv_async().await {
-            if let Ok(sample) = reply.result() {
-                runs.extend(sample.key_expr().as_str().split('/').nth(1).map(str::to_owned));
-            }
-        }
+        let tokens = self.tokens(Keys::any_bs().to_owned(), Some(patience)).await?;
+        let name = |key: &String| key.split('/').nth(1).map(str::to_owned);
+        let mut runs: Vec<String> = tokens.iter().flatten().filter_map(name).collect();
         runs.sort();
         Ok(runs)
     }
@@ -59,12 +66,26 @@ impl Bus {
     /// # Errors
     /// If zenoh refuses.
     pub async fn alive_hosts(&self) -> Result<u32, BusError> {
-        let replies = self.session.liveliness().get(self.keys.all_alive()).await?;
-        let mut hosts = 0;
-        while replies.recv_async().await.is_ok() {
-            hosts += 1;
-        }
-        Ok(hosts)
+        Ok(self.tokens(self.keys.all_alive(), None).await?.len() as u32)
+    }
+
+    /// The replies of those that match `key`, each with its key unless it is an error; boxed so that zenoh's part is
+    /// compiled here and once.
+    fn tokens(&self, key: String, patience: Option<Duration>) -> Tokens<'_> {
+        Box::pin(async move {
+            let question = self.session.liveliness().get(key);
+            let question = match patience {
+                Some(patience) => question.timeout(patience),
+                None => question,
+            };
+            let replies = question.await?;
+            let mut tokens = Vec::new();
+            while let Ok(reply) = replies.recv_async().await {
+                let sample = reply.result().ok();
+                tokens.push(sample.map(|sample| sample.key_expr().as_str().to_owned()));
+            }
+            Ok(tokens)
+        })
     }
 
     /// That nobody serves this run here, with the names of those that are served.

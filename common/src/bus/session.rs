@@ -34,7 +34,7 @@ impl Bus {
             .await?
             .map_err(|e| BusError::Listen(endpoint.clone(), e.to_string()))?;
         let mut bus = Self::new(session, run, &endpoint);
-        bus.tap = Some(Tap::start(&bus)?);
+        bus.tap = Some(Tap::start(&bus.session, bus.keys.tap())?);
         Ok(bus)
     }
 
@@ -79,20 +79,25 @@ fn set(config: &mut zenoh::Config, key: &str, value: &str) -> Result<(), BusErro
         .map_err(|e| BusError::Zenoh(format!("{key} = {value}: {e}")))
 }
 
-/// Opens a session on a thread of its own: zenoh blocks the thread that waits for one, and with it every timer and signal
-/// that its task waits for besides.
+/// Opens a session on a thread of its own: zenoh blocks the thread that waits for one, and with it every timer and
+/// signal that its task waits for besides.
 async fn open(config: zenoh::Config) -> Result<zenoh::Result<zenoh::Session>, BusError> {
     let (send, opened) = tokio::sync::oneshot::channel();
     std::thread::Builder::new()
         .name("open".to_owned())
         .spawn(move || {
             // Nobody waits any more: the session is closed at once.
-            let _unwanted = send.send(zenoh::open(config).wait()).is_err();
+            let _unwanted = send.send(open_now(config)).is_err();
         })
         .map_err(|e| BusError::Zenoh(format!("cannot start a thread: {e}")))?;
     opened
         .await
         .map_err(|_| BusError::Zenoh("the thread that opens the session has ended".to_owned()))
+}
+
+/// Opens a session. Apart, so that all of zenoh behind it is compiled here and once, not with each task that opens one.
+fn open_now(config: zenoh::Config) -> zenoh::Result<zenoh::Session> {
+    zenoh::open(config).wait()
 }
 
 /// The host and port of `endpoint`.
@@ -112,7 +117,8 @@ fn address(endpoint: &str) -> Result<(&str, u16), BusError> {
     Ok((host, port))
 }
 
-/// `endpoint`, if it can be listened on, with a free port in the place of port 0, which zenoh would choose without telling.
+/// `endpoint`, if it can be listened on, with a free port in the place of port 0, which zenoh would choose without
+/// telling.
 ///
 /// # Errors
 /// If it is no endpoint, or is in use.

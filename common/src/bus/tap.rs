@@ -1,7 +1,8 @@
 //! Copies of the BS's traffic for observers.
 //!
-//! The BS sees every message of a run. While somebody observes, it hands copies to a thread of its own through a bounded
-//! queue that is never waited for; what does not fit is left out, and the numbers of the frames tell how much that was.
+//! The BS sees every message of a run. While somebody observes, it hands copies to a thread of its own through a
+//! bounded queue that is never waited for; what does not fit is left out, and the numbers of the frames tell how much
+//! that was.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -12,7 +13,7 @@ use zenoh::Wait;
 use zenoh::pubsub::Publisher;
 use zenoh::qos::CongestionControl;
 
-use super::{Bus, BusError};
+use super::error::BusError;
 use crate::codec;
 use crate::ids::Tti;
 use crate::message::{TapBatch, TapFrame};
@@ -28,17 +29,17 @@ const PAUSE: Duration = Duration::from_millis(5);
 pub struct Tap {
     is_observed: AtomicBool,
     tti: AtomicU64,
-    /// The number of the next frame. Held while that frame is queued: several threads see messages, and numbers must rise
-    /// along the queue.
+    /// The number of the next frame. Held while that frame is queued: several threads see messages, and numbers must
+    /// rise along the queue.
     next: Mutex<u64>,
     queue: SyncSender<(u64, TapFrame)>,
 }
 
 impl Tap {
-    pub(super) fn start(bus: &Bus) -> Result<Arc<Self>, BusError> {
-        let publisher = bus
-            .session
-            .declare_publisher(bus.keys.tap())
+    /// Starts the thread, which publishes on `key` of `session`.
+    pub(super) fn start(session: &zenoh::Session, key: String) -> Result<Arc<Self>, BusError> {
+        let publisher = session
+            .declare_publisher(key)
             .congestion_control(CongestionControl::Drop)
             .wait()?;
         let (queue, frames) = sync_channel(QUEUE);

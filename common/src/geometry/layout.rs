@@ -1,43 +1,115 @@
 //! Deployments: where the devices stand.
 
-use std::path::PathBuf;
-use std::sync::Arc;
-
-use super::{Area, Point};
+use super::{Area, FromFile, Point};
+use crate::declare;
+use crate::declare::{Reader, ScenarioError, Section, Sink, choice, choices, file};
 use crate::rng::{Purpose, Stream};
 
-/// How devices are placed in the area. Positions are known to the base station.
+choices! {
+    /// How devices are placed in the area. Positions are known to the base station.
+    pub enum LayoutKind {
+        /// Independent and uniform on the area.
+        Uniform = "uniform",
+        /// One device, uniform, in each of N random cells of the smallest square grid with at least N cells.
+        JitteredGrid = "jittered-grid",
+        /// Random, but no two devices close together.
+        PoissonDisk = "poisson-disk",
+        /// Rows and columns as even as N allows; a square N on a square area gives a perfect grid.
+        Grid = "grid",
+        /// As `grid`, with every other row shifted by half a spacing and rows √3/2 as far apart as devices in a row.
+        Hex = "hex",
+        /// Read from the file `layout.file`.
+        File = "file",
+    }
+}
+
+declare! {
+    /// Where the devices stand.
+    #[derive(Clone, Debug)]
+    struct Settings in "layout" {
+        /// How devices are placed in the area.
+        kind: LayoutKind = choice::<LayoutKind>("jittered-grid").source("uniform in Sec. II, jittered by calibration"),
+        /// A CSV file with the columns `x` and `y` in metres, a line for each device, and, if it is to say so, the
+        /// column `class` with the name of the device's class. Relative to the scenario file.
+        file: Option<String> = file().only_with("layout.kind", &["file"]),
+    }
+}
+
+/// Where the devices stand.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Layout {
-    /// Independent and uniform on the area.
+    /// See [`LayoutKind::Uniform`].
     Uniform,
-    /// One device, uniform, in each of N random cells of the smallest square grid with at least N cells.
+    /// See [`LayoutKind::JitteredGrid`].
     JitteredGrid,
-    /// Random, but no two devices close together.
+    /// See [`LayoutKind::PoissonDisk`].
     PoissonDisk,
-    /// Rows and columns as even as N allows; a square N on a square area gives a perfect grid.
+    /// See [`LayoutKind::Grid`].
     Grid,
-    /// As `Grid`, with every other row shifted by half a spacing and rows √3/2 as far apart as devices in a row.
+    /// See [`LayoutKind::Hex`].
     Hex,
-    /// Read from a CSV file with the columns `x` and `y`, metres.
-    File {
-        /// The file.
-        path: PathBuf,
-        /// Its first N points.
-        points: Arc<Vec<Point>>,
-    },
+    /// See [`LayoutKind::File`].
+    File(FromFile),
 }
 
 impl Layout {
+    /// The fields of a layout.
+    pub const SECTION: &'static Section = Settings::SECTION;
+
+    /// The layout that `reader` has, for `devices` devices of the classes `classes` on `area`.
+    ///
+    /// # Errors
+    /// A file is missing or does not hold the devices.
+    pub fn settle(reader: &Reader<'_>, area: Area, devices: u32, classes: &[&str]) -> Result<Self, ScenarioError> {
+        let Settings { kind, file } = Settings::read(reader)?;
+        Ok(match kind {
+            LayoutKind::Uniform => Self::Uniform,
+            LayoutKind::JitteredGrid => Self::JitteredGrid,
+            LayoutKind::PoissonDisk => Self::PoissonDisk,
+            LayoutKind::Grid => Self::Grid,
+            LayoutKind::Hex => Self::Hex,
+            LayoutKind::File => {
+                let file = file.ok_or_else(|| reader.needed("layout.file", "layout.kind"))?;
+                Self::File(FromFile::settle(reader, &file, area, devices, classes)?)
+            }
+        })
+    }
+
+    /// The kind of the layout.
+    pub const fn kind(&self) -> LayoutKind {
+        match self {
+            Self::Uniform => LayoutKind::Uniform,
+            Self::JitteredGrid => LayoutKind::JitteredGrid,
+            Self::PoissonDisk => LayoutKind::PoissonDisk,
+            Self::Grid => LayoutKind::Grid,
+            Self::Hex => LayoutKind::Hex,
+            Self::File(_) => LayoutKind::File,
+        }
+    }
+
     /// Its name, as in `layout.kind` of a scenario.
     pub const fn name(&self) -> &'static str {
+        self.kind().name()
+    }
+
+    /// The class of each device as an index into the scenario's classes, where the layout says so.
+    pub fn classes(&self) -> Option<&[u16]> {
         match self {
-            Self::Uniform => "uniform",
-            Self::JitteredGrid => "jittered-grid",
-            Self::PoissonDisk => "poisson-disk",
-            Self::Grid => "grid",
-            Self::Hex => "hex",
-            Self::File { .. } => "file",
+            Self::File(file) => file.classes.as_deref().map(Vec::as_slice),
+            Self::Uniform | Self::JitteredGrid | Self::PoissonDisk | Self::Grid | Self::Hex => None,
+        }
+    }
+
+    /// Hands every field to `sink`.
+    pub fn visit(&self, sink: &mut dyn Sink) {
+        let settings = Settings {
+            kind: self.kind(),
+            file: None,
+        };
+        settings.visit(sink);
+        match self {
+            Self::File(file) => file.visit(sink, Self::SECTION),
+            Self::Uniform | Self::JitteredGrid | Self::PoissonDisk | Self::Grid | Self::Hex => {}
         }
     }
 }
@@ -64,7 +136,7 @@ pub fn place(layout: &Layout, area: Area, n: u32, seed: u64) -> Vec<Point> {
             let per_height = f64::from(n) * area.height / area.width * 2.0 / 3.0_f64.sqrt();
             in_rows(area, n, per_height.sqrt(), [0.25, 0.75])
         }
-        Layout::File { points, .. } => points.iter().take(n as usize).copied().collect(),
+        Layout::File(file) => file.points.iter().take(n as usize).copied().collect(),
     }
 }
 
@@ -325,10 +397,11 @@ mod tests {
     #[test]
     fn a_file_gives_its_first_points() {
         let points: Vec<_> = (0..9).map(|i| Point::new(f64::from(i), 1.0)).collect();
-        let layout = Layout::File {
+        let layout = Layout::File(FromFile {
             path: "devices.csv".into(),
-            points: Arc::new(points.clone()),
-        };
+            points: std::sync::Arc::new(points.clone()),
+            classes: None,
+        });
         assert_eq!(place(&layout, SQUARE, 4, 0), points[..4]);
     }
 }

@@ -1,13 +1,17 @@
 //! The area, where devices stand in it, and the bounded Voronoi diagram.
 
 mod buckets;
+mod file;
 mod layout;
 mod voronoi;
 
 use serde::{Deserialize, Serialize};
 
+use crate::declare::{POSITIVE, number};
+
 pub use buckets::Buckets;
-pub use layout::{Layout, place};
+pub use file::FromFile;
+pub use layout::{Layout, LayoutKind, place};
 pub use voronoi::{cells, farthest_cell_vertex};
 
 /// A point of the area, in metres from its south-west corner.
@@ -37,14 +41,16 @@ impl Point {
     }
 }
 
-/// The rectangle ξ that the base station serves (Table II: 20 × 20 m).
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Area {
-    /// East-west side, metres, > 0.
-    pub width: f64,
-    /// North-south side, metres, > 0.
-    pub height: f64,
+crate::declare! {
+    /// The rectangle ξ that the base station serves.
+    #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    pub struct Area in "area" {
+        /// East-west side.
+        pub width: f64 = number(POSITIVE, 20.0).unit("metres").source("Table II"),
+        /// North-south side.
+        pub height: f64 = number(POSITIVE, 20.0).unit("metres").source("Table II"),
+    }
 }
 
 impl Area {

@@ -1,86 +1,154 @@
-//! Which device belongs to which class.
+//! Kinds of devices.
 
-use super::model::Scenario;
-use crate::rng::{Purpose, Stream};
+use std::collections::BTreeSet;
 
-/// The class of each device as an index into [`Scenario::classes`], the same for the same seed. The numbers of devices
-/// follow the shares by largest remainder; which devices they are is drawn from the seed.
-pub fn assign_classes(scenario: &Scenario) -> Vec<u16> {
-    let counts = class_counts(scenario);
-    let mut classes: Vec<u16> = (0u16..)
-        .zip(&counts)
-        .flat_map(|(class, &count)| std::iter::repeat_n(class, count))
-        .collect();
-    if counts.len() > 1 {
-        Stream::new(scenario.seed, Purpose::Classes, 0).shuffle(&mut classes);
+use crate::declare::{ABOVE_ZERO, Reader, ScenarioError, Sink, number, text};
+use crate::energy::EnergyModel;
+use crate::harvest::Harvest;
+
+/// The largest number of device classes.
+pub const MAX_CLASSES: usize = 256;
+/// How far from 1 the sum of the classes' shares may be.
+const SHARE_TOLERANCE: f64 = 1e-9;
+/// The name of the one class of a scenario without classes.
+const ONLY: &str = "default";
+
+crate::declare! {
+    /// A kind of device with its own battery, costs and energy source.
+    #[derive(Clone, Debug)]
+    pub(super) struct OwnFields in "class" {
+        /// Its name in files and tables, 1 to 64 characters.
+        name: Option<String> = text(),
+        /// Its share of the N devices; all shares add up to 1. Not needed where `layout.file` has a column `class`,
+        /// which decides then.
+        share: Option<f64> = number(ABOVE_ZERO, 1.0).required(),
     }
-    classes
 }
 
-/// Devices in each class, N in all.
-fn class_counts(scenario: &Scenario) -> Vec<usize> {
-    let devices = scenario.devices as usize;
-    let quotas: Vec<f64> = scenario
-        .classes
-        .iter()
-        .map(|class| class.share * devices as f64)
-        .collect();
-    let mut left = devices;
-    let mut counts = Vec::with_capacity(quotas.len());
-    for quota in &quotas {
-        let count = (quota.floor() as usize).min(left);
-        left -= count;
-        counts.push(count);
-    }
-    let mut by_remainder: Vec<usize> = (0..quotas.len()).collect();
-    by_remainder.sort_by(|&a, &b| quotas[b].fract().total_cmp(&quotas[a].fract()));
-    for &class in by_remainder.iter().cycle().take(left) {
-        counts[class] += 1;
-    }
-    counts
+/// A kind of device with its own battery, costs and energy source.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DeviceClass {
+    /// Its name in files and tables.
+    pub name: String,
+    /// Its share of the N devices, `(0, 1]`; 0 for a class that the layout's file gives no device.
+    pub share: f64,
+    /// Battery and costs.
+    pub energy: EnergyModel,
+    /// The energy source.
+    pub harvest: Harvest,
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::scenario::load;
-
-    fn with_shares(devices: u32, shares: &[f64]) -> Scenario {
-        let mut scenario = load("paper", &[]).expect("a preset");
-        scenario.devices = devices;
-        let class = scenario.classes[0].clone();
-        scenario.classes = shares
-            .iter()
-            .map(|&share| crate::scenario::DeviceClass { share, ..class.clone() })
-            .collect();
-        scenario
+impl DeviceClass {
+    /// The classes that `reader` has, for TTIs of duration `tau`; the only one of a scenario without. Shares may be
+    /// missing, see [`check_shares`].
+    pub(super) fn settle_all(reader: &Reader<'_>, tau: f64) -> Result<(Vec<Self>, Vec<Option<f64>>), ScenarioError> {
+        let items = reader.items();
+        if items.is_empty() {
+            let only = Self {
+                name: ONLY.to_owned(),
+                share: 1.0,
+                energy: EnergyModel::settle(reader)?,
+                harvest: Harvest::settle(reader, tau)?,
+            };
+            return Ok((vec![only], vec![Some(1.0)]));
+        }
+        if items.len() > MAX_CLASSES {
+            let found = format!("{} classes", items.len());
+            return Err(reader.refuse("class", found, format!("must be at most {MAX_CLASSES}")));
+        }
+        let mut names = BTreeSet::new();
+        let (mut classes, mut shares) = (Vec::new(), Vec::new());
+        for item in items {
+            let (class, share) = Self::settle(item, &mut names, tau)?;
+            classes.push(class);
+            shares.push(share);
+        }
+        Ok((classes, shares))
     }
 
-    #[test]
-    fn counts_follow_the_largest_remainder() {
-        for (devices, shares, counts) in [
-            (10, vec![0.5, 0.5], vec![5, 5]),
-            (10, vec![0.34, 0.33, 0.33], vec![4, 3, 3]),
-            (2, vec![0.25, 0.3, 0.45], vec![0, 1, 1]),
-            (100, vec![0.29, 0.71], vec![29, 71]),
-            (7, vec![1.0], vec![7]),
-        ] {
-            assert_eq!(
-                class_counts(&with_shares(devices, &shares)),
-                counts,
-                "{devices} {shares:?}"
-            );
+    fn settle(item: Reader<'_>, names: &mut BTreeSet<String>, tau: f64) -> Result<(Self, Option<f64>), ScenarioError> {
+        let section = OwnFields::SECTION;
+        let given = section
+            .field("name")
+            .map(|field| item.given::<String>(section, field))
+            .transpose()?;
+        let Some(name) = given.flatten() else {
+            return Err(ScenarioError::Missing {
+                field: item.locate("class.name").0,
+                why: format!("for every class ({})", item.place()),
+            });
+        };
+        if name.trim().is_empty() || name.chars().count() > 64 || name.contains(char::is_control) {
+            let shown = format!("\"{}\"", name.escape_debug());
+            let allowed = "must be 1 to 64 characters, not all blank, without control characters";
+            return Err(item.refuse("class.name", shown, allowed));
+        }
+        let item = item.known_as(&name);
+        if !names.insert(name.clone()) {
+            return Err(item.refuse("class.name", &name, "must differ from the other classes' names"));
+        }
+        item.check_idle()?;
+        let share = OwnFields::read(&item)?.share;
+        let class = Self {
+            name,
+            share: share.unwrap_or_default(),
+            energy: EnergyModel::settle(&item)?,
+            harvest: Harvest::settle(&item, tau)?,
+        };
+        Ok((class, share))
+    }
+
+    /// Hands every field of `classes` to `sink`. The only class of a scenario without classes speaks for the top level.
+    /// Shares are left out where the layout decides who is of which class.
+    pub(super) fn visit_all(classes: &[Self], layout_decides: bool, sink: &mut dyn Sink) {
+        let is_plain = matches!(classes, [only] if only.name == ONLY);
+        for class in classes {
+            if !is_plain {
+                sink.item(&class.name);
+                let own = OwnFields {
+                    name: Some(class.name.clone()),
+                    share: (!layout_decides).then_some(class.share),
+                };
+                own.visit(sink);
+            }
+            class.energy.visit(sink);
+            class.harvest.visit(sink);
         }
     }
+}
 
-    #[test]
-    fn the_seed_decides_who_is_in_which_class() {
-        let mut scenario = with_shares(100, &[0.3, 0.7]);
-        let first = assign_classes(&scenario);
-        assert_eq!(first, assign_classes(&scenario));
-        assert_eq!(first.iter().filter(|&&class| class == 0).count(), 30);
-        scenario.seed += 1;
-        assert_ne!(first, assign_classes(&scenario));
-        assert_eq!(assign_classes(&with_shares(5, &[1.0])), [0; 5]);
+/// Settles how many devices each class has. Where the layout's file names the class of each device, `by_layout`, it
+/// decides, and the shares become those that it comes to; else every class needs a share, and they add up to 1.
+pub(super) fn check_shares(
+    reader: &Reader<'_>,
+    classes: &mut [DeviceClass],
+    shares: &[Option<f64>],
+    by_layout: Option<&[u16]>,
+) -> Result<(), ScenarioError> {
+    let items = || reader.items().into_iter().zip(classes.iter());
+    if let Some(by_layout) = by_layout {
+        if shares.iter().any(Option::is_some) {
+            reader.warn("class.share has no effect: the column `class` of layout.file says who is of which class");
+        }
+        for (index, class) in classes.iter_mut().enumerate() {
+            let devices = by_layout.iter().filter(|&&of| usize::from(of) == index).count();
+            class.share = devices as f64 / by_layout.len() as f64;
+            if devices == 0 {
+                reader.warn(format!("no device of layout.file is of the class `{}`", class.name));
+            }
+        }
+        return Ok(());
     }
+    for ((item, class), share) in items().zip(shares) {
+        if share.is_none() {
+            return Err(item.known_as(&class.name).needed("class.share", "class.name"));
+        }
+    }
+    let sum: f64 = classes.iter().map(|class| class.share).sum();
+    if (sum - 1.0).abs() > SHARE_TOLERANCE {
+        let shares: Vec<String> = classes.iter().map(|class| class.share.to_string()).collect();
+        let allowed = format!("the shares of all classes must add up to 1, not to {sum}");
+        return Err(reader.refuse("class", format!("shares {}", shares.join(" + ")), allowed));
+    }
+    Ok(())
 }

@@ -1,133 +1,138 @@
 //! Loading: preset, file and command line, in this order of precedence from low to high.
 
-use std::io::Read;
+use std::io;
 use std::path::Path;
 
-use super::error::{ScenarioError, did_you_mean, listed};
-use super::layers::{LONGEST_TEXT, Layer, Layers, Origin};
-use super::model::Scenario;
-use super::overrides::Override;
-use super::validate::validate;
+use super::declaration::declaration;
+use super::model::{Policies, Scenario};
+use super::run::PRESETS;
+use super::settle::settle;
+use crate::declare::{
+    Declaration, FileError, Files, Ground, LONGEST_TEXT, Layer, Layers, Origin, Override, Place, Preset, ScenarioError,
+    did_you_mean, listed, shortened,
+};
 
-/// The presets: name and description.
-pub const PRESETS: &[(&str, &str)] = &[
-    (
-        "paper",
-        "Table II, with the calibration that came closest to the paper's figures",
-    ),
-    (
-        "paper-literal",
-        "the paper's words taken literally: uniform layout, detection by p(d), events of one TTI",
-    ),
-    (
-        "quick",
-        "20 devices and 1000 TTIs of `paper`: a first look within seconds",
-    ),
-];
-
-/// The preset that a file starts from unless it names another, and the complete base of all others.
-const BASE: &str = "paper";
-
-const TEXTS: &[(&str, &str)] = &[
-    ("paper", include_str!("presets/paper.toml")),
-    ("paper-literal", include_str!("presets/paper-literal.toml")),
-    ("quick", include_str!("presets/quick.toml")),
-];
-
-/// Loads the scenario `source`, a preset's name or the path of a scenario file, with `overrides` on top; later overrides
-/// win. Layout and trace files that the scenario file names are relative to its folder, those that an override names to
-/// the working directory.
+/// Loads the scenario `source`, a preset's name or the path of a scenario file, with `overrides` on top; later
+/// overrides win. Layout and trace files that the scenario file names are relative to its folder, those that an
+/// override names to the working directory. `policies` are those that it may name, `files` opens what it names.
 ///
 /// # Errors
 /// There is no such preset or file, or the scenario cannot be used; the message names the field, its value, what is
 /// allowed and where it was set.
-pub fn load(source: &str, overrides: &[Override]) -> Result<Scenario, ScenarioError> {
-    if TEXTS.iter().any(|(name, _)| *name == source) {
-        return resolve(source, None, Path::new(""), overrides);
+pub fn load(
+    source: &str,
+    overrides: &[Override],
+    policies: Policies<'_>,
+    files: &dyn Files,
+) -> Result<Scenario, ScenarioError> {
+    let base_dir = Path::new("");
+    if let Some(preset) = PRESETS.iter().find(|preset| preset.name == source) {
+        return resolve(preset, None, overrides, policies, Ground { files, base_dir });
     }
     let path = Path::new(source);
-    if !path.exists() {
+    if !files.exists(path) {
         return Err(ScenarioError::NoSuchScenario {
             name: source.to_owned(),
             hint: did_you_mean(source, preset_names()),
             presets: listed(preset_names()),
         });
     }
-    let text = read(path).map_err(|error| ScenarioError::Read {
-        path: path.to_owned(),
-        error,
-    })?;
-    parse(&text, source, path.parent().unwrap_or(Path::new("")), overrides)
+    let text = read(path, source, files)?;
+    parse(
+        &text,
+        source,
+        path.parent().unwrap_or(base_dir),
+        overrides,
+        policies,
+        files,
+    )
 }
 
-/// The scenario of the TOML `text`. `origin` names it in messages; files that it names are relative to `base_dir`. Reads
-/// nothing but those files, and never panics, whatever the text.
+/// The scenario of the TOML `text`. `origin` names it in messages; files that it names are relative to `base_dir`.
+/// Reads nothing but those files, and never panics, whatever the text.
 ///
 /// # Errors
 /// As [`load`].
-pub fn parse(text: &str, origin: &str, base_dir: &Path, overrides: &[Override]) -> Result<Scenario, ScenarioError> {
+pub fn parse(
+    text: &str,
+    origin: &str,
+    base_dir: &Path,
+    overrides: &[Override],
+    policies: Policies<'_>,
+    files: &dyn Files,
+) -> Result<Scenario, ScenarioError> {
     let file = Layer::from_text(text, Origin::file(origin, text))?;
-    resolve(BASE, Some(file), base_dir, overrides)
+    resolve(&PRESETS[0], Some(file), overrides, policies, Ground { files, base_dir })
 }
 
 fn resolve(
-    default_preset: &str,
+    start: &Preset,
     file: Option<Layer<'_>>,
-    base_dir: &Path,
     overrides: &[Override],
+    policies: Policies<'_>,
+    ground: Ground<'_>,
 ) -> Result<Scenario, ScenarioError> {
+    let declaration = declaration(policies);
     let given = overrides
         .iter()
-        .map(Layer::from_override)
+        .map(|given| Layer::from_override(given, &declaration))
         .collect::<Result<Vec<_>, ScenarioError>>()?;
-    let asked = file.iter().chain(&given).filter_map(Layer::preset).next_back();
-    let preset = match &asked {
-        Some((name, _)) => *name,
-        None => default_preset,
-    };
-    let Some((preset, text)) = TEXTS.iter().find(|(name, _)| *name == preset) else {
+    let asked = file
+        .iter()
+        .chain(&given)
+        .filter_map(|layer| layer.text_of("preset"))
+        .next_back();
+    let name = asked.as_ref().map_or(start.name, |(name, _)| *name);
+    let Some(preset) = PRESETS.iter().find(|preset| preset.name == name) else {
         return Err(ScenarioError::Invalid {
             field: "preset".to_owned(),
-            value: super::error::shortened(preset),
+            value: shortened(name),
             allowed: format!(
                 "must be one of {}{}",
                 listed(preset_names()),
-                did_you_mean(preset, preset_names())
+                did_you_mean(name, preset_names())
             ),
-            place: asked.map_or(super::Place::Nowhere, |(_, place)| place),
+            place: asked.map_or(Place::Nowhere, |(_, place)| place),
         });
     };
-    let mut layers = Layers::default();
-    for (name, text) in TEXTS
-        .iter()
-        .filter(|(name, _)| *name == BASE)
-        .chain([&(*preset, *text)])
-    {
-        layers.add(Layer::from_text(text, Origin::Preset(name))?)?;
-    }
+    let merged = merged(&declaration, preset, file, given)?;
+    settle(preset.name, &declaration, &merged, policies, ground)
+}
+
+/// `preset`, the file and the command line, laid over one another.
+fn merged<'a>(
+    declaration: &'a Declaration,
+    preset: &Preset,
+    file: Option<Layer<'a>>,
+    given: Vec<Layer<'a>>,
+) -> Result<crate::declare::Merged<'a>, ScenarioError> {
+    let mut layers = Layers::new(declaration);
+    layers.add(Layer::from_text(preset.text, Origin::Preset(preset.name))?)?;
     for layer in file.into_iter().chain(given) {
         layers.add(layer)?;
     }
-    let (raw, places) = layers.finish()?;
-    validate(preset, &raw, &places, base_dir)
+    Ok(layers.finish())
 }
 
 fn preset_names() -> impl Iterator<Item = &'static str> + Clone {
-    PRESETS.iter().map(|(name, _)| *name)
+    PRESETS.iter().map(|preset| preset.name)
 }
 
-/// The text of a scenario file, not much more of it than [`Layer::from_text`] accepts.
-fn read(path: &Path) -> std::io::Result<String> {
-    if !path.is_file() {
-        return Err(std::io::Error::other(if path.is_dir() {
-            "it is a folder"
-        } else {
-            "it is no regular file"
-        }));
-    }
-    let mut text = String::new();
-    std::fs::File::open(path)?
-        .take(LONGEST_TEXT + 1)
-        .read_to_string(&mut text)?;
-    Ok(text)
+/// The text of a scenario file.
+fn read(path: &Path, source: &str, files: &dyn Files) -> Result<String, ScenarioError> {
+    let refused = |error: io::Error| ScenarioError::Read {
+        path: path.to_owned(),
+        error,
+    };
+    let bytes = files.read(path, LONGEST_TEXT).map_err(|error| match error {
+        FileError::Io(error) => refused(error),
+        FileError::Folder => refused(io::Error::other("it is a folder")),
+        FileError::Special => refused(io::Error::other("it is no regular file")),
+        FileError::TooLong { most, .. } => ScenarioError::Syntax {
+            name: source.to_owned(),
+            line: 1,
+            reason: format!("longer than {most} bytes"),
+        },
+    })?;
+    String::from_utf8(bytes).map_err(|_| refused(io::Error::new(io::ErrorKind::InvalidData, "it is not UTF-8 text")))
 }

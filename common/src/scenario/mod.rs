@@ -1,35 +1,34 @@
 //! Scenario files: presets, TOML, overrides, validation.
 //!
-//! A scenario is put together from layers: the preset `paper`, the preset that the file asks for, the file, and what the
-//! command line sets. [`load()`] lays them over one another field by field, remembers where each value came from, and
-//! checks the whole once. What comes out is a [`Scenario`] without anything optional in it.
+//! A scenario is put together from layers: the declared defaults, the preset that the file asks for, the file, and what
+//! the command line sets. [`load()`] lays them over one another field by field, remembers where each value came from,
+//! and checks the whole once. What comes out is a [`Scenario`] without anything optional in it. Each concept declares
+//! its own fields ([`mod@crate::declare`]); [`declaration()`] puts them together.
 
-mod check;
+mod assignment;
+mod bs;
 mod classes;
-mod error;
-mod explain;
-mod hash;
-mod layers;
-mod learning;
+mod declaration;
 mod load;
 mod model;
-mod overrides;
-#[cfg(feature = "parquet")]
-mod parquet;
-mod raw;
-mod table;
+mod page;
+mod policy;
+mod run;
+mod settle;
 #[cfg(test)]
-mod tests;
-mod trace;
-mod validate;
-mod write;
+pub(crate) mod testing;
 
-pub use classes::assign_classes;
-pub use error::{Place, ScenarioError};
-pub use learning::{BatteryKnowledge, CELLS_PER_RANGE, LONGEST_WINDOW, QLearningSettings, TableSource, WakeUpRanking};
-pub use load::{PRESETS, load, parse};
-pub use model::{
-    AdjustedSettings, BsSettings, DeviceClass, DutyChoice, EnergyModel, Events, Harvest, KnnSettings, MAX_CLASSES,
-    MAX_DEVICES, MAX_TTIS, PolicyConfig, Scenario, Trace, TraceColumns, TraceEnd,
-};
-pub use overrides::Override;
+pub use assignment::assign_classes;
+pub use bs::{BatteryKnowledge, BsSettings, WakeUpRanking};
+pub use classes::{DeviceClass, MAX_CLASSES};
+pub use declaration::declaration;
+pub use load::{load, parse};
+pub use model::{Policies, PolicyChoice, PolicyKind, Scenario};
+pub use policy::{NoSettings, PolicySettings};
+pub use run::PRESETS;
+
+pub use crate::declare::{Declaration, Override, Place, Preset, ScenarioError};
+pub use crate::energy::EnergyModel;
+pub use crate::event::settings::Events;
+pub use crate::harvest::{Harvest, Trace, TraceColumns, TraceEnd};
+pub use crate::ids::{MAX_DEVICES, MAX_TTIS};

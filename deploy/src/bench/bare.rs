@@ -6,10 +6,11 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::Context;
-use reveille_common::bus::{BareBarrier, Bus, bare_host};
+use reveille_common::bus::Bus;
 
+use super::barrier::{self, Barrier};
 use crate::launch::Children;
-use crate::now;
+use crate::wall::{now, runtime};
 
 /// Bytes of a tick and of an answer.
 #[derive(Clone, Copy)]
@@ -22,10 +23,10 @@ pub struct Sizes {
 
 /// Rounds per second of a bare zenoh barrier over `hosts` processes.
 pub fn zenoh(hosts: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<f64> {
-    let runtime = crate::runtime(2)?;
+    let runtime = runtime(2)?;
     runtime.block_on(async {
         let bus = Bus::listen("tcp/127.0.0.1:0", "bare".parse()?).await?;
-        let barrier = BareBarrier::new(&bus)?;
+        let barrier = Barrier::new(&bus)?;
         let alive = bus.declare_alive(bus.keys().bs_alive())?;
         let children = start("zenoh", bus.endpoint(), hosts, sizes)?;
         let tick = vec![0; sizes.tick];
@@ -37,7 +38,7 @@ pub fn zenoh(hosts: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<f64> {
                 "the hosts of the bare barrier did not start"
             );
         }
-        let rate = rate(seconds, || Ok(barrier.round(&tick, hosts as usize)?))?;
+        let rate = rate(seconds, || barrier.round(&tick, hosts as usize))?;
         drop(alive);
         children.wait();
         Ok(rate)
@@ -72,9 +73,9 @@ pub fn unix(hosts: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<f64> {
 /// One host, in a process of its own.
 pub fn host(kind: &str, at: &str, sizes: (usize, usize), number: u32) -> anyhow::Result<ExitCode> {
     if kind == "zenoh" {
-        crate::runtime(1)?.block_on(async {
+        runtime(1)?.block_on(async {
             let bus = Bus::connect(at, "bare".parse()?, Duration::from_secs(30)).await?;
-            bare_host(&bus, number, sizes.1).await?;
+            barrier::host(&bus, number, sizes.1).await?;
             bus.close().await;
             anyhow::Ok(())
         })?;

@@ -9,9 +9,9 @@ use reveille_common::message::{Answer, Clock, Tick};
 use serde_json::Value;
 
 use super::bare::{self, Sizes};
-use super::median;
 use crate::cli::BusBenchArgs;
 use crate::display;
+use crate::wall::median;
 
 /// Devices of the measured runs, where there are not more processes than that.
 const DEVICES: u32 = 50;
@@ -79,7 +79,7 @@ fn sizes() -> Sizes {
         last: tti,
         stimulus: None,
         account: false,
-        batteries: false,
+        views: false,
         plan: Tti::ZERO,
     });
     let answer = Answer::Done {
@@ -88,7 +88,7 @@ fn sizes() -> Sizes {
         reports: 0,
         failures: Vec::new(),
         totals: None,
-        batteries: None,
+        views: None,
     };
     Sizes {
         tick: codec::encode(&tick).len(),

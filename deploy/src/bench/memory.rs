@@ -2,13 +2,13 @@
 
 use std::process::ExitCode;
 
-use reveille_common::scenario::{Override, Scenario, load};
-use reveille_lab::run;
+use reveille_bs::scenario::{Override, Scenario, load};
+use reveille_lab::preparation::Workshop;
+use reveille_lab::run::{Options, Run};
 
-use super::median;
 use crate::cli::MemoryBenchArgs;
 use crate::display;
-use crate::now;
+use crate::wall::{median, now};
 
 /// Repetitions of each measurement.
 const REPEAT: usize = 3;
@@ -27,13 +27,14 @@ pub fn run(args: &MemoryBenchArgs) -> anyhow::Result<ExitCode> {
         "{:>10} {:>8} {:>12} {:>22}\n",
         "policy", "devices", "TTIs/s", "M device-TTIs/s"
     ))?;
+    let workshop = Workshop::default();
     for policy in &args.policies {
         for devices in &args.devices {
             let scenario = scenario(args, policy, *devices)?;
             let rates = (0..REPEAT)
                 .map(|_| {
                     let started = now();
-                    std::hint::black_box(run::run(&scenario));
+                    std::hint::black_box(Run::new(&workshop.prepare(&scenario), Options::default()).finish(&mut ()));
                     args.ttis as f64 / started.elapsed().as_secs_f64()
                 })
                 .collect();

@@ -1,6 +1,7 @@
 //! `reveille bench`: speed against stated baselines, both sides in one go.
 
 mod bare;
+mod barrier;
 mod bus;
 mod memory;
 
@@ -19,16 +20,5 @@ pub fn run(command: &BenchCommand) -> anyhow::Result<ExitCode> {
             sizes,
             number,
         } => bare::host(kind, at, *sizes, *number),
-    }
-}
-
-/// The middle of `values`, NaN without any.
-pub fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    let n = values.len();
-    match n {
-        0 => f64::NAN,
-        _ if n % 2 == 1 => values[n / 2],
-        _ => f64::midpoint(values[n / 2 - 1], values[n / 2]),
     }
 }

@@ -17,7 +17,7 @@ pub use figures::{
     DeploymentArgs, FiguresArgs, FiguresCommand, FormatArg, LearningArgs, PictureArgs, QTableArgs, RankingArg,
     ReportArgs, TimelineArgs,
 };
-pub use run::{BsArgs, DeviceArgs, DriveArgs, OutputArgs, RunArgs, ScenarioArgs, UpArgs};
+pub use run::{BsArgs, DeviceArgs, DriveArgs, OnLossArg, OutputArgs, RunArgs, ScenarioArgs, UpArgs};
 pub use sweep::{MergeArgs, SweepArgs};
 pub use tools::{
     BenchCommand, BusBenchArgs, ClockArgs, InspectCommand, MemoryBenchArgs, ScenarioCommand, TailArgs, TargetArgs,
@@ -30,9 +30,7 @@ pub use tune::TuneArgs;
 /// Emulates a base station and many battery-less IoT devices that live on harvested energy.
 #[derive(Parser)]
 #[command(name = "reveille", version, arg_required_else_help = true)]
-#[command(after_help = "Start with:  reveille up\n\
-    Then try:    reveille up --devices 250 --processes 250\n             \
-    reveille up --pace 20ms   and, in another terminal,   reveille inspect tail")]
+#[command(after_help = after_help())]
 pub struct Cli {
     /// What to do.
     #[command(subcommand)]
@@ -45,6 +43,13 @@ pub struct Cli {
     /// The form of log lines, which go to standard error.
     #[arg(long, global = true, value_enum, default_value = "text")]
     pub log_format: LogFormatArg,
+}
+
+fn after_help() -> String {
+    let start = "Start with:  reveille up\n\
+        Then try:    reveille up --devices 250 --processes 250\n             \
+        reveille up --pace 20ms   and, in another terminal,   reveille inspect tail";
+    format!("{start}\n\n{}", crate::exit::help())
 }
 
 impl Cli {
@@ -85,8 +90,8 @@ pub enum Command {
     /// Train a policy that learns, in memory, and keep what it has learned in a file.
     #[command(subcommand)]
     Train(TrainCommand),
-    /// Look for the weights μ1 and μ2 of q-learning that serve an objective best, by Bayesian optimisation. Needs the cargo
-    /// feature `tune`.
+    /// Look for the weights μ1 and μ2 of q-learning that serve an objective best, by Bayesian optimisation. Needs the
+    /// cargo feature `tune`.
     #[command(after_help = tune::EXAMPLES)]
     Tune(TuneArgs),
     /// Start only the base station, and wait for devices to connect.

@@ -2,7 +2,24 @@
 
 use std::time::Duration;
 
-use reveille_common::keys::Kind;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use reveille_bs::policy::registry;
+use reveille_common::message::MessageKind;
+
+/// Help for an option that names a policy.
+pub(super) fn one_policy() -> String {
+    let each = registry::POLICIES.iter().map(|policy| policy.name());
+    format!("Policy: {}.", each.collect::<Vec<_>>().join(", "))
+}
+
+/// Help for an option that names several.
+pub(super) fn several_policies() -> String {
+    let each = registry::POLICIES.iter().map(|policy| policy.name());
+    format!(
+        "Policies, separated by commas: {} [default: the scenario's].",
+        each.collect::<Vec<_>>().join(", ")
+    )
+}
 
 pub(super) fn parse_sizes(text: &str) -> Result<(usize, usize), String> {
     let pair = text
@@ -11,10 +28,15 @@ pub(super) fn parse_sizes(text: &str) -> Result<(usize, usize), String> {
     pair.ok_or_else(|| "must be TICK,ANSWER".to_owned())
 }
 
-pub(super) fn parse_kind(text: &str) -> Result<Kind, String> {
-    Kind::ALL.into_iter().find(|kind| kind.name() == text).ok_or_else(|| {
-        let names: Vec<&str> = Kind::ALL.iter().map(|kind| kind.name()).collect();
-        format!("must be one of {}", names.join(", "))
+/// Reads the name of a kind of message; `--help` lists those that are declared.
+pub(super) fn kind_parser() -> impl TypedValueParser<Value = MessageKind> {
+    let value = |kind: &MessageKind| {
+        let help = format!("{}: {}", kind.direction(), kind.about());
+        PossibleValue::new(kind.name()).help(help)
+    };
+    PossibleValuesParser::new(MessageKind::ALL.iter().map(value)).try_map(|name| {
+        let kind = MessageKind::ALL.iter().copied().find(|kind| kind.name() == name);
+        kind.ok_or("no kind of message")
     })
 }
 
@@ -28,12 +50,12 @@ pub(super) fn parse_device(text: &str) -> Result<u32, String> {
     number.map_err(|_| "must be the number of a device, a whole number from 0, such as 3".to_owned())
 }
 
-pub(super) fn parse_pace(text: &str) -> Result<reveille_bs::clock::Pace, String> {
+pub(super) fn parse_pace(text: &str) -> Result<reveille_bs::host::clock::Pace, String> {
     if text == "max" {
-        return Ok(reveille_bs::clock::Pace::Max);
+        return Ok(reveille_bs::host::clock::Pace::Max);
     }
     parse_duration(text)
-        .map(reveille_bs::clock::Pace::RealTime)
+        .map(reveille_bs::host::clock::Pace::RealTime)
         .map_err(|e| format!("must be `max` or {e}"))
 }
 

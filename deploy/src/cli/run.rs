@@ -4,10 +4,10 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
-use reveille_bs::actor::OnLoss;
+use reveille_bs::host::OnLoss;
 use reveille_common::keys::RunName;
 
-use super::parse::{parse_duration, parse_pace};
+use super::parse::{one_policy, parse_duration, parse_pace};
 
 /// Which scenario.
 #[derive(Args, Clone, Debug)]
@@ -24,8 +24,8 @@ pub struct ScenarioArgs {
     #[arg(long, short = 'n', allow_negative_numbers = true)]
     pub devices: Option<String>,
 
-    /// Policy: knn, adjusted, q-learning, random or genie.
-    #[arg(long, short)]
+    /// One of the registered policies.
+    #[arg(long, short, help = one_policy())]
     pub policy: Option<String>,
 
     /// Let a policy that learns go on learning in the run; the run folder keeps what it has learned.
@@ -56,7 +56,7 @@ pub struct OutputArgs {
     #[arg(long)]
     pub json: bool,
 
-    /// No progress bar and no table, only the digest.
+    /// No progress bar and no table: only the digest, or what --json prints.
     #[arg(long, short)]
     pub quiet: bool,
 
@@ -84,13 +84,17 @@ pub struct RunArgs {
 pub struct DriveArgs {
     /// `max`, or the real time that a TTI takes, for example 10ms.
     #[arg(long, default_value = "max", value_parser = parse_pace)]
-    pub pace: reveille_bs::clock::Pace,
+    pub pace: reveille_bs::host::clock::Pace,
 
-    /// Grant every TTI by itself: the same run, more messages.
+    /// Grant every TTI by itself: the same run, more messages. A real-time --pace does so anyway.
     #[arg(long)]
     pub no_lookahead: bool,
 
-    /// What to do when a device process is lost: end the run with an error, or wait for it to come back.
+    /// What to do when a device process is lost.
+    ///
+    /// `wait` is for links that break for a while and processes that freeze: the clock is held until the same process
+    /// is back, and the run ends with the same digest. A process that is started anew cannot take over the devices of a
+    /// lost one, whose states are gone with it: the base station refuses it.
     #[arg(long, value_enum, default_value = "end")]
     pub on_loss: OnLossArg,
 
@@ -111,7 +115,8 @@ pub struct UpArgs {
     /// The drive.
     #[command(flatten)]
     pub drive: DriveArgs,
-    /// Device processes; 0 carries all devices in this process, N (the number of devices) gives each its own [default: 4].
+    /// Device processes; 0 carries all devices in this process, N (the number of devices) gives each its own [default:
+    /// 4].
     #[arg(long, short = 'P')]
     pub processes: Option<u32>,
     /// The run's name on the bus [default: the name of the run folder].
@@ -166,11 +171,11 @@ pub struct DeviceArgs {
 }
 
 /// When a host is lost.
-#[derive(Clone, Copy, Debug, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum OnLossArg {
     /// End the run with an error.
     End,
-    /// Hold the clock until it is back.
+    /// Hold the clock until the same process is back.
     Wait,
 }
 

@@ -3,10 +3,11 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use reveille_common::score::Metrics;
 use reveille_lab::sweep::Shard;
 use reveille_lab::table::Format;
 
-use super::parse::parse_whole;
+use super::parse::{parse_whole, several_policies};
 
 /// `reveille sweep`.
 #[derive(Args)]
@@ -18,9 +19,9 @@ pub struct SweepArgs {
     #[command(flatten)]
     pub grid: GridArgs,
 
-    /// The folder of the sweep. Give the same command again to go on with a sweep that was cut short, or with more --seeds
-    /// to add to one [default: that of EXPERIMENT if it is the experiment.toml of such a sweep, or runs/sweep-HASH, the same
-    /// for the same experiment and number of seeds].
+    /// The folder of the sweep. Give the same command again to go on with a sweep that was cut short, or with more
+    /// --seeds to add to one [default: that of EXPERIMENT if it is the experiment.toml of such a sweep, or
+    /// runs/sweep-HASH, the same for the same experiment and number of seeds].
     #[arg(long, short, help_heading = "Output")]
     pub out: Option<PathBuf>,
 
@@ -56,8 +57,8 @@ pub struct GridArgs {
     #[arg(long, short, help_heading = "Grid")]
     pub scenario: Option<String>,
 
-    /// Policies, separated by commas: knn, adjusted, q-learning, random, genie [default: the scenario's].
-    #[arg(long, short, value_delimiter = ',', help_heading = "Grid")]
+    /// Registered policies.
+    #[arg(long, short, value_delimiter = ',', help_heading = "Grid", help = several_policies())]
     pub policies: Option<Vec<String>>,
 
     /// Numbers of devices N, separated by commas [default: the scenario's].
@@ -96,15 +97,14 @@ pub struct GridArgs {
     #[arg(long, value_parser = parse_whole, allow_negative_numbers = true, help_heading = "Seeds")]
     pub first_seed: Option<u64>,
 
-    /// Stop a cell as soon as the 95 % intervals of its metrics are this narrow: half-width over mean, such as 1% or 0.01.
-    /// Intervals of cells that stop early cover a little less than 95 %, since they were looked at repeatedly. A metric
-    /// that is 0 in all runs is never narrow: leave it out by --ci-metrics.
+    /// Stop a cell as soon as the 95 % intervals of its metrics are this narrow: half-width over mean, such as 1% or
+    /// 0.01. Intervals of cells that stop early cover a little less than 95 %, since they were looked at repeatedly. A
+    /// metric that is 0 in all runs is never narrow: leave it out by --ci-metrics.
     #[arg(long, value_name = "WIDTH", help_heading = "Seeds")]
     pub until_ci: Option<String>,
 
-    /// The metrics that --until-ci looks at, separated by commas [default: all that are defined, but for
-    /// net_per_device_tti, whose mean may be 0].
-    #[arg(long, value_delimiter = ',', value_name = "METRIC,…", help_heading = "Seeds")]
+    /// The metrics that --until-ci looks at, separated by commas.
+    #[arg(long, value_delimiter = ',', value_name = "METRIC,…", help_heading = "Seeds", help = ci_metrics_help())]
     pub ci_metrics: Option<Vec<String>>,
 
     /// Runs of a cell before --until-ci looks for the first time, at most --seeds [default: 30].
@@ -144,4 +144,17 @@ impl From<FormatArg> for Format {
             FormatArg::Csv => Self::Csv,
         }
     }
+}
+
+/// What `--ci-metrics` takes.
+fn ci_metrics_help() -> String {
+    let names = Metrics::ALL.map(|metric| metric.name).join(", ");
+    let differences = Metrics::ALL.into_iter().filter(|metric| metric.is_difference);
+    let differences: Vec<&str> = differences.map(|metric| metric.name).collect();
+    format!(
+        "The metrics that --until-ci looks at, separated by commas, of: {names} [default: all that are defined, but \
+            for \
+         events and {}, whose mean may be 0]",
+        differences.join(", ")
+    )
 }

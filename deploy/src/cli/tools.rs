@@ -1,13 +1,15 @@
 //! The options of everything that looks at scenarios, at runs, and at speed.
 
+use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, Subcommand, ValueEnum};
+use reveille_bs::policy::registry;
 use reveille_common::ids::Tti;
-use reveille_common::keys::{Kind, Plane, RunName};
-use reveille_common::message::ClockCommand;
+use reveille_common::keys::RunName;
+use reveille_common::message::{ClockCommand, MessageKind, Plane};
 
-use super::parse::{parse_duration, parse_kind, parse_sizes};
+use super::parse::{kind_parser, parse_duration, parse_sizes};
 
 /// `reveille scenario`.
 #[derive(Subcommand)]
@@ -19,6 +21,19 @@ pub enum ScenarioCommand {
         /// Override one field. May be repeated.
         #[arg(long, value_name = "FIELD=VALUE")]
         set: Vec<String>,
+    },
+    /// Print a JSON Schema of scenario files, with which editors complete and check them.
+    Schema {
+        /// Write it to this file.
+        #[arg(long, value_name = "FILE")]
+        out: Option<PathBuf>,
+    },
+    /// Print the reference page of all fields, docs/scenario.md.
+    #[command(hide = true)]
+    Reference {
+        /// Write it to this file.
+        #[arg(long, value_name = "FILE")]
+        out: Option<PathBuf>,
     },
     /// Check scenario files and say what they come to.
     Check {
@@ -46,6 +61,9 @@ pub struct TargetArgs {
 #[derive(Subcommand)]
 pub enum InspectCommand {
     /// Print every message of a run, decoded, one a line, as it goes. The run never waits for it.
+    ///
+    /// A line has the TTI, the plane, the kind, whose key it is (a device's or a host's, where the kind has one for
+    /// each), the length in bytes, and what it says.
     Tail(TailArgs),
 }
 
@@ -58,9 +76,9 @@ pub struct TailArgs {
     /// Only this plane.
     #[arg(long, value_enum)]
     pub plane: Option<PlaneArg>,
-    /// Only these kinds, separated by commas: plan, wake, report, clock, answer, join, ready, control.
-    #[arg(long, value_parser = parse_kind, value_delimiter = ',')]
-    pub kind: Vec<Kind>,
+    /// Only these kinds, separated by commas.
+    #[arg(long, value_parser = kind_parser(), value_delimiter = ',')]
+    pub kind: Vec<MessageKind>,
     /// Only messages to or from this device.
     #[arg(long)]
     pub device: Option<u32>,
@@ -86,18 +104,25 @@ pub struct ClockArgs {
 /// What to do with the clock.
 #[derive(Subcommand, Clone, Copy)]
 pub enum ClockAction {
-    /// Stop before the next TTI.
+    /// Stop before the next TTI. Returns when the TTI in work is closed, or says after 2 s that it is not.
     Pause,
-    /// Go on for some TTIs, then stop.
+    /// Go on for some TTIs, then stop. Returns at once, without --wait.
     Step {
         /// How many.
         #[arg(default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
         ttis: u64,
+        /// Return only when the clock has stopped there, or the run has ended. A run that fails or is interrupted
+        /// before that, or a clock that another command stops earlier, is an error.
+        #[arg(long)]
+        wait: bool,
     },
-    /// Go on until this TTI is the next, then stop.
+    /// Go on until this TTI is the next, then stop. Returns at once, without --wait.
     RunTo {
         /// The TTI.
         tti: u64,
+        /// Return only when the clock has stopped there; as for `step`.
+        #[arg(long)]
+        wait: bool,
     },
     /// Go on to the end.
     Resume,
@@ -105,12 +130,22 @@ pub enum ClockAction {
     Status,
 }
 
+impl ClockAction {
+    /// Whether the command returns only when the clock has stopped.
+    pub const fn waits(self) -> bool {
+        match self {
+            Self::Step { wait, .. } | Self::RunTo { wait, .. } => wait,
+            Self::Pause | Self::Resume | Self::Status => false,
+        }
+    }
+}
+
 impl From<ClockAction> for ClockCommand {
     fn from(action: ClockAction) -> Self {
         match action {
             ClockAction::Pause => Self::Pause,
-            ClockAction::Step { ttis } => Self::Step(ttis),
-            ClockAction::RunTo { tti } => Self::RunTo(Tti(tti)),
+            ClockAction::Step { ttis, .. } => Self::Step(ttis),
+            ClockAction::RunTo { tti, .. } => Self::RunTo(Tti(tti)),
             ClockAction::Resume => Self::Resume,
             ClockAction::Status => Self::Status,
         }
@@ -143,7 +178,12 @@ pub enum BenchCommand {
 #[derive(Args)]
 pub struct BusBenchArgs {
     /// Numbers of device processes to measure.
-    #[arg(long, value_delimiter = ',', default_value = "1,4,50,250", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        default_value = "1,4,50,250",
+        value_parser = clap::value_parser!(u32).range(1..)
+    )]
     pub processes: Vec<u32>,
     /// Time for each measurement.
     #[arg(long, default_value = "3s", value_parser = parse_duration)]
@@ -160,7 +200,7 @@ pub struct MemoryBenchArgs {
     #[arg(long, value_delimiter = ',', default_value = "10,50,250,2500")]
     pub devices: Vec<u32>,
     /// Policies to measure.
-    #[arg(long, value_delimiter = ',', default_value = "knn,adjusted,q-learning,random,genie")]
+    #[arg(long, value_delimiter = ',', default_values_t = registry::names().map(str::to_owned))]
     pub policies: Vec<String>,
     /// TTIs of each run.
     #[arg(long, default_value_t = 100_000)]

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::bail;
 use clap::{Args, Subcommand};
-use reveille_common::learned::Training;
+use reveille_bs::policy::q_learning::learned::Training;
 
 use super::run::ScenarioArgs;
 

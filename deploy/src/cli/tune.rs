@@ -22,8 +22,8 @@ pub struct TuneArgs {
     /// A preset's name (paper, paper-literal, quick) or a TOML file.
     #[arg(long, short, default_value = "paper")]
     pub scenario: String,
-    /// Override one field, for example --set bs.ranking=posterior. May be repeated. Weights that are set are tried first,
-    /// if the ranges hold them.
+    /// Override one field, for example --set bs.ranking=posterior. May be repeated. Weights that are set are tried
+    /// first, if the ranges hold them.
     #[arg(long, value_name = "FIELD=VALUE")]
     pub set: Vec<String>,
     /// Number of devices N.

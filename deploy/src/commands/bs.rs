@@ -6,15 +6,18 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
-use reveille_bs::actor::{self, Progress, Served, Settings};
+use reveille_bs::host::clock::Pace;
+use reveille_bs::host::{self, Progress, Served, Settings};
+use reveille_bs::prepared::Prepared;
 use reveille_common::bus::Bus;
-use reveille_common::deployment::Deployment;
 use reveille_common::keys::RunName;
 use reveille_common::scenario::Scenario;
+use reveille_lab::preparation::prepare as prepare_run;
 use tokio::sync::oneshot;
 
+use super::conclusion::{conclude, window};
+use super::resolution::resolve;
 use super::run::Interrupted;
-use super::{conclude, resolve, window};
 use crate::cli::{BsArgs, DriveArgs, OutputArgs};
 use crate::display::Bar;
 use crate::results::{RunFolder, Summary, Timing};
@@ -25,7 +28,7 @@ const LOOK: Duration = Duration::from_millis(20);
 
 /// Serves a run to devices that come from elsewhere.
 pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
-    let started = crate::now();
+    let started = crate::wall::now();
     let scenario = resolve(&args.scenario)?;
     let bus = Bus::listen(&args.listen, args.run.clone()).await?;
     let folder = RunFolder::create(&args.output, &scenario)?;
@@ -82,6 +85,9 @@ pub struct Station<'a> {
 
 /// The settings that the command line means.
 pub fn settings(drive: &DriveArgs, window: u64, join_patience: Option<Duration>) -> Settings {
+    if drive.no_lookahead && drive.pace != Pace::Max {
+        tracing::warn!("--no-lookahead has no effect: a real-time --pace grants every TTI by itself anyway");
+    }
     Settings {
         lookahead: !drive.no_lookahead,
         pace: drive.pace,
@@ -123,9 +129,9 @@ pub async fn serve(
     });
     let bar = Bar::start(progress, scenario, output.quiet);
     let (preparing, served) = match set_up(scenario, progress).await {
-        Ok((ready, deployment)) => (
+        Ok(prepared) => (
             started.elapsed(),
-            actor::serve(bus, &ready, &deployment, settings, progress, &mut folder)
+            host::serve(bus, &prepared, settings, progress, &mut folder)
                 .await
                 .map_err(anyhow::Error::from),
         ),
@@ -152,19 +158,18 @@ pub async fn serve(
             Err(error)
         }
     };
-    actor::dismiss(bus)?;
+    host::dismiss(bus, ended.as_ref().err().map(|error| format!("{error:#}")))?;
     ended
 }
 
-/// Finds out on another thread what the run needs, which takes a while with a million devices or a search before it; when it
-/// is told to stop, that is given up, since there is nothing to lose yet.
-async fn set_up(scenario: &Scenario, progress: &Progress) -> anyhow::Result<(Scenario, Deployment)> {
+/// Finds out on another thread what the run needs, which takes a while with a million devices or a search before it;
+/// when it is told to stop, that is given up, since there is nothing to lose yet.
+async fn set_up(scenario: &Scenario, progress: &Progress) -> anyhow::Result<Prepared> {
     let (sender, mut receiver) = oneshot::channel();
     let scenario = scenario.clone();
     std::thread::spawn(move || {
-        let ready = reveille_lab::adjusted::resolve(&scenario).into_owned();
         // After a signal nobody waits for it.
-        let _ = sender.send((ready, Deployment::new(&scenario)));
+        let _ = sender.send(prepare_run(&scenario));
     });
     loop {
         tokio::select! {

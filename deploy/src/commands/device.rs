@@ -3,9 +3,10 @@
 use std::process::ExitCode;
 
 use reveille_common::bus::Bus;
-use reveille_device::host;
+use reveille_device::host::{self, HostError};
 
 use crate::cli::DeviceArgs;
+use crate::exit::Exit;
 use crate::launch;
 
 /// Carries devices to the end of a run.
@@ -28,8 +29,13 @@ pub async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
         carried
     };
     tokio::select! {
-        carried = work => carried.map(|()| ExitCode::SUCCESS).map_err(Into::into),
-        () = stop => Ok(ExitCode::from(crate::INTERRUPTED)),
+        carried = work => match carried {
+            Ok(()) => Ok(Exit::Done.into()),
+            // `up` has ended the run and says why; to it this process did not fail.
+            Err(HostError::RunFailed(_)) if !is_alone => Ok(Exit::Done.into()),
+            Err(error) => Err(error.into()),
+        },
+        () = stop => Ok(Exit::Interrupted.into()),
     }
 }
 

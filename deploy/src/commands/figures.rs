@@ -5,15 +5,18 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context as _, anyhow};
-use reveille_common::learned::{Entry, Learned};
+use reveille_bs::policy::q_learning::learned::{Entry, Learned};
+use reveille_common::io::Disk;
 use reveille_common::scenario::WakeUpRanking;
-use reveille_lab::figures::results::{Results, Setting};
-use reveille_lab::figures::scene::Scene;
-use reveille_lab::figures::timeline::Timeline;
-use reveille_lab::figures::{deployment, energy, learning, pareto, png, q_table, study, svg, timeline};
-use reveille_lab::table::{Table, replace};
+use reveille_lab::io::replace;
+use reveille_lab::table::Table;
+use reveille_study::figures::results::{Condition, Results};
+use reveille_study::figures::scene::Scene;
+use reveille_study::figures::timeline::Timeline;
+use reveille_study::figures::{deployment, energy, learning, pareto, png, q_table, study, svg, timeline};
 
-use super::{resolve, table_of};
+use super::paths::table_of;
+use super::resolution::resolve;
 use crate::cli::{
     DeploymentArgs, FiguresArgs, FiguresCommand, FormatArg, LearningArgs, PictureArgs, QTableArgs, RankingArg,
     TimelineArgs,
@@ -35,14 +38,14 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
     let [harvest, net] = energy::NAMES;
     let chosen = study::chosen(&args.only, &[harvest, net, pareto::NAME])?;
     let results = read(&args.tables)?;
-    for (setting, label) in results.settings.iter().zip(results.file_labels()) {
+    for (condition, label) in results.conditions.iter().zip(results.file_labels()) {
         for figure in &chosen {
             let name = format!("{}-{label}", figure.name);
-            let Some(drawing) = figure.draw(setting) else {
+            let Some(drawing) = figure.draw(condition) else {
                 eprintln!(
                     "{}: not drawn, no run of {} has a value of {}",
                     figure.name,
-                    setting.label(),
+                    condition.label(),
                     figure.metric
                 );
                 continue;
@@ -57,17 +60,17 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
             save(
                 &args.pictures.out,
                 &format!("{name}.csv"),
-                figure.csv(setting, &drawing).as_bytes(),
+                figure.csv(condition, &drawing).as_bytes(),
             )?;
         }
-        draw_energy(args, &label, setting)?;
+        draw_energy(args, &label, condition)?;
         if !args.together {
-            draw_pareto(args, &label, &[setting])?;
+            draw_pareto(args, &label, &[condition])?;
         }
     }
     if args.together {
-        for (label, settings) in results.together() {
-            draw_pareto(args, &label, &settings)?;
+        for (label, conditions) in results.together() {
+            draw_pareto(args, &label, &conditions)?;
         }
     }
     Ok(ExitCode::SUCCESS)
@@ -78,12 +81,12 @@ fn is_chosen(args: &FiguresArgs, name: &str) -> bool {
 }
 
 /// Information against energy.
-fn draw_pareto(args: &FiguresArgs, label: &str, settings: &[&Setting]) -> anyhow::Result<()> {
+fn draw_pareto(args: &FiguresArgs, label: &str, conditions: &[&Condition]) -> anyhow::Result<()> {
     if !is_chosen(args, pareto::NAME) {
         return Ok(());
     }
     let name = format!("{}-{label}", pareto::NAME);
-    let Some(chart) = pareto::chart(settings) else {
+    let Some(chart) = pareto::chart(conditions) else {
         eprintln!("{name}: not drawn, no run has both information per event and energy");
         return Ok(());
     };
@@ -91,19 +94,23 @@ fn draw_pareto(args: &FiguresArgs, label: &str, settings: &[&Setting]) -> anyhow
     save(
         &args.pictures.out,
         &format!("{name}.csv"),
-        pareto::csv(settings).as_bytes(),
+        pareto::csv(conditions).as_bytes(),
     )
 }
 
 /// Figs. 13 and 14.
-fn draw_energy(args: &FiguresArgs, label: &str, setting: &Setting) -> anyhow::Result<()> {
+fn draw_energy(args: &FiguresArgs, label: &str, condition: &Condition) -> anyhow::Result<()> {
     let [harvest, net] = energy::NAMES.map(|name| (is_chosen(args, name), format!("{name}-{label}")));
     if !harvest.0 && !net.0 {
         return Ok(());
     }
-    let points = energy::harvests(&setting.preset)?;
+    let points = energy::harvests(&condition.preset)?;
     if let (true, name) = harvest {
-        write(&args.pictures, &name, &energy::harvest_chart(setting, &points).scene())?;
+        write(
+            &args.pictures,
+            &name,
+            &energy::harvest_chart(condition, &points).scene(),
+        )?;
         save(
             &args.pictures.out,
             &format!("{name}.csv"),
@@ -111,7 +118,7 @@ fn draw_energy(args: &FiguresArgs, label: &str, setting: &Setting) -> anyhow::Re
         )?;
     }
     if let (true, name) = net {
-        match energy::net_chart(setting, &points) {
+        match energy::net_chart(condition, &points) {
             Some(chart) => {
                 write(&args.pictures, &name, &chart.scene())?;
                 save(
@@ -214,9 +221,9 @@ fn draw_q_table(args: &QTableArgs) -> anyhow::Result<ExitCode> {
 fn learned(path: &Path) -> anyhow::Result<Learned> {
     let shipped = path.to_str().filter(|_| !path.exists()).and_then(Learned::shipped_as);
     if let Some(tables) = shipped {
-        return Ok(Learned::clone(&tables));
+        return Ok(tables);
     }
-    Learned::read(path).map_err(|error| anyhow!("{}: {error}", path.display()))
+    Learned::read(&Disk, path).map_err(|error| anyhow!("{}: {error}", path.display()))
 }
 
 /// The name of a file without its ending, as part of another's.

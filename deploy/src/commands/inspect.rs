@@ -1,23 +1,18 @@
 //! `reveille inspect tail`: the messages of a run, decoded, as they go.
 
-use std::fmt;
 use std::io::Write;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Duration;
 
 use reveille_common::bus::Bus;
-use reveille_common::codec;
-use reveille_common::event::Stimulus;
-use reveille_common::keys::{self, Kind};
-use reveille_common::message::{
-    Answer, Clock, ClockCommand, JoinRequest, PlanUpdate, Ready, Report, TapBatch, TapFrame, Tick, WakeUp,
-};
-use reveille_common::plan::Plan;
-use serde::Serialize;
+use reveille_common::ids::DeviceId;
+use reveille_common::keys;
+use reveille_common::message::{Addressee, ClockCommand, Message, Plane, TapBatch, TapFrame};
 use serde_json::json;
 
 use crate::cli::{InspectCommand, TailArgs};
+use crate::exit::Exit;
 use crate::local;
 
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -30,11 +25,13 @@ pub async fn run(command: &InspectCommand) -> anyhow::Result<ExitCode> {
 }
 
 async fn tail(args: &TailArgs) -> anyhow::Result<ExitCode> {
+    check(args)?;
     let (endpoint, run) = local::find(&args.target)?;
     let bus = Bus::connect(&endpoint, run, PATIENCE).await?;
     if !bus.runs(PATIENCE).await?.contains(&bus.keys().run().to_string()) {
         return Err(bus.no_run().await.into());
     }
+    greet(args, &bus).await?;
     let (send, mut batches) = tokio::sync::mpsc::unbounded_channel();
     let ended = Arc::new(tokio::sync::Notify::new());
     let bell = Arc::clone(&ended);
@@ -43,7 +40,7 @@ async fn tail(args: &TailArgs) -> anyhow::Result<ExitCode> {
             bell.notify_one();
         }
     })?;
-    let _tap = bus.subscribe(bus.keys().tap(), move |_, batch: TapBatch| {
+    let _tap = bus.observe(move |batch| {
         let _gone = send.send(batch).is_err();
     })?;
     let mut follower = Follower::default();
@@ -63,7 +60,42 @@ async fn tail(args: &TailArgs) -> anyhow::Result<ExitCode> {
     let Follower { printed, left_out, .. } = follower;
     eprintln!("{printed} messages shown, {left_out} left out because this could not keep up");
     bus.close().await;
-    Ok(ExitCode::SUCCESS)
+    Ok(Exit::Done.into())
+}
+
+/// Refuses filters that together let nothing through.
+fn check(args: &TailArgs) -> anyhow::Result<()> {
+    let Some(plane) = args.plane.map(Plane::from) else {
+        return Ok(());
+    };
+    for kind in &args.kind {
+        anyhow::ensure!(
+            kind.plane() == plane,
+            "--plane {} leaves nothing of --kind {}, which travels on the plane {}",
+            plane.name(),
+            kind.name(),
+            kind.plane().name()
+        );
+    }
+    Ok(())
+}
+
+/// Says where the run is: of a paused run nothing else may come for long.
+async fn greet(args: &TailArgs, bus: &Bus) -> anyhow::Result<()> {
+    let run = bus.keys().run();
+    let Some(status) = bus.ask(&ClockCommand::Status, PATIENCE).await? else {
+        return Err(bus.no_run().await.into());
+    };
+    let devices = status.devices;
+    if let Some(device) = args.device {
+        anyhow::ensure!(
+            device < devices,
+            "--device {device}: run {run} has {devices} devices, 0 to {}",
+            devices.saturating_sub(1)
+        );
+    }
+    eprintln!("connected to run {run}: {status}");
+    Ok(())
 }
 
 /// How far the run has been followed.
@@ -109,161 +141,30 @@ fn line(args: &TailArgs, frame: &TapFrame) -> Option<String> {
     if !is_wanted || !(args.kind.is_empty() || args.kind.contains(&kind)) {
         return None;
     }
-    let message = Message::read(kind, &frame.payload);
-    if args.device.is_some_and(|device| !message.concerns(number, device)) {
+    let message = Message::decode(kind, &frame.payload);
+    if let Some(device) = args.device.map(DeviceId)
+        && !message.as_ref().is_ok_and(|message| message.concerns(number, device))
+    {
         return None;
     }
     let (tti, bytes) = (frame.tti, frame.payload.len());
     Some(if args.json {
+        let message = match message {
+            Ok(message) => json!(message),
+            Err(error) => json!({ "malformed": error.to_string() }),
+        };
         let (plane, kind) = (plane.name(), kind.name());
         let line =
             json!({ "tti": tti.0, "plane": plane, "kind": kind, "number": number, "bytes": bytes, "message": message });
         line.to_string()
     } else {
-        let number = number.map(|n| n.to_string()).unwrap_or_default();
-        format!(
-            "{tti:>8} {} {:<7} {number:>5} {bytes:>6} B  {message}",
-            plane.name(),
-            kind.name()
-        )
+        let message = message.map_or_else(|error| format!("not a message: {error}"), |message| message.to_string());
+        let (plane, name, whose) = (plane.name(), kind.name(), whose(kind.addressee(), number));
+        format!("{tti:>8} {plane} {name:<7} {whose:<11} {bytes:>6} B  {message}")
     })
 }
 
-/// A decoded message of any kind.
-#[derive(Serialize)]
-#[serde(untagged)]
-enum Message {
-    Plan(PlanUpdate),
-    Wake(WakeUp),
-    Report(Report),
-    Clock(Clock),
-    Answer(Answer),
-    Join(JoinRequest),
-    Ready(Ready),
-    Control(ClockCommand),
-    Malformed { malformed: String },
-}
-
-impl Message {
-    fn read(kind: Kind, payload: &[u8]) -> Self {
-        let message = match kind {
-            Kind::Plan => codec::decode(payload).map(Self::Plan),
-            Kind::Wake => codec::decode(payload).map(Self::Wake),
-            Kind::Report => codec::decode(payload).map(Self::Report),
-            Kind::Clock => codec::decode(payload).map(Self::Clock),
-            Kind::Answer => codec::decode(payload).map(Self::Answer),
-            Kind::Join => codec::decode(payload).map(Self::Join),
-            Kind::Ready => codec::decode(payload).map(Self::Ready),
-            Kind::Control => codec::decode(payload).map(Self::Control),
-        };
-        message.unwrap_or_else(|error| Self::Malformed {
-            malformed: error.to_string(),
-        })
-    }
-
-    /// Whether it is to or from `device`; `number` is the one in its key.
-    fn concerns(&self, number: Option<u32>, device: u32) -> bool {
-        match self {
-            Self::Plan(_) => true,
-            Self::Wake(_) | Self::Report(_) => number == Some(device),
-            Self::Answer(Answer::NotWoken { device: who, .. }) => who.0 == device,
-            Self::Answer(Answer::Done { failures, .. }) => failures.iter().any(|f| f.device.0 == device),
-            Self::Answer(Answer::Final { ledgers, .. }) => ledgers.iter().any(|(who, _)| who.0 == device),
-            Self::Clock(_) | Self::Join(_) | Self::Ready(_) | Self::Control(_) | Self::Malformed { .. } => false,
-        }
-    }
-}
-
-impl fmt::Display for Message {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Plan(PlanUpdate {
-                from,
-                plan: Plan::Bits { bits },
-            }) => {
-                let on: u32 = bits.iter().map(|byte| byte.count_ones()).sum();
-                write!(f, "δ from TTI {from}: {on} devices sense")
-            }
-            Self::Plan(PlanUpdate {
-                from,
-                plan: Plan::Periodic(cycles),
-            }) => {
-                let on = cycles.iter().filter(|cycle| cycle.is_on(*from)).count();
-                write!(
-                    f,
-                    "δ from TTI {from}: periodic, {on} of {} devices sense first",
-                    cycles.len()
-                )
-            }
-            Self::Wake(WakeUp { .. }) => f.write_str("wake-up"),
-            Self::Report(Report {
-                information, battery, ..
-            }) => write!(f, "I {information:.4}, battery {:.2} left", battery.units()),
-            Self::Clock(Clock::Grant(tick)) => grant(f, tick),
-            Self::Clock(Clock::Finish(end)) => write!(f, "the run ends before TTI {end}"),
-            Self::Clock(Clock::Dismiss) => f.write_str("hosts may leave"),
-            Self::Answer(answer) => describe(f, answer),
-            Self::Join(JoinRequest { version, count, .. }) => {
-                write!(f, "offers to carry {count} devices, reveille {version}")
-            }
-            Self::Ready(Ready { host }) => write!(f, "host {host} is ready"),
-            Self::Control(command) => write!(f, "{command:?}"),
-            Self::Malformed { malformed } => write!(f, "not a message: {malformed}"),
-        }
-    }
-}
-
-fn grant(f: &mut fmt::Formatter<'_>, tick: &Tick) -> fmt::Result {
-    let Tick {
-        first,
-        last,
-        stimulus,
-        account,
-        batteries,
-        plan: _,
-    } = tick;
-    if first == last {
-        write!(f, "TTI {first}")?;
-    } else {
-        write!(f, "TTIs {first} to {last}")?;
-    }
-    if let Some(Stimulus { event, epicentre }) = stimulus {
-        write!(f, ", event {} at ({:.2}, {:.2}) m", event.0, epicentre.x, epicentre.y)?;
-    }
-    f.write_str(if *account { ", sums wanted" } else { "" })?;
-    f.write_str(if *batteries { ", batteries wanted" } else { "" })
-}
-
-fn describe(f: &mut fmt::Formatter<'_>, answer: &Answer) -> fmt::Result {
-    match answer {
-        Answer::Done {
-            reports,
-            failures,
-            totals,
-            ..
-        } => {
-            write!(f, "done, {reports} reports")?;
-            for failure in failures {
-                write!(f, ", device {} could not transmit", failure.device)?;
-            }
-            totals
-                .as_ref()
-                .map_or(Ok(()), |sums| write!(f, ", batteries hold {}", sums.battery))
-        }
-        Answer::NotWoken {
-            device,
-            failure: Some(failure),
-            ..
-        } => {
-            write!(
-                f,
-                "device {device} woke and could not transmit, {} drained",
-                failure.drained
-            )
-        }
-        Answer::NotWoken {
-            device, failure: None, ..
-        } => write!(f, "device {device} did not hear its wake-up"),
-        Answer::Final { ledgers, .. } => write!(f, "the ledgers of {} devices", ledgers.len()),
-    }
+/// Whose number it is that the key has, such as `device 7`.
+fn whose(addressee: Addressee, number: Option<u32>) -> String {
+    number.map_or_else(String::new, |number| format!("{} {number}", addressee.name()))
 }

@@ -6,7 +6,7 @@ use anyhow::{anyhow, bail};
 use reveille_lab::sweep::merge;
 use reveille_lab::table::{Format, Table};
 
-use super::{is_same, table_of};
+use super::paths::{is_same, table_of};
 use crate::cli::MergeArgs;
 use crate::display;
 

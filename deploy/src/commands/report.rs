@@ -2,12 +2,12 @@
 
 use std::process::ExitCode;
 
-use reveille_lab::figures::results::Setting;
-use reveille_lab::figures::scene::Scene;
-use reveille_lab::figures::{energy, pareto, study, svg};
-use reveille_lab::report::markdown::markdown;
-use reveille_lab::report::page::page;
-use reveille_lab::report::{Column, Report};
+use reveille_study::figures::results::Condition;
+use reveille_study::figures::scene::Scene;
+use reveille_study::figures::{energy, pareto, study, svg};
+use reveille_study::report::markdown::markdown;
+use reveille_study::report::page::page;
+use reveille_study::report::{Column, Report};
 
 use super::figures::{read, save};
 use crate::cli::ReportArgs;
@@ -19,12 +19,12 @@ pub fn run(args: &ReportArgs) -> anyhow::Result<ExitCode> {
     let mut pictures = Vec::new();
     let mut files = Vec::new();
     for (number, column) in (1..).zip(&report.columns) {
-        let Column { label, setting } = column;
-        let Some(setting) = setting else {
+        let Column { label, condition } = column;
+        let Some(condition) = condition else {
             eprintln!("report: no table of preset {label}, its claims are marked as not run");
             continue;
         };
-        for (name, scene) in scenes(setting)? {
+        for (name, scene) in scenes(condition)? {
             let name = format!("{name}-{number}");
             let file = format!("{name}.svg");
             let picture = svg::svg(&scene, &name);
@@ -42,21 +42,21 @@ pub fn run(args: &ReportArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// All figures of a setting, with their names.
-fn scenes(setting: &Setting) -> anyhow::Result<Vec<(&'static str, Scene)>> {
+/// All figures of a condition, with their names.
+fn scenes(condition: &Condition) -> anyhow::Result<Vec<(&'static str, Scene)>> {
     let mut scenes = Vec::new();
     for figure in study::FIGURES {
-        if let Some(drawing) = figure.draw(setting) {
+        if let Some(drawing) = figure.draw(condition) {
             scenes.push((figure.name, drawing.chart.scene()));
         }
     }
     let [harvest, net] = energy::NAMES;
-    let points = energy::harvests(&setting.preset)?;
-    scenes.push((harvest, energy::harvest_chart(setting, &points).scene()));
-    if let Some(chart) = energy::net_chart(setting, &points) {
+    let points = energy::harvests(&condition.preset)?;
+    scenes.push((harvest, energy::harvest_chart(condition, &points).scene()));
+    if let Some(chart) = energy::net_chart(condition, &points) {
         scenes.push((net, chart.scene()));
     }
-    if let Some(chart) = pareto::chart(&[setting]) {
+    if let Some(chart) = pareto::chart(&[condition]) {
         scenes.push((pareto::NAME, chart.scene()));
     }
     Ok(scenes)

@@ -7,12 +7,15 @@ use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::Duration;
 
 use anyhow::bail;
-use reveille_bs::actor::Progress;
-use reveille_bs::outcome::{EventRecord, Watcher, WindowRecord};
+use reveille_bs::host::Progress;
+use reveille_bs::observe::{Happening, Observer};
 use reveille_common::scenario::Scenario;
+use reveille_common::score::WindowRecord;
+use reveille_lab::preparation::start;
 use reveille_lab::run::{Options, Run};
 
-use super::{conclude, resolve, window};
+use super::conclusion::{conclude, window};
+use super::resolution::resolve;
 use crate::cli::RunArgs;
 use crate::display::Bar;
 use crate::results::{RunFolder, Summary, Timing};
@@ -27,13 +30,12 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let options = Options {
         lookahead: !args.no_lookahead,
         window: window(&args.output, &scenario),
-        keep_records: true,
     };
     let progress = Arc::new(Progress::default());
-    let runtime = crate::runtime(1)?;
+    let runtime = crate::wall::runtime(1)?;
     let stop = runtime.block_on(async { crate::interrupt::watch() })?;
     let bar = Bar::start(&progress, &scenario, args.output.quiet);
-    let started = crate::now();
+    let started = crate::wall::now();
     let run = match set_up(&scenario, options, &stop) {
         Ok(run) => run,
         Err(error) => {
@@ -41,13 +43,13 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
             return Err(error);
         }
     };
-    let mut watcher = Shown {
+    let mut shown = Shown {
         folder,
         progress: &progress,
         stop: &stop,
         devices: u64::from(scenario.devices),
     };
-    let outcome = run.finish(&mut watcher);
+    let outcome = run.finish(&mut shown);
     let run_s = started.elapsed().as_secs_f64();
     drop(bar);
     let timing = Timing {
@@ -56,20 +58,20 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         ..Timing::default()
     };
     let summary = Summary::new(&scenario, &outcome, timing);
-    let path = watcher.folder.path().to_owned();
-    watcher.folder.keep_learned(&scenario, &outcome)?;
-    watcher.folder.finish(&summary)?;
+    let path = shown.folder.path().to_owned();
+    shown.folder.keep_learned(&scenario, &outcome)?;
+    shown.folder.finish(&summary)?;
     conclude(&args.output, &summary, &path)
 }
 
-/// Sets a run up on another thread, which takes a while with a million devices or a search before the run; at a signal it is
-/// given up, since there is nothing to lose yet.
+/// Sets a run up on another thread, which takes a while with a million devices or a search before the run; at a signal
+/// it is given up, since there is nothing to lose yet.
 fn set_up(scenario: &Scenario, options: Options, stop: &AtomicBool) -> anyhow::Result<Run> {
     let (sender, receiver) = channel();
     let scenario = scenario.clone();
     std::thread::spawn(move || {
         // After a signal nobody waits for it.
-        let _ = sender.send(Run::new(&scenario, options));
+        let _ = sender.send(start(&scenario, options));
     });
     loop {
         match receiver.recv_timeout(LOOK) {
@@ -101,8 +103,12 @@ struct Shown<'a> {
     devices: u64,
 }
 
-impl Watcher for Shown<'_> {
-    fn window(&mut self, window: &WindowRecord, events: &[EventRecord]) -> bool {
+impl Observer for Shown<'_> {
+    fn see(&mut self, happening: &Happening<'_>) {
+        self.folder.see(happening);
+    }
+
+    fn window(&mut self, window: &WindowRecord) -> bool {
         let device_ttis = u128::from((window.end - window.first) * self.devices).max(1);
         self.progress.tti.store(window.end.0, Ordering::Relaxed);
         self.progress.events.fetch_add(window.events.events, Ordering::Relaxed);
@@ -112,6 +118,6 @@ impl Watcher for Shown<'_> {
         self.progress
             .mean_battery
             .store((window.energy.battery_sum / device_ttis) as u64, Ordering::Relaxed);
-        self.folder.window(window, events) && !self.stop.load(Ordering::Relaxed)
+        self.folder.window(window) && !self.stop.load(Ordering::Relaxed)
     }
 }

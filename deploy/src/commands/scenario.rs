@@ -1,8 +1,11 @@
 //! `reveille scenario`.
 
+use std::path::Path;
 use std::process::ExitCode;
 
-use reveille_common::scenario::{Override, PRESETS, load};
+use anyhow::Context as _;
+use reveille_bs::policy::registry;
+use reveille_bs::scenario::{Override, PRESETS, Preset, Scenario, load, reference, schema};
 
 use crate::cli::ScenarioCommand;
 use crate::display;
@@ -12,7 +15,7 @@ pub fn run(command: &ScenarioCommand) -> anyhow::Result<ExitCode> {
     match command {
         ScenarioCommand::Show { source: None, .. } => {
             display::out("Presets, for --scenario and as `preset = \"…\"` in a file:\n")?;
-            for (name, about) in PRESETS {
+            for Preset { name, about, .. } in PRESETS {
                 display::out(&format!("  {name:<15} {about}\n"))?;
             }
             display::out("`reveille scenario show NAME` prints all fields of one.\n")?;
@@ -22,9 +25,13 @@ pub fn run(command: &ScenarioCommand) -> anyhow::Result<ExitCode> {
             source: Some(source),
             set,
         } => {
-            display::out(&load(source, &overrides(set)?)?.to_toml())?;
+            let scenario = load(source, &overrides(set)?)?;
+            warn(source, &scenario);
+            display::out(&scenario.to_full_toml(&registry::kinds()))?;
             Ok(ExitCode::SUCCESS)
         }
+        ScenarioCommand::Schema { out } => write(out.as_deref(), &schema()),
+        ScenarioCommand::Reference { out } => write(out.as_deref(), &reference()),
         ScenarioCommand::Check { sources, set } => check(sources, &overrides(set)?),
     }
 }
@@ -33,20 +40,39 @@ fn check(sources: &[String], overrides: &[Override]) -> anyhow::Result<ExitCode>
     let mut code = ExitCode::SUCCESS;
     for source in sources {
         match load(source, overrides) {
-            Ok(scenario) => display::out(&format!(
-                "{source}: ok. {} devices, {} TTIs, policy {}, hash {}\n",
-                scenario.devices,
-                scenario.ttis,
-                scenario.policy.name(),
-                &scenario.hash_hex()[..16]
-            ))?,
+            Ok(scenario) => {
+                warn(source, &scenario);
+                display::out(&format!(
+                    "{source}: ok. {} devices, {} TTIs, policy {}, hash {}\n",
+                    scenario.devices,
+                    scenario.ttis,
+                    scenario.policy.name(),
+                    &scenario.hash_hex()[..16]
+                ))?;
+            }
             Err(error) => {
                 eprintln!("{source}: {error}");
-                code = ExitCode::FAILURE;
+                code = crate::exit::Exit::Failed.into();
             }
         }
     }
     Ok(code)
+}
+
+/// Says what the scenario warns of.
+fn warn(source: &str, scenario: &Scenario) {
+    for warning in &scenario.warnings {
+        eprintln!("{source}: warning: {warning}");
+    }
+}
+
+/// Writes `text` to the file `out`, or prints it.
+fn write(out: Option<&Path>, text: &str) -> anyhow::Result<ExitCode> {
+    match out {
+        Some(path) => std::fs::write(path, text).with_context(|| format!("{}: cannot be written", path.display()))?,
+        None => display::out(text)?,
+    }
+    Ok(ExitCode::SUCCESS)
 }
 
 fn overrides(set: &[String]) -> anyhow::Result<Vec<Override>> {

@@ -12,7 +12,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::bail;
-use reveille_common::scenario::PolicyConfig;
 use reveille_lab::sweep::{Grid, Shard, Sweep, hash, seeds_in};
 
 use crate::cli::SweepArgs;
@@ -31,7 +30,7 @@ pub fn run(args: &SweepArgs) -> anyhow::Result<ExitCode> {
     let shard = args.shard.unwrap_or(Shard::WHOLE);
     grid.check_shard(shard)?;
     let folder = folder(args, &mut grid, shard);
-    warn_of_tables(&grid);
+    warn(&grid);
     if args.dry_run {
         display::out(&report::dry_run(args, &grid, shard, &folder)?)?;
         return Ok(ExitCode::SUCCESS);
@@ -39,11 +38,11 @@ pub fn run(args: &SweepArgs) -> anyhow::Result<ExitCode> {
     let threads = threads(args)?;
     let mut sweep = Sweep::open(&grid, shard, &folder)?;
     announce(args, &sweep, &folder);
-    let runtime = crate::runtime(1)?;
+    let runtime = crate::wall::runtime(1)?;
     let stop = runtime.block_on(async { crate::interrupt::watch() })?;
     let progress = Arc::new(Progress::start(&grid, shard, threads, sweep.found(), &stop, args.quiet));
     let insistent = runtime.spawn(insist(stop, Arc::clone(&progress), sweep.found(), folder.clone()));
-    let started = crate::now();
+    let started = crate::wall::now();
     let ended = sweep.run(threads, args.format.into(), &*progress);
     insistent.abort();
     let seconds = started.elapsed().as_secs_f64();
@@ -73,21 +72,16 @@ pub fn run(args: &SweepArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Says where tables of q-learning were learned on another setting than that of cells.
-fn warn_of_tables(grid: &Grid) {
-    let settings = grid.cells.iter().filter_map(|cell| match &cell.scenario.policy {
-        PolicyConfig::QLearning(settings) => Some(settings),
-        PolicyConfig::Knn(_) | PolicyConfig::Adjusted(_) | PolicyConfig::Random | PolicyConfig::Genie => None,
-    });
-    let foreign: BTreeSet<&str> = settings.flat_map(|s| &s.foreign).map(String::as_str).collect();
-    if !foreign.is_empty() {
-        let foreign: Vec<&str> = foreign.into_iter().collect();
-        super::warn_of_setting(&foreign.join("; "));
+/// Says what the scenarios of cells warn of, each thing once.
+fn warn(grid: &Grid) {
+    let warnings = grid.cells.iter().flat_map(|cell| &cell.scenario.warnings);
+    for warning in warnings.collect::<BTreeSet<_>>() {
+        tracing::warn!("{warning}");
     }
 }
 
-/// Ends the program when the sweep has not ended by itself soon after a signal: a run that is being set up does not look for
-/// one, and with a million devices or a search before it that takes a while. Finished runs are in the journal.
+/// Ends the program when the sweep has not ended by itself soon after a signal: a run that is being set up does not
+/// look for one, and with a million devices or a search before it that takes a while. Finished runs are in the journal.
 async fn insist(stop: Arc<AtomicBool>, progress: Arc<Progress>, found: usize, folder: PathBuf) {
     while !stop.load(Ordering::Relaxed) {
         tokio::time::sleep(LOOK).await;
@@ -96,7 +90,7 @@ async fn insist(stop: Arc<AtomicBool>, progress: Arc<Progress>, found: usize, fo
     progress.finish();
     let done = found + progress.runs();
     eprintln!("reveille: {}", Interrupted { done, folder });
-    std::process::exit(i32::from(crate::INTERRUPTED));
+    crate::exit::Exit::Interrupted.now();
 }
 
 /// Ctrl-C has ended a sweep.
@@ -146,8 +140,8 @@ fn threads(args: &SweepArgs) -> anyhow::Result<usize> {
     })
 }
 
-/// The folder that the command line names, or that whose own experiment file it names if that goes on there, or one named
-/// after the experiment.
+/// The folder that the command line names, or that whose own experiment file it names if that goes on there, or one
+/// named after the experiment.
 fn folder(args: &SweepArgs, grid: &mut Grid, shard: Shard) -> PathBuf {
     let own = args.experiment.as_deref().and_then(|file| {
         let parent = file.parent().filter(|_| file.ends_with("experiment.toml"))?;
@@ -158,7 +152,7 @@ fn folder(args: &SweepArgs, grid: &mut Grid, shard: Shard) -> PathBuf {
         };
         Some((own.to_owned(), seeds_in(grid, shard, own)?))
     });
-    let is_asked_for = |own: &Path| args.out.as_deref().is_none_or(|out| super::is_same(out, own));
+    let is_asked_for = |own: &Path| args.out.as_deref().is_none_or(|out| super::paths::is_same(out, own));
     if let Some((own, held)) = own.filter(|(own, _)| is_asked_for(own)) {
         let seeds = &mut grid.experiment.seeds.count;
         if args.grid.seeds.is_none() {

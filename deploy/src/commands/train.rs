@@ -7,11 +7,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::bail;
 use indicatif::ProgressBar;
-use reveille_common::learned::CurvePoint;
-use reveille_lab::table::replace;
-use reveille_lab::training::{Observer, Trainer, TrainingError, checkpoint};
+use reveille_bs::policy::q_learning::learned::CurvePoint;
+use reveille_lab::io::replace;
+use reveille_lab::training::{Trainer, TrainingError, TrainingProgress, checkpoint};
 
-use super::resolve;
+use super::resolution::resolve;
 use crate::cli::{TrainArgs, TrainCommand};
 use crate::display;
 
@@ -47,7 +47,7 @@ fn q_learning(args: &TrainArgs) -> anyhow::Result<ExitCode> {
         );
     }
     let threads = args.episodes.threads()?;
-    let runtime = crate::runtime(1)?;
+    let runtime = crate::wall::runtime(1)?;
     let stop = runtime.block_on(async { crate::interrupt::watch() })?;
     let shown = Shown {
         bar: display::bar(
@@ -57,7 +57,7 @@ fn q_learning(args: &TrainArgs) -> anyhow::Result<ExitCode> {
         ),
         stop,
     };
-    let started = crate::now();
+    let started = crate::wall::now();
     let complete = trainer.train(threads, Some(&kept), &shown)?;
     shown.bar.finish_and_clear();
     if !complete {
@@ -121,7 +121,7 @@ struct Shown {
     stop: Arc<AtomicBool>,
 }
 
-impl Observer for Shown {
+impl TrainingProgress for Shown {
     fn episode(&self, devices: u32, point: &CurvePoint) {
         let CurvePoint {
             reward, information, ..

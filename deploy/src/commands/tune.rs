@@ -11,13 +11,13 @@ use anyhow::{anyhow, bail};
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};
 use indicatif::ProgressBar;
-use reveille_lab::figures::{png, svg, tuning as picture};
-use reveille_lab::table::replace;
+use reveille_lab::io::replace;
 use reveille_lab::tuning::bayes::{Bayes, surface};
-use reveille_lab::tuning::{Evaluation, History, Objective, Observer, Pair, Plan, Point, Ranges, Tuner};
+use reveille_lab::tuning::{Evaluation, History, Objective, Pair, Plan, Point, Ranges, Tuner, TuningProgress};
+use reveille_study::figures::{png, svg, tuning as picture};
 use serde_json::json;
 
-use super::resolve;
+use super::resolution::resolve;
 use crate::cli::{FormatArg, ObjectiveArg, TuneArgs};
 use crate::display;
 
@@ -46,10 +46,10 @@ pub fn run(args: &TuneArgs) -> anyhow::Result<ExitCode> {
     let mut tuner = Tuner::open(plan(args)?, &args.out, args.force)?;
     announce(args, &tuner);
     let threads = args.episodes.threads()?;
-    let runtime = crate::runtime(1)?;
+    let runtime = crate::wall::runtime(1)?;
     let stop = runtime.block_on(async { crate::interrupt::watch() })?;
     let shown = Shown::start(args, &tuner, stop);
-    let started = crate::now();
+    let started = crate::wall::now();
     let bayes = Bayes {
         seed: args.episodes.seed,
     };
@@ -62,7 +62,7 @@ pub fn run(args: &TuneArgs) -> anyhow::Result<ExitCode> {
             display::count(history.points.len(), "finished point"),
             args.out.display()
         );
-        return Ok(ExitCode::from(crate::INTERRUPTED));
+        return Ok(crate::exit::Exit::Interrupted.into());
     }
     let pictures = draw(history, &args.out, &args.format)?;
     if args.json {
@@ -177,7 +177,8 @@ fn command(args: &TuneArgs, [mu1, mu2]: Pair) -> String {
     let how = &args.episodes;
     let _ = write!(
         text,
-        " --set policy.q-learning.mu1={mu1} --set policy.q-learning.mu2={mu2} --episodes {} --episode-ttis {} --epsilon {},{} \
+        " --set policy.q-learning.mu1={mu1} --set policy.q-learning.mu2={mu2} --episodes {} --episode-ttis {} \
+            --epsilon {},{} \
          --seed {} --out tuned.json",
         how.episodes, how.episode_ttis, how.epsilon[0], how.epsilon[1], how.seed
     );
@@ -300,7 +301,7 @@ impl Shown {
     }
 }
 
-impl Observer for Shown {
+impl TuningProgress for Shown {
     fn begun(&self, number: usize, [mu1, mu2]: Pair) {
         let so_far = self.so_far();
         self.bar.set_message(format!(

@@ -6,15 +6,16 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use anyhow::Context;
-use reveille_bs::actor::Progress;
+use reveille_bs::host::Progress;
 use reveille_common::bus::{self, Bus};
 use reveille_common::keys::RunName;
-use reveille_device::host;
+use reveille_device::host::{self, HostError};
 
 use super::bs::{Station, serve, settings};
+use super::conclusion::window;
+use super::resolution::resolve;
 use super::run::Interrupted;
-use super::{resolve, window};
-use crate::cli::UpArgs;
+use crate::cli::{OnLossArg, UpArgs};
 use crate::launch::Children;
 use crate::results::{RunFolder, Timing};
 
@@ -25,7 +26,7 @@ const JOIN: Duration = Duration::from_mins(1);
 
 /// Runs everything on this machine.
 pub async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
-    let started = crate::now();
+    let started = crate::wall::now();
     let scenario = resolve(&args.scenario)?;
     let devices = scenario.devices;
     let processes = args.processes.unwrap_or(PROCESSES.min(devices));
@@ -33,6 +34,9 @@ pub async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
         processes <= devices,
         "--processes {processes}: there are only {devices} devices; 0 to {devices} is allowed"
     );
+    if processes == 0 && args.drive.on_loss == OnLossArg::Wait {
+        tracing::warn!("--on-loss has no effect: with --processes 0 there is no device process to lose");
+    }
     // Before there is a folder: one that is to be replaced stays as it is, if this is where it ends.
     let endpoint = bus::free_to_listen(&args.listen)?;
     let folder = RunFolder::create(&args.output, &scenario)?;
@@ -69,7 +73,7 @@ async fn listen(args: &UpArgs, endpoint: &str, folder: &RunFolder) -> anyhow::Re
 async fn attend(processes: u32, station: &Station<'_>, folder: RunFolder, log: &[String]) -> anyhow::Result<ExitCode> {
     let devices = station.scenario.devices;
     if processes == 0 {
-        let own = station.bus.clone();
+        let own = station.bus.untapped();
         let carried = tokio::spawn(async move { host::carry(&own, devices, 0, JOIN, |_, _, _| {}).await });
         let code = serve(station, folder, |_| {}).await;
         if code.as_ref().is_err_and(anyhow::Error::is::<Interrupted>) {
@@ -77,8 +81,11 @@ async fn attend(processes: u32, station: &Station<'_>, folder: RunFolder, log: &
             carried.abort();
             return code;
         }
-        carried.await.context("the devices' task")??;
-        return code;
+        return match carried.await.context("the devices' task")? {
+            // What the base station has told them is in `code`.
+            Ok(()) | Err(HostError::RunFailed(_)) => code,
+            Err(error) => Err(error.into()),
+        };
     }
     let (endpoint, run) = (station.bus.endpoint(), station.run.to_string());
     let children = match Children::start(devices, processes, endpoint, &run, log) {

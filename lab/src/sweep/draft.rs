@@ -3,12 +3,13 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use reveille_common::score::Metrics;
 use serde::Deserialize;
 use toml::{Table, Value};
 
 use super::error::SweepError;
 use super::experiment::{Axis, Experiment, Seeds, UntilCi, is_metric};
-use crate::table::metric_names;
+use crate::io::read_short;
 
 /// Bytes of the longest experiment that is read.
 const LONGEST: u64 = 1 << 20;
@@ -73,14 +74,7 @@ impl Draft {
     /// # Errors
     /// It cannot be read, is no TOML, or has unknown fields or values of wrong types; the message names file and line.
     pub fn load(path: &Path) -> Result<Self, SweepError> {
-        let read = || {
-            let size = std::fs::metadata(path)?;
-            if !size.is_file() || size.len() > LONGEST {
-                return Err(std::io::Error::other("it is no file, or too long for an experiment"));
-            }
-            std::fs::read_to_string(path)
-        };
-        let text = read().map_err(|error| SweepError::Read {
+        let text = read_short(path, LONGEST).map_err(|error| SweepError::Read {
             path: path.to_owned(),
             error,
         })?;
@@ -253,8 +247,8 @@ fn until(
         return Err(SweepError::invalid("ci_metrics", "[]", allowed));
     }
     if let Some(unknown) = metrics.iter().find(|name| !is_metric(name)) {
-        let names = metric_names().join(", ");
-        let allowed = format!("there is no such metric; there are {names}, events");
+        let names = Metrics::ALL.map(|metric| metric.name).join(", ");
+        let allowed = format!("there is no such metric; there are {names}");
         return Err(SweepError::invalid("ci_metrics", unknown, allowed));
     }
     if let Some(min_seeds) = min_seeds.filter(|min_seeds| *min_seeds > seeds.count) {

@@ -3,21 +3,22 @@
 use std::sync::{Mutex, PoisonError};
 
 use rayon::iter::{ParallelBridge, ParallelIterator};
-use reveille_bs::outcome::{EventRecord, Watcher, WindowRecord};
+use reveille_common::score::Metrics;
 
 use super::error::SweepError;
 use super::grid::Grid;
 use super::journal::{Entry, Job, Journal};
 use super::shard::Shard;
-use crate::run::{Options, Run};
+use crate::preparation::Workshop;
+use crate::run::{Options, Run, StopWhen};
 use crate::stats::{Estimate, Moments};
-use crate::table::{Row, metric_names};
+use crate::table::Row;
 
 /// Device-TTIs between two looks at whether to stop: a fraction of a second.
 const STOP_DEVICE_TTIS: u64 = 20_000_000;
 
 /// Follows a sweep while it goes. Called from all threads.
-pub trait Observer: Sync {
+pub trait SweepProgress: Sync {
     /// `runs` more runs of `cell` will be made; cells come in order.
     fn planned(&self, cell: usize, runs: u64);
     /// A thread begins a run of `cell`.
@@ -37,8 +38,8 @@ pub struct CellEnd {
     pub widest: Option<(String, f64)>,
 }
 
-/// Makes all runs of `shard` that `journal` does not hold yet, and tells for each cell how many of its runs count; `None` if
-/// the observer has stopped it.
+/// Makes all runs of `shard` that `journal` does not hold yet, and tells for each cell how many of its runs count;
+/// `None` if the observer has stopped it.
 ///
 /// # Errors
 /// The journal cannot be written, or threads cannot be started.
@@ -47,7 +48,7 @@ pub fn run(
     shard: Shard,
     threads: usize,
     journal: &mut Journal,
-    observer: &impl Observer,
+    observer: &impl SweepProgress,
 ) -> Result<Option<Vec<CellEnd>>, SweepError> {
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
@@ -63,6 +64,10 @@ pub fn run(
         .until_ci
         .as_ref()
         .map_or(count, |until| until.next_look(0, count));
+    let hands = Hands {
+        pool,
+        workshop: Workshop::default(),
+    };
     let mut looks: Vec<Look> = grid.cells.iter().map(|_| Look::at(first)).collect();
     loop {
         let open: Vec<(usize, u64)> = looks
@@ -74,7 +79,7 @@ pub fn run(
         if open.is_empty() {
             break;
         }
-        if !wave(grid, shard, &pool, &open, journal, observer)? {
+        if !wave(grid, shard, &hands, &open, journal, observer)? {
             return Ok(None);
         }
         for (cell, _) in open {
@@ -88,15 +93,21 @@ pub fn run(
     Ok(Some(ends.collect()))
 }
 
-/// The runs of `open` cells, each up to a number of seeds, that belong to the shard and are missing. Says whether all of
-/// them were made.
+/// What all runs of a sweep are made with.
+struct Hands {
+    pool: rayon::ThreadPool,
+    workshop: Workshop,
+}
+
+/// The runs of `open` cells, each up to a number of seeds, that belong to the shard and are missing. Says whether all
+/// of them were made.
 fn wave(
     grid: &Grid,
     shard: Shard,
-    pool: &rayon::ThreadPool,
+    Hands { pool, workshop }: &Hands,
     open: &[(usize, u64)],
     journal: &mut Journal,
-    observer: &impl Observer,
+    observer: &impl SweepProgress,
 ) -> Result<bool, SweepError> {
     let mut missing: Vec<Job> = Vec::new();
     for &(cell, runs) in open {
@@ -113,7 +124,7 @@ fn wave(
         missing
             .into_iter()
             .par_bridge()
-            .try_for_each(|job| match one(grid, job, observer) {
+            .try_for_each(|job| match one(grid, job, workshop, observer) {
                 None => Err(Halt::Stopped),
                 Some(entry) => {
                     let device_ttis = grid.cells[job.cell as usize].device_ttis();
@@ -139,7 +150,7 @@ enum Halt {
 }
 
 /// Makes one run; `None` if it was stopped.
-fn one(grid: &Grid, job: Job, observer: &impl Observer) -> Option<Entry> {
+fn one(grid: &Grid, job: Job, workshop: &Workshop, observer: &impl SweepProgress) -> Option<Entry> {
     if observer.stop() {
         return None;
     }
@@ -150,17 +161,9 @@ fn one(grid: &Grid, job: Job, observer: &impl Observer) -> Option<Entry> {
         window: (STOP_DEVICE_TTIS / u64::from(scenario.devices)).max(1),
         ..Options::default()
     };
-    let outcome = Run::new(&scenario, options).finish(&mut Stop(observer));
+    let outcome = Run::new(&workshop.prepare(&scenario), options).finish(&mut StopWhen(|| observer.stop()));
     let row = Row::new(&scenario, cell.swept.clone(), &outcome);
     outcome.complete.then(|| Entry::from(&row))
-}
-
-struct Stop<'o, O>(&'o O);
-
-impl<O: Observer> Watcher for Stop<'_, O> {
-    fn window(&mut self, _: &WindowRecord, _: &[EventRecord]) -> bool {
-        !self.0.stop()
-    }
 }
 
 /// How far a cell is.
@@ -223,6 +226,6 @@ fn widest(names: &[String], moments: &[Moments]) -> Option<(String, f64)> {
 }
 
 fn metric(entry: &Entry, name: &str) -> f64 {
-    let at = metric_names().iter().position(|known| *known == name);
+    let at = Metrics::NAMES.iter().position(|known| *known == name);
     at.map_or(entry.events as f64, |at| entry.metrics[at])
 }

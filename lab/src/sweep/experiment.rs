@@ -1,13 +1,14 @@
 //! An experiment: a scenario, fields with lists of values, and seeds.
 
+use std::io;
 use std::path::{Path, PathBuf};
-use std::{fs, io};
 
 use reveille_common::scenario::PRESETS;
+use reveille_common::score::Metrics;
 use toml::{Table, Value};
 
 use super::error::SweepError;
-use crate::table::metric_names;
+use crate::io::read_text;
 
 /// The most seeds of a cell.
 const MOST_SEEDS: u64 = 10_000_000;
@@ -70,11 +71,12 @@ impl Seeds {
     }
 }
 
-/// When a cell has enough runs: as soon as the 95 % interval of each of these metrics is narrow, looked at in the order of
-/// seeds after `min_seeds` runs, then after every quarter more (at least ten).
+/// When a cell has enough runs: as soon as the 95 % interval of each of these metrics is narrow, looked at in the order
+/// of seeds after `min_seeds` runs, then after every quarter more (at least ten).
 ///
-/// Who looks again and again and stops when it is narrow stops too often where the spread looks small by chance: intervals
-/// of cells that were stopped early cover a little less than 95 %. A metric that is 0 in all runs is never narrow.
+/// Who looks again and again and stops when it is narrow stops too often where the spread looks small by chance:
+/// intervals of cells that were stopped early cover a little less than 95 %. A metric that is 0 in all runs is never
+/// narrow.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UntilCi {
     /// The half-width over the mean, `(0, 1]`.
@@ -89,10 +91,12 @@ impl UntilCi {
     /// Runs before the first look, where nothing else is asked for.
     pub const MIN_SEEDS: u64 = 30;
 
-    /// All metrics but `net_per_device_tti`: a difference whose mean may be 0 has no relative width.
+    /// All metrics with a column of their own but for differences: where the mean may be 0, a width has nothing to be
+    /// relative to.
     pub fn default_metrics() -> Vec<String> {
-        let names = metric_names().iter().filter(|name| **name != "net_per_device_tti");
-        names.map(|name| (*name).to_owned()).collect()
+        let metrics = Metrics::ALL[..Metrics::COUNT].iter();
+        let chosen = metrics.filter(|metric| !metric.is_difference);
+        chosen.map(|metric| metric.name.to_owned()).collect()
     }
 
     /// The number of runs at the look after the one at `runs`, of at most `count`.
@@ -107,7 +111,7 @@ impl UntilCi {
 
 /// Whether `name` is a metric's.
 pub(super) fn is_metric(name: &str) -> bool {
-    name == "events" || metric_names().contains(&name)
+    Metrics::named(name).is_some()
 }
 
 /// What a sweep runs.
@@ -117,8 +121,8 @@ pub struct Experiment {
     pub scenario: String,
     /// Where a relative scenario file is looked for.
     pub base_dir: PathBuf,
-    /// The copy of the scenario file that a sweep has left in its folder: read instead of the file. It is no part of what
-    /// the experiment is, and not in [`Experiment::to_toml`].
+    /// The copy of the scenario file that a sweep has left in its folder: read instead of the file. It is no part of
+    /// what the experiment is, and not in [`Experiment::to_toml`].
     pub copy: Option<PathBuf>,
     /// Fields set in all cells: path, value and who set it.
     pub set: Vec<(String, Value, String)>,
@@ -144,7 +148,7 @@ impl Experiment {
     }
 
     fn is_preset(&self) -> bool {
-        PRESETS.iter().any(|(name, _)| *name == self.scenario)
+        PRESETS.iter().any(|preset| preset.name == self.scenario)
     }
 
     /// The text of the scenario file, for a folder of its own: files that it names stand there with their full paths.
@@ -157,7 +161,7 @@ impl Experiment {
             return Ok(None);
         }
         let path = PathBuf::from(self.source());
-        let mut table: Table = toml::from_str(&fs::read_to_string(&path)?).map_err(io::Error::other)?;
+        let mut table: Table = toml::from_str(&read_text(&path)?).map_err(io::Error::other)?;
         let folder = std::path::absolute(path.parent().unwrap_or(Path::new("")).join("."))?;
         table.iter_mut().for_each(|(name, value)| place(name, value, &folder));
         Ok(Some(table.to_string()))
@@ -169,8 +173,8 @@ impl Experiment {
         lengths.fold(1, u64::saturating_mul)
     }
 
-    /// The experiment as TOML that reads back as the same experiment. Equal experiments have equal texts, whoever asked for
-    /// them.
+    /// The experiment as TOML that reads back as the same experiment. Equal experiments have equal texts, whoever asked
+    /// for them.
     pub fn to_toml(&self) -> String {
         let mut lines = vec![format!("scenario = {}", Value::String(self.scenario.clone()))];
         let list = |axis: &Axis| Value::Array(axis.values.clone()).to_string();

@@ -8,20 +8,21 @@
 //! | `results.parquet` or `results.csv` | the table, once all runs are there |
 //!
 //! The number of seeds in the journal's first line is what counts. When it is raised, it is so first; then the table of
-//! fewer seeds goes, and `experiment.toml` is written. A folder that was left in between is one that can be gone on with.
+//! fewer seeds goes, and `experiment.toml` is written. A folder that was left in between is one that can be gone on
+//! with.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::draft::Draft;
-use super::engine::{CellEnd, Observer, run};
+use super::engine::{CellEnd, SweepProgress, run};
 use super::error::SweepError;
 use super::experiment::Experiment;
 use super::grid::Grid;
 use super::journal::{Job, Journal};
 use super::shard::Shard;
-use crate::table::{About, Format, Row, Table, TableError, replace};
+use crate::io::{read, replace, with_names};
+use crate::table::{About, Format, Row, Table, TableError};
 
 const EXPERIMENT: &str = "experiment.toml";
 const SCENARIO: &str = "experiment.scenario.toml";
@@ -38,7 +39,7 @@ pub struct Sweep<'g> {
     found: usize,
 }
 
-/// What a sweep came to.
+/// The result of a sweep.
 #[derive(Debug)]
 pub struct Finished {
     /// The table.
@@ -53,8 +54,8 @@ impl<'g> Sweep<'g> {
     /// Opens `folder` for `grid`, or makes it. It may hold the same sweep with fewer seeds, whose runs are taken over.
     ///
     /// # Errors
-    /// The folder holds something else, another sweep or more seeds, another process is at work in it, it cannot be used, or shards are
-    /// asked for together with `until_ci`.
+    /// The folder holds something else, another sweep or more seeds, another process is at work in it, it cannot be
+    /// used, or shards are asked for together with `until_ci`.
     pub fn open(grid: &'g Grid, shard: Shard, folder: &Path) -> Result<Self, SweepError> {
         grid.check_shard(shard)?;
         let refused = |reason: String| SweepError::Folder {
@@ -66,9 +67,7 @@ impl<'g> Sweep<'g> {
                 "cannot be used: {error}; free some space, mend the permissions, or choose another folder"
             ))
         };
-        fs::create_dir_all(folder).map_err(unusable)?;
-        for entry in fs::read_dir(folder).map_err(unusable)? {
-            let name = entry.map_err(unusable)?.file_name();
+        for name in with_names(folder).map_err(unusable)? {
             let is_ours = name.to_str().is_some_and(|name| {
                 let name = name.strip_suffix(".part").unwrap_or(name);
                 [EXPERIMENT, SCENARIO, JOURNAL].contains(&name) || name.starts_with(RESULTS)
@@ -86,7 +85,8 @@ impl<'g> Sweep<'g> {
         let journal = Journal::open(&path, &identity(grid, shard), cells, seeds).map_err(refused)?;
         let unwritable = |error: std::io::Error| {
             refused(format!(
-                "cannot be written: {error}; its finished runs are kept: free some space or mend the permissions, then give \
+                "cannot be written: {error}; its finished runs are kept: free some space or mend the permissions, \
+                    then give \
                  the same command again"
             ))
         };
@@ -124,7 +124,8 @@ impl<'g> Sweep<'g> {
         self.shard.holds(u64::from(job.cell), u64::from(job.seed))
     }
 
-    /// Makes the runs that are missing on `threads` threads and writes the table; `None` if the observer has stopped it.
+    /// Makes the runs that are missing on `threads` threads and writes the table; `None` if the observer has stopped
+    /// it.
     ///
     /// # Errors
     /// The disk is full or fails; finished runs are kept.
@@ -132,7 +133,7 @@ impl<'g> Sweep<'g> {
         &mut self,
         threads: usize,
         format: Format,
-        observer: &impl Observer,
+        observer: &impl SweepProgress,
     ) -> Result<Option<Finished>, SweepError> {
         let Some(cells) = run(self.grid, self.shard, threads, &mut self.journal, observer)? else {
             return Ok(None);
@@ -209,7 +210,7 @@ fn describe(grid: &Grid, folder: &Path) -> std::io::Result<()> {
 
 /// Writes a file that does not say `text` yet: a full disk is no harm to one that does.
 fn describe_in(path: &Path, text: &str) -> std::io::Result<()> {
-    if fs::read(path).is_ok_and(|found| found == text.as_bytes()) {
+    if read(path).is_ok_and(|found| found == text.as_bytes()) {
         return Ok(());
     }
     replace(path, text.as_bytes())
@@ -263,7 +264,8 @@ pub fn table_in(folder: &Path) -> Result<PathBuf, SweepError> {
     {
         let name = table.file_name().unwrap_or_default().to_string_lossy();
         return Err(refused(format!(
-            "its {EXPERIMENT} asks for {asked} seeds a cell, but {name} holds {held}; give the command of its sweep again, or \
+            "its {EXPERIMENT} asks for {asked} seeds a cell, but {name} holds {held}; give the command of its sweep \
+                again, or \
              name the table itself"
         )));
     }
@@ -283,7 +285,7 @@ fn identity(grid: &Grid, shard: Shard) -> String {
     format!("{} {hash} {shard}", env!("CARGO_PKG_VERSION"))
 }
 
-/// SHA-256 over the experiment, its number of seeds included, and the scenarios that it comes to; hexadecimal.
+/// SHA-256 over the experiment, its number of seeds included, and the scenarios of its cells; hexadecimal.
 pub fn hash(grid: &Grid) -> String {
     hash_of(grid, &grid.experiment)
 }

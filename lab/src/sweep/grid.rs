@@ -2,14 +2,15 @@
 
 use std::sync::Arc;
 
-use reveille_common::scenario::{Override, PolicyConfig, Scenario, ScenarioError, load};
+use reveille_bs::policy::adjusted::settings::AdjustedSettings;
+use reveille_bs::scenario::{Override, Scenario, ScenarioError, load};
 use sha2::{Digest as _, Sha256};
 use toml::Value as Toml;
 
 use super::error::SweepError;
 use super::experiment::{Axis, Experiment};
 use super::shard::Shard;
-use crate::table::{Hash, Kind, Schema, Value};
+use crate::table::{ColumnType, Hash, Schema, Value};
 
 /// The most cells of a grid.
 const MOST_CELLS: u64 = 100_000;
@@ -38,10 +39,8 @@ impl Cell {
 
     /// Device-TTIs of a run, those of a search before it included.
     pub fn device_ttis(&self) -> u64 {
-        let searched = match &self.scenario.policy {
-            PolicyConfig::Adjusted(settings) => settings.pairs().count() as u64 * settings.pilot_ttis,
-            PolicyConfig::Knn(_) | PolicyConfig::QLearning(_) | PolicyConfig::Random | PolicyConfig::Genie => 0,
-        };
+        let settings = self.scenario.policy.settings::<AdjustedSettings>();
+        let searched = settings.map_or(0, |settings| settings.pairs().count() as u64 * settings.pilot_ttis);
         u64::from(self.scenario.devices) * (self.scenario.ttis + searched)
     }
 }
@@ -61,8 +60,8 @@ impl Grid {
     /// The grid of `experiment`. Every scenario is checked.
     ///
     /// # Errors
-    /// A value stands in a list twice, the grid is too large, or a cell's scenario cannot be used; the message names the
-    /// field.
+    /// A value stands in a list twice, the grid is too large, or a cell's scenario cannot be used; the message names
+    /// the field.
     pub fn new(experiment: Experiment) -> Result<Self, SweepError> {
         check_size(&experiment)?;
         let columns: Vec<(String, Vec<Value>)> = experiment.axes.iter().map(column).collect::<Result<_, _>>()?;
@@ -72,7 +71,7 @@ impl Grid {
                 .iter()
                 .zip(&columns)
                 .filter(|(axis, _)| !axis.is_built_in())
-                .map(|(axis, (_, values))| (axis.path.clone(), values[0].kind()))
+                .map(|(axis, (_, values))| (axis.path.clone(), values[0].column_type()))
                 .collect(),
         };
         let base = base_overrides(&experiment)?;
@@ -96,7 +95,8 @@ impl Grid {
         if shard == Shard::WHOLE || self.experiment.until_ci.is_none() {
             return Ok(());
         }
-        let allowed = "cannot go with until_ci: no shard sees all runs of a cell, so none could tell when it has enough; \
+        let allowed = "cannot go with until_ci: no shard sees all runs of a cell, so none could tell when it has \
+            enough; \
                        leave one of them out";
         Err(SweepError::invalid("shard", shard, allowed))
     }
@@ -131,7 +131,8 @@ pub(super) fn check_size(experiment: &Experiment) -> Result<(), SweepError> {
     let runs = cells.saturating_mul(seeds);
     if runs > MOST_RUNS {
         let allowed = format!(
-            "{cells} cells × {seeds} seeds, but a sweep has at most {MOST_RUNS} runs; take fewer seeds (--seeds), or split \
+            "{cells} cells × {seeds} seeds, but a sweep has at most {MOST_RUNS} runs; take fewer seeds (--seeds), or \
+                split \
              the grid"
         );
         return Err(SweepError::invalid("runs", runs, allowed));
@@ -142,8 +143,12 @@ pub(super) fn check_size(experiment: &Experiment) -> Result<(), SweepError> {
 /// The values of an axis as its column holds them.
 fn column(axis: &Axis) -> Result<(String, Vec<Value>), SweepError> {
     let values: Vec<Value> = axis.values.iter().map(value).collect();
-    let kind = values.iter().map(Value::kind).reduce(Kind::join).unwrap_or(Kind::Text);
-    let values: Vec<Value> = values.into_iter().map(|value| value.into_kind(kind)).collect();
+    let column_type = values
+        .iter()
+        .map(Value::column_type)
+        .reduce(ColumnType::join)
+        .unwrap_or(ColumnType::Text);
+    let values: Vec<Value> = values.into_iter().map(|value| value.into_type(column_type)).collect();
     for (at, value) in values.iter().enumerate() {
         if values[..at].contains(value) {
             let allowed = format!("is listed twice; set by {}", axis.origin);

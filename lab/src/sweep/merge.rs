@@ -9,13 +9,14 @@ use super::error::SweepError;
 use super::experiment::Experiment;
 use super::grid::check_size;
 use super::shard::Shard;
-use crate::table::{About, Kind, Row, Schema, Table};
+use crate::table::{About, ColumnType, Row, Schema, Table};
 
 /// The table of the whole sweep from those of its shards, in any order: the same as that of an undivided sweep. With
 /// `partial`, shards may be missing, and the table says which are there.
 ///
 /// # Errors
-/// The tables are of different experiments or versions, are no shards, overlap, or (without `partial`) are not all there.
+/// The tables are of different experiments or versions, are no shards, overlap, or (without `partial`) are not all
+/// there.
 pub fn merge(tables: Vec<(PathBuf, Table)>, partial: bool) -> Result<Table, SweepError> {
     let mut shards = Vec::new();
     for (path, table) in tables {
@@ -86,8 +87,8 @@ pub fn merge(tables: Vec<(PathBuf, Table)>, partial: bool) -> Result<Table, Swee
     })
 }
 
-/// Columns that hold what those of any shard hold: a CSV file without its kinds is read by what its own values look like,
-/// and one without rows does not tell at all.
+/// Columns that hold what those of any shard hold: a CSV file without its kinds is read by what its own values look
+/// like, and one without rows does not tell at all.
 fn schema_of(shards: &[(Shard, PathBuf, Table)]) -> Schema {
     let mut telling = shards
         .iter()
@@ -95,8 +96,8 @@ fn schema_of(shards: &[(Shard, PathBuf, Table)]) -> Schema {
         .filter(|table| !table.rows.is_empty());
     let mut schema = telling.next().unwrap_or(&shards[0].2).schema.clone();
     for table in telling {
-        for ((_, kind), (_, other)) in schema.swept.iter_mut().zip(&table.schema.swept) {
-            *kind = kind.join(*other);
+        for ((_, column_type), (_, other)) in schema.swept.iter_mut().zip(&table.schema.swept) {
+            *column_type = column_type.join(*other);
         }
     }
     schema
@@ -108,7 +109,9 @@ fn conform(table: &mut Table, schema: &Schema) {
     }
     for row in &mut table.rows {
         let values = row.swept.iter().cloned().zip(&schema.swept);
-        row.swept = values.map(|(value, (_, kind))| value.into_kind(*kind)).collect();
+        row.swept = values
+            .map(|(value, (_, column_type))| value.into_type(*column_type))
+            .collect();
     }
 }
 
@@ -140,7 +143,7 @@ fn shard_of(path: &Path, table: &Table) -> Result<Shard, SweepError> {
 
 fn fits(first_path: &Path, first: &Table, path: &Path, table: &Table) -> Result<(), SweepError> {
     let (a, b) = (&first.about, &table.about);
-    let name = |(name, _): &(String, Kind)| name.clone();
+    let name = |(name, _): &(String, ColumnType)| name.clone();
     let what = if a.version != b.version {
         format!("was made by reveille {}, but that one by {}", b.version, a.version)
     } else if a.experiment != b.experiment {

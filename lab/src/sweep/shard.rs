@@ -3,8 +3,8 @@
 use std::fmt;
 use std::str::FromStr;
 
-/// The `index`-th of `count` shares. The runs of a cell are dealt round robin, those of the next cell from the next share on:
-/// each share has some of every cell, and where a run falls does not depend on how many seeds there are.
+/// The `index`-th of `count` shares. The runs of a cell are dealt round robin, those of the next cell from the next
+/// share on: each share has some of every cell, and where a run falls does not depend on how many seeds there are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shard {
     /// From 1.

@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::*;
-use crate::run;
+use crate::preparation;
 use crate::stats;
-use crate::table::{Format, Kind, Table, Value};
+use crate::table::{ColumnType, Format, Table, Value};
 
 /// A folder of its own, gone with it.
 struct Folder(PathBuf);
@@ -30,7 +30,7 @@ impl Drop for Folder {
 /// Stops after some runs have begun.
 struct Until(AtomicU64);
 
-impl Observer for Until {
+impl SweepProgress for Until {
     fn planned(&self, _: usize, _: u64) {}
     fn started(&self, _: usize) {
         let _ = self
@@ -80,7 +80,7 @@ fn cells_come_in_the_order_of_the_contract() {
     assert_eq!(labels[1], "random, devices = 5, ttis = 300, harvest.lambda = 1");
     assert_eq!(labels[2], "random, devices = 12, ttis = 300, harvest.lambda = 0.1");
     assert_eq!(labels[7], "knn, devices = 12, ttis = 300, harvest.lambda = 1");
-    assert_eq!(grid.schema.swept, [("harvest.lambda".to_owned(), Kind::Float)]);
+    assert_eq!(grid.schema.swept, [("harvest.lambda".to_owned(), ColumnType::Float)]);
     assert_eq!(*grid.cells[7].swept, [Value::Float(1.0)]);
     assert_eq!((grid.cells.len(), grid.runs()), (8, 56));
     assert_eq!(grid.cells[0].scenario.seed, 3);
@@ -174,7 +174,7 @@ fn rows_are_those_of_single_runs() {
         for seed in 3..10 {
             let row = rows.next().expect("a row per run");
             let scenario = cell.with_seed(seed);
-            let outcome = run::run(&scenario);
+            let outcome = preparation::run(&scenario);
             assert_eq!(
                 (row.seed, row.n, &*row.policy),
                 (seed, scenario.devices, scenario.policy.name())

@@ -1,32 +1,15 @@
 //! Which columns a result table has.
 
 use std::fmt;
-use std::sync::LazyLock;
 
-use reveille_common::metrics::Metrics;
+use reveille_common::score::Metrics;
 
-use super::Refusal;
-
-/// Metrics with a column of their own; `events` comes after them, as a whole number.
-pub const METRICS: usize = 14;
+use super::error::Refusal;
 
 /// The columns in front of the swept ones.
 pub(super) const IDENTITY: [&str; 6] = ["scenario_hash", "preset", "policy", "n", "ttis", "seed"];
 /// The columns behind the metrics.
 pub(super) const TAIL: [&str; 2] = ["events", "digest"];
-
-/// The names of the metrics with a column of their own, in order: those of [`Metrics::rows`] without `events`.
-pub fn metric_names() -> &'static [&'static str; METRICS] {
-    static NAMES: LazyLock<[&'static str; METRICS]> = LazyLock::new(|| {
-        let mut names = [""; METRICS];
-        let rows = Metrics::default().rows();
-        for (slot, (name, _, _)) in names.iter_mut().zip(rows) {
-            *slot = name;
-        }
-        names
-    });
-    &NAMES
-}
 
 /// The value of a swept field.
 #[derive(Clone, Debug, PartialEq)]
@@ -51,7 +34,7 @@ impl fmt::Display for Value {
 
 /// What a swept column holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum ColumnType {
     /// Whole numbers.
     Int,
     /// Numbers.
@@ -62,27 +45,28 @@ pub enum Kind {
 
 impl Value {
     /// What it is.
-    pub const fn kind(&self) -> Kind {
+    pub const fn column_type(&self) -> ColumnType {
         match self {
-            Self::Int(_) => Kind::Int,
-            Self::Float(_) => Kind::Float,
-            Self::Text(_) => Kind::Text,
+            Self::Int(_) => ColumnType::Int,
+            Self::Float(_) => ColumnType::Float,
+            Self::Text(_) => ColumnType::Text,
         }
     }
 
-    /// The value as a column of `kind` holds it: whole numbers among numbers become numbers, anything among text text.
+    /// The value as a column of `column_type` holds it: whole numbers among numbers become numbers, anything among text
+    /// text.
     #[must_use]
-    pub fn into_kind(self, kind: Kind) -> Self {
-        match (kind, self) {
-            (Kind::Float, Self::Int(value)) => Self::Float(value as f64),
-            (Kind::Text, value) => Self::Text(value.to_string()),
-            (Kind::Int | Kind::Float, value) => value,
+    pub fn into_type(self, column_type: ColumnType) -> Self {
+        match (column_type, self) {
+            (ColumnType::Float, Self::Int(value)) => Self::Float(value as f64),
+            (ColumnType::Text, value) => Self::Text(value.to_string()),
+            (ColumnType::Int | ColumnType::Float, value) => value,
         }
     }
 }
 
-impl Kind {
-    /// All kinds.
+impl ColumnType {
+    /// All types.
     const ALL: [Self; 3] = [Self::Int, Self::Float, Self::Text];
 
     /// Its name in side-cars.
@@ -94,12 +78,12 @@ impl Kind {
         }
     }
 
-    /// The kind of this name.
+    /// The type of this name.
     pub(super) fn named(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|kind| kind.name() == name)
+        Self::ALL.into_iter().find(|column_type| column_type.name() == name)
     }
 
-    /// The kind that holds both.
+    /// The type that holds both.
     #[must_use]
     pub const fn join(self, other: Self) -> Self {
         match (self, other) {
@@ -113,15 +97,15 @@ impl Kind {
 /// The columns that differ between tables: the swept fields. All others are fixed.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Schema {
-    /// Path and kind of each swept field beyond preset, policy, N and TTIs.
-    pub swept: Vec<(String, Kind)>,
+    /// Path and type of each swept field beyond preset, policy, N and TTIs.
+    pub swept: Vec<(String, ColumnType)>,
 }
 
 impl Schema {
     /// The names of all columns, in order.
     pub fn names(&self) -> Vec<&str> {
         let swept = self.swept.iter().map(|(name, _)| name.as_str());
-        let fixed = metric_names().iter().chain(&TAIL).copied();
+        let fixed = Metrics::NAMES.into_iter().chain(TAIL);
         IDENTITY.into_iter().chain(swept).chain(fixed).collect()
     }
 
@@ -132,14 +116,17 @@ impl Schema {
 
     /// The names of the swept columns among `header`, after a check of all others.
     pub(super) fn swept_among<'h>(header: &[&'h str]) -> Result<Vec<&'h str>, Refusal> {
-        let fixed = IDENTITY.len() + METRICS + TAIL.len();
+        let fixed = IDENTITY.len() + Metrics::COUNT + TAIL.len();
         let swept = header.len().checked_sub(fixed);
         let Some(swept) = swept else {
             return Err(mismatch(&Self::default().names(), header));
         };
         let names: Vec<&str> = header[IDENTITY.len()..IDENTITY.len() + swept].to_vec();
         let own = Self {
-            swept: names.iter().map(|name| ((*name).to_owned(), Kind::Text)).collect(),
+            swept: names
+                .iter()
+                .map(|name| ((*name).to_owned(), ColumnType::Text))
+                .collect(),
         };
         let expected = own.names();
         if expected == header {

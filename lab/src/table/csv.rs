@@ -1,46 +1,15 @@
-//! Result tables as CSV files. What Parquet keeps in its metadata lies in a side-car, `NAME.csv.toml`.
+//! The text of CSV files and the tables that it holds.
 
-use std::collections::BTreeMap;
-use std::ffi::OsString;
-use std::fmt::Write as _;
-use std::fs;
-use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::Arc;
 
-use super::columns::{IDENTITY, Kind, METRICS, Schema, Value};
-use super::parquet::Shared;
-use super::row::Row;
-use super::{About, Failure, Refusal, Table, keys};
+use reveille_common::score::Metrics;
 
-/// Where the side-car of the CSV file at `path` is.
-pub(super) fn side_car(path: &Path) -> PathBuf {
-    let mut name = OsString::from(path);
-    name.push(".toml");
-    PathBuf::from(name)
-}
-
-/// The side-car.
-pub(super) fn side_car_text(table: &Table) -> String {
-    let kinds: Vec<&str> = table.schema.swept.iter().map(|(_, kind)| kind.name()).collect();
-    let own = [
-        (keys::KINDS, kinds.join(",")),
-        (keys::ROWS, table.rows.len().to_string()),
-    ];
-    let pairs = table.about.pairs().into_iter().chain(own);
-    pairs.fold(String::new(), |mut text, (key, value)| {
-        let _ = writeln!(text, "\"{key}\" = {}", toml::Value::String(value));
-        text
-    })
-}
-
-/// What the side-car says; nothing of it if there is none.
-#[derive(Default)]
-struct Side {
-    about: About,
-    kinds: Option<Vec<Kind>>,
-    rows: Option<usize>,
-}
+use super::columns::{ColumnType, IDENTITY, Schema, Value};
+use super::contents::Table;
+use super::error::Refusal;
+use super::row::{Row, Shared};
+use super::side_car::Side;
 
 /// The bytes of the file of `table`. Numbers are written so that they read back as the same bits.
 pub(super) fn to_bytes(table: &Table) -> Result<Vec<u8>, String> {
@@ -81,66 +50,29 @@ fn written(value: &Value) -> String {
     }
 }
 
-/// Reads the table in the file at `path`, and its side-car if it is there.
-pub(super) fn read(path: &Path) -> Result<Table, Failure> {
-    let text = fs::read_to_string(path)?;
-    Ok(decode(&text, side_of(path)?)?)
-}
-
-/// What the table in the file at `path` says of itself.
-pub(super) fn about(path: &Path) -> Result<About, Failure> {
-    side_of(path).map(|side| side.about)
-}
-
-fn side_of(path: &Path) -> Result<Side, Failure> {
-    match fs::read_to_string(side_car(path)) {
-        Ok(text) => Ok(side(&text)?),
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(Side::default()),
-        Err(error) => Err(error.into()),
-    }
-}
-
-fn side(text: &str) -> Result<Side, Refusal> {
-    let pairs: BTreeMap<String, String> =
-        toml::from_str(text).map_err(|error| Refusal::Broken(format!("its side-car: {}", error.message())))?;
-    let broken = |key: &str| Refusal::Broken(format!("its side-car: {key} = \"{}\"", pairs[key].escape_default()));
-    let kinds = pairs.get(keys::KINDS).map(|names| {
-        let names = names.split(',').filter(|name| !name.is_empty());
-        let kinds: Option<Vec<Kind>> = names.map(Kind::named).collect();
-        kinds.ok_or_else(|| broken(keys::KINDS))
-    });
-    let rows = pairs
-        .get(keys::ROWS)
-        .map(|rows| rows.parse().map_err(|_| broken(keys::ROWS)));
-    Ok(Side {
-        about: About::from_pairs(|key| pairs.get(key).map(String::as_str))?,
-        kinds: kinds.transpose()?,
-        rows: rows.transpose()?,
-    })
-}
-
-/// The swept columns: of the kinds that the side-car tells, or else of those that their values look like.
-fn schema(names: &[&str], told: Option<Vec<Kind>>, records: &[csv::StringRecord]) -> Result<Schema, Refusal> {
+/// The swept columns: of the types that the side-car tells, or else of those that their values look like.
+fn schema(names: &[&str], told: Option<Vec<ColumnType>>, records: &[csv::StringRecord]) -> Result<Schema, Refusal> {
     let names = Schema::swept_among(names)?;
-    let kinds = told.unwrap_or_else(|| {
-        let kind = |at: usize| {
-            let kinds = records.iter().map(|record| guess(&record[IDENTITY.len() + at]));
-            kinds.reduce(Kind::join).unwrap_or(Kind::Text)
+    let types = told.unwrap_or_else(|| {
+        let column_type = |at: usize| {
+            let types = records.iter().map(|record| guess(&record[IDENTITY.len() + at]));
+            types.reduce(ColumnType::join).unwrap_or(ColumnType::Text)
         };
-        (0..names.len()).map(kind).collect()
+        (0..names.len()).map(column_type).collect()
     });
-    if kinds.len() != names.len() {
-        let (told, found) = (kinds.len(), names.len());
+    if types.len() != names.len() {
+        let (told, found) = (types.len(), names.len());
         return Err(Refusal::Broken(format!(
             "its side-car tells of {told} swept columns, but it has {found}"
         )));
     }
     Ok(Schema {
-        swept: names.into_iter().map(str::to_owned).zip(kinds).collect(),
+        swept: names.into_iter().map(str::to_owned).zip(types).collect(),
     })
 }
 
-fn decode(text: &str, side: Side) -> Result<Table, Refusal> {
+/// The table in `text`, with what its side-car says.
+pub(super) fn decode(text: &str, side: Side) -> Result<Table, Refusal> {
     let broken = |error: csv::Error| Refusal::Broken(error.to_string());
     if !text.ends_with('\n') {
         return Err(Refusal::Broken("its last row has no end".to_owned()));
@@ -148,7 +80,7 @@ fn decode(text: &str, side: Side) -> Result<Table, Refusal> {
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let header = reader.headers().map_err(broken)?.clone();
     let records = reader.records().collect::<Result<Vec<_>, _>>().map_err(broken)?;
-    let schema = schema(&header.iter().collect::<Vec<_>>(), side.kinds, &records)?;
+    let schema = schema(&header.iter().collect::<Vec<_>>(), side.types, &records)?;
     if let Some(rows) = side.rows.filter(|rows| *rows != records.len()) {
         let found = records.len();
         return Err(Refusal::Broken(format!(
@@ -171,13 +103,13 @@ fn rows(schema: &Schema, records: &[csv::StringRecord]) -> Result<Vec<Row>, Refu
             .swept
             .iter()
             .enumerate()
-            .map(|(at, (_, kind))| fields.swept(IDENTITY.len() + at, *kind))
+            .map(|(at, (_, column_type))| fields.swept(IDENTITY.len() + at, *column_type))
             .collect::<Result<_, _>>()?;
         if *cell != *swept {
             cell = Arc::from(swept);
         }
         let first = IDENTITY.len() + schema.swept.len();
-        let mut metrics = [f64::NAN; METRICS];
+        let mut metrics = [f64::NAN; Metrics::COUNT];
         for (at, slot) in metrics.iter_mut().enumerate() {
             if !record[first + at].is_empty() {
                 *slot = fields.get(first + at)?;
@@ -192,21 +124,21 @@ fn rows(schema: &Schema, records: &[csv::StringRecord]) -> Result<Vec<Row>, Refu
             seed: fields.get(5)?,
             swept: Arc::clone(&cell),
             metrics,
-            events: fields.get(first + METRICS)?,
-            digest: fields.get(first + METRICS + 1)?,
+            events: fields.get(first + Metrics::COUNT)?,
+            digest: fields.get(first + Metrics::COUNT + 1)?,
         });
     }
     Ok(rows)
 }
 
 /// What a cell seems to hold.
-fn guess(text: &str) -> Kind {
+fn guess(text: &str) -> ColumnType {
     if text.parse::<i64>().is_ok() {
-        Kind::Int
+        ColumnType::Int
     } else if text.parse::<f64>().is_ok() {
-        Kind::Float
+        ColumnType::Float
     } else {
-        Kind::Text
+        ColumnType::Text
     }
 }
 
@@ -225,11 +157,11 @@ impl Fields<'_> {
         })
     }
 
-    fn swept(&self, at: usize, kind: Kind) -> Result<Value, Refusal> {
-        Ok(match kind {
-            Kind::Int => Value::Int(self.get(at)?),
-            Kind::Float => Value::Float(self.get(at)?),
-            Kind::Text => Value::Text(self.record[at].to_owned()),
+    fn swept(&self, at: usize, column_type: ColumnType) -> Result<Value, Refusal> {
+        Ok(match column_type {
+            ColumnType::Int => Value::Int(self.get(at)?),
+            ColumnType::Float => Value::Float(self.get(at)?),
+            ColumnType::Text => Value::Text(self.record[at].to_owned()),
         })
     }
 }

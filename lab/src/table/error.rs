@@ -1,9 +1,9 @@
 //! Why a result table cannot be read or written.
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use super::TABLE_VERSION;
+use super::keys::TABLE_VERSION;
 
 /// A result table that cannot be read or written, and why.
 #[derive(Debug, thiserror::Error)]
@@ -40,7 +40,8 @@ pub enum TableError {
     },
     /// A table of another version.
     #[error(
-        "{}: is a result table of version {found}, written by reveille {by}; this reveille reads version {TABLE_VERSION}: \
+        "{}: is a result table of version {found}, written by reveille {by}; this reveille reads version \
+            {TABLE_VERSION}: \
          use that one, or run the sweep again",
         path.display()
     )]
@@ -71,4 +72,44 @@ pub enum TableError {
         /// What the reader stumbled over.
         reason: String,
     },
+}
+
+/// Why metadata or columns are not those of a table of this version.
+pub(super) enum Refusal {
+    NotOurs,
+    Version { found: String, by: String },
+    Columns(String),
+    Broken(String),
+}
+
+/// Why a read failed, before the file's name is put in front.
+pub(super) enum Failure {
+    Io(io::Error),
+    Refused(Refusal),
+}
+
+impl From<io::Error> for Failure {
+    fn from(error: io::Error) -> Self {
+        Self::Io(error)
+    }
+}
+
+impl From<Refusal> for Failure {
+    fn from(refusal: Refusal) -> Self {
+        Self::Refused(refusal)
+    }
+}
+
+impl Failure {
+    /// The error of the file at `path`.
+    pub(super) fn of(self, path: &Path) -> TableError {
+        let path = path.to_owned();
+        match self {
+            Self::Io(error) => TableError::Read { path, error },
+            Self::Refused(Refusal::NotOurs) => TableError::NotOurs { path },
+            Self::Refused(Refusal::Version { found, by }) => TableError::Version { path, found, by },
+            Self::Refused(Refusal::Columns(reason)) => TableError::Columns { path, reason },
+            Self::Refused(Refusal::Broken(reason)) => TableError::Broken { path, reason },
+        }
+    }
 }

@@ -2,12 +2,14 @@
 
 use std::sync::Arc;
 
-use super::{About, Hash, Kind, METRICS, Row, Schema, Table, Value};
+use reveille_common::score::Metrics;
+
+use super::{About, ColumnType, Hash, Row, Schema, Table, Value};
 
 /// Five runs of three cells; `info_per_event` is undefined in the first two.
 pub(crate) fn table() -> Table {
     let row = |policy: &str, n, seed, lambda: f64, kind: &str| {
-        let mut metrics = [0.0; METRICS];
+        let mut metrics = [0.0; Metrics::COUNT];
         for (at, value) in metrics.iter_mut().enumerate() {
             *value = seed as f64 * if at == 1 { 1.0 } else { 0.1 + at as f64 / 3.0 };
         }
@@ -37,9 +39,9 @@ pub(crate) fn table() -> Table {
         },
         schema: Schema {
             swept: vec![
-                (path("harvest.lambda"), Kind::Float),
-                (path("events.duration"), Kind::Int),
-                (path("sensing.kind"), Kind::Text),
+                (path("harvest.lambda"), ColumnType::Float),
+                (path("events.duration"), ColumnType::Int),
+                (path("sensing.kind"), ColumnType::Text),
             ],
         },
         rows: vec![

@@ -1,8 +1,6 @@
-//! Result tables as Parquet files.
+//! The bytes of Parquet files and the tables that they hold.
 
-use std::fs::File;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::Path;
 use std::sync::Arc;
 
 use parquet::basic::{Compression, LogicalType, Repetition, Type as Physical};
@@ -11,13 +9,17 @@ use parquet::data_type::{ByteArray, ByteArrayType, DataType, DoubleType, Int64Ty
 use parquet::errors::ParquetError;
 use parquet::file::metadata::KeyValue;
 use parquet::file::properties::WriterProperties;
-use parquet::file::reader::{FileReader, RowGroupReader, SerializedFileReader};
+use parquet::file::reader::{ChunkReader, FileReader, RowGroupReader, SerializedFileReader};
 use parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
 use parquet::schema::types::{Type, TypePtr};
 
-use super::columns::{IDENTITY, Kind, METRICS, Schema, TAIL, Value, metric_names};
-use super::row::{Hash, Row};
-use super::{About, Failure, Refusal, Table};
+use reveille_common::score::Metrics;
+
+use super::about::About;
+use super::columns::{ColumnType, IDENTITY, Schema, TAIL, Value};
+use super::contents::Table;
+use super::error::Refusal;
+use super::row::{Hash, Row, Shared};
 
 /// Rows in a row group: a bound on the memory of readers.
 const GROUP: usize = 65_536;
@@ -54,14 +56,14 @@ fn message_type(schema: &Schema) -> Result<Type, ParquetError> {
     for name in [n, ttis, seed] {
         fields.push(number(name, Physical::INT64, Repetition::REQUIRED)?);
     }
-    for (name, kind) in &schema.swept {
-        fields.push(match kind {
-            Kind::Int => number(name, Physical::INT64, Repetition::REQUIRED)?,
-            Kind::Float => number(name, Physical::DOUBLE, Repetition::REQUIRED)?,
-            Kind::Text => text(name)?,
+    for (name, column_type) in &schema.swept {
+        fields.push(match column_type {
+            ColumnType::Int => number(name, Physical::INT64, Repetition::REQUIRED)?,
+            ColumnType::Float => number(name, Physical::DOUBLE, Repetition::REQUIRED)?,
+            ColumnType::Text => text(name)?,
         });
     }
-    for name in metric_names() {
+    for name in Metrics::NAMES {
         fields.push(number(name, Physical::DOUBLE, Repetition::OPTIONAL)?);
     }
     fields.push(number(events, Physical::INT64, Repetition::REQUIRED)?);
@@ -92,15 +94,15 @@ fn write_group(
     write_ints(group, rows.iter().map(|row| i64::from(row.n)))?;
     write_ints(group, rows.iter().map(|row| row.ttis.cast_signed()))?;
     write_ints(group, rows.iter().map(|row| row.seed.cast_signed()))?;
-    for (column, (_, kind)) in schema.swept.iter().enumerate() {
+    for (column, (_, column_type)) in schema.swept.iter().enumerate() {
         let values = rows.iter().map(|row| &row.swept[column]);
-        match kind {
-            Kind::Int => write_ints(group, values.map(int).collect::<Result<Vec<_>, _>>()?.into_iter())?,
-            Kind::Float => write::<DoubleType>(group, &values.map(float).collect::<Result<Vec<_>, _>>()?, None)?,
-            Kind::Text => write_texts(group, values.map(ToString::to_string))?,
+        match column_type {
+            ColumnType::Int => write_ints(group, values.map(int).collect::<Result<Vec<_>, _>>()?.into_iter())?,
+            ColumnType::Float => write::<DoubleType>(group, &values.map(float).collect::<Result<Vec<_>, _>>()?, None)?,
+            ColumnType::Text => write_texts(group, values.map(ToString::to_string))?,
         }
     }
-    for metric in 0..METRICS {
+    for metric in 0..Metrics::COUNT {
         let values: Vec<f64> = rows.iter().map(|row| row.metrics[metric]).collect();
         let levels: Vec<i16> = values.iter().map(|value| i16::from(!value.is_nan())).collect();
         let defined: Vec<f64> = values.into_iter().filter(|value| !value.is_nan()).collect();
@@ -127,8 +129,8 @@ fn float(value: &Value) -> Result<f64, ParquetError> {
     }
 }
 
-fn misplaced(value: &Value, kind: &str) -> ParquetError {
-    ParquetError::General(format!("`{value}` stands in a column of {kind}"))
+fn misplaced(value: &Value, types: &str) -> ParquetError {
+    ParquetError::General(format!("`{value}` stands in a column of {types}"))
 }
 
 fn write_texts(
@@ -157,25 +159,20 @@ fn write<T: DataType>(
     column.close()
 }
 
-/// Reads the table in the file at `path`.
-pub(super) fn read(path: &Path) -> Result<Table, Failure> {
-    guarded(path, decode)
+/// The table in `file`.
+pub(super) fn decode<F: ChunkReader + 'static>(file: F) -> Result<Table, Refusal> {
+    guarded(|| table_of(&SerializedFileReader::new(file)?))
 }
 
-/// What the table in the file at `path` says of itself.
-pub(super) fn about(path: &Path) -> Result<About, Failure> {
-    guarded(path, |file| about_of(&SerializedFileReader::new(file)?))
+/// What the table in `file` says of itself.
+pub(super) fn about<F: ChunkReader + 'static>(file: F) -> Result<About, Refusal> {
+    guarded(|| about_of(&SerializedFileReader::new(file)?))
 }
 
-fn guarded<T>(path: &Path, decode: impl FnOnce(File) -> Result<T, Refusal>) -> Result<T, Failure> {
-    let file = File::open(path)?;
-    if !file.metadata()?.is_file() {
-        return Err(std::io::Error::other("it is no regular file").into());
-    }
-    // The decoder panics on some corrupt files.
-    let read = catch_unwind(AssertUnwindSafe(|| decode(file)));
-    let read = read.unwrap_or_else(|_| Err(Refusal::Broken("the Parquet decoder gave up".to_owned())));
-    read.map_err(Failure::Refused)
+/// The decoder panics on some corrupt files.
+fn guarded<T>(decode: impl FnOnce() -> Result<T, Refusal>) -> Result<T, Refusal> {
+    catch_unwind(AssertUnwindSafe(decode))
+        .unwrap_or_else(|_| Err(Refusal::Broken("the Parquet decoder gave up".to_owned())))
 }
 
 impl From<ParquetError> for Refusal {
@@ -184,21 +181,20 @@ impl From<ParquetError> for Refusal {
     }
 }
 
-fn about_of(reader: &SerializedFileReader<File>) -> Result<About, Refusal> {
+fn about_of(reader: &impl FileReader) -> Result<About, Refusal> {
     let pairs = reader.metadata().file_metadata().key_value_metadata();
     let pairs = pairs.map_or(&[][..], Vec::as_slice);
     About::from_pairs(|key| pairs.iter().find(|pair| pair.key == key)?.value.as_deref())
 }
 
-fn decode(file: File) -> Result<Table, Refusal> {
-    let reader = SerializedFileReader::new(file)?;
-    let about = about_of(&reader)?;
+fn table_of(reader: &impl FileReader) -> Result<Table, Refusal> {
+    let about = about_of(reader)?;
     let fields = reader.metadata().file_metadata().schema().get_fields();
     let header: Vec<&str> = fields.iter().map(|field| field.name()).collect();
     let names = Schema::swept_among(&header)?;
     let first = IDENTITY.len();
-    let kinds = fields[first..first + names.len()].iter().map(|field| kind_of(field));
-    let swept = names.into_iter().map(str::to_owned).zip(kinds).collect();
+    let types = fields[first..first + names.len()].iter().map(|field| type_of(field));
+    let swept = names.into_iter().map(str::to_owned).zip(types).collect();
     let schema = Schema { swept };
     let own = message_type(&schema)?;
     let differing = own.get_fields().iter().zip(fields).find(|(own, found)| own != found);
@@ -215,19 +211,19 @@ fn decode(file: File) -> Result<Table, Refusal> {
     Ok(Table { about, schema, rows })
 }
 
-fn kind_of(field: &Type) -> Kind {
+fn type_of(field: &Type) -> ColumnType {
     if !field.is_primitive() {
-        return Kind::Text;
+        return ColumnType::Text;
     }
     match field.get_physical_type() {
-        Physical::INT64 => Kind::Int,
-        Physical::DOUBLE => Kind::Float,
+        Physical::INT64 => ColumnType::Int,
+        Physical::DOUBLE => ColumnType::Float,
         Physical::BYTE_ARRAY
         | Physical::BOOLEAN
         | Physical::INT32
         | Physical::INT96
         | Physical::FLOAT
-        | Physical::FIXED_LEN_BYTE_ARRAY => Kind::Text,
+        | Physical::FIXED_LEN_BYTE_ARRAY => ColumnType::Text,
     }
 }
 
@@ -280,11 +276,11 @@ impl Columns<'_> {
         Ok(values.map(|value| value.unwrap_or(f64::NAN)).collect())
     }
 
-    fn swept(&mut self, kind: Kind) -> Result<Vec<Value>, Refusal> {
-        Ok(match kind {
-            Kind::Int => self.ints()?.into_iter().map(Value::Int).collect(),
-            Kind::Float => self.values::<DoubleType>()?.into_iter().map(Value::Float).collect(),
-            Kind::Text => self.texts()?.into_iter().map(Value::Text).collect(),
+    fn swept(&mut self, column_type: ColumnType) -> Result<Vec<Value>, Refusal> {
+        Ok(match column_type {
+            ColumnType::Int => self.ints()?.into_iter().map(Value::Int).collect(),
+            ColumnType::Float => self.values::<DoubleType>()?.into_iter().map(Value::Float).collect(),
+            ColumnType::Text => self.texts()?.into_iter().map(Value::Text).collect(),
         })
     }
 
@@ -312,9 +308,11 @@ fn read_group(group: &dyn RowGroupReader, schema: &Schema, rows: &mut Vec<Row>) 
     let swept = schema
         .swept
         .iter()
-        .map(|(_, kind)| columns.swept(*kind))
+        .map(|(_, column_type)| columns.swept(*column_type))
         .collect::<Result<Vec<_>, _>>()?;
-    let metrics = (0..METRICS).map(|_| columns.metric()).collect::<Result<Vec<_>, _>>()?;
+    let metrics = (0..Metrics::COUNT)
+        .map(|_| columns.metric())
+        .collect::<Result<Vec<_>, _>>()?;
     let (events, digests) = (columns.ints()?, columns.hashes()?);
     let positive = |value: i64, name: &str| {
         u64::try_from(value).map_err(|_| Refusal::Broken(format!("`{name}` = {value} is negative")))
@@ -339,17 +337,4 @@ fn read_group(group: &dyn RowGroupReader, schema: &Schema, rows: &mut Vec<Row>) 
         });
     }
     Ok(())
-}
-
-/// The same text many times over, held once.
-#[derive(Default)]
-pub(super) struct Shared(Option<Arc<str>>);
-
-impl Shared {
-    pub(super) fn of(&mut self, text: &str) -> Arc<str> {
-        match &self.0 {
-            Some(known) if **known == *text => Arc::clone(known),
-            Some(_) | None => Arc::clone(self.0.insert(Arc::from(text))),
-        }
-    }
 }

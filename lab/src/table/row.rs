@@ -6,8 +6,9 @@ use std::sync::Arc;
 
 use reveille_bs::outcome::Outcome;
 use reveille_common::scenario::Scenario;
+use reveille_common::score::Metrics;
 
-use super::columns::{METRICS, Value, metric_names};
+use super::columns::Value;
 
 /// A SHA-256 sum; shown and read as 64 hexadecimal digits.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -58,8 +59,8 @@ pub struct Row {
     pub seed: u64,
     /// The values of the swept fields, in the order of [`super::Schema::swept`].
     pub swept: Arc<[Value]>,
-    /// The metrics, in the order of [`metric_names`]; NaN where not defined.
-    pub metrics: [f64; METRICS],
+    /// The metrics, in the order of [`Metrics::NAMES`]; NaN where not defined.
+    pub metrics: [f64; Metrics::COUNT],
     /// Events counted.
     pub events: u64,
     /// The run's fingerprint.
@@ -69,10 +70,6 @@ pub struct Row {
 impl Row {
     /// The row of a complete run of `scenario` with the swept values `swept`.
     pub fn new(scenario: &Scenario, swept: Arc<[Value]>, outcome: &Outcome) -> Self {
-        let mut metrics = [f64::NAN; METRICS];
-        for (slot, (_, value, _)) in metrics.iter_mut().zip(outcome.metrics.rows()) {
-            *slot = value;
-        }
         Self {
             scenario_hash: Hash(scenario.hash()),
             preset: Arc::from(scenario.preset.as_str()),
@@ -81,18 +78,19 @@ impl Row {
             ttis: scenario.ttis,
             seed: scenario.seed,
             swept,
-            metrics,
+            metrics: outcome.metrics.values(),
             events: outcome.metrics.events,
             digest: Hash(outcome.digest.bytes()),
         }
     }
 
-    /// The metric called `name`, `events` included; `None` if there is no such metric or it is not defined for this run.
+    /// The metric called `name`, `events` included; `None` if there is no such metric or it is not defined for this
+    /// run.
     pub fn metric(&self, name: &str) -> Option<f64> {
         if name == "events" {
             return Some(self.events as f64);
         }
-        let at = metric_names().iter().position(|known| *known == name)?;
+        let at = Metrics::NAMES.iter().position(|known| *known == name)?;
         Some(self.metrics[at]).filter(|value| !value.is_nan())
     }
 }
@@ -110,5 +108,19 @@ impl PartialEq for Row {
             && self.policy == other.policy
             && self.swept == other.swept
             && bits(self) == bits(other)
+    }
+}
+
+/// The same text many times over, held once.
+#[derive(Default)]
+pub(super) struct Shared(Option<Arc<str>>);
+
+impl Shared {
+    /// `text`, as it is held already if it is the one before.
+    pub(super) fn of(&mut self, text: &str) -> Arc<str> {
+        match &self.0 {
+            Some(known) if **known == *text => Arc::clone(known),
+            Some(_) | None => Arc::clone(self.0.insert(Arc::from(text))),
+        }
     }
 }

@@ -1,6 +1,8 @@
-//! Bayesian optimisation: a Gaussian process over (ln μ1, ln μ2), and the pair of the largest expected improvement next.
+//! Bayesian optimisation: a Gaussian process over (ln μ1, ln μ2), and the pair of the largest expected improvement
+//! next.
 //!
-//! The work is done by egobox. It runs on one thread and from one seed, so the same points always lead to the same next one.
+//! The work is done by egobox. It runs on one thread and from one seed, so the same points always lead to the same next
+//! one.
 
 use egobox_ego::{CorrelationSpec, EgorServiceBuilder, InfillStrategy, RegressionSpec};
 use egobox_gp::GaussianProcess;
@@ -10,9 +12,11 @@ use linfa::Dataset;
 use linfa::traits::Fit;
 use ndarray::{Array1, Array2, array};
 
-use super::evaluation::pool;
-use super::{History, Pair, Proposer, Ranges, TuningError};
-use crate::figures::tuning::Surface;
+use super::error::TuningError;
+use super::history::History;
+use super::plan::pool;
+use super::proposer::{Proposer, Surface};
+use super::ranges::{Pair, Ranges};
 
 /// Values along each side of a surface.
 const SIDE: usize = 40;

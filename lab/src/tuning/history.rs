@@ -3,8 +3,10 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use super::{Evaluation, Pair, TuningError};
-use crate::table::replace;
+use super::error::TuningError;
+use super::evaluation::{Evaluation, Point};
+use super::ranges::Pair;
+use crate::io::{read, replace};
 
 /// The first line of a history.
 const FIRST: &str = "# reveille tuning 1";
@@ -12,15 +14,6 @@ const FIRST: &str = "# reveille tuning 1";
 /// The line above the points.
 fn columns() -> String {
     format!("number,mu1,mu2,{}", Evaluation::NAMES.join(","))
-}
-
-/// A pair of weights and what it came to.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Point {
-    /// The pair.
-    pub weights: Pair,
-    /// What it came to.
-    pub evaluation: Evaluation,
 }
 
 /// The points of a tuning, in the order in which they were tried.
@@ -137,7 +130,7 @@ impl History {
     /// # Errors
     /// The file cannot be read or is no history.
     pub fn read(path: &Path) -> Result<(Self, bool), TuningError> {
-        let bytes = std::fs::read(path).map_err(|error| TuningError::Read {
+        let bytes = read(path).map_err(|error| TuningError::Read {
             path: path.to_owned(),
             error,
         })?;

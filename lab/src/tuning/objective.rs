@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use reveille_common::metrics::Metrics;
+use reveille_common::score::Metrics;
 
 /// What a run is worth.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,7 +23,8 @@ pub enum Objective {
 impl Objective {
     /// Its value for a run with these metrics; NaN if it has no event or spends nothing where that counts.
     ///
-    /// `alpha` is α, events per TTI and `devices` is N: Σ I_i / Σ energy = `info_p1` · α / (N · energy per device and TTI).
+    /// `alpha` is α, events per TTI and `devices` is N: Σ I_i / Σ energy = `info_p1` · α / (N · energy per device and
+    /// TTI).
     pub fn of(self, metrics: &Metrics, alpha: f64, devices: u32) -> f64 {
         let Metrics {
             info_per_event,

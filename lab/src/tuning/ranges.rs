@@ -3,14 +3,14 @@
 use libm::{exp, log};
 use reveille_common::rng::{Purpose, Stream};
 
-use super::TuningError;
+use super::error::TuningError;
 
 /// μ1, the weight of misdetections, and μ2, that of information (Sec. V-B).
 pub type Pair = [f64; 2];
 
 /// The fewest pairs of a design: a surrogate of two variables needs them.
 pub const LEAST_DESIGN: usize = 3;
-/// The largest weight there is sense in.
+/// The largest weight that a range may have.
 const LARGEST: f64 = 1e6;
 /// Latin hypercubes among which that of the widest gaps is taken.
 const HYPERCUBES: u32 = 64;

@@ -3,13 +3,13 @@
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use reveille_common::learned::Training;
-use reveille_common::metrics::Metrics;
-use reveille_common::scenario::{Override, Scenario, load};
+use reveille_bs::policy::q_learning::learned::Training;
+use reveille_bs::scenario::{Override, Scenario, load};
+use reveille_common::score::Metrics;
 
-use super::evaluation::pool;
+use super::plan::pool;
 use super::*;
-use crate::run::run;
+use crate::preparation::run;
 
 fn scenario(overrides: &[&str]) -> Scenario {
     let parse = |text: &&str| Override::parse(text).expect("an override");
@@ -75,7 +75,7 @@ impl Proposer for Between {
 /// Stops in the point of this number.
 struct StopIn(usize, AtomicUsize);
 
-impl Observer for StopIn {
+impl TuningProgress for StopIn {
     fn begun(&self, number: usize, _: Pair) {
         self.1.store(number, Ordering::Relaxed);
     }
@@ -355,8 +355,8 @@ mod optimiser {
         points
     }
 
-    /// Within ten proposals it comes within 2 % of the hill's height below the top, which at random takes hundreds: such
-    /// places are less than 1 % of the ranges.
+    /// Within ten proposals it comes within 2 % of the hill's height below the top, which at random takes hundreds:
+    /// such places are less than 1 % of the ranges.
     #[test]
     fn it_finds_the_top_of_a_hill() {
         for seed in [1, 2, 3] {

@@ -1,14 +1,15 @@
 //! Whatever a scenario file or the command line says: it is refused in words or becomes a scenario whose own text loads
 //! and means the same.
 //!
-//! The first byte says which line of which preset the text replaces, if any; a line that begins with `--set ` is an override.
+//! The first byte says which line of which preset the text replaces, if any; a line that begins with `--set ` is an
+//! override.
 
 #![no_main]
 
 use std::path::Path;
 
 use libfuzzer_sys::fuzz_target;
-use reveille_common::scenario::{Override, PRESETS, Scenario, ScenarioError, load, parse};
+use reveille_bs::scenario::{Override, PRESETS, Scenario, ScenarioError, load, parse};
 
 /// Nothing is there, so that no file of this machine plays a part.
 const NOWHERE: &str = "/nonexistent/reveille-fuzz";
@@ -54,7 +55,7 @@ fuzz_target!(|data: &[u8]| {
     }
     let body = lines.join("\n");
     let text = match mode % 8 {
-        preset @ 0..=2 => mutated(PRESETS[usize::from(preset)].0, mode / 8, &body),
+        preset @ 0..=2 => mutated(PRESETS[usize::from(preset)].name, mode / 8, &body),
         _ => body,
     };
     match parse(&text, "fuzzed", Path::new(NOWHERE), &overrides) {

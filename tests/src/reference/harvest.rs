@@ -1,5 +1,6 @@
 //! Energy arrivals, drawn TTI by TTI.
 
+use reveille_common::harvest::{Arrivals, Mpp};
 use reveille_common::rng::{Geometric, Purpose, Stream};
 use reveille_common::scenario::{Harvest, Trace, TraceColumns, TraceEnd};
 
@@ -35,12 +36,12 @@ impl Source {
     pub(super) fn new(harvest: &Harvest, tau: f64, seed: u64, id: u64, nth: usize) -> Self {
         let stream = Stream::new(seed, Purpose::Harvest, id);
         match harvest {
-            Harvest::Eq5 { lambda, e_b } => {
+            Harvest::Eq5(Arrivals { lambda, e_b }) => {
                 let rate = lambda * tau;
                 arrivals(stream, rate * libm::exp(-rate), e_b.micro())
             }
-            Harvest::ExpMinusLambda { lambda, e_b } => arrivals(stream, libm::exp(-lambda), e_b.micro()),
-            Harvest::Mpp { lambda, e_b, off_mean } => on_off(stream, *lambda, 1.0 / off_mean, tau, e_b.micro()),
+            Harvest::ExpMinusLambda(Arrivals { lambda, e_b }) => arrivals(stream, libm::exp(-lambda), e_b.micro()),
+            Harvest::Mpp(Mpp { lambda, e_b, off_mean }) => on_off(stream, *lambda, 1.0 / off_mean, tau, e_b.micro()),
             Harvest::Trace(trace) => recorded(trace, nth),
         }
     }

@@ -2,12 +2,13 @@
 
 use std::f64::consts::PI;
 
-use reveille_bs::clusters::Clusters;
-use reveille_bs::wakeup::i_min;
+use reveille_bs::beliefs::clusters::Clusters;
+use reveille_bs::beliefs::ranking::i_min;
+use reveille_bs::policy::knn::settings::KnnSettings;
 use reveille_common::geometry::Point;
 use reveille_common::rng::{Purpose, Stream};
-use reveille_common::scenario::{PolicyConfig, Scenario};
-use reveille_lab::adjusted::resolve;
+use reveille_common::scenario::Scenario;
+use reveille_lab::preparation::prepare;
 
 /// Points of the midpoint rule for the mean over φ.
 const POINTS: u32 = 2048;
@@ -82,9 +83,9 @@ pub(super) enum Choice {
 impl Policy {
     /// The policy of `scenario` for devices at `positions`.
     pub fn new(scenario: &Scenario, positions: &[Point]) -> Self {
-        match &scenario.policy {
-            PolicyConfig::Genie => Self::Genie,
-            PolicyConfig::Random => Self::Random(
+        match scenario.policy.name() {
+            "genie" => Self::Genie,
+            "random" => Self::Random(
                 (0..positions.len() as u64)
                     .map(|id| {
                         let mut stream = Stream::new(scenario.seed, Purpose::DutyCycle, id);
@@ -94,12 +95,8 @@ impl Policy {
                     })
                     .collect(),
             ),
-            PolicyConfig::QLearning(_) => panic!("a policy that learns has no second implementation here"),
-            PolicyConfig::Adjusted(_) => {
-                let PolicyConfig::Adjusted(settings) = &resolve(scenario).policy else {
-                    panic!("a search leaves the policy as it is")
-                };
-                let choice = settings.found.expect("the search finds a pair");
+            "adjusted" => {
+                let choice = prepare(scenario).findings.duty.expect("the search finds a pair");
                 Self::Adjusted {
                     t_on: u64::from(choice.t_on),
                     t_drx: u64::from(choice.t_drx),
@@ -107,13 +104,14 @@ impl Policy {
                     enough: i_min(positions, scenario.area, &scenario.sensing),
                 }
             }
-            PolicyConfig::Knn(settings) => {
+            "knn" => {
+                let settings = scenario.policy.settings::<KnnSettings>().expect("settings of knn");
                 let clusters = Clusters::form(
                     positions,
                     scenario.area,
                     scenario.sensing.d_max,
-                    settings,
-                    scenario.seed,
+                    settings.voting(),
+                    Stream::new(scenario.seed, Purpose::Clusters, 0),
                 );
                 let mut members: Vec<Vec<usize>> = clusters
                     .members
@@ -128,6 +126,7 @@ impl Policy {
                     enough: i_min(positions, scenario.area, &scenario.sensing),
                 }
             }
+            other => panic!("{other} has no second implementation here"),
         }
     }
 

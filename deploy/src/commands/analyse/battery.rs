@@ -4,8 +4,8 @@ use std::process::ExitCode;
 
 use anyhow::bail;
 use reveille_common::scenario::{DeviceClass, Harvest, Scenario};
-use reveille_lab::analysis::battery::{Comparison, Sample, Study, compare};
-use reveille_lab::analysis::harvest::Reading;
+use reveille_study::analysis::battery::{Comparison, Sample, Study, compare};
+use reveille_study::analysis::harvest::Reading;
 
 use super::lists::{duties, energies, numbers, scenario};
 use super::sheet::{Cell, Findings, Sheet};
@@ -95,13 +95,15 @@ fn only_class(scenario: &Scenario) -> anyhow::Result<&DeviceClass> {
 }
 
 fn source(harvest: &Harvest) -> anyhow::Result<(Reading, f64)> {
-    match harvest {
-        Harvest::Eq5 { lambda, .. } => Ok((Reading::Eq5, *lambda)),
-        Harvest::ExpMinusLambda { lambda, .. } => Ok((Reading::ExpMinusLambda, *lambda)),
-        Harvest::Mpp { .. } | Harvest::Trace(_) => bail!(
+    let reading = Reading::ALL
+        .into_iter()
+        .find(|reading| reading.name() == harvest.kind().name());
+    let Some((reading, arrivals)) = reading.zip(harvest.arrivals()) else {
+        bail!(
             "the chain needs arrivals that do not depend on each other; use --set harvest.kind=eq5 or exp-minus-lambda"
-        ),
-    }
+        );
+    };
+    Ok((reading, arrivals.lambda))
 }
 
 type Found = [(Study, Comparison)];
@@ -191,7 +193,8 @@ fn notes(found: &Found, bin: f64) -> Vec<String> {
     if let Some((study, first)) = found.first() {
         let per_unit = first.lattice.per_unit;
         notes.push(format!(
-            "The chain counts in 1/{per_unit} of a unit; E_WuR is {} micro-units in the machines and {} such quanta in the chain. \
+            "The chain counts in 1/{per_unit} of a unit; E_WuR is {} micro-units in the machines and {} such quanta \
+                in the chain. \
              Levels of both go to the nearest quantum, then into bins [0, {bin}), [{bin}, {}), … of units.",
             study.model.e_wur.micro(),
             first.lattice.e_wur,
@@ -201,20 +204,24 @@ fn notes(found: &Found, bin: f64) -> Vec<String> {
     let above: Vec<String> = found.iter().flat_map(|(study, c)| above_one(study, c)).collect();
     if let Some(example) = above.first() {
         notes.push(format!(
-            "Eq. (8) as printed is not a probability: {example} ({} rows above 1). Its terms belong to different numbers of \
+            "Eq. (8) as printed is not a probability: {example} ({} rows above 1). Its terms belong to different \
+                numbers of \
              trials, so the sum is Pr(E+1 successes within M+1 trials)/P and tends to 1/P.",
             above.len()
         ));
     }
     if let Some(example) = found.iter().find_map(|one| falls_with_harvest(one, found)) {
         notes.push(format!(
-            "Eq. (8) as printed falls where more energy comes: {example}. A larger E_B makes M = ⌈E_max/E_λ⌉ smaller, while B and \
+            "Eq. (8) as printed falls where more energy comes: {example}. A larger E_B makes M = ⌈E_max/E_λ⌉ smaller, \
+                while B and \
              E count units; and P, the chance to spend, is its chance of success."
         ));
     }
     notes.push(
-        "eq8_sum_by_beta is the incomplete beta form that the printed sum has, I_P(E+1, M−E+1)/P. The one that the paper names, \
-         β_{1−P}(E+1, E_max+1), lies in [0, 1] but is another function: it is 1 at P = 0 whatever the harvest, which it does not \
+        "eq8_sum_by_beta is the incomplete beta form that the printed sum has, I_P(E+1, M−E+1)/P. The one that the \
+            paper names, \
+         β_{1−P}(E+1, E_max+1), lies in [0, 1] but is another function: it is 1 at P = 0 whatever the harvest, which \
+         it does not \
          contain."
             .to_owned(),
     );
@@ -242,13 +249,16 @@ fn falls_with_harvest((study, found): &(Study, Comparison), all: &Found) -> Opti
         (other.t_on, other.t_drx) == (study.t_on, study.t_drx)
             && other.activation.to_bits() == study.activation.to_bits()
     };
-    all.iter().filter(|(other, _)| same(other) && other.e_b > study.e_b).find_map(|(other, more)| {
-        let pairs = found.availability.iter().zip(&more.availability);
-        pairs
+    all.iter()
+        .filter(|(other, _)| same(other) && other.e_b > study.e_b)
+        .find_map(|(other, more)| {
+            let pairs = found.availability.iter().zip(&more.availability);
+            pairs
             .filter(|(a, b)| b.eq8.sum < a.eq8.sum * (1.0 - 1e-6) && b.chain > a.chain)
             .map(|(a, b)| {
                 format!(
-                    "for E = {} units and P = {} from {:.2e} with E_B = {} to {:.2e} with E_B = {}, where the chain rises from \
+                    "for E = {} units and P = {} from {:.2e} with E_B = {} to {:.2e} with E_B = {}, where the chain \
+                        rises from \
                      {:.3} to {:.3}",
                     a.threshold,
                     study.activation,
@@ -261,5 +271,5 @@ fn falls_with_harvest((study, found): &(Study, Comparison), all: &Found) -> Opti
                 )
             })
             .next()
-    })
+        })
 }

@@ -3,10 +3,10 @@
 use std::process::ExitCode;
 
 use reveille_common::units::Energy;
-use reveille_lab::analysis::harvest::{
+use reveille_lab::stats::Estimate;
+use reveille_study::analysis::harvest::{
     Point, Reading, STATED, Stated, Study, consumption, demand, measure, positive_net,
 };
-use reveille_lab::stats::Estimate;
 
 use super::lists::{energies, numbers, readings, scenario, words};
 use super::sheet::{Cell, Findings, Sheet};
@@ -73,7 +73,8 @@ pub fn run(args: &HarvestArgs) -> anyhow::Result<ExitCode> {
             },
             Sheet {
                 name: "crossings",
-                title: "λ between which the mean harvest exceeds a fixed consumption; `paper`: the λ that it states for these N, E_B."
+                title: "λ between which the mean harvest exceeds a fixed consumption; `paper`: the λ that it states \
+                    for these N, E_B."
                     .to_owned(),
                 columns: CROSSINGS,
                 rows: crossings(args, &policies, &readings, &energies)?,
@@ -168,12 +169,16 @@ fn notes(points: &[Point]) -> Vec<String> {
             "The closed form lies outside the 95 % interval of {missed} of {} points; one in twenty is to be expected.",
             points.len()
         ),
-        "A run's own net (harvested less spent, at the same λ) cannot stay below 0: a device spends no more than it has. It is the \
-         overflow of full batteries, and what is left of the initial charge. The paper's net is the harvest less a consumption \
+        "A run's own net (harvested less spent, at the same λ) cannot stay below 0: a device spends no more than it \
+            has. It is the \
+         overflow of full batteries, and what is left of the initial charge. The paper's net is the harvest less a \
+         consumption \
          that does not depend on λ, and so is net_positive_from/to."
             .to_owned(),
-        "`as in the scenario`: what the policy spends with the scenario's own λ and E_B, as in Fig. 8. `never short`: what it would \
-         spend with full batteries. Under Eq. (5) no λ brings more than E_B/e a TTI, and beyond λ = 1/τ more λ brings less; under \
+        "`as in the scenario`: what the policy spends with the scenario's own λ and E_B, as in Fig. 8. `never short`: \
+            what it would \
+         spend with full batteries. Under Eq. (5) no λ brings more than E_B/e a TTI, and beyond λ = 1/τ more λ brings \
+         less; under \
          exp(-λ) the harvest only falls with λ, so the statement `positive above λ` cannot be meant that way."
             .to_owned(),
     ]

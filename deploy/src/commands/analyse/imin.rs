@@ -2,7 +2,7 @@
 
 use std::process::ExitCode;
 
-use reveille_lab::analysis::imin::measure;
+use reveille_study::analysis::imin::measure;
 
 use super::lists::{scenario, words};
 use super::sheet::{Findings, Sheet};
@@ -53,13 +53,15 @@ pub fn run(args: &IminArgs) -> anyhow::Result<ExitCode> {
         title: format!("E(I_min) over deployments · {about}"),
         sheets: vec![Sheet {
             name: "imin",
-            title: "I_min = p(d*), d* the largest distance from a device to a vertex of its Voronoi cell; grid_formula: p(√(ξ/2N))."
+            title: "I_min = p(d*), d* the largest distance from a device to a vertex of its Voronoi cell; \
+                grid_formula: p(√(ξ/2N))."
                 .to_owned(),
             columns: COLUMNS,
             rows,
         }],
         notes: vec![
-            "p(√(ξ/2N)) is the value of a square grid; that of a random layout is governed by its largest hole and lies below. \
+            "p(√(ξ/2N)) is the value of a square grid; that of a random layout is governed by its largest hole and \
+                lies below. \
              grid and hex do not depend on the seed."
                 .to_owned(),
         ],

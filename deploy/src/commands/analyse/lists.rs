@@ -1,9 +1,9 @@
 //! Lists on the command line, and the scenarios that they make.
 
 use anyhow::bail;
-use reveille_common::scenario::{Override, Scenario, load};
+use reveille_bs::scenario::{Override, Scenario, load};
 use reveille_common::units::{Energy, MAX_UNITS};
-use reveille_lab::analysis::harvest::Reading;
+use reveille_study::analysis::harvest::Reading;
 
 use crate::cli::StudyArgs;
 
@@ -15,7 +15,8 @@ pub fn words<'a>(flag: &str, text: &'a str, example: &str) -> anyhow::Result<Vec
     let words: Vec<&str> = text.split(',').map(str::trim).filter(|word| !word.is_empty()).collect();
     if words.is_empty() {
         bail!(
-            "{flag} {text:?}: the list is empty, so there is nothing to study; give values separated by commas, for example {flag} {example}"
+            "{flag} {text:?}: the list is empty, so there is nothing to study; give values separated by commas, for \
+                example {flag} {example}"
         );
     }
     Ok(words)

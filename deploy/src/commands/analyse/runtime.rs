@@ -3,13 +3,12 @@
 use std::process::ExitCode;
 
 use reveille_common::scenario::Scenario;
-use reveille_lab::analysis::runtime::{Work, paper_claim, power_law};
+use reveille_study::analysis::runtime::{Work, paper_claim, power_law};
 
 use super::lists::{scenario, words};
 use super::sheet::{Cell, Findings, Sheet};
-use crate::bench::median;
 use crate::cli::RuntimeArgs;
-use crate::now;
+use crate::wall::{median, now};
 
 const TIMES: &[&str] = &[
     "policy",
@@ -69,17 +68,20 @@ pub fn run(args: &RuntimeArgs) -> anyhow::Result<ExitCode> {
             },
             Sheet {
                 name: "fits",
-                title: "time ∝ N^exponent, ± 95 % by least squares of the logarithms; `paper`: its worst case for configuring a policy."
+                title: "time ∝ N^exponent, ± 95 % by least squares of the logarithms; `paper`: its worst case for \
+                    configuring a policy."
                     .to_owned(),
                 columns: FITS,
                 rows: fits,
             },
         ],
         notes: vec![
-            "adjusted searches one (t_on, t_DRX) for all devices, so its set-up is ϱ pilot runs and not the ϱ^N of a search that \
+            "adjusted searches one (t_on, t_DRX) for all devices, so its set-up is ϱ pilot runs and not the ϱ^N of a \
+                search that \
              gives each device its own. knn finds neighbours by a k-d tree, not by all N(N−1)/2 distances."
                 .to_owned(),
-            "q-learning decides in every TTI who senses (plan); a decision is what follows a report, with all wake-ups. The plans of \
+            "q-learning decides in every TTI who senses (plan); a decision is what follows a report, with all \
+                wake-ups. The plans of \
              the others hold for good."
                 .to_owned(),
             "The area is fixed, so density grows with N, and with it the devices that a report concerns.".to_owned(),

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use anyhow::Context;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};
-use reveille_lab::table::put;
+use reveille_lab::io::put;
 use serde_json::{Map, Value};
 
 use crate::cli::StudyArgs;

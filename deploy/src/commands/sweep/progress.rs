@@ -1,7 +1,7 @@
 //! The progress bar of a sweep.
 //!
-//! The time that is left is estimated from what each cell's runs have taken so far; for cells of which none has finished,
-//! from their device-TTIs at the mean rate of the others.
+//! The time that is left is estimated from what each cell's runs have taken so far; for cells of which none has
+//! finished, from their device-TTIs at the mean rate of the others.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -9,7 +9,7 @@ use std::thread::ThreadId;
 use std::time::{Duration, Instant};
 
 use indicatif::{HumanDuration, ProgressBar};
-use reveille_lab::sweep::{Grid, Observer, Shard};
+use reveille_lab::sweep::{Grid, Shard, SweepProgress};
 
 use crate::display;
 
@@ -40,7 +40,8 @@ struct Tally {
 }
 
 impl Progress {
-    /// Shows a sweep of `grid`, of whose runs `found` are there already, unless `hidden` or standard error is no terminal.
+    /// Shows a sweep of `grid`, of whose runs `found` are there already, unless `hidden` or standard error is no
+    /// terminal.
     pub fn start(
         grid: &Grid,
         shard: Shard,
@@ -57,7 +58,7 @@ impl Progress {
             done: AtomicU64::new(0),
             nanos: AtomicU64::new(0),
         };
-        let now = crate::now();
+        let now = crate::wall::now();
         Self {
             bar,
             stop: Arc::clone(stop),
@@ -87,7 +88,7 @@ impl Progress {
     }
 
     fn draw(&self) {
-        let now = crate::now();
+        let now = crate::wall::now();
         let Ok(mut drawn) = self.drawn.try_lock() else { return };
         if now.duration_since(*drawn) < REDRAW {
             return;
@@ -136,7 +137,7 @@ impl Progress {
     }
 }
 
-impl Observer for Progress {
+impl SweepProgress for Progress {
     fn planned(&self, cell: usize, runs: u64) {
         self.cells[cell].planned.fetch_add(runs, Ordering::Relaxed);
     }
@@ -144,7 +145,7 @@ impl Observer for Progress {
     fn started(&self, cell: usize) {
         self.current.store(cell, Ordering::Relaxed);
         let mut under_way = self.under_way.lock().unwrap_or_else(PoisonError::into_inner);
-        under_way.push((std::thread::current().id(), crate::now()));
+        under_way.push((std::thread::current().id(), crate::wall::now()));
     }
 
     fn finished(&self, cell: usize) {

@@ -4,9 +4,10 @@ use std::path::Path;
 
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};
+use reveille_common::score::Metrics;
 use reveille_lab::stats::{self, Estimate};
 use reveille_lab::sweep::{CellEnd, Finished, Grid, Shard};
-use reveille_lab::table::{Value, metric_names};
+use reveille_lab::table::Value;
 use serde_json::{Map, Value as Json, json};
 
 use crate::cli::SweepArgs;
@@ -133,9 +134,10 @@ impl Report<'_> {
         let cells: Vec<Json> = stats::cells(&self.finished.table)
             .iter()
             .map(|cell| {
-                let names = metric_names().iter().chain(&["events"]);
-                let metrics: Map<String, Json> = names
-                    .map(|name| ((*name).to_owned(), cell.estimate(name).map_or(Json::Null, estimate)))
+                let metrics: Map<String, Json> = Metrics::ALL
+                    .iter()
+                    .map(|metric| metric.name)
+                    .map(|name| (name.to_owned(), cell.estimate(name).map_or(Json::Null, estimate)))
                     .collect();
                 let values = schema.swept.iter().zip(cell.swept.iter());
                 let swept: Map<String, Json> = values.map(|((name, _), value)| (name.clone(), plain(value))).collect();

@@ -1,0 +1,78 @@
+//! Whom a policy may wake, best first, by either ranking.
+
+use reveille_common::ids::DeviceId;
+use reveille_common::message::Report;
+use reveille_common::scenario::WakeUpRanking;
+
+use crate::beliefs::posterior::Belief;
+use crate::beliefs::ranking::{Correlation, Ranking};
+use crate::knowledge::Knowledge;
+use crate::observation::Observation;
+
+/// The wake-up candidates of one event after another, by `bs.ranking` of the scenario.
+#[derive(Clone, Debug)]
+pub struct Candidates(Order);
+
+#[derive(Clone, Debug)]
+enum Order {
+    P42(Ranking),
+    Posterior(Belief),
+}
+
+impl Candidates {
+    /// Candidates among the devices in `known`, ordered as its settings say.
+    pub fn new(known: &Knowledge) -> Self {
+        let (positions, area, sensing) = (known.positions(), known.area, &known.sensing);
+        Self(match known.bs.ranking {
+            WakeUpRanking::P42 => {
+                let correlation = Correlation::new(sensing, &known.grids);
+                Order::P42(Ranking::new(&positions, area, correlation))
+            }
+            WakeUpRanking::Posterior => Order::Posterior(Belief::new(&positions, area, sensing)),
+        })
+    }
+
+    /// Begins an event with its first reports. Those who could have reported and did not count where a ranking makes
+    /// something of it.
+    pub fn start(&mut self, seen: &Observation<'_>, reports: &[Report]) {
+        self.clear();
+        for report in reports {
+            self.add(seen, report);
+        }
+        if let Order::Posterior(belief) = &mut self.0 {
+            belief.hear_silence(|device| !seen.is_asleep(device));
+        }
+    }
+
+    /// Begins an event of which nothing is known.
+    pub fn clear(&mut self) {
+        match &mut self.0 {
+            Order::P42(ranking) => ranking.start(),
+            Order::Posterior(belief) => belief.start(),
+        }
+    }
+
+    /// Takes in one more report.
+    pub fn add(&mut self, seen: &Observation<'_>, report: &Report) {
+        let distance = seen.known.sensing.distance(report.information);
+        match (&mut self.0, distance) {
+            (Order::P42(ranking), Some(d)) => ranking.add_reporter(report.device, d),
+            (Order::Posterior(belief), Some(d)) => belief.add_reporter(report.device, d),
+            (Order::Posterior(belief), None) => belief.add_far(report.device),
+            (Order::P42(_), None) => {}
+        }
+    }
+
+    /// The best sleeping device for which `may_wake` holds and that was not given out for this event, with its score:
+    /// `P_4,2` times Ψ, or the expected gain of information; both `[0, Ψ]`.
+    pub fn next(&mut self, seen: &Observation<'_>, may_wake: impl Fn(DeviceId) -> bool) -> Option<(DeviceId, f64)> {
+        let is_candidate = |device| seen.is_asleep(device) && may_wake(device);
+        match &mut self.0 {
+            Order::P42(ranking) => {
+                let (device, probability) = ranking.next(is_candidate)?;
+                Some((device, probability * seen.known.sensing.psi))
+            }
+            Order::Posterior(belief) => belief.next(seen.information, is_candidate),
+        }
+    }
+}

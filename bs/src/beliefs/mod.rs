@@ -1,0 +1,10 @@
+//! What a base station makes of what it knows: structures that several policies share.
+
+pub mod candidates;
+pub mod clusters;
+pub mod correlation;
+pub mod coverage;
+pub mod levels;
+mod neighbours;
+pub mod posterior;
+pub mod ranking;

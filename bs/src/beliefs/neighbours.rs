@@ -1,0 +1,113 @@
+//! Who stands how far from a device, in bands of distance.
+
+use reveille_common::geometry::{Area, Buckets, Point};
+use reveille_common::ids::DeviceId;
+
+/// The neighbours of each device up to a range, by bands of equal width around whole multiples of it: band i holds
+/// those whose distance is nearest to i widths. A device's list is made when it is first asked for.
+#[derive(Clone, Debug)]
+pub(crate) struct Neighbours {
+    buckets: Buckets,
+    positions: Vec<Point>,
+    /// Bands per metre.
+    scale: f64,
+    bands: usize,
+    lists: Vec<Option<List>>,
+}
+
+/// The neighbours of one device: those of band i are `devices[starts[i] .. starts[i + 1]]`, by rising number.
+#[derive(Clone, Debug)]
+struct List {
+    starts: Box<[u32]>,
+    devices: Box<[DeviceId]>,
+}
+
+impl Neighbours {
+    /// Of the devices at `positions` in `area`, in `bands` bands, `scale` of them a metre.
+    pub(crate) fn new(positions: &[Point], area: Area, scale: f64, bands: usize) -> Self {
+        Self {
+            buckets: Buckets::new(positions, area, 0.5 * bands as f64 / scale),
+            positions: positions.to_vec(),
+            scale,
+            bands,
+            lists: vec![None; positions.len()],
+        }
+    }
+
+    /// Where a device stands.
+    pub(crate) fn position(&self, device: DeviceId) -> Point {
+        self.positions[device.index()]
+    }
+
+    /// The devices in band `band` of `device`, itself included in the first.
+    pub(crate) fn band(&mut self, device: DeviceId, band: usize) -> &[DeviceId] {
+        let Self {
+            buckets,
+            positions,
+            scale,
+            bands,
+            lists,
+        } = self;
+        let list =
+            lists[device.index()].get_or_insert_with(|| List::new(buckets, positions[device.index()], *scale, *bands));
+        &list.devices[list.starts[band] as usize..list.starts[band + 1] as usize]
+    }
+}
+
+impl List {
+    fn new(buckets: &Buckets, centre: Point, scale: f64, bands: usize) -> Self {
+        let mut found: Vec<(u32, DeviceId)> = Vec::new();
+        buckets.within(centre, bands as f64 / scale, |index, distance| {
+            let band = (distance * scale + 0.5) as usize;
+            if band < bands {
+                found.push((band as u32, DeviceId(index as u32)));
+            }
+        });
+        found.sort_unstable();
+        let mut starts = vec![0_u32; bands + 1];
+        for &(band, _) in &found {
+            starts[band as usize + 1] += 1;
+        }
+        for band in 0..bands {
+            starts[band + 1] += starts[band];
+        }
+        Self {
+            starts: starts.into(),
+            devices: found.into_iter().map(|(_, device)| device).collect(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use reveille_common::geometry::{Layout, place};
+
+    use super::*;
+
+    #[test]
+    fn each_neighbour_is_in_the_band_of_its_distance_and_no_other() {
+        let area = Area {
+            width: 20.0,
+            height: 10.0,
+        };
+        for (layout, n) in [(Layout::Uniform, 90), (Layout::Grid, 50), (Layout::Hex, 7)] {
+            let points = place(&layout, area, n, 3);
+            let mut neighbours = Neighbours::new(&points, area, 10.0, 80);
+            for h in (0..n).map(DeviceId) {
+                for band in 0..80 {
+                    let distance = |j: &u32| points[*j as usize].distance(points[h.index()]);
+                    let middle = f64::from(band) / 10.0;
+                    let expected: Vec<DeviceId> = (0..n)
+                        .filter(|j| distance(j) >= middle - 0.05 && distance(j) < middle + 0.05)
+                        .map(DeviceId)
+                        .collect();
+                    assert_eq!(
+                        neighbours.band(h, band as usize),
+                        expected,
+                        "{layout:?}: {h:?}, band {band}"
+                    );
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,332 @@
+//! Which sleeping device the base station wakes next, and how much information it asks for (Sec. III and V-A).
+
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
+
+use reveille_common::geometry::{Area, Point, farthest_cell_vertex};
+use reveille_common::ids::DeviceId;
+use reveille_common::sensing::Sensing;
+
+pub use crate::beliefs::correlation::Correlation;
+use crate::beliefs::neighbours::Neighbours;
+
+/// The information per event that a deployment can give wherever the event is, `I_min` = p(d*), `[0, 1]`: the report of
+/// the closest device in the worst place, of which d* is the distance (Eq. (`E_Info3`); on a grid Eq. (`E_Info1`)).
+pub fn i_min(points: &[Point], area: Area, sensing: &Sensing) -> f64 {
+    sensing.p(farthest_cell_vertex(points, area))
+}
+
+/// The wake-up candidates of one event after another, each event's by falling `P_4,2` = max over its reporters h of
+/// Pr(`S_j` = S3 | `S_h` = S3), ties by device number.
+///
+/// An event begins with [`Ranking::start`]; every report goes to [`Ranking::add_reporter`]; [`Ranking::next`] gives
+/// the candidate to wake next. Reports may be added between two candidates.
+///
+/// Most integrals are never computed: candidates wait by whole bands of distance from a reporter under a cheap upper
+/// bound, and are evaluated only when nobody else is known to be better than that bound.
+#[derive(Clone, Debug)]
+pub struct Ranking {
+    correlation: Correlation,
+    neighbours: Neighbours,
+    queue: BinaryHeap<Entry>,
+    /// This event's reporters, and how far it is from each, metres.
+    reporters: Vec<(DeviceId, f64)>,
+    /// The number of the last event for which each device was given out.
+    given_out: Vec<u64>,
+    event: u64,
+}
+
+impl Ranking {
+    /// A ranking of the devices at `points` in `area`.
+    pub fn new(points: &[Point], area: Area, correlation: Correlation) -> Self {
+        let (scale, bands) = correlation.banding();
+        Self {
+            neighbours: Neighbours::new(points, area, scale, bands),
+            correlation,
+            queue: BinaryHeap::new(),
+            reporters: Vec::new(),
+            given_out: vec![0; points.len()],
+            event: 0,
+        }
+    }
+
+    /// Begins an event: forgets all reporters and candidates.
+    pub fn start(&mut self) {
+        self.queue.clear();
+        self.reporters.clear();
+        self.event += 1;
+    }
+
+    /// Takes in the report of `device`, which is `d` metres, 0 ..= `d_max`, from the event. A device that was already
+    /// given out for this event is not given out again.
+    pub fn add_reporter(&mut self, device: DeviceId, d: f64) {
+        let reporter = self.reporters.len() as u32;
+        self.reporters.push((device, d));
+        self.await_band(reporter, 0);
+    }
+
+    /// Gives out the candidate with the largest `P_4,2` for which `is_candidate` holds (one in S4 that the policy may
+    /// wake), if any has at least p(`d_max`), with that probability to the nearest 10⁻⁹.
+    pub fn next(&mut self, is_candidate: impl Fn(DeviceId) -> bool) -> Option<(DeviceId, f64)> {
+        while let Some(Entry { nano, waiting, number }) = self.queue.pop() {
+            match waiting {
+                Waiting::Band { reporter } => self.open(reporter, number, &is_candidate),
+                Waiting::Evaluated => {
+                    let device = DeviceId(number);
+                    if self.given_out[device.index()] != self.event && is_candidate(device) {
+                        self.given_out[device.index()] = self.event;
+                        return Some((device, f64::from(nano) * 1e-9));
+                    }
+                }
+            }
+        }
+        None
+    }
+
+    /// Evaluates the candidates of the `turn`-th band of `reporter`; those of the next wait for theirs.
+    fn open(&mut self, reporter: u32, turn: u32, is_candidate: impl Fn(DeviceId) -> bool) {
+        let (device, d) = self.reporters[reporter as usize];
+        let column = self.correlation.bands(d)[turn as usize].column;
+        for i in 0..self.neighbours.band(device, column).len() {
+            let j = self.neighbours.band(device, column)[i];
+            self.evaluate(reporter, j, &is_candidate);
+        }
+        self.await_band(reporter, turn + 1);
+    }
+
+    /// Puts the first band of `reporter` from the `turn`-th on that holds anyone into the queue.
+    fn await_band(&mut self, reporter: u32, turn: u32) {
+        let Self {
+            correlation,
+            neighbours,
+            queue,
+            reporters,
+            ..
+        } = self;
+        let (device, d) = reporters[reporter as usize];
+        let bands = (0..).zip(correlation.bands(d)).skip(turn as usize);
+        let next = bands
+            .into_iter()
+            .find(|(_, band)| !neighbours.band(device, band.column).is_empty());
+        queue.extend(next.map(|(turn, band)| Entry {
+            nano: nano(band.bound) + 1,
+            waiting: Waiting::Band { reporter },
+            number: turn,
+        }));
+    }
+
+    fn evaluate(&mut self, reporter: u32, j: DeviceId, is_candidate: impl Fn(DeviceId) -> bool) {
+        if self.given_out[j.index()] == self.event || !is_candidate(j) {
+            return;
+        }
+        let (device, d) = self.reporters[reporter as usize];
+        let gamma = self.neighbours.position(device).distance(self.neighbours.position(j));
+        let value = self.correlation.p42(d, gamma);
+        if value >= self.correlation.threshold() {
+            self.queue.push(Entry {
+                nano: nano(value),
+                waiting: Waiting::Evaluated,
+                number: j.0,
+            });
+        }
+    }
+}
+
+/// `p` to the nearest 10⁻⁹. Probabilities that are closer are equal: on a grid, devices that stand alike differ only in
+/// the last bit of their distances, and the lower number is to come first.
+fn nano(p: f64) -> u32 {
+    (p * 1e9 + 0.5) as u32
+}
+
+/// What an entry of the queue stands for, and what its number means.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Waiting {
+    /// A candidate with its probability; the number is the device's.
+    Evaluated,
+    /// All candidates in one band of distances from a reporter, with an upper bound on their probabilities; the number
+    /// is the band's place among the reporter's.
+    Band { reporter: u32 },
+}
+
+/// Candidates, and a probability that they do not exceed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Entry {
+    /// In 10⁻⁹.
+    nano: u32,
+    waiting: Waiting,
+    number: u32,
+}
+
+impl Ord for Entry {
+    /// The largest value comes first. At equal values bounds come before probabilities, as they may hide a device with
+    /// a lower number; then lower numbers come first.
+    fn cmp(&self, other: &Self) -> Ordering {
+        (self.nano, self.waiting)
+            .cmp(&(other.nano, other.waiting))
+            .then_with(|| other.number.cmp(&self.number))
+    }
+}
+
+impl PartialOrd for Entry {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use reveille_common::geometry::{Layout, place};
+    use reveille_common::rng::{Purpose, Stream};
+    use reveille_common::sensing::{DetectionKind, Fusion};
+
+    use super::*;
+    use crate::grids::Grids;
+
+    const AREA: Area = Area {
+        width: 20.0,
+        height: 20.0,
+    };
+
+    fn paper() -> Sensing {
+        Sensing {
+            kind: DetectionKind::Range,
+            d_max: 4.0,
+            eta: 1.0,
+            psi: 1.0,
+            g: Fusion::Max,
+        }
+    }
+
+    fn all(ranking: &mut Ranking) -> Vec<u32> {
+        std::iter::from_fn(|| ranking.next(|_| true))
+            .map(|(j, _)| j.0)
+            .collect()
+    }
+
+    fn ranking(points: &[Point]) -> Ranking {
+        Ranking::new(points, AREA, Correlation::new(&paper(), &Grids::default()))
+    }
+
+    /// The definition: all candidates that may be woken with their largest probability, sorted.
+    fn sorted(
+        (sensing, correlation): (&Sensing, &Correlation),
+        points: &[Point],
+        reporters: &[(DeviceId, f64)],
+        candidate: impl Fn(DeviceId) -> bool,
+    ) -> Vec<DeviceId> {
+        let mut ranked: Vec<_> = (0..points.len() as u32)
+            .map(DeviceId)
+            .filter(|&j| candidate(j))
+            .map(|j| {
+                let by = |&(h, d): &(DeviceId, f64)| correlation.p42(d, points[h.index()].distance(points[j.index()]));
+                (reporters.iter().map(by).fold(0.0, f64::max), j)
+            })
+            .filter(|&(probability, _)| probability >= sensing.p(sensing.d_max))
+            .collect();
+        let nano = |p: f64| (p * 1e9).round() as u64;
+        ranked.sort_by_key(|&(probability, j)| (std::cmp::Reverse(nano(probability)), j));
+        ranked.into_iter().map(|(_, j)| j).collect()
+    }
+
+    /// Compares [`Ranking`] with the definition over three events on random points.
+    fn compare((sensing, correlation): (&Sensing, &Correlation), case: u64, stream: &mut Stream) {
+        let eta = sensing.eta;
+        // A grid of devices that report from their own cell makes ties by the dozen.
+        let layout = [Layout::Uniform, Layout::Grid, Layout::Hex, Layout::JitteredGrid][case as usize % 4].clone();
+        let points = place(&layout, AREA, 1 + (case % 90) as u32, case);
+        let mut ranking = Ranking::new(&points, AREA, correlation.clone());
+        for _event in 0..3 {
+            let may = |j: DeviceId| !(u64::from(j.0) + case).is_multiple_of(5);
+            let (mut reporters, mut given) = (Vec::new(), Vec::new());
+            ranking.start();
+            for _report in 0..=stream.below(4) {
+                let reporter = DeviceId(stream.below(points.len() as u64) as u32);
+                let d = [0.0, 1.0, 4.0, 4.0 * stream.unit()][stream.below(4) as usize];
+                reporters.push((reporter, d));
+                ranking.add_reporter(reporter, d);
+                for _ in 0..stream.below(3) {
+                    let expected = sorted((sensing, correlation), &points, &reporters, |j| {
+                        may(j) && !given.contains(&j)
+                    });
+                    let next = ranking.next(may).map(|(j, _)| j);
+                    assert_eq!(next, expected.first().copied(), "case {case}, {layout:?}, eta {eta}");
+                    given.extend(next);
+                }
+            }
+            let rest: Vec<_> = std::iter::from_fn(|| ranking.next(may)).map(|(j, _)| j).collect();
+            let expected = sorted((sensing, correlation), &points, &reporters, |j| {
+                may(j) && !given.contains(&j)
+            });
+            assert_eq!(rest, expected, "case {case}, {layout:?}, eta {eta}");
+        }
+    }
+
+    #[test]
+    fn gives_the_order_of_a_full_sort_also_between_reports() {
+        let mut stream = Stream::new(6, Purpose::Epicentre, 0);
+        let correlation = Correlation::new(&paper(), &Grids::default());
+        for case in 0..400 {
+            compare((&paper(), &correlation), case, &mut stream);
+        }
+    }
+
+    #[test]
+    fn a_steep_decay_keeps_the_order() {
+        let mut stream = Stream::new(7, Purpose::Epicentre, 0);
+        for eta in [10.0, 37.5, 75.0, 175.0] {
+            let steep = Sensing { eta, ..paper() };
+            let correlation = Correlation::new(&steep, &Grids::default());
+            for case in 0..24 {
+                compare((&steep, &correlation), case, &mut stream);
+            }
+        }
+    }
+
+    #[test]
+    fn ties_go_to_the_lower_number_and_the_range_is_closed() {
+        let at = |x: f64, y: f64| Point::new(10.0 + x, 10.0 + y);
+        let points = [
+            at(0.0, 4.0),
+            at(4.0, 0.0),
+            at(0.0, -1.0),
+            at(-1.0, 0.0),
+            at(4.001, 0.0),
+            at(1.0, 0.0),
+            at(0.0, 0.0),
+        ];
+        let mut ranking = ranking(&points);
+        ranking.start();
+        ranking.add_reporter(DeviceId(6), 0.0);
+        assert_eq!(all(&mut ranking), [6, 2, 3, 5, 0, 1]);
+        ranking.start();
+        assert_eq!(ranking.next(|_| true), None);
+    }
+
+    #[test]
+    fn devices_that_stand_alike_come_in_the_order_of_their_numbers() {
+        // The four corners around the middle, where the distances differ by rounding alone.
+        let points: Vec<Point> = [(0.1, 0.1), (0.3, 0.3), (0.3, 0.1), (0.1, 0.3), (0.1 + 0.1, 0.2)]
+            .map(|(x, y)| Point::new(x, y))
+            .to_vec();
+        let distances: Vec<u64> = points[..4].iter().map(|p| p.distance(points[4]).to_bits()).collect();
+        assert!(
+            distances.iter().any(|&d| d != distances[0]),
+            "the case has lost its point"
+        );
+        let mut ranking = ranking(&points);
+        ranking.start();
+        ranking.add_reporter(DeviceId(4), 1.0);
+        let corners = std::iter::from_fn(|| ranking.next(|j| j.0 < 4)).map(|(j, _)| j.0);
+        assert_eq!(corners.collect::<Vec<_>>(), [0, 1, 2, 3]);
+    }
+
+    #[test]
+    fn i_min_of_a_grid_is_the_papers() {
+        for side in [1_u32, 3, 10, 15] {
+            let n = side * side;
+            let points = place(&Layout::Grid, AREA, n, 0);
+            let expected = paper().p((AREA.surface() / (2.0 * f64::from(n))).sqrt());
+            assert!((i_min(&points, AREA, &paper()) - expected).abs() < 1e-9, "N = {n}");
+        }
+    }
+}

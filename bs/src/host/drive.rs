@@ -1,0 +1,76 @@
+//! How a base station is driven, how far it has come, and what came of it.
+
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::time::Duration;
+
+use super::clock::{Lateness, Pace};
+use crate::outcome::Outcome;
+
+/// What to do when a host is lost.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OnLoss {
+    /// End the run with an error.
+    End,
+    /// Hold the clock until the host is back. Only the same process can come back: nobody else has its devices' states.
+    Wait,
+}
+
+/// How the BS runs; none of it changes the outcome.
+#[derive(Clone, Copy, Debug)]
+pub struct Settings {
+    /// Grant as many TTIs at a time as possible, or one.
+    pub lookahead: bool,
+    /// The pace; a real-time pace grants one TTI at a time.
+    pub pace: Pace,
+    /// When a host is lost.
+    pub on_loss: OnLoss,
+    /// TTIs in a window of the per-window series.
+    pub window: u64,
+    /// How long to wait for all devices to join; `None` for as long as it takes.
+    pub join_patience: Option<Duration>,
+    /// Start with the clock paused.
+    pub paused: bool,
+}
+
+/// How far a run has come, for a display in another thread.
+#[derive(Debug, Default)]
+pub struct Progress {
+    /// Devices that have joined.
+    pub joined: AtomicU64,
+    /// The next TTI to be granted.
+    pub tti: AtomicU64,
+    /// Counted events that have ended.
+    pub events: AtomicU64,
+    /// Those without a report.
+    pub misdetected: AtomicU64,
+    /// Mean battery over the last window, micro-units.
+    pub mean_battery: AtomicU64,
+    /// Whether the clock is paused.
+    pub paused: AtomicBool,
+    /// Set from outside, before `stop`: why the run cannot go on.
+    pub cause: OnceLock<String>,
+    /// Set from outside: end the run at the next TTI.
+    pub stop: AtomicBool,
+}
+
+/// What a run over the bus came to.
+#[derive(Clone, Debug)]
+pub struct Served {
+    /// The outcome, whole or partial.
+    pub outcome: Outcome,
+    /// From the call until all devices had joined.
+    pub joining: Duration,
+    /// From the first grant to the last answer.
+    pub running: Duration,
+    /// Hosts that carried devices.
+    pub hosts: usize,
+    /// Grants made: barriers over all hosts.
+    pub grants: u64,
+    /// How a real-time pace was kept.
+    pub lateness: Lateness,
+    /// Payloads that were dropped because they were not messages.
+    pub malformed: u64,
+    /// Messages that were dropped because nobody waited for them or they could not be true.
+    pub strays: u64,
+}

@@ -1,0 +1,73 @@
+//! Why a run ended without an outcome.
+
+use reveille_common::bus::BusError;
+use reveille_common::ids::{HostId, Tti};
+
+/// Why a run ended without an outcome.
+#[derive(Debug, thiserror::Error)]
+pub enum BsError {
+    /// The bus failed.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// Too few devices.
+    #[error("only {joined} of {devices} devices joined within {seconds} s")]
+    TooFew {
+        /// Devices that joined.
+        joined: u32,
+        /// Devices of the scenario.
+        devices: u32,
+        /// The time allowed.
+        seconds: u64,
+    },
+    /// A host is gone.
+    #[error(
+        "lost host {host} with devices {first} to {last} at TTI {tti}: its process ended, froze for longer than the \
+            lease, or the link broke. The run cannot go on without it (--on-loss wait holds the clock until it is back)"
+    )]
+    HostLost {
+        /// The host.
+        host: HostId,
+        /// Its first device.
+        first: u32,
+        /// Its last device.
+        last: u32,
+        /// The TTI that was open.
+        tti: Tti,
+    },
+    /// Stopped from outside while hosts did not answer.
+    #[error("interrupted at TTI {tti}, and hosts {hosts:?} did not answer any more")]
+    NoAnswer {
+        /// The TTI that was open.
+        tti: Tti,
+        /// Who did not answer.
+        hosts: Vec<HostId>,
+    },
+    /// Stopped from outside before there was anything to sum up.
+    #[error("interrupted before all devices had joined")]
+    Interrupted,
+    /// Stopped from outside while there was no way to sum up.
+    #[error(
+        "interrupted at TTI {tti}, while the clock was held for lost host {host} with devices {first} to {last}: \
+            without their ledgers there is no summary"
+    )]
+    InterruptedWaiting {
+        /// The host.
+        host: HostId,
+        /// Its first device.
+        first: u32,
+        /// Its last device.
+        last: u32,
+        /// The TTI that was open.
+        tti: Tti,
+    },
+}
+
+impl BsError {
+    /// Whether the run ended because somebody asked for it.
+    pub const fn is_interruption(&self) -> bool {
+        match self {
+            Self::Interrupted | Self::InterruptedWaiting { .. } | Self::NoAnswer { .. } => true,
+            Self::Bus(_) | Self::TooFew { .. } | Self::HostLost { .. } => false,
+        }
+    }
+}

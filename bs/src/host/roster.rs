@@ -1,0 +1,223 @@
+//! Who carries which devices during the run, and what can be true of them: the check on everything that comes in over
+//! the bus, where a number may be anything.
+
+use reveille_common::ids::{DeviceId, HostId};
+use reveille_common::message::{DeviceSetup, Failure, Report};
+use reveille_common::state::DeviceView;
+use reveille_common::totals::DeviceTotals;
+use reveille_common::units::Energy;
+
+use crate::host::admission::Places;
+
+/// The devices of a run and the hosts that carry them.
+#[derive(Clone, Debug)]
+pub struct Roster {
+    devices: Vec<DeviceSetup>,
+    /// Largest information Ψ of a report.
+    psi: f64,
+    hosts: Vec<Places>,
+    /// The position in `hosts` of each host by its number.
+    positions: Vec<Option<usize>>,
+}
+
+impl Roster {
+    /// The roster of `devices`, in the order of ids, whose reports carry at most `psi`. Nobody carries them yet.
+    pub const fn new(devices: Vec<DeviceSetup>, psi: f64) -> Self {
+        Self {
+            devices,
+            psi,
+            hosts: Vec::new(),
+            positions: Vec::new(),
+        }
+    }
+
+    /// The run begins with these hosts.
+    pub fn set_hosts(&mut self, hosts: Vec<Places>) {
+        self.positions = vec![None; hosts.iter().map(|places| places.host.index() + 1).max().unwrap_or(0)];
+        for (position, places) in hosts.iter().enumerate() {
+            self.positions[places.host.index()] = Some(position);
+        }
+        self.hosts = hosts;
+    }
+
+    /// How many hosts there are.
+    pub const fn hosts(&self) -> usize {
+        self.hosts.len()
+    }
+
+    /// The position of `host`, `0 .. hosts()`, if it is one of them.
+    pub fn position(&self, host: HostId) -> Option<usize> {
+        self.positions.get(host.index()).copied().flatten()
+    }
+
+    /// The places of the host at `position`.
+    pub fn places(&self, position: usize) -> Places {
+        self.hosts[position]
+    }
+
+    /// Whether the host at `position` carries `device`.
+    pub fn owns(&self, position: usize, device: DeviceId) -> bool {
+        let Places { first, count, .. } = self.hosts[position];
+        device.0.checked_sub(first.0).is_some_and(|offset| offset < count)
+    }
+
+    /// Whether a device of this run can have sent `report`.
+    pub fn can_report(&self, report: &Report) -> bool {
+        let battery_fits = self
+            .setup(report.device)
+            .is_some_and(|setup| report.battery <= setup.energy.e_max);
+        battery_fits && (0.0..=self.psi).contains(&report.information)
+    }
+
+    /// Whether `failure` can have happened.
+    pub fn can_fail(&self, failure: &Failure) -> bool {
+        self.setup(failure.device)
+            .is_some_and(|setup| failure.drained < setup.energy.e_tx)
+    }
+
+    /// Whether the host at `position` can have come to so many reports and these failures in one TTI.
+    pub fn can_be_done(&self, position: usize, reports: u32, failures: &[Failure]) -> bool {
+        let places = self.hosts[position];
+        let is_own = failures
+            .iter()
+            .all(|f| self.owns(position, f.device) && self.can_fail(f));
+        is_own && failures.len() <= places.count as usize && reports <= places.count - failures.len() as u32
+    }
+
+    /// Whether `sums` can be those of all devices of the host at `position`.
+    pub fn can_sum_to(&self, position: usize, sums: &DeviceTotals) -> bool {
+        let own = self.own(position);
+        let (mut initial, mut capacity) = (Energy::ZERO, Energy::ZERO);
+        for setup in own {
+            initial += setup.energy.initial;
+            capacity += setup.energy.e_max;
+        }
+        sums.closes() && sums.initial == initial && sums.battery <= capacity
+    }
+
+    /// Whether `views` can be those of the devices of the host at `position`, in the order of ids.
+    pub fn can_look_so(&self, position: usize, views: &[DeviceView]) -> bool {
+        let own = self.own(position);
+        own.len() == views.len()
+            && own
+                .iter()
+                .zip(views)
+                .all(|(setup, view)| view.battery <= setup.energy.e_max)
+    }
+
+    /// Whether `ledgers` are those of the devices of the host at `position`: each once, and each closes.
+    pub fn can_end_with(&self, position: usize, ledgers: &[(DeviceId, DeviceTotals)]) -> bool {
+        let mut devices: Vec<DeviceId> = ledgers.iter().map(|(device, _)| *device).collect();
+        devices.sort_unstable();
+        let is_whole = devices
+            .iter()
+            .copied()
+            .eq(self.own(position).iter().map(|setup| setup.id));
+        let is_sound = |(device, ledger): &(DeviceId, DeviceTotals)| {
+            self.setup(*device).is_some_and(|setup| {
+                let energy = setup.energy;
+                ledger.closes() && ledger.initial == energy.initial && ledger.battery <= energy.e_max
+            })
+        };
+        is_whole && ledgers.iter().all(is_sound)
+    }
+
+    fn own(&self, position: usize) -> &[DeviceSetup] {
+        let Places { first, count, .. } = self.hosts[position];
+        &self.devices[first.index()..][..count as usize]
+    }
+
+    fn setup(&self, device: DeviceId) -> Option<&DeviceSetup> {
+        self.devices.get(device.index())
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use reveille_common::geometry::Point;
+    use reveille_common::harvest::{ArrivalsSetup, HarvestSetup};
+    use reveille_common::scenario::EnergyModel;
+
+    use super::*;
+
+    /// Ten devices with 50 of 100 units, five on each of the hosts 0 and 1.
+    pub(crate) fn roster() -> Roster {
+        let units = |n: u64| Energy::from_micro(n * 1_000_000);
+        let energy = EnergyModel {
+            e_max: units(100),
+            e_idle: units(1),
+            e_wur: units(0),
+            e_tx: units(10),
+            initial: units(50),
+        };
+        let harvest = HarvestSetup::Arrivals(ArrivalsSetup { p: 0.5, e_b: units(5) });
+        let device = |id| DeviceSetup {
+            id: DeviceId(id),
+            position: Point::new(1.0, 1.0),
+            energy,
+            harvest,
+        };
+        let mut roster = Roster::new((0..10).map(device).collect(), 1.0);
+        let places = |host, first| Places {
+            host: HostId(host),
+            first: DeviceId(first),
+            count: 5,
+        };
+        roster.set_hosts(vec![places(0, 0), places(1, 5)]);
+        roster
+    }
+
+    fn ledger() -> DeviceTotals {
+        let initial = Energy::from_micro(50_000_000);
+        DeviceTotals {
+            initial,
+            battery: initial,
+            ..DeviceTotals::default()
+        }
+    }
+
+    #[test]
+    fn ledgers_are_whole_and_close() {
+        let roster = roster();
+        let own: Vec<_> = (5..10).rev().map(|id| (DeviceId(id), ledger())).collect();
+        assert!(roster.can_end_with(1, &own));
+        assert!(!roster.can_end_with(0, &own), "another host's");
+        assert!(!roster.can_end_with(1, &own[1..]), "one is missing");
+        let mut false_one = own.clone();
+        false_one[2].1.spent = Energy::from_micro(1);
+        assert!(!roster.can_end_with(1, &false_one), "one does not close");
+        let sums: DeviceTotals = own.iter().map(|(_, ledger)| *ledger).sum();
+        assert!(roster.can_sum_to(1, &sums) && !roster.can_sum_to(1, &ledger()));
+    }
+
+    #[test]
+    fn impossible_reports_and_failures_are_known() {
+        let roster = roster();
+        let report = |device, information, battery| Report {
+            device: DeviceId(device),
+            tti: reveille_common::ids::Tti(1),
+            information,
+            battery: Energy::from_micro(battery),
+        };
+        assert!(roster.can_report(&report(9, 1.0, 100_000_000)));
+        let bad = [
+            (10, 0.5, 0),
+            (0, 1.5, 0),
+            (0, f64::NAN, 0),
+            (0, -0.1, 0),
+            (0, 0.5, 100_000_001),
+        ];
+        assert!(
+            bad.iter()
+                .all(|&(device, i, battery)| !roster.can_report(&report(device, i, battery)))
+        );
+        let failure = |device, drained| Failure {
+            device: DeviceId(device),
+            drained: Energy::from_micro(drained),
+        };
+        assert!(roster.can_be_done(0, 4, &[failure(4, 9_999_999)]));
+        assert!(!roster.can_be_done(0, 5, &[failure(4, 0)]), "more than it carries");
+        assert!(!roster.can_be_done(0, 0, &[failure(5, 0)]), "another host's device");
+        assert!(!roster.can_fail(&failure(0, 10_000_000)), "it could have paid");
+    }
+}

@@ -1,0 +1,106 @@
+//! What the callbacks of the BS's subscriptions share with its loop.
+
+use std::collections::BTreeSet;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use reveille_common::deployment::Deployment;
+use reveille_common::ids::{HostId, Tti};
+use reveille_common::message::{ClockCommand, ClockStatus, LostHost};
+use reveille_common::scenario::Scenario;
+use tokio::sync::Notify;
+
+use crate::host::admission::Admission;
+use crate::host::barrier::Barrier;
+use crate::host::clock::VirtualClock;
+use crate::host::roster::Roster;
+
+/// The state that callbacks change and the loop looks at.
+pub(super) struct BsState {
+    pub(super) admission: Admission,
+    pub(super) barrier: Barrier,
+    pub(super) clock: VirtualClock,
+    /// The TTI after all that are granted.
+    pub(super) next: Tti,
+    /// Whether the loop stands before `next`, with every TTI before it closed.
+    pub(super) stands: bool,
+    /// Hosts whose token is gone.
+    pub(super) lost: BTreeSet<HostId>,
+    /// Lost hosts that were already spoken of.
+    pub(super) reported: BTreeSet<HostId>,
+    /// Hosts that came back since the loop last looked.
+    pub(super) returned: bool,
+    /// Whether the run has begun: from then on no place is given.
+    pub(super) is_running: bool,
+}
+
+impl BsState {
+    /// All TTIs before `next` are closed. Whether the loop is to stand there until it is told otherwise.
+    pub(super) fn stand(&mut self, next: Tti) -> bool {
+        self.next = next;
+        self.stands = next >= self.clock.until();
+        self.stands
+    }
+
+    /// What an operator is told. A clock that has been told to stop runs until the TTI in work is closed.
+    pub(super) fn status(&self) -> ClockStatus {
+        let end = self.clock.end();
+        let lost = self.lost.iter().filter_map(|&host| self.admission.places(host));
+        ClockStatus {
+            tti: self.next,
+            ttis: end.0,
+            paused: self.stands && self.next >= self.clock.until(),
+            until: self.clock.until().min(end),
+            begun: self.is_running,
+            devices: self.admission.devices(),
+            lost: lost
+                .map(|places| LostHost {
+                    host: places.host,
+                    first: places.first,
+                    last: places.last(),
+                })
+                .collect(),
+        }
+    }
+}
+
+/// The state with the bell that rings when it has changed in a way that the loop waits for.
+pub(super) struct Shared {
+    state: Mutex<BsState>,
+    bell: Notify,
+}
+
+impl Shared {
+    pub(super) fn new(scenario: &Scenario, deployment: &Deployment, paused: bool) -> Arc<Self> {
+        let mut clock = VirtualClock::new(Tti(scenario.ttis));
+        if paused {
+            clock.obey(ClockCommand::Pause, Tti::ZERO);
+        }
+        let state = BsState {
+            admission: Admission::new(scenario.devices),
+            barrier: Barrier::new(Roster::new(deployment.devices.clone(), scenario.sensing.psi)),
+            clock,
+            next: Tti::ZERO,
+            stands: true,
+            lost: BTreeSet::new(),
+            reported: BTreeSet::new(),
+            returned: false,
+            is_running: false,
+        };
+        Arc::new(Self {
+            state: Mutex::new(state),
+            bell: Notify::new(),
+        })
+    }
+
+    pub(super) fn lock(&self) -> MutexGuard<'_, BsState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn ring(&self) {
+        self.bell.notify_one();
+    }
+
+    pub(super) async fn rung(&self) {
+        self.bell.notified().await;
+    }
+}

@@ -1,0 +1,91 @@
+//! What a base station knows before the first TTI, and what a policy is handed of a run.
+//!
+//! This is the wall between a policy and ground truth: the scenario, its seed, how long events last, what will be
+//! harvested and where events are do not pass it. What comes later, a policy hears by
+//! [`crate::observation::Observation`].
+
+use std::sync::Arc;
+
+use reveille_common::deployment::Deployment;
+use reveille_common::geometry::{Area, Point};
+use reveille_common::rng::PolicyStreams;
+use reveille_common::scenario::{BsSettings, EnergyModel, Scenario};
+use reveille_common::sensing::Sensing;
+use reveille_common::units::Energy;
+
+use crate::grids::Grids;
+
+/// What is known of one device.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DeviceKnowledge {
+    /// Where it stands.
+    pub position: Point,
+    /// Its class, an index into [`Knowledge::classes`].
+    pub class: u16,
+    /// Battery and costs.
+    pub energy: EnergyModel,
+    /// Its mean harvest in a TTI.
+    pub mean_harvest: Energy,
+}
+
+/// What a base station knows of its deployment and of the model, the same for all policies.
+#[derive(Clone, Debug)]
+pub struct Knowledge {
+    /// The served area ξ.
+    pub area: Area,
+    /// The sensing model, whose p is known and invertible.
+    pub sensing: Sensing,
+    /// Probability α that an event starts in a TTI in which none is active, `(0, 1]`.
+    pub alpha: f64,
+    /// Duration τ of a TTI in units of model time, > 0.
+    pub tau: f64,
+    /// Length of the run K in TTIs.
+    pub ttis: u64,
+    /// The settings of the base station.
+    pub bs: BsSettings,
+    /// The names of the device classes.
+    pub classes: Vec<String>,
+    /// The devices, in the order of ids.
+    pub devices: Vec<DeviceKnowledge>,
+    /// The random draws that a policy may make.
+    pub streams: PolicyStreams,
+    /// Grids of wake-up correlations that were computed before.
+    pub grids: Arc<Grids>,
+}
+
+impl Knowledge {
+    /// What a base station knows of `scenario` with its devices as in `deployment`. `grids` may be shared with other
+    /// runs.
+    pub fn of(scenario: &Scenario, deployment: &Deployment, grids: Arc<Grids>) -> Self {
+        let devices = deployment.devices.iter().zip(&deployment.classes);
+        Self {
+            area: scenario.area,
+            sensing: scenario.sensing.clone(),
+            alpha: scenario.events.alpha,
+            tau: scenario.tau,
+            ttis: scenario.ttis,
+            bs: scenario.bs,
+            classes: scenario.classes.iter().map(|class| class.name.clone()).collect(),
+            devices: devices
+                .map(|(device, &class)| DeviceKnowledge {
+                    position: device.position,
+                    class,
+                    energy: device.energy,
+                    mean_harvest: device.harvest.mean(&deployment.traces),
+                })
+                .collect(),
+            streams: PolicyStreams::new(scenario.seed),
+            grids,
+        }
+    }
+
+    /// Number of devices N.
+    pub const fn n(&self) -> usize {
+        self.devices.len()
+    }
+
+    /// The positions, in the order of ids.
+    pub fn positions(&self) -> Vec<Point> {
+        self.devices.iter().map(|device| device.position).collect()
+    }
+}

@@ -1,0 +1,141 @@
+//! Adjusted duty cycling (Sec. V-A, first approach): one (t_on, t_DRX) for all devices, with staggered offsets, found
+//! by exhaustive search for the deployment; after a report any sleeping device may be woken, most correlated first,
+//! until Î ≥ I_min.
+//!
+//! The search runs the devices too, so whoever drives both sides makes the pilot runs (`reveille_lab::pilots`); what
+//! they bring is judged in [`search`], and the policy is handed what was found.
+
+pub mod search;
+
+pub mod settings;
+
+use std::sync::Arc;
+
+use reveille_common::declare::{Reader, ScenarioError, Section};
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::Report;
+use reveille_common::plan::{DutyCycle, Plan};
+use reveille_common::scenario::{PolicyChoice, PolicyKind, PolicySettings, Scenario};
+
+use self::search::DutyChoice;
+use self::settings::AdjustedSettings;
+use super::contract::{Findings, Policy};
+use super::kind::{Profile, Registered};
+use super::mind::Mind;
+use crate::beliefs::candidates::Candidates;
+use crate::beliefs::ranking::i_min;
+use crate::knowledge::Knowledge;
+use crate::observation::Observation;
+
+/// The `adjusted` policy.
+pub struct Adjusted {
+    choice: DutyChoice,
+    i_min: f64,
+    candidates: Candidates,
+}
+
+impl Adjusted {
+    /// The policy with the duty cycle that the search has found.
+    ///
+    /// # Panics
+    /// If no search was made.
+    pub fn new(known: &Knowledge, findings: &Findings) -> Self {
+        Self {
+            choice: findings.duty.expect("the duty cycle is searched before a run"),
+            i_min: i_min(&known.positions(), known.area, &known.sensing),
+            candidates: Candidates::new(known),
+        }
+    }
+}
+
+impl Policy for Adjusted {
+    fn decide(&mut self, seen: &Observation<'_>) -> Plan {
+        let DutyChoice { t_on, t_drx, .. } = self.choice;
+        let cycle = |j: u32| DutyCycle {
+            t_on,
+            t_drx,
+            offset: j % t_drx,
+        };
+        Plan::Periodic((0..seen.known.n() as u32).map(cycle).collect())
+    }
+
+    fn next_decision(&self, _: Tti) -> Tti {
+        Tti::NEVER
+    }
+
+    fn reported(&mut self, seen: &Observation<'_>, reports: &[Report]) {
+        if seen.information < self.i_min {
+            self.candidates.start(seen, reports);
+        }
+    }
+
+    fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId> {
+        if seen.information >= self.i_min {
+            None
+        } else {
+            self.candidates.next(seen, |_| true).map(|(device, _)| device)
+        }
+    }
+
+    fn answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
+        if let Some(report) = report.filter(|_| seen.information < self.i_min) {
+            self.candidates.add(seen, report);
+        }
+    }
+
+    fn facts(&self) -> Vec<(&'static str, f64)> {
+        let DutyChoice {
+            t_on,
+            t_drx,
+            reaches_i_min,
+            pairs,
+            device_ttis,
+        } = self.choice;
+        vec![
+            ("t_on", f64::from(t_on)),
+            ("t_drx", f64::from(t_drx)),
+            ("i_min", self.i_min),
+            ("reaches_i_min", f64::from(u8::from(reaches_i_min))),
+            ("searched_pairs", f64::from(pairs)),
+            ("searched_device_ttis", device_ttis as f64),
+        ]
+    }
+}
+
+/// The policy `adjusted`.
+#[derive(Clone, Copy, Debug)]
+pub struct AdjustedKind;
+
+impl PolicyKind for AdjustedKind {
+    fn name(&self) -> &'static str {
+        "adjusted"
+    }
+
+    fn about(&self) -> &'static str {
+        "One duty cycle for all devices, found by exhaustive search in pilot runs; wakes any device, most correlated \
+            first."
+    }
+
+    fn section(&self) -> Option<&'static Section> {
+        Some(AdjustedSettings::SECTION)
+    }
+
+    fn settle(&self, reader: &Reader<'_>, _: &Scenario) -> Result<Arc<dyn PolicySettings>, ScenarioError> {
+        Ok(Arc::new(AdjustedSettings::settle(reader)?))
+    }
+}
+
+impl Registered for AdjustedKind {
+    fn profile(&self) -> Profile {
+        Profile {
+            searches: true,
+            wakes: true,
+            runtime: "O(ϱ^N)",
+            ..Profile::plain(1)
+        }
+    }
+
+    fn build(&self, _: &PolicyChoice, known: &Knowledge, findings: &Findings) -> Mind {
+        Mind::of(Adjusted::new(known, findings))
+    }
+}

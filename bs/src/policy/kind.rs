@@ -1,0 +1,65 @@
+//! What a policy tells of itself: its settings, how it is built, and what others ask of it.
+
+use std::fmt::Debug;
+
+use reveille_common::scenario::{PolicyChoice, PolicyKind, PolicySettings};
+
+use super::contract::Findings;
+use super::mind::Mind;
+use crate::knowledge::Knowledge;
+
+/// What a policy is like, for those who list, draw and compare policies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "answers to questions that do not depend on each other"
+)]
+pub struct Profile {
+    /// Whether it can learn, so that it has tables to train.
+    pub learns: bool,
+    /// Whether it needs a search in pilot runs before a run.
+    pub searches: bool,
+    /// Whether it wakes devices.
+    pub wakes: bool,
+    /// Whether it groups devices by place.
+    pub clusters: bool,
+    /// Whether it decides in every TTI, so that the clock cannot grant many at once.
+    pub decides_every_tti: bool,
+    /// Its place in the palette of figures.
+    pub series: usize,
+    /// How the paper says that the time of a decision grows with N; "–" where it says nothing.
+    pub runtime: &'static str,
+}
+
+impl Profile {
+    /// A policy that only follows a plan. `series` is its place in the palette.
+    pub const fn plain(series: usize) -> Self {
+        Self {
+            learns: false,
+            searches: false,
+            wakes: false,
+            clusters: false,
+            decides_every_tti: false,
+            series,
+            runtime: "–",
+        }
+    }
+}
+
+/// A policy of this program.
+pub trait Registered: PolicyKind + Debug {
+    /// What it is like.
+    fn profile(&self) -> Profile;
+
+    /// The policy with the settings of `choice`, which are its own, for a base station that knows `known`. `findings`
+    /// are those of the pilot runs that it asks for.
+    fn build(&self, choice: &PolicyChoice, known: &Knowledge, findings: &Findings) -> Mind;
+}
+
+/// The settings of `choice`.
+///
+/// # Panics
+/// If they are another policy's.
+pub fn own<T: PolicySettings>(choice: &PolicyChoice) -> &T {
+    choice.settings().expect("a policy is built from its own settings")
+}

@@ -1,0 +1,149 @@
+//! KNN-based duty cycling and wake-up (Sec. V-A, Algorithm 1): clusters by location, one member of each in S1 in turn,
+//! and after a report the members of the reporters' clusters, most correlated first, until Î ≥ I_min.
+
+pub mod settings;
+
+use std::sync::Arc;
+
+use reveille_common::declare::{Reader, ScenarioError, Section};
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::Report;
+use reveille_common::plan::{DutyCycle, Plan};
+use reveille_common::rng::PolicyPurpose;
+use reveille_common::scenario::{PolicyChoice, PolicyKind, PolicySettings, Scenario};
+
+use self::settings::KnnSettings;
+use super::contract::{Findings, Policy};
+use super::kind::{Profile, Registered, own};
+use super::mind::Mind;
+use crate::beliefs::candidates::Candidates;
+use crate::beliefs::clusters::Clusters;
+use crate::beliefs::ranking::i_min;
+use crate::knowledge::Knowledge;
+use crate::observation::Observation;
+
+/// The `knn` policy.
+pub struct Knn {
+    clusters: Clusters,
+    /// The information I_min that wake-ups aim for (Sec. V-A, Eq. (E_Info3)).
+    i_min: f64,
+    candidates: Candidates,
+    /// The clusters of this event's first reporters; whoever is woken later belongs to one of them.
+    asked: Vec<u32>,
+}
+
+impl Knn {
+    /// Clusters the devices in `known` and finds I_min of the deployment.
+    pub fn new(known: &Knowledge, settings: &KnnSettings) -> Self {
+        let (positions, d_max) = (known.positions(), known.sensing.d_max);
+        let start = known.streams.stream(PolicyPurpose::Clusters, 0);
+        Self {
+            clusters: Clusters::form(&positions, known.area, d_max, settings.voting(), start),
+            i_min: i_min(&positions, known.area, &known.sensing),
+            candidates: Candidates::new(known),
+            asked: Vec::new(),
+        }
+    }
+}
+
+impl Policy for Knn {
+    fn decide(&mut self, seen: &Observation<'_>) -> Plan {
+        let mut cycles = vec![DutyCycle::ASLEEP; seen.known.n()];
+        for members in &self.clusters.members {
+            let t_drx = members.len() as u32;
+            for (turn, device) in (0..).zip(members) {
+                cycles[device.index()] = DutyCycle {
+                    t_on: 1,
+                    t_drx,
+                    offset: (t_drx - turn) % t_drx,
+                };
+            }
+        }
+        Plan::Periodic(cycles)
+    }
+
+    fn next_decision(&self, _: Tti) -> Tti {
+        Tti::NEVER
+    }
+
+    fn reported(&mut self, seen: &Observation<'_>, reports: &[Report]) {
+        if seen.information >= self.i_min {
+            return;
+        }
+        self.asked.clear();
+        for report in reports {
+            let cluster = self.clusters.of[report.device.index()];
+            if !self.asked.contains(&cluster) {
+                self.asked.push(cluster);
+            }
+        }
+        self.candidates.start(seen, reports);
+    }
+
+    fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId> {
+        if seen.information >= self.i_min {
+            None
+        } else {
+            let Self {
+                clusters,
+                candidates,
+                asked,
+                ..
+            } = self;
+            let is_asked = |device: DeviceId| asked.contains(&clusters.of[device.index()]);
+            candidates.next(seen, is_asked).map(|(device, _)| device)
+        }
+    }
+
+    fn facts(&self) -> Vec<(&'static str, f64)> {
+        vec![
+            ("clusters_formed", self.clusters.formed as f64),
+            ("clusters_after_splitting", self.clusters.members.len() as f64),
+            ("i_min", self.i_min),
+        ]
+    }
+
+    fn answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
+        if let Some(report) = report.filter(|_| seen.information < self.i_min) {
+            self.candidates.add(seen, report);
+        }
+    }
+}
+
+/// The policy `knn`.
+#[derive(Clone, Copy, Debug)]
+pub struct KnnKind;
+
+impl PolicyKind for KnnKind {
+    fn name(&self) -> &'static str {
+        "knn"
+    }
+
+    fn about(&self) -> &'static str {
+        "Clusters by location, one member of each sensing in turn; wakes members of the reporters' clusters \
+            (Algorithm 1)."
+    }
+
+    fn section(&self) -> Option<&'static Section> {
+        Some(KnnSettings::SECTION)
+    }
+
+    fn settle(&self, reader: &Reader<'_>, _: &Scenario) -> Result<Arc<dyn PolicySettings>, ScenarioError> {
+        Ok(Arc::new(KnnSettings::read(reader)?))
+    }
+}
+
+impl Registered for KnnKind {
+    fn profile(&self) -> Profile {
+        Profile {
+            wakes: true,
+            clusters: true,
+            runtime: "O(N(N-1)/2)",
+            ..Profile::plain(0)
+        }
+    }
+
+    fn build(&self, choice: &PolicyChoice, known: &Knowledge, _: &Findings) -> Mind {
+        Mind::of(Knn::new(known, own(choice)))
+    }
+}

@@ -1,0 +1,72 @@
+//! Who decides for a base station: a policy, or the genie.
+
+use reveille_common::ids::Tti;
+use reveille_common::plan::Plan;
+
+use super::contract::Policy;
+use super::genie::closest::Genie;
+use super::q_learning::learned::Entry;
+use crate::observation::Observation;
+
+/// Who decides for a base station. Ground truth reaches the genie alone, by construction.
+pub enum Mind {
+    /// Any policy that could run in a real BS.
+    Policy(Box<dyn Policy>),
+    /// The upper bound.
+    Genie(Genie),
+}
+
+impl Mind {
+    /// The mind of a policy.
+    pub fn of(policy: impl Policy + 'static) -> Self {
+        Self::Policy(Box::new(policy))
+    }
+
+    /// The genie, if it is one.
+    pub const fn genie(&mut self) -> Option<&mut Genie> {
+        match self {
+            Self::Policy(_) => None,
+            Self::Genie(genie) => Some(genie),
+        }
+    }
+
+    /// δ from this TTI on.
+    pub fn decide(&mut self, seen: &Observation<'_>) -> Plan {
+        match self {
+            Self::Policy(policy) => policy.decide(seen),
+            Self::Genie(genie) => genie.plan(),
+        }
+    }
+
+    /// See [`Policy::facts`].
+    pub fn facts(&self) -> Vec<(&'static str, f64)> {
+        match self {
+            Self::Policy(policy) => policy.facts(),
+            Self::Genie(_) => Vec::new(),
+        }
+    }
+
+    /// See [`Policy::looks_at_batteries`].
+    pub fn looks_at_batteries(&self) -> bool {
+        match self {
+            Self::Policy(policy) => policy.looks_at_batteries(),
+            Self::Genie(_) => false,
+        }
+    }
+
+    /// See [`Policy::learned`].
+    pub fn learned(&self) -> Option<Entry> {
+        match self {
+            Self::Policy(policy) => policy.learned(),
+            Self::Genie(_) => None,
+        }
+    }
+
+    /// See [`Policy::next_decision`].
+    pub fn next_decision(&self, now: Tti) -> Tti {
+        match self {
+            Self::Policy(policy) => policy.next_decision(now),
+            Self::Genie(_) => Tti::NEVER,
+        }
+    }
+}

@@ -1,0 +1,432 @@
+//! The file of learned tables: JSON that says what it is, with a checksum over its body.
+
+use std::fmt::Write as _;
+use std::io;
+use std::path::Path;
+
+use reveille_common::declare::{FileError, Files};
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use super::{DutyTable, Entry, LONGEST_WINDOW, Learned, Schedule, Setting, Training, WakeTable, Weights};
+
+/// What the file says that it is.
+pub const FORMAT: &str = "reveille-q-table";
+/// The version of its form that this program reads and writes.
+pub const VERSION: u32 = 2;
+/// The longest file that is read, bytes.
+const LONGEST: u64 = 64 << 20;
+
+/// The tables that come with the program, learned under the presets `paper` and `paper-literal`.
+const SHIPPED: [&str; 2] = [
+    include_str!("shipped-paper.json"),
+    include_str!("shipped-paper-literal.json"),
+];
+
+fn shipped(text: &str) -> Learned {
+    Learned::parse(text).expect("a test reads the shipped tables")
+}
+
+/// Learned tables that cannot be used, and why.
+#[derive(Debug, thiserror::Error)]
+pub enum LearnedError {
+    /// The file cannot be read.
+    #[error("cannot be read: {0}; name a file that reveille train q-learning wrote, or \"shipped\"")]
+    Read(#[from] std::io::Error),
+    /// It is none of ours.
+    #[error("is not a file of learned tables: {0}; name one that reveille train q-learning wrote")]
+    Foreign(String),
+    /// Its form is another one.
+    #[error(
+        "has version {0} of the form of learned tables, this program reads {VERSION}; train again: reveille train \
+            q-learning"
+    )]
+    Version(u64),
+    /// It was changed or cut short.
+    #[error("is damaged: {0}; take a copy or train again: reveille train q-learning")]
+    Damaged(String),
+}
+
+/// What stands in front of the body.
+#[derive(Deserialize)]
+struct Head {
+    format: String,
+    version: u64,
+    // A later version may have something else.
+    #[serde(default)]
+    sha256: String,
+}
+
+/// Where the body begins.
+const BODY: &str = ",\"body\":";
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Body {
+    made_by: String,
+    scenario: String,
+    weights: Weights,
+    window: u32,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    begun_from: Option<String>,
+    schedule: Schedule,
+    training: Training,
+    setting: Setting,
+    entries: Vec<Entry>,
+}
+
+impl Learned {
+    /// The shipped tables that were learned on what is most like `setting`.
+    pub fn shipped(setting: &Setting) -> Self {
+        let all = SHIPPED.map(shipped).into_iter();
+        let fewest = all.min_by_key(|tables| tables.setting.differences(setting).len());
+        fewest.expect("some tables are shipped")
+    }
+
+    /// The shipped tables called `name`: `shipped` or `shipped-paper`, those of the preset `paper`, or
+    /// `shipped-paper-literal`.
+    pub fn shipped_as(name: &str) -> Option<Self> {
+        let [paper, literal] = SHIPPED;
+        match name {
+            "shipped" | "shipped-paper" => Some(shipped(paper)),
+            "shipped-paper-literal" => Some(shipped(literal)),
+            _ => None,
+        }
+    }
+
+    /// Reads the file at `path`.
+    ///
+    /// # Errors
+    /// It cannot be read, is of another kind or version, or is damaged.
+    pub fn read(files: &dyn Files, path: &Path) -> Result<Self, LearnedError> {
+        let bytes = files.read(path, LONGEST).map_err(|error| match error {
+            FileError::Io(error) => LearnedError::Read(error),
+            FileError::Folder => LearnedError::Read(io::ErrorKind::IsADirectory.into()),
+            FileError::Special => LearnedError::Foreign("it is no regular file".to_owned()),
+            FileError::TooLong { length, .. } => LearnedError::Foreign(format!("it has {length} bytes")),
+        })?;
+        let text = String::from_utf8(bytes).map_err(|error| LearnedError::Foreign(error.to_string()))?;
+        Self::parse(&text)
+    }
+
+    /// The tables of a file's text.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub fn parse(text: &str) -> Result<Self, LearnedError> {
+        let foreign = || LearnedError::Foreign(format!("it does not begin with {{\"format\":\"{FORMAT}\""));
+        let damaged = |error: serde_json::Error| LearnedError::Damaged(error.to_string());
+        if !text.starts_with('{') || !text.contains(FORMAT) {
+            return Err(foreign());
+        }
+        let (head, body) = text.split_once(BODY).unwrap_or((text.trim_end(), ""));
+        let head: Head = serde_json::from_str(&format!("{}}}", head.trim_end_matches('}'))).map_err(damaged)?;
+        if head.format != FORMAT {
+            return Err(foreign());
+        }
+        if head.version != u64::from(VERSION) {
+            return Err(LearnedError::Version(head.version));
+        }
+        let body = body.trim_end().strip_suffix('}').unwrap_or(body);
+        if sha256(body) != head.sha256 {
+            return Err(LearnedError::Damaged(
+                "its checksum is that of another content".to_owned(),
+            ));
+        }
+        let mut body: Body = serde_json::from_str(body).map_err(damaged)?;
+        // Parsers may differ in the last bit.
+        body.entries.iter_mut().for_each(Entry::round);
+        let learned = Self {
+            made_by: body.made_by,
+            scenario: body.scenario,
+            weights: body.weights,
+            window: body.window,
+            begun_from: body.begun_from,
+            schedule: body.schedule,
+            training: body.training,
+            setting: body.setting,
+            entries: body.entries,
+        };
+        learned.check().map_err(LearnedError::Damaged)?;
+        Ok(learned)
+    }
+
+    /// The file's text: one line for each entry, values to 10⁻⁴.
+    ///
+    /// # Panics
+    /// If a value is not a number.
+    pub fn to_json(&self) -> String {
+        if let Err(what) = self.check() {
+            panic!("{what}");
+        }
+        let mut entries = self.entries.clone();
+        entries.iter_mut().for_each(Entry::round);
+        let body = Body {
+            made_by: self.made_by.clone(),
+            scenario: self.scenario.clone(),
+            weights: self.weights,
+            window: self.window,
+            begun_from: self.begun_from.clone(),
+            schedule: self.schedule,
+            training: self.training.clone(),
+            setting: self.setting.clone(),
+            entries,
+        };
+        let body = serde_json::to_string(&body).expect("numbers and words");
+        let body = body
+            .replace(",\"entries\":[", ",\"entries\":[\n")
+            .replace("},{\"devices\"", "},\n{\"devices\"");
+        let sum = sha256(&body);
+        format!("{{\"format\":\"{FORMAT}\",\"version\":{VERSION},\"sha256\":\"{sum}\"{BODY}{body}}}\n")
+    }
+
+    /// What a policy that uses the tables relies on.
+    fn check(&self) -> Result<(), String> {
+        let Weights { mu1, mu2, zeta } = self.weights;
+        if ![mu1, mu2].iter().all(|mu| mu.is_finite() && *mu >= 0.0) || !(0.0..1.0).contains(&zeta) {
+            return Err(format!("its weights are mu1 {mu1}, mu2 {mu2}, zeta {zeta}"));
+        }
+        if !(1..=LONGEST_WINDOW).contains(&self.window) {
+            return Err(format!("its window is {} TTIs", self.window));
+        }
+        let Schedule {
+            rate_decay,
+            rate_floor,
+            optimism,
+        } = self.schedule;
+        let is_rate = |rate: f64| rate > 0.0 && rate <= 1.0;
+        if !is_rate(rate_decay) || !is_rate(rate_floor) || !optimism.is_finite() || optimism < 0.0 {
+            return Err(format!(
+                "its schedule is rate_decay {rate_decay}, rate_floor {rate_floor}, optimism {optimism}"
+            ));
+        }
+        if self.entries.is_empty() {
+            return Err("it holds no entry".to_owned());
+        }
+        for entry in &self.entries {
+            let Entry {
+                devices,
+                surface,
+                duty,
+                wake_p42,
+                wake_posterior,
+                ..
+            } = entry;
+            if *devices == 0 || !surface.is_finite() || *surface <= 0.0 {
+                return Err(format!("it has an entry for {devices} devices on {surface} m²"));
+            }
+            if !duty.has_its_size() || ![wake_p42, wake_posterior].into_iter().all(WakeTable::has_its_size) {
+                return Err(format!("the entry for {devices} devices has a table of another size"));
+            }
+            let mut cells = duty.cells().chain(&wake_p42.q).chain(&wake_posterior.q);
+            if cells.any(|cell| !cell.value.is_finite()) {
+                return Err(format!(
+                    "the entry for {devices} devices holds a value that is not a number"
+                ));
+            }
+        }
+        if self
+            .entries
+            .windows(2)
+            .any(|pair| pair[0].density() >= pair[1].density())
+        {
+            return Err("its entries are not in the order of their densities".to_owned());
+        }
+        Ok(())
+    }
+}
+
+impl Entry {
+    /// Values to 10⁻⁴, as a file holds them.
+    pub fn round(&mut self) {
+        self.duty.round();
+        self.wake_p42.round();
+        self.wake_posterior.round();
+        for point in &mut self.curve {
+            for value in [&mut point.reward, &mut point.information, &mut point.energy] {
+                *value = (*value * 1e6).round() / 1e6;
+            }
+        }
+    }
+
+    /// SHA-256 of all values, for the fingerprint of a scenario.
+    pub fn fingerprint(&self) -> [u8; 32] {
+        let Self {
+            devices,
+            surface,
+            duty: DutyTable { q, outcomes, value },
+            wake_p42,
+            wake_posterior,
+            curve: _,
+        } = self;
+        let mut sum = Sha256::new();
+        sum.update(devices.to_le_bytes());
+        sum.update(surface.to_bits().to_le_bytes());
+        for cell in q
+            .iter()
+            .chain(outcomes)
+            .chain(value)
+            .chain(&wake_p42.q)
+            .chain(&wake_posterior.q)
+        {
+            sum.update(cell.value.to_bits().to_le_bytes());
+            sum.update(cell.visits.to_le_bytes());
+        }
+        sum.finalize().into()
+    }
+}
+
+fn sha256(text: &str) -> String {
+    Sha256::digest(text.as_bytes())
+        .iter()
+        .fold(String::new(), |mut digits, byte| {
+            let _ = write!(digits, "{byte:02x}");
+            digits
+        })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::{Override, load};
+
+    fn learned() -> Learned {
+        let weights = Weights {
+            mu1: 14.0,
+            mu2: 1.6,
+            zeta: 0.95,
+        };
+        let setting = Setting {
+            words: vec![("layout.kind".to_owned(), "uniform".to_owned())],
+            numbers: vec![("events.alpha".to_owned(), 0.1)],
+        };
+        let entry = |n: u32| {
+            let devices = Override::parse(&format!("devices={n}")).expect("an override");
+            Entry::optimistic(&load("paper", &[devices]).expect("a scenario"), &weights, 4, 1.0)
+        };
+        let mut entries: Vec<Entry> = [10, 50].map(entry).to_vec();
+        entries[0]
+            .duty
+            .at_mut(3, 4, true)
+            .learn(1.0 / 3.0, Schedule::default().rates());
+        Learned {
+            made_by: "reveille 0.1.0".to_owned(),
+            scenario: "00".to_owned(),
+            weights,
+            window: 4,
+            begun_from: None,
+            schedule: Schedule::default(),
+            training: Training {
+                episodes: 1,
+                ttis: 100,
+                epsilon: (0.1, 0.03),
+                seed: 1,
+            },
+            setting,
+            entries,
+        }
+    }
+
+    fn refused(text: &str, part: &str) {
+        let message = Learned::parse(text).expect_err(part).to_string();
+        assert!(message.contains(part), "{message}");
+    }
+
+    #[test]
+    fn a_file_comes_back_and_is_written_the_same_again() {
+        let text = learned().to_json();
+        let read = Learned::parse(&text).expect("a file");
+        assert_eq!(read.to_json(), text);
+        let [kept, exact] = [&read, &learned()].map(|tables| tables.entries[0].duty.at(3, 4, true).value);
+        assert!(
+            (kept - exact).abs() <= 0.5e-4 && (kept * 1e4 - (kept * 1e4).round()).abs() < 1e-6,
+            "{kept}, {exact}"
+        );
+        let mut other = learned().entries[1].clone();
+        other.round();
+        assert_eq!(read.entries[1], other);
+    }
+
+    #[test]
+    fn files_of_another_kind_version_or_content_are_refused() {
+        let text = learned().to_json();
+        refused("devices = 5", "not a file of learned tables");
+        refused(&text.replace("\"version\":2", "\"version\":3"), "has version 3");
+        refused(
+            "{\"format\":\"reveille-q-table\",\"version\":9,\"made\":1}",
+            "has version 9",
+        );
+        refused(&text[..text.len() / 2], "damaged");
+        refused(&text.replacen("20.0", "21.0", 1), "checksum");
+        refused("", "not a file of learned tables");
+    }
+
+    #[test]
+    fn values_that_are_no_numbers_and_tables_of_another_size_are_refused() {
+        let sealed = |body: &str| {
+            format!(
+                "{{\"format\":\"{FORMAT}\",\"version\":{VERSION},\"sha256\":\"{}\",\"body\":{body}}}",
+                sha256(body)
+            )
+        };
+        let text = learned().to_json();
+        let (_, body) = text.split_once(BODY).expect("a file");
+        let body = body.trim_end().strip_suffix('}').expect("a file");
+        assert!(Learned::parse(&sealed(body)).is_ok());
+        refused(&sealed(&body.replacen("[20.0,0]", "[null,0]", 1)), "damaged");
+        refused(&sealed(&body.replacen("[20.0,0]", "[1e999,0]", 1)), "damaged");
+        refused(&sealed(&body.replacen("[20.0,0],", "", 1)), "another size");
+        refused(&sealed(&body.replacen("\"zeta\":0.95", "\"zeta\":1.5", 1)), "zeta 1.5");
+        refused(
+            &sealed(&body.replacen("\"window\":4", "\"window\":0", 1)),
+            "window is 0",
+        );
+        for (field, value) in [
+            ("rate_decay\":0.7", "-7.0"),
+            ("rate_floor\":0.002", "0.0"),
+            ("optimism\":1.0", "-1.0"),
+        ] {
+            let (name, _) = field.split_once('"').expect("a name");
+            let other = format!("{name}\":{value}");
+            refused(&sealed(&body.replacen(field, &other, 1)), "its schedule is");
+        }
+        refused(
+            &sealed(&body.replacen("\"devices\":10", "\"devices\":90", 1)),
+            "order of their densities",
+        );
+    }
+
+    #[test]
+    fn the_nearest_density_serves_within_a_factor_of_two() {
+        let learned = learned();
+        let of = |n: u32, surface: f64| learned.closest(n, surface).map(|entry| entry.devices);
+        assert_eq!(
+            [of(5, 400.0), of(20, 400.0), of(26, 400.0), of(100, 400.0)],
+            [Some(10), Some(10), Some(50), Some(50)]
+        );
+        assert_eq!([of(4, 400.0), of(101, 400.0), of(1000, 4000.0)], [None, None, Some(50)]);
+        assert_eq!(learned.range(400.0), (5, 100));
+    }
+
+    #[test]
+    fn the_shipped_tables_are_those_of_a_training_with_the_presets_as_they_are() {
+        for (preset, tables) in ["paper", "paper-literal"].into_iter().zip(SHIPPED.map(shipped)) {
+            assert!(tables.entries.len() >= 10);
+            assert_eq!(tables.range(400.0).0, 5);
+            let set = ["name=q-learning", "q-learning.learn=true", "q-learning.table=nothing"];
+            let set = set.map(|set| Override::parse(&format!("policy.{set}")).expect("an override"));
+            let mut scenario = load(preset, &set).expect("a preset");
+            assert!(
+                Setting::of(&scenario).differences(&tables.setting).is_empty(),
+                "{preset}"
+            );
+            scenario.devices = tables.entries[0].devices;
+            assert_eq!(
+                scenario.hash_hex(),
+                tables.scenario,
+                "{preset}: train again, docs/q-learning.md"
+            );
+        }
+    }
+}

@@ -1,0 +1,281 @@
+//! Settings of the `q-learning` policy (Sec. V-B).
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use reveille_common::declare;
+use reveille_common::declare::{
+    ABOVE_ZERO, Alternative, BELOW_ONE, NOT_NEGATIVE, Range, Reader, ScenarioError, Section, Sink, Value, number,
+    source, switch, whole,
+};
+use reveille_common::scenario::{PolicySettings, Scenario};
+
+use super::learned::{Entry, LONGEST_WINDOW, Learned, Schedule, Setting, Weights};
+use crate::beliefs::coverage::CELLS_PER_RANGE;
+
+/// The most cells of the raster on which the covered area is counted.
+const MOST_CELLS: f64 = 16_777_216.0;
+/// Beyond it Q-values take too long to learn.
+const DISCOUNT: Range = Range::closed(0.0, 0.999);
+
+/// Where tables come from, but for files.
+const TABLES: &[Alternative] = &[
+    Alternative {
+        name: "shipped",
+        about: "The tables that come with the program, learned on what is most like the scenario.",
+    },
+    Alternative {
+        name: "nothing",
+        about: "No tables: the policy begins with the optimistic start, and has to learn.",
+    },
+];
+
+declare! {
+    /// Settings of the policy `q-learning` (Sec. V-B).
+    #[derive(Clone, Debug)]
+    struct Fields in "policy.q-learning" {
+        /// Where the tables come from; a file is one that `reveille train` wrote.
+        table: Option<String> = source(TABLES, "shipped"),
+        /// Weight μ1 of misdetections in the reward. Unless the policy learns, that of the tables.
+        mu1: Option<f64> = number(NOT_NEGATIVE, DEFAULT.mu1).derived("that of the tables, or 14").source("Sec. V-B, \
+            0.5 to 20"),
+        /// Weight μ2 of information in the reward of a wake-up. Unless the policy learns, that of the tables.
+        mu2: Option<f64> = number(NOT_NEGATIVE, DEFAULT.mu2).derived("that of the tables, or 1.6").source("Sec. V-B, \
+            1 to 5"),
+        /// Discount ζ of the duty cycling. Unless the policy learns, that of the tables.
+        zeta: Option<f64> = number(DISCOUNT, DEFAULT.zeta).derived("that of the tables, or 0.95").source("Sec. V-B"),
+        /// Time within which the area is to be covered once; with 1 it is to be covered in every TTI. Unless the policy
+        /// learns, that of the tables.
+        window: Option<u32> = whole(1, LONGEST_WINDOW as u64, 1)
+            .unit("TTIs")
+            .derived("that of the tables, or the duration of an event"),
+        /// Whether the policy goes on learning in the run.
+        learn: bool = switch(false),
+        /// Probability that a decision is made at random while the policy learns, in the first TTI.
+        epsilon: f64 = number(BELOW_ONE, 0.02).source("Sec. V-B"),
+        /// The same in the last TTI; in between it changes evenly.
+        epsilon_last: f64 = number(BELOW_ONE, 0.02).derived("that of `epsilon`") => epsilon,
+        /// Exponent of the learning rate: it falls with the visits of a value to the power of this.
+        rate_decay: f64 = number(ABOVE_ZERO, Schedule::USUAL.rate_decay),
+        /// The least learning rate.
+        rate_floor: f64 = number(ABOVE_ZERO, Schedule::USUAL.rate_floor),
+        /// Optimism of the start, 1 for the most that an action brings at once.
+        optimism: f64 = number(NOT_NEGATIVE, Schedule::USUAL.optimism),
+    }
+}
+
+/// The weights where neither the scenario nor a table says otherwise.
+const DEFAULT: Weights = Weights {
+    mu1: 14.0,
+    mu2: 1.6,
+    zeta: 0.95,
+};
+
+/// Where learned tables come from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum TableSource {
+    /// The program.
+    Shipped,
+    /// Nowhere: the policy begins with the optimistic start.
+    Nothing,
+    /// A file that `reveille train` wrote.
+    File(PathBuf),
+}
+
+/// Settings of the `q-learning` policy (Sec. V-B).
+#[derive(Clone, Debug, PartialEq)]
+pub struct QLearningSettings {
+    /// μ1, μ2 and ζ. Those of the tables, unless the policy learns.
+    pub weights: Weights,
+    /// TTIs within which the area is to be covered once, `1 ..= `[`LONGEST_WINDOW`]; by default that of the tables, or
+    /// the duration of an event. With 1 the area is to be covered in every TTI.
+    pub window: u32,
+    /// Where the tables come from.
+    pub source: TableSource,
+    /// Whether the policy goes on learning in the run.
+    pub learn: bool,
+    /// Probability that a decision is made at random while the policy learns, in the first TTI and in the last, `[0,
+    /// 1)`; in between it changes evenly.
+    pub epsilon: (f64, f64),
+    /// How it learns.
+    pub schedule: Schedule,
+    /// The tables at the start of the run.
+    pub start: Arc<Entry>,
+    /// What the tables are, in words; nothing for the optimistic start.
+    pub begun_from: Option<String>,
+    /// Where the tables were learned on another setting, a phrase each.
+    pub foreign: Vec<String>,
+}
+
+impl QLearningSettings {
+    /// Its fields as they are declared.
+    pub const SECTION: &'static Section = Fields::SECTION;
+
+    /// The settings that `reader` has, for a scenario that is complete but for its policy.
+    ///
+    /// # Errors
+    /// A value that may not be, or tables that cannot be used.
+    pub fn settle(reader: &Reader<'_>, ground: &Scenario) -> Result<Self, ScenarioError> {
+        check_raster(reader, ground)?;
+        settle(reader, ground)
+    }
+}
+
+impl PolicySettings for QLearningSettings {
+    fn visit(&self, sink: &mut dyn Sink) {
+        let table = match &self.source {
+            TableSource::Shipped => "shipped".into(),
+            TableSource::Nothing => "nothing".into(),
+            TableSource::File(path) => path.to_string_lossy(),
+        };
+        if let Some(field) = Fields::SECTION.field("table") {
+            sink.field(Fields::SECTION, field, Value::Path(&table));
+            sink.content(&self.start.fingerprint());
+        }
+        let fields = Fields {
+            table: None,
+            mu1: Some(self.weights.mu1),
+            mu2: Some(self.weights.mu2),
+            zeta: Some(self.weights.zeta),
+            window: Some(self.window),
+            learn: self.learn,
+            epsilon: self.epsilon.0,
+            epsilon_last: self.epsilon.1,
+            rate_decay: self.schedule.rate_decay,
+            rate_floor: self.schedule.rate_floor,
+            optimism: self.schedule.optimism,
+        };
+        fields.visit(sink);
+    }
+
+    fn warnings(&self) -> Vec<String> {
+        if self.foreign.is_empty() {
+            return Vec::new();
+        }
+        vec![format!(
+            "the tables of q-learning were learned on another setting ({}); for tables of its own: reveille train \
+                q-learning \
+             --out FILE, with the same --scenario and --set",
+            self.foreign.join("; ")
+        )]
+    }
+}
+
+/// The covered area is counted on cells of a size that follows from d_max; there may be too many.
+fn check_raster(reader: &Reader<'_>, ground: &Scenario) -> Result<(), ScenarioError> {
+    let (area, d_max) = (ground.area, ground.sensing.d_max);
+    let cells = (area.width / d_max * CELLS_PER_RANGE).ceil() * (area.height / d_max * CELLS_PER_RANGE).ceil();
+    if cells <= MOST_CELLS {
+        return Ok(());
+    }
+    let allowed = format!(
+        "is so small against the area that q-learning would count coverage on {cells:.0} cells, more than {MOST_CELLS}"
+    );
+    Err(reader.refuse("sensing.d_max", d_max, allowed))
+}
+
+fn settle(reader: &Reader<'_>, ground: &Scenario) -> Result<QLearningSettings, ScenarioError> {
+    let fields = Fields::read(reader)?;
+    let name = fields.table.as_deref().unwrap_or("shipped");
+    let setting = Setting::of(ground);
+    let (source, learned) = tables(reader, name, &setting)?;
+    if learned.is_none() && !fields.learn {
+        let allowed = "needs policy.q-learning.learn = true, or nothing is ever known; or name a table";
+        return Err(reader.refuse("policy.q-learning.table", name, allowed));
+    }
+    let (weights, window) = terms(reader, &fields, learned.as_deref(), ground)?;
+    let schedule = Schedule {
+        rate_decay: fields.rate_decay,
+        rate_floor: fields.rate_floor,
+        optimism: fields.optimism,
+    };
+    let start = match &learned {
+        None => Arc::new(Entry::optimistic(ground, &weights, window, schedule.optimism)),
+        Some(tables) => Arc::new(entry(reader, name, tables, ground)?),
+    };
+    Ok(QLearningSettings {
+        weights,
+        window,
+        source,
+        learn: fields.learn,
+        epsilon: (fields.epsilon, fields.epsilon_last),
+        schedule,
+        begun_from: learned.as_ref().map(|tables| tables.in_words(&start)),
+        start,
+        foreign: learned.map_or_else(Vec::new, |tables| tables.setting.differences(&setting)),
+    })
+}
+
+/// The weights and the window: those of the scenario, of the tables, or the usual ones. A policy that does not learn
+/// has to take those of its tables.
+fn terms(
+    reader: &Reader<'_>,
+    fields: &Fields,
+    learned: Option<&Learned>,
+    ground: &Scenario,
+) -> Result<(Weights, u32), ScenarioError> {
+    let known = learned.map(|tables| tables.weights);
+    let as_learned = |name: &str, known: Option<f64>, value: f64| match known {
+        Some(known) if (known - value).abs() > 1e-9 && !fields.learn => {
+            let allowed = format!(
+                "must be {known}, for which its table was learned, unless policy.q-learning.learn = true; for a table \
+                    of your own: \
+                 reveille train q-learning --set policy.q-learning.{name}={value} --out FILE"
+            );
+            Err(reader.refuse(&format!("policy.q-learning.{name}"), value, allowed))
+        }
+        Some(_) | None => Ok(value),
+    };
+    let weight = |name: &str, given: Option<f64>, of: fn(&Weights) -> f64| {
+        let known = known.as_ref().map(of);
+        as_learned(name, known, given.or(known).unwrap_or(of(&DEFAULT)))
+    };
+    let weights = Weights {
+        mu1: weight("mu1", fields.mu1, |w| w.mu1)?,
+        mu2: weight("mu2", fields.mu2, |w| w.mu2)?,
+        zeta: weight("zeta", fields.zeta, |w| w.zeta)?,
+    };
+    let known = learned.map(|tables| tables.window);
+    let usual = || ground.events.duration.min(u64::from(LONGEST_WINDOW)) as u32;
+    let window = fields.window.or(known).unwrap_or_else(usual);
+    as_learned("window", known.map(f64::from), f64::from(window))?;
+    Ok((weights, window))
+}
+
+fn tables(
+    reader: &Reader<'_>,
+    name: &str,
+    setting: &Setting,
+) -> Result<(TableSource, Option<Arc<Learned>>), ScenarioError> {
+    let field = "policy.q-learning.table";
+    Ok(match name {
+        "shipped" => (TableSource::Shipped, Some(Arc::new(Learned::shipped(setting)))),
+        "nothing" => (TableSource::Nothing, None),
+        file => {
+            let path = reader.file(field, file)?;
+            match Learned::read(reader.files(), &path) {
+                Ok(tables) if tables.is_cut_short() => {
+                    let why = "is the checkpoint of a training that was cut short: go on with that";
+                    return Err(reader.data(field, path, why));
+                }
+                Ok(tables) => (TableSource::File(path), Some(Arc::new(tables))),
+                Err(error) => return Err(reader.data(field, path, error.to_string())),
+            }
+        }
+    })
+}
+
+/// The entry of `tables` for the scenario's density.
+fn entry(reader: &Reader<'_>, name: &str, tables: &Learned, ground: &Scenario) -> Result<Entry, ScenarioError> {
+    let surface = ground.area.surface();
+    tables.closest(ground.devices, surface).cloned().ok_or_else(|| {
+        let (least, most) = tables.range(surface);
+        let allowed = format!(
+            "serves {least} to {most} devices on {surface} m², not {n}; train for yours: reveille train q-learning \
+                --devices {n} \
+             --out FILE, with the same --scenario and --set",
+            n = ground.devices
+        );
+        reader.refuse("policy.q-learning.table", name, allowed)
+    })
+}

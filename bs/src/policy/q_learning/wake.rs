@@ -1,0 +1,216 @@
+//! Whom to wake: one candidate after the other, until waking the best is worth nothing.
+
+use super::learned::{
+    INFORMATIONS, REPORTS, Rates, SCORES, Schedule, WakeTable, Weights, information_bucket, score_bucket,
+};
+
+/// What a wake-up is decided in: buckets of the candidate's score, of Î, and the reports so far.
+pub type State = [usize; 3];
+
+/// The wake-ups of a deployment.
+#[derive(Clone, Debug)]
+pub struct Wake {
+    table: WakeTable,
+    rates: Rates,
+    /// By Î, reports and score: Q, made never to fall with the score.
+    worths: [[[f64; SCORES]; REPORTS]; INFORMATIONS],
+    /// μ2 N, the worth of all information in r*(k) N.
+    worth: f64,
+    psi: f64,
+    /// The wake-up that waits for its answer: its state, and Î before.
+    open: Option<(State, f64)>,
+    /// The last wake-up that was answered, with its reward, until it is known whether another follows.
+    answered: Option<(State, f64)>,
+}
+
+impl Wake {
+    /// A learner with `table` for `devices` devices whose reports are worth up to `psi`.
+    pub fn new(table: WakeTable, weights: &Weights, schedule: &Schedule, devices: u32, psi: f64) -> Self {
+        let of = |information| std::array::from_fn(|reports| table.worths(information, reports));
+        Self {
+            worths: std::array::from_fn(of),
+            table,
+            rates: schedule.rates(),
+            worth: weights.mu2 * f64::from(devices),
+            psi,
+            open: None,
+            answered: None,
+        }
+    }
+
+    /// The table as it is now.
+    pub const fn table(&self) -> &WakeTable {
+        &self.table
+    }
+
+    /// The state of a candidate with `score`, in units of information like `information`, after `reports` reports.
+    pub fn state(&self, score: f64, information: f64, reports: usize) -> State {
+        [
+            score_bucket(score / self.psi),
+            information_bucket(information / self.psi),
+            reports.clamp(1, 4) - 1,
+        ]
+    }
+
+    /// Whether waking is worth more than stopping, which is worth 0.
+    pub fn is_worth_it(&self, state: State) -> bool {
+        self.worth_of(state) > 0.0
+    }
+
+    fn worth_of(&self, [score, information, reports]: State) -> f64 {
+        self.worths[information][reports][score]
+    }
+
+    /// The candidate of `state` is woken, at `information`.
+    pub fn wake(&mut self, state: State, information: f64) {
+        self.open = Some((state, information));
+    }
+
+    /// What came of the wake-up: Î is `information` now. Gives its reward N (μ2 ΔÎ − 1/N).
+    pub fn answered(&mut self, information: f64) -> f64 {
+        let Some((state, before)) = self.open.take() else {
+            return 0.0;
+        };
+        let reward = self.worth * (information - before) - 1.0;
+        self.answered = Some((state, reward));
+        reward
+    }
+
+    /// Learns from the last answer. `next` is the state that it led to, or `None` where nobody is left to be woken.
+    pub fn learn(&mut self, next: Option<State>) {
+        let Some((state, reward)) = self.answered.take() else {
+            return;
+        };
+        let rest = next.map_or(0.0, |next| self.worth_of(next).max(0.0));
+        self.table.at_mut(state).learn(reward + rest, self.rates);
+        let [_, information, reports] = state;
+        self.worths[information][reports] = self.table.worths(information, reports);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use reveille_common::rng::{Purpose, Stream};
+    use reveille_common::sensing::{DetectionKind, Fusion, Sensing};
+
+    use super::*;
+
+    #[test]
+    fn the_rewards_add_up_to_the_papers_in_every_event() {
+        let mut stream = Stream::new(4, Purpose::Training, 0);
+        let mut woken = 0;
+        for event in 0..500 {
+            let devices = 1 + stream.below(250) as u32;
+            let psi = 0.5 + stream.unit();
+            let sensing = Sensing {
+                kind: DetectionKind::Range,
+                d_max: 4.0,
+                eta: 1.0,
+                psi,
+                g: if event % 2 == 0 {
+                    Fusion::Max
+                } else {
+                    Fusion::SumSaturation
+                },
+            };
+            let weights = Weights {
+                mu1: 1.0,
+                mu2: 5.0 * stream.unit(),
+                zeta: 0.9,
+            };
+            let mut wake = Wake::new(WakeTable::optimistic(1.0), &weights, &Schedule::default(), devices, psi);
+            // The first report; what it brought is not a wake-up's.
+            let mut distances = vec![4.0 * stream.unit()];
+            let information = |distances: &[f64]| {
+                let reports = distances.iter().map(|d| psi * libm::exp(-d));
+                match sensing.g {
+                    Fusion::Max => reports.fold(0.0, f64::max),
+                    Fusion::SumSaturation => reports.sum::<f64>().min(psi),
+                }
+            };
+            let start = information(&distances);
+            assert!(wake.answered(start).abs() < 1e-12, "nobody was woken");
+            let (mut sum, wakes) = (0.0, stream.below(20));
+            let mut seen = start;
+            for _ in 0..wakes {
+                let state = wake.state(psi * stream.unit(), seen, distances.len());
+                wake.wake(state, seen);
+                // One in three brings nothing: too far, or its battery is empty.
+                if stream.unit() < 0.67 {
+                    distances.push(4.0 * stream.unit());
+                }
+                seen = distances[1..]
+                    .iter()
+                    .fold(start, |so_far, &d| sensing.fuse(so_far, sensing.information(d)));
+                sum += wake.answered(seen);
+                wake.learn(None);
+            }
+            let n = f64::from(devices);
+            let expected = n * (weights.mu2 * (information(&distances) - start) - wakes as f64 / n);
+            assert!((sum - expected).abs() < 1e-9 * n, "{event}: {sum}, not {expected}");
+            woken += wakes;
+        }
+        assert!(woken > 3000, "{woken}");
+    }
+
+    #[test]
+    fn a_wake_up_is_learned_with_what_may_follow() {
+        let weights = Weights {
+            mu1: 1.0,
+            mu2: 2.0,
+            zeta: 0.9,
+        };
+        let mut wake = Wake::new(WakeTable::optimistic(1.0), &weights, &Schedule::default(), 50, 1.0);
+        let (good, bad) = ([19, 0, 0], [0, 7, 3]);
+        wake.worths[0][0][19] = 5.0;
+        wake.worths[7][3][0] = -5.0;
+        // To stop is worth 0, so what follows is never worth less.
+        for (next, rest) in [(Some(good), 5.0), (Some(bad), 0.0), (None, 0.0)] {
+            let mut wake = wake.clone();
+            let state = wake.state(0.3, 0.1, 1);
+            let before = wake.table().at(state).value;
+            wake.wake(state, 0.1);
+            let reward = wake.answered(0.4);
+            assert!((reward - 29.0).abs() < 1e-9, "50·2·0.3 − 1");
+            wake.learn(next);
+            // The first visit's rate is 5^-0.7.
+            let expected = before + libm::pow(5.0, -0.7) * (29.0 + rest - before);
+            assert!((wake.table().at(state).value - expected).abs() < 1e-9);
+            wake.learn(next);
+            assert!((wake.table().at(state).value - expected).abs() < 1e-9, "learned once");
+        }
+    }
+
+    #[test]
+    fn a_better_candidate_is_woken_wherever_a_worse_one_is() {
+        let weights = Weights {
+            mu1: 1.0,
+            mu2: 2.0,
+            zeta: 0.9,
+        };
+        let mut table = WakeTable::optimistic(1.0);
+        // Visited often and worth nothing, between cells that nobody knows.
+        *table.at_mut([4, 2, 1]) = (-3.0, 500).into();
+        *table.at_mut([17, 2, 1]) = (6.0, 500).into();
+        let mut wake = Wake::new(table, &weights, &Schedule::default(), 50, 1.0);
+        let woken = |wake: &Wake| (0..SCORES).filter(|&s| wake.is_worth_it([s, 2, 1])).collect::<Vec<_>>();
+        assert_eq!(woken(&wake), (5..SCORES).collect::<Vec<_>>());
+        assert!((0..SCORES).all(|s| wake.is_worth_it([s, 2, 0]) && wake.is_worth_it([s, 3, 1])));
+        // What is learned counts from the next candidate on.
+        for _ in 0..40 {
+            wake.wake([19, 2, 1], 0.0);
+            wake.answered(-0.4);
+            wake.learn(None);
+        }
+        let last = wake.table().at([19, 2, 1]).value;
+        assert!(last < -30.0, "{last}");
+        let worths = wake.table().worths(2, 1);
+        let pooled = (501.0 * 6.0 + 1.0 + 41.0 * last) / 543.0;
+        assert!(
+            worths[17..].iter().all(|worth| (worth - pooled).abs() < 1e-9),
+            "{worths:?}"
+        );
+        let mut used = worths.iter().zip(&wake.worths[2][1]);
+        assert!(used.all(|(known, used)| (known - used).abs() < 1e-12));
+    }
+}

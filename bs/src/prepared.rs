@@ -1,0 +1,43 @@
+//! Everything that is known before a run begins.
+
+use std::sync::Arc;
+
+use reveille_common::deployment::Deployment;
+use reveille_common::scenario::Scenario;
+
+use crate::grids::Grids;
+use crate::policy::contract::Findings;
+use crate::policy::registry::{POLICIES, Registry};
+
+/// A scenario put on the ground, with what its policy asked to be found out before.
+#[derive(Clone, Debug)]
+pub struct Prepared {
+    /// The scenario.
+    pub scenario: Scenario,
+    /// Its devices.
+    pub deployment: Deployment,
+    /// The policies of which the scenario names one.
+    pub policies: Registry,
+    /// What pilot runs have found.
+    pub findings: Findings,
+    /// Grids of wake-up correlations, shared with other runs.
+    pub grids: Arc<Grids>,
+}
+
+impl Prepared {
+    /// `scenario` on its ground, for a policy of this program that needs no pilot runs.
+    pub fn without_pilots(scenario: &Scenario) -> Self {
+        Self::with_policies(scenario, POLICIES)
+    }
+
+    /// `scenario` on its ground, for one of `policies` that needs no pilot runs.
+    pub fn with_policies(scenario: &Scenario, policies: Registry) -> Self {
+        Self {
+            policies,
+            deployment: Deployment::new(scenario),
+            scenario: scenario.clone(),
+            findings: Findings::default(),
+            grids: Arc::default(),
+        }
+    }
+}

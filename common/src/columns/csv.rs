@@ -1,0 +1,141 @@
+//! Columns of CSV files.
+
+use csv::{ReaderBuilder, StringRecord, Trim};
+
+use super::cells::Columns;
+use super::limits::{column_index, within_limit};
+use crate::declare::shortened;
+
+/// The columns `wanted` as numbers.
+pub(super) fn numbers(bytes: &[u8], wanted: &[String]) -> Result<Columns<f64>, String> {
+    read(bytes, wanted, |text, name, line| match text.parse::<f64>() {
+        Ok(value) if value.is_finite() => Ok(value),
+        Ok(_) | Err(_) => Err(format!(
+            "line {line}, column `{name}`: \"{}\" is not a number",
+            shortened(text)
+        )),
+    })
+}
+
+/// The column `wanted` as texts, if there is one.
+pub(super) fn texts(bytes: &[u8], wanted: &str) -> Result<Option<Columns<String>>, String> {
+    let mut reader = reader(bytes);
+    let has_it = reader
+        .headers()
+        .is_ok_and(|header| header.iter().any(|name| name == wanted));
+    if !has_it {
+        return Ok(None);
+    }
+    read(bytes, &[wanted.to_owned()], |text, _, _| Ok(text.to_owned())).map(Some)
+}
+
+fn reader(bytes: &[u8]) -> csv::Reader<&[u8]> {
+    ReaderBuilder::new().trim(Trim::All).from_reader(bytes)
+}
+
+/// The columns `wanted`; `cell` makes a value of a text, its column and its line.
+fn read<T>(
+    bytes: &[u8],
+    wanted: &[String],
+    cell: impl Fn(&str, &str, u64) -> Result<T, String>,
+) -> Result<Columns<T>, String> {
+    let mut reader = reader(bytes);
+    let header = reader
+        .headers()
+        .map_err(|error| format!("the header is broken: {error}"))?
+        .clone();
+    let indices = wanted
+        .iter()
+        .map(|name| column_index(name, header.iter()))
+        .collect::<Result<Vec<usize>, String>>()?;
+    let mut columns = Columns {
+        values: wanted.iter().map(|_| Vec::new()).collect(),
+        lines: Vec::new(),
+    };
+    let mut record = StringRecord::new();
+    let mut lines = Lines::new(bytes);
+    loop {
+        let line = lines.after_blanks(reader.position().byte() as usize);
+        match reader.read_record(&mut record) {
+            Ok(true) => {}
+            Ok(false) => return Ok(columns),
+            Err(error) => return Err(format!("line {line} is broken: {error}")),
+        }
+        columns.lines.push(line);
+        within_limit(columns.lines.len(), wanted.len())?;
+        for ((column, &index), name) in columns.values.iter_mut().zip(&indices).zip(wanted) {
+            column.push(cell(record.get(index).unwrap_or_default(), name, line)?);
+        }
+    }
+}
+
+/// The lines of a text, counted from 1 as offsets rise.
+struct Lines<'b> {
+    bytes: &'b [u8],
+    at: usize,
+    line: u64,
+}
+
+impl<'b> Lines<'b> {
+    const fn new(bytes: &'b [u8]) -> Self {
+        Self { bytes, at: 0, line: 1 }
+    }
+
+    /// The line of the first byte from `offset` on that ends no line: that of the record that is read there, since the
+    /// reader passes over blank lines. Offsets never fall.
+    fn after_blanks(&mut self, offset: usize) -> u64 {
+        while let Some(&byte) = self.bytes.get(self.at) {
+            if self.at >= offset && byte != b'\n' && byte != b'\r' {
+                break;
+            }
+            self.line += u64::from(byte == b'\n');
+            self.at += 1;
+        }
+        self.line
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn values(text: &str, wanted: &[&str]) -> Result<Vec<Vec<f64>>, String> {
+        let wanted: Vec<String> = wanted.iter().map(|&name| name.to_owned()).collect();
+        numbers(text.as_bytes(), &wanted).map(|columns| columns.values)
+    }
+
+    #[test]
+    fn columns_come_in_the_order_asked_for() {
+        assert_eq!(
+            values("a, b\n1, 2\n3, 4.5\n", &["b", "a"]),
+            Ok(vec![vec![2.0, 4.5], vec![1.0, 3.0]])
+        );
+    }
+
+    #[test]
+    fn texts_are_there_or_not() {
+        let found = texts(b"x,class\n1, weak \n\n2,strong\n", "class")
+            .expect("a file")
+            .expect("a column");
+        assert_eq!(found.values, [["weak", "strong"]]);
+        assert_eq!(
+            (found.place(0), found.place(1)),
+            ("line 2".to_owned(), "line 4".to_owned())
+        );
+        assert_eq!(texts(b"x,y\n1,2\n", "class"), Ok(None));
+    }
+
+    #[test]
+    fn broken_files_name_the_line_or_the_columns() {
+        for (text, part) in [
+            ("a,b\n1,2\n", "its columns are `a`, `b`"),
+            ("x,y\n1,2\n3,oops\n", "line 3, column `y`: \"oops\""),
+            ("x,y\n\n1,2\n\n3,oops\n", "line 5, column `y`: \"oops\""),
+            ("x,y\n1,2\n3\n", "line 3 is broken"),
+            ("x,y\n1,nan\n", "line 2, column `y`"),
+        ] {
+            let reason = values(text, &["x", "y"]).expect_err(text);
+            assert!(reason.contains(part), "{reason}");
+        }
+    }
+}

@@ -1,0 +1,174 @@
+//! Columns of Parquet files.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use ::parquet::file::reader::{FileReader, SerializedFileReader};
+use ::parquet::record::Field;
+use ::parquet::schema::types::Type;
+use bytes::Bytes;
+
+use super::cells::Columns;
+use super::limits::{column_index, within_limit};
+
+/// The columns `wanted` of a flat Parquet file, as numbers.
+pub(super) fn numbers(bytes: &[u8], wanted: &[String]) -> Result<Columns<f64>, String> {
+    guarded(bytes, wanted, |field| number(field).ok_or("is not a number"))
+}
+
+/// The column `wanted`, as texts, if there is one.
+pub(super) fn texts(bytes: &[u8], wanted: &str) -> Result<Option<Columns<String>>, String> {
+    let text = |field: &Field| {
+        if let Field::Str(text) = field {
+            Ok(text.trim().to_owned())
+        } else {
+            Err("is not a text")
+        }
+    };
+    match guarded(bytes, &[wanted.to_owned()], text) {
+        Ok(columns) => Ok(Some(columns)),
+        Err(reason) if reason.starts_with("has no column") => Ok(None),
+        Err(reason) => Err(reason),
+    }
+}
+
+/// The decoder panics on some corrupt files.
+fn guarded<T>(
+    bytes: &[u8],
+    wanted: &[String],
+    cell: impl Fn(&Field) -> Result<T, &'static str>,
+) -> Result<Columns<T>, String> {
+    catch_unwind(AssertUnwindSafe(|| read(Bytes::copy_from_slice(bytes), wanted, cell)))
+        .unwrap_or_else(|_| Err("is a corrupt Parquet file".to_owned()))
+}
+
+fn read<T>(
+    bytes: Bytes,
+    wanted: &[String],
+    cell: impl Fn(&Field) -> Result<T, &'static str>,
+) -> Result<Columns<T>, String> {
+    let broken = |error: ::parquet::errors::ParquetError| format!("is not a readable Parquet file: {error}");
+    let reader = SerializedFileReader::new(bytes).map_err(broken)?;
+    let metadata = reader.metadata().file_metadata();
+    let schema = metadata.schema();
+    let fields = schema.get_fields();
+    let indices = wanted
+        .iter()
+        .map(|name| column_index(name, fields.iter().map(|field| field.name())))
+        .collect::<Result<Vec<usize>, String>>()?;
+    within_limit(usize::try_from(metadata.num_rows()).unwrap_or(usize::MAX), wanted.len())?;
+    let taken = fields
+        .iter()
+        .enumerate()
+        .filter(|(index, _)| indices.contains(index))
+        .map(|(_, field)| field.clone())
+        .collect();
+    let projection = Type::group_type_builder(schema.name())
+        .with_fields(taken)
+        .build()
+        .map_err(broken)?;
+    let mut columns: Vec<Vec<T>> = wanted.iter().map(|_| Vec::new()).collect();
+    for (row, record) in reader.get_row_iter(Some(projection)).map_err(broken)?.enumerate() {
+        let record = record.map_err(|error| format!("row {}: {error}", row + 1))?;
+        within_limit(row + 1, wanted.len())?;
+        for (column, name) in columns.iter_mut().zip(wanted) {
+            let field = record
+                .get_column_iter()
+                .find(|(known, _)| *known == name)
+                .map(|(_, field)| field);
+            let value = field.map_or(Err("is not there"), &cell);
+            column.push(value.map_err(|what| format!("row {}, column `{name}`: {what}", row + 1))?);
+        }
+    }
+    Ok(Columns {
+        values: columns,
+        lines: Vec::new(),
+    })
+}
+
+/// The number in a field, if there is one.
+fn number(field: &Field) -> Option<f64> {
+    let value = match field {
+        Field::Byte(value) => f64::from(*value),
+        Field::Short(value) => f64::from(*value),
+        Field::Int(value) => f64::from(*value),
+        Field::Long(value) => *value as f64,
+        Field::UByte(value) => f64::from(*value),
+        Field::UShort(value) => f64::from(*value),
+        Field::UInt(value) => f64::from(*value),
+        Field::ULong(value) => *value as f64,
+        Field::Float(value) => f64::from(*value),
+        Field::Double(value) => *value,
+        Field::Null
+        | Field::Bool(_)
+        | Field::Float16(_)
+        | Field::Decimal(_)
+        | Field::Str(_)
+        | Field::Bytes(_)
+        | Field::Date(_)
+        | Field::TimeMillis(_)
+        | Field::TimeMicros(_)
+        | Field::TimestampMillis(_)
+        | Field::TimestampMicros(_)
+        | Field::Group(_)
+        | Field::ListInternal(_)
+        | Field::MapInternal(_) => return None,
+    };
+    value.is_finite().then_some(value)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use ::parquet::basic::Compression;
+    use ::parquet::data_type::{DoubleType, Int32Type};
+    use ::parquet::file::properties::WriterProperties;
+    use ::parquet::file::writer::SerializedFileWriter;
+    use ::parquet::schema::parser::parse_message_type;
+
+    use super::*;
+
+    /// A file of the columns `hour` (0, 1, 2) and `w` (0.5, 1.5, 2.5).
+    fn written() -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let schema = parse_message_type("message m { REQUIRED INT32 hour; REQUIRED DOUBLE w; }").expect("a schema");
+        let properties = WriterProperties::builder().set_compression(Compression::SNAPPY).build();
+        let mut writer =
+            SerializedFileWriter::new(&mut bytes, Arc::new(schema), Arc::new(properties)).expect("a writer");
+        let mut group = writer.next_row_group().expect("a group");
+        let mut hour = group.next_column().expect("no error").expect("a column");
+        hour.typed::<Int32Type>()
+            .write_batch(&[0, 1, 2], None, None)
+            .expect("written");
+        hour.close().expect("closed");
+        let mut w = group.next_column().expect("no error").expect("a column");
+        w.typed::<DoubleType>()
+            .write_batch(&[0.5, 1.5, 2.5], None, None)
+            .expect("written");
+        w.close().expect("closed");
+        group.close().expect("closed");
+        writer.close().expect("closed");
+        bytes
+    }
+
+    #[test]
+    fn columns_of_numbers_are_read() {
+        let bytes = written();
+        let read = |wanted: &[&str]| {
+            let wanted: Vec<String> = wanted.iter().map(|&name| name.to_owned()).collect();
+            numbers(&bytes, &wanted).map(|columns| columns.values)
+        };
+        assert_eq!(read(&["w", "hour"]), Ok(vec![vec![0.5, 1.5, 2.5], vec![0.0, 1.0, 2.0]]));
+        let missing = read(&["v"]).expect_err("no such column");
+        assert!(missing.contains("its columns are `hour`, `w`"), "{missing}");
+        assert_eq!(texts(&bytes, "class"), Ok(None));
+    }
+
+    #[test]
+    fn cut_files_are_refused() {
+        let bytes = written();
+        for length in 0..bytes.len() {
+            numbers(&bytes[..length], &["w".to_owned()]).expect_err("cut off");
+        }
+    }
+}

@@ -1,0 +1,62 @@
+//! Files as pure code asks for them. Who opens them stands at the edge: [`crate::io::Disk`].
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Why a file's bytes are not to be had.
+#[derive(Debug, thiserror::Error)]
+pub enum FileError {
+    /// The operating system refuses.
+    #[error("cannot be read: {0}")]
+    Io(#[from] io::Error),
+    /// It is a folder.
+    #[error("is not a file")]
+    Folder,
+    /// It is a pipe or a device, which may never end.
+    #[error("is not a file")]
+    Special,
+    /// It is longer than asked for, in bytes.
+    #[error("is larger than {most} bytes")]
+    TooLong {
+        /// Its length.
+        length: u64,
+        /// The most that was asked for.
+        most: u64,
+    },
+}
+
+/// Gives the bytes of files.
+pub trait Files {
+    /// The bytes of the regular file at `path`, if they are at most `most`.
+    ///
+    /// # Errors
+    /// See [`FileError`].
+    fn read(&self, path: &Path, most: u64) -> Result<Vec<u8>, FileError>;
+
+    /// Whether there is anything at `path`.
+    fn exists(&self, path: &Path) -> bool;
+
+    /// `path` from the root on, without a look at what is there.
+    ///
+    /// # Errors
+    /// There is no working directory.
+    fn absolute(&self, path: &Path) -> io::Result<PathBuf>;
+}
+
+/// No files at all.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct NoFiles;
+
+impl Files for NoFiles {
+    fn read(&self, _: &Path, _: u64) -> Result<Vec<u8>, FileError> {
+        Err(FileError::Io(io::ErrorKind::NotFound.into()))
+    }
+
+    fn exists(&self, _: &Path) -> bool {
+        false
+    }
+
+    fn absolute(&self, path: &Path) -> io::Result<PathBuf> {
+        Ok(path.to_owned())
+    }
+}

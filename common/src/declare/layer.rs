@@ -1,0 +1,106 @@
+//! One layer of a configuration: a preset, a file, or what an option of the command line sets.
+
+use std::sync::Arc;
+
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+use super::declaration::Declaration;
+use super::error::ScenarioError;
+use super::overrides::Override;
+use super::places::{Origin, Place};
+
+/// Bytes of the longest text that is read.
+pub const LONGEST_TEXT: u64 = 1 << 20;
+
+/// One layer: a table, and the item of the list that it is for where a path on the command line names one.
+#[derive(Debug)]
+pub struct Layer<'a> {
+    pub(super) table: DeTable<'a>,
+    pub(super) text: &'a str,
+    pub(super) origin: Origin,
+    /// The item that it is for.
+    pub(super) item: Option<&'a str>,
+}
+
+impl<'a> Layer<'a> {
+    /// A layer from the text of a preset or a file.
+    ///
+    /// # Errors
+    /// It is too long, or not TOML.
+    pub fn from_text(text: &'a str, origin: Origin) -> Result<Self, ScenarioError> {
+        if text.len() as u64 > LONGEST_TEXT {
+            return Err(syntax(&origin, 0, format!("longer than {LONGEST_TEXT} bytes")));
+        }
+        match DeTable::parse(text) {
+            Ok(table) => Ok(Self {
+                table: table.into_inner(),
+                text,
+                origin,
+                item: None,
+            }),
+            Err(error) => {
+                let offset = error.span().map_or(0, |span| span.start);
+                Err(syntax(&origin, offset, error.message().to_owned()))
+            }
+        }
+    }
+
+    /// A layer from an override. A path `LIST.NAME.…` is for the item of that name of the declaration's list.
+    ///
+    /// # Errors
+    /// The value is not TOML.
+    pub fn from_override(given: &'a Override, declaration: &Declaration) -> Result<Self, ScenarioError> {
+        let list = declaration.list.name();
+        let (item, path) = match given.path.as_slice() {
+            [section, name, rest @ ..] if section == list && !rest.is_empty() => (Some(name.as_str()), rest),
+            path => (None, path),
+        };
+        let mut value = given.toml()?;
+        let span = value.span();
+        for name in path.iter().rev() {
+            value = Spanned::new(span.clone(), DeValue::Table(single(name, value)));
+        }
+        let DeValue::Table(table) = value.into_inner() else {
+            return Ok(Self::empty(given));
+        };
+        Ok(Self {
+            table,
+            item,
+            ..Self::empty(given)
+        })
+    }
+
+    fn empty(given: &'a Override) -> Self {
+        Self {
+            table: DeTable::new(),
+            text: &given.value,
+            origin: Origin::Flag(Arc::clone(&given.flag)),
+            item: None,
+        }
+    }
+
+    /// The text that the layer sets the top-level field `name` to, with the place where it does.
+    pub fn text_of(&self, name: &str) -> Option<(&str, Place)> {
+        let value = self.table.get(name).filter(|_| self.item.is_none())?;
+        Some((value.get_ref().as_str()?, self.origin.place(value.span().start)))
+    }
+}
+
+pub(super) fn key<'a>(name: &str) -> Spanned<std::borrow::Cow<'a, str>> {
+    Spanned::new(0..0, std::borrow::Cow::Owned(name.to_owned()))
+}
+
+pub(super) fn single<'a>(name: &str, value: Spanned<DeValue<'a>>) -> DeTable<'a> {
+    std::iter::once((key(name), value)).collect()
+}
+
+fn syntax(origin: &Origin, offset: usize, reason: String) -> ScenarioError {
+    let (name, line) = match origin.place(offset) {
+        Place::File { name, line } => (name.to_string(), line),
+        Place::Preset(name) => (name.to_owned(), 1),
+        Place::Flag(flag) => (flag.to_string(), 1),
+        Place::Nowhere => (String::new(), 1),
+    };
+    ScenarioError::Syntax { name, line, reason }
+}

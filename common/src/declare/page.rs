@@ -1,0 +1,194 @@
+//! A configuration as a TOML file.
+
+use std::fmt::Write as _;
+
+use super::declaration::{Declaration, Scope};
+use super::field::{Condition, Default, Field, Form, Section};
+use super::sink::Sink;
+use super::value::Value;
+use crate::units::{Energy, MICRO_PER_UNIT};
+
+/// All fields in force with their values. Two pages are equal if the fields, the values and the contents of files are.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Page {
+    items: Vec<String>,
+    lines: Vec<Line>,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+struct Line {
+    /// The number of the item that it belongs to, from 1; 0 for the top level.
+    item: usize,
+    /// Full path.
+    path: String,
+    value: String,
+    contents: Vec<u8>,
+}
+
+impl Sink for Page {
+    fn item(&mut self, name: &str) {
+        self.items.push(name.to_owned());
+    }
+
+    fn field(&mut self, section: &'static Section, field: &'static Field, value: Value<'_>) {
+        self.lines.push(Line {
+            item: self.items.len(),
+            path: section.path_of(field.name),
+            value: in_toml(&value),
+            contents: Vec::new(),
+        });
+    }
+
+    fn content(&mut self, bytes: &[u8]) {
+        if let Some(last) = self.lines.last_mut() {
+            last.contents.extend_from_slice(bytes);
+        }
+    }
+}
+
+/// What a page shows beside the fields in force.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Detail {
+    /// Nothing.
+    InForce,
+    /// Every other field, commented out.
+    Everything,
+}
+
+impl Page {
+    /// The fields in force, as a file that loads again.
+    pub fn in_force(&self, declaration: &Declaration) -> String {
+        self.write(declaration, Detail::InForce)
+    }
+
+    /// The same with every other field commented out, and what each may hold.
+    pub fn everything(&self, declaration: &Declaration) -> String {
+        self.write(declaration, Detail::Everything)
+    }
+
+    fn write(&self, declaration: &Declaration, detail: Detail) -> String {
+        let mut text = String::new();
+        for header in declaration.headers() {
+            if self.items.is_empty() || !declaration.list.takes(header) {
+                self.section(&mut text, declaration, (Scope::Top, 0), header, detail);
+            }
+        }
+        let list = declaration.list.name();
+        for item in 1..=self.items.len() {
+            let _ = writeln!(text, "\n[[{list}]]");
+            self.fields(&mut text, declaration, (Scope::Item, item), "", detail);
+            for header in declaration.headers() {
+                if declaration.list.takes(header) {
+                    // What each class might hold besides need not be told of all.
+                    let detail = if item == 1 { detail } else { Detail::InForce };
+                    self.section(&mut text, declaration, (Scope::Item, item), header, detail);
+                }
+            }
+        }
+        text
+    }
+
+    /// The section below `header`, if it has a line to show.
+    fn section(&self, text: &mut String, all: &Declaration, at: (Scope, usize), header: &str, detail: Detail) {
+        let mut body = String::new();
+        let in_force = self.fields(&mut body, all, at, header, detail);
+        if body.is_empty() {
+            return;
+        }
+        if !header.is_empty() {
+            let list = all.list.name();
+            let header = if at.0 == Scope::Item {
+                format!("{list}.{header}")
+            } else {
+                header.to_owned()
+            };
+            let _ = writeln!(text, "\n{}[{header}]", if in_force == 0 { "# " } else { "" });
+        }
+        text.push_str(&body);
+    }
+
+    /// The lines below `header`; how many of them are in force.
+    fn fields(&self, text: &mut String, all: &Declaration, at: (Scope, usize), header: &str, detail: Detail) -> usize {
+        let mut in_force = 0;
+        for section in all.at(at.0, header) {
+            for field in section.fields {
+                let path = section.path_of(field.name);
+                let line = self.lines.iter().find(|line| line.item == at.1 && line.path == path);
+                let comment = comment(field, section.condition(field), all, line.is_some());
+                if let Some(line) = line {
+                    in_force += 1;
+                    let _ = writeln!(text, "{} = {} # {comment}", field.name, line.value);
+                } else if detail == Detail::Everything {
+                    let usual = match field.default {
+                        Default::Is(value) => in_toml(&value),
+                        Default::Derived(_) | Default::None => "…".to_owned(),
+                    };
+                    let _ = writeln!(text, "# {} = {usual} # {comment}", field.name);
+                }
+            }
+        }
+        in_force
+    }
+}
+
+/// What stands behind a field: meaning, unit, what it may hold, when it counts.
+fn comment(field: &Field, condition: Option<Condition>, all: &Declaration, is_in_force: bool) -> String {
+    let meaning = field.help.split_once(". ").map_or(field.help, |(first, _)| first);
+    let mut parts = vec![meaning.trim_end_matches('.').replace(['\n', '`'], "")];
+    if !field.unit.is_empty() {
+        parts.push(field.unit.to_owned());
+    }
+    let words = match field.form {
+        Form::Choice(words) | Form::Source(words) => words,
+        Form::Registered => all.registered.as_slice(),
+        Form::Whole { .. }
+        | Form::Number(_)
+        | Form::Energy { .. }
+        | Form::Switch
+        | Form::Text
+        | Form::File
+        | Form::Wholes { .. }
+        | Form::Texts => &[],
+    };
+    if !words.is_empty() {
+        let mut words: Vec<String> = words.iter().map(|word| format!("\"{}\"", word.name)).collect();
+        if matches!(field.form, Form::Source(_)) {
+            words.push("a file".to_owned());
+        }
+        parts.push(words.join(" or "));
+    }
+    if !is_in_force {
+        if let Default::Derived(rule) = field.default {
+            parts.push(format!("by default {}", rule.replace('`', "")));
+        }
+        if let Some(condition) = condition {
+            parts.push(format!("only with {condition}"));
+        }
+    }
+    parts.join("; ")
+}
+
+/// A value as it stands in a file.
+pub(super) fn in_toml(value: &Value<'_>) -> String {
+    let text = |text: &str| toml::Value::String(text.to_owned()).to_string();
+    match *value {
+        Value::Whole(whole) => whole.to_string(),
+        Value::Number(number) => toml::Value::Float(number).to_string(),
+        Value::Energy(energy) => units(energy),
+        Value::Switch(is_on) => is_on.to_string(),
+        Value::Text(word) | Value::Path(word) => text(word),
+        Value::Wholes(list) => format!("{list:?}"),
+        Value::Texts(list) => {
+            let items: Vec<String> = list.iter().map(|item| text(item)).collect();
+            format!("[{}]", items.join(", "))
+        }
+    }
+}
+
+/// Exact decimal units.
+fn units(energy: Energy) -> String {
+    let (whole, rest) = (energy.micro() / MICRO_PER_UNIT, energy.micro() % MICRO_PER_UNIT);
+    let digits = format!("{rest:06}");
+    let decimals = digits.trim_end_matches('0');
+    format!("{whole}.{}", if decimals.is_empty() { "0" } else { decimals })
+}

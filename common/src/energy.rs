@@ -1,0 +1,48 @@
+//! Battery and costs of a device.
+
+use serde::{Deserialize, Serialize};
+
+use crate::declare::{Reader, ScenarioError, energy, positive_energy};
+use crate::units::Energy;
+
+crate::declare! {
+    /// Battery and costs of a device.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct EnergyModel in "energy" {
+        /// Battery capacity `E_max`.
+        pub e_max: Energy = positive_energy(100.0).unit("units").source("Table II"),
+        /// Cost `E_idle` of a TTI in S1, at most `e_max`.
+        pub e_idle: Energy = energy(1.0).unit("units per TTI").source("Table II"),
+        /// Cost `E_WuR` of a TTI in S4 with the wake-up radio on, at most `e_max`.
+        pub e_wur: Energy = energy(1.0 / 14.0).unit("units per TTI").source("Table II"),
+        /// Cost `E_Tx` of a transmission, at most `e_max`.
+        pub e_tx: Energy = energy(10.0).unit("units").source("Table II"),
+        /// Battery level at the start, at most `e_max`.
+        pub initial: Energy = energy(0.0).unit("units").derived("half of `e_max`")
+            => Energy::from_micro(e_max.micro() / 2),
+    }
+}
+
+impl EnergyModel {
+    /// The settings that `reader` has.
+    ///
+    /// # Errors
+    /// A value that may not be: no cost and no level is more than the battery holds.
+    pub fn settle(reader: &Reader<'_>) -> Result<Self, ScenarioError> {
+        let model = Self::read(reader)?;
+        let unpayable = ", or it can never be paid";
+        for (path, cost, consequence) in [
+            ("energy.e_idle", model.e_idle, unpayable),
+            ("energy.e_wur", model.e_wur, unpayable),
+            ("energy.e_tx", model.e_tx, unpayable),
+            ("energy.initial", model.initial, ""),
+        ] {
+            if cost > model.e_max {
+                let (limit, _) = reader.locate("energy.e_max");
+                let allowed = format!("must be at most {} units ({limit}){consequence}", model.e_max.units());
+                return Err(reader.refuse(path, cost.units(), allowed));
+            }
+        }
+        Ok(model)
+    }
+}

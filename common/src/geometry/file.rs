@@ -1,0 +1,138 @@
+//! Positions, and classes, from a file.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::{Area, Point};
+use crate::columns::{self, Columns, LARGEST_FILE};
+use crate::declare::{Reader, ScenarioError, Section, Sink, Value, did_you_mean, listed, shortened};
+
+/// The field that names the file.
+const FIELD: &str = "layout.file";
+
+/// Devices that stand where a file says.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FromFile {
+    /// The file.
+    pub path: PathBuf,
+    /// Its first N points.
+    pub points: Arc<Vec<Point>>,
+    /// The classes of the first N devices as indices into the scenario's, where the file has the column `class`.
+    pub classes: Option<Arc<Vec<u16>>>,
+}
+
+impl FromFile {
+    /// The first `devices` devices of the file called `file`, all of them on `area`; those of the column `class` are
+    /// named in `classes`, which is empty for a scenario without classes.
+    pub(super) fn settle(
+        reader: &Reader<'_>,
+        file: &str,
+        area: Area,
+        devices: u32,
+        classes: &[&str],
+    ) -> Result<Self, ScenarioError> {
+        let path = reader.file(FIELD, file)?;
+        let count = devices as usize;
+        let found = reader
+            .bytes(&path, LARGEST_FILE)
+            .map_err(|error| error.to_string())
+            .and_then(|bytes| {
+                Ok((
+                    points(&path, &bytes, area, count)?,
+                    columns::texts(&path, &bytes, "class")?,
+                ))
+            });
+        let ((points, rows), names) = match found {
+            Ok(found) => found,
+            Err(reason) => return Err(reader.data(FIELD, path, reason)),
+        };
+        if rows > count {
+            reader.warn(format!(
+                "{} has {rows} positions; the first {count} are used",
+                path.display()
+            ));
+        }
+        let classes = match names {
+            Some(names) if !classes.is_empty() => match indices(&names, classes, count) {
+                Ok(indices) => Some(Arc::new(indices)),
+                Err(reason) => return Err(reader.data(FIELD, path, reason)),
+            },
+            Some(_) => {
+                let what = "has a column `class`, which has no effect without [[class]] in the scenario";
+                reader.warn(format!("{} {what}", path.display()));
+                None
+            }
+            None => None,
+        };
+        Ok(Self {
+            path,
+            points: Arc::new(points),
+            classes,
+        })
+    }
+
+    /// Hands the file's name and what decides in it to `sink`.
+    pub(super) fn visit(&self, sink: &mut dyn Sink, section: &'static Section) {
+        let Some(field) = section.field("file") else { return };
+        sink.field(section, field, Value::Path(&self.path.to_string_lossy()));
+        let positions = self
+            .points
+            .iter()
+            .flat_map(|point| [point.x.to_le_bytes(), point.y.to_le_bytes()]);
+        sink.content(&positions.flatten().collect::<Vec<u8>>());
+        if let Some(classes) = &self.classes {
+            sink.content(
+                &classes
+                    .iter()
+                    .flat_map(|class| class.to_le_bytes())
+                    .collect::<Vec<u8>>(),
+            );
+        }
+    }
+}
+
+/// The first `count` points of a layout file, all within `area`, and how many it has.
+fn points(path: &Path, bytes: &[u8], area: Area, count: usize) -> Result<(Vec<Point>, usize), String> {
+    let columns = columns::numbers(path, bytes, &["x".to_owned(), "y".to_owned()])?;
+    let [xs, ys] = columns.values.as_slice() else {
+        return Err("has no columns `x` and `y`".to_owned());
+    };
+    if xs.len() < count {
+        return Err(format!("has {} points, too few for {count} devices", xs.len()));
+    }
+    let points: Vec<Point> = xs
+        .iter()
+        .zip(ys)
+        .take(count)
+        .map(|(&x, &y)| Point::new(x + 0.0, y + 0.0))
+        .collect();
+    match points.iter().position(|&point| !area.contains(point)) {
+        None => Ok((points, xs.len())),
+        Some(row) => Err(format!(
+            "{}: the point ({}, {}) lies outside the area of {} by {} metres",
+            columns.place(row),
+            points[row].x,
+            points[row].y,
+            area.width,
+            area.height
+        )),
+    }
+}
+
+/// The places in `classes` of the first `count` names.
+fn indices(names: &Columns<String>, classes: &[&str], count: usize) -> Result<Vec<u16>, String> {
+    let index = |(row, name): (usize, &String)| {
+        let at = classes.iter().position(|class| class == name);
+        at.map(|at| at as u16).ok_or_else(|| {
+            format!(
+                "{}, column `class`: \"{}\" is no class of the scenario; there are {}{}",
+                names.place(row),
+                shortened(name),
+                listed(classes.iter().copied()),
+                did_you_mean(name, classes.iter().copied())
+            )
+        })
+    };
+    let column = names.values.first().into_iter().flatten();
+    column.take(count).enumerate().map(index).collect()
+}

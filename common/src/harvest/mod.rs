@@ -1,0 +1,399 @@
+//! Energy sources (paper Sec. III-A): when energy arrives at a device, and how much.
+//!
+//! A source is a sequence of arrivals in rising order of TTI that depends on nothing but the scenario, the seed and the
+//! device. Nothing is drawn in a TTI without an arrival.
+//!
+//! A kind of source is a file here: its fields, its form on the wire, its draws; this one has an arm for each.
+
+mod arrivals;
+mod mpp;
+mod sources;
+mod trace;
+
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+pub use self::arrivals::{Arrivals, ArrivalsSetup, eq5_probability};
+pub use self::mpp::{Mpp, OnOffSetup};
+pub use self::sources::Sources;
+pub use self::trace::{Trace, TraceColumns, TraceEnd, TraceSetup};
+
+use self::arrivals::ArrivalsSource;
+use self::mpp::OnOffSource;
+use self::trace::TraceSource;
+use crate::declare::{Reader, ScenarioError, Section, Sink, choice, choices};
+use crate::ids::{DeviceId, Tti};
+use crate::rng::{Purpose, Stream};
+use crate::units::Energy;
+
+choices! {
+    /// The kind of a device's energy source.
+    pub enum HarvestKind {
+        /// An arrival in a TTI with probability λτ·exp(-λτ), Eq. (5).
+        Eq5 = "eq5",
+        /// An arrival in a TTI with probability exp(-λ), the other reading in Sec. III-B.
+        ExpMinusLambda = "exp-minus-lambda",
+        /// An on/off source with exponential durations, as the text of Sec. III-A describes it.
+        Mpp = "mpp",
+        /// Recorded energy from a file.
+        Trace = "trace",
+    }
+}
+
+crate::declare! {
+    /// The energy source of a device (paper Sec. III-A).
+    #[derive(Clone, Copy, Debug)]
+    struct Settings in "harvest" {
+        /// The kind of source.
+        kind: HarvestKind = choice::<HarvestKind>("eq5").source("Eq. (5)"),
+    }
+}
+
+/// An energy source (paper Sec. III-A). λ is per unit of model time and at least 0; `E_B` is the energy of one arrival.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Harvest {
+    /// See [`HarvestKind::Eq5`].
+    Eq5(Arrivals),
+    /// See [`HarvestKind::ExpMinusLambda`].
+    ExpMinusLambda(Arrivals),
+    /// See [`HarvestKind::Mpp`].
+    Mpp(Mpp),
+    /// See [`HarvestKind::Trace`].
+    Trace(Trace),
+}
+
+impl Harvest {
+    /// The fields of all kinds.
+    pub const SECTIONS: [&'static Section; 4] = [Settings::SECTION, Arrivals::SECTION, Mpp::SECTION, Trace::SECTION];
+
+    /// The source that `reader` has, for TTIs of duration `tau`.
+    ///
+    /// # Errors
+    /// A value that may not be, or a trace that cannot be read.
+    pub fn settle(reader: &Reader<'_>, tau: f64) -> Result<Self, ScenarioError> {
+        Ok(match Settings::read(reader)?.kind {
+            HarvestKind::Eq5 => Self::Eq5(Arrivals::read(reader)?),
+            HarvestKind::ExpMinusLambda => Self::ExpMinusLambda(Arrivals::read(reader)?),
+            HarvestKind::Mpp => Self::Mpp(Mpp::settle(reader, tau)?),
+            HarvestKind::Trace => Self::Trace(Trace::settle(reader)?),
+        })
+    }
+
+    /// The kind of the source.
+    pub const fn kind(&self) -> HarvestKind {
+        match self {
+            Self::Eq5(_) => HarvestKind::Eq5,
+            Self::ExpMinusLambda(_) => HarvestKind::ExpMinusLambda,
+            Self::Mpp(_) => HarvestKind::Mpp,
+            Self::Trace(_) => HarvestKind::Trace,
+        }
+    }
+
+    /// Hands every field to `sink`.
+    pub fn visit(&self, sink: &mut dyn Sink) {
+        Settings { kind: self.kind() }.visit(sink);
+        match self {
+            Self::Eq5(arrivals) | Self::ExpMinusLambda(arrivals) => arrivals.visit(sink),
+            Self::Mpp(mpp) => mpp.visit(sink),
+            Self::Trace(trace) => trace.visit(sink),
+        }
+    }
+
+    /// The form that a device needs, for TTIs of duration `tau`; `trace` is the trace to read where it reads one.
+    pub fn setup(&self, tau: f64, trace: u32) -> HarvestSetup {
+        match self {
+            Self::Eq5(arrivals) => HarvestSetup::Arrivals(arrivals.eq5(tau)),
+            Self::ExpMinusLambda(arrivals) => HarvestSetup::Arrivals(arrivals.exp_minus_lambda()),
+            Self::Mpp(mpp) => HarvestSetup::OnOff(mpp.setup(tau)),
+            Self::Trace(recorded) => HarvestSetup::Trace(recorded.setup(trace)),
+        }
+    }
+
+    /// The recorded energy that it brings along, energy per TTI by column and row.
+    pub fn columns(&self) -> &[Vec<Energy>] {
+        match self {
+            Self::Trace(trace) => &trace.values,
+            Self::Eq5(_) | Self::ExpMinusLambda(_) | Self::Mpp(_) => &[],
+        }
+    }
+
+    /// The one of [`Self::columns`] that the `nth` device of a class reads; 0 where it reads none.
+    pub fn column_of(&self, nth: u32) -> u32 {
+        match self {
+            Self::Trace(trace) => trace.column_of(nth),
+            Self::Eq5(_) | Self::ExpMinusLambda(_) | Self::Mpp(_) => 0,
+        }
+    }
+
+    /// The mean harvest in a TTI of duration `tau`; of a trace's first column.
+    pub fn mean(&self, tau: f64) -> Energy {
+        let rows = self.columns().first().cloned().map(Arc::new);
+        self.setup(tau, 0).mean(rows.as_slice())
+    }
+
+    /// The most that can come in a TTI.
+    pub fn peak(&self) -> Energy {
+        match self {
+            Self::Eq5(Arrivals { e_b, .. })
+            | Self::ExpMinusLambda(Arrivals { e_b, .. })
+            | Self::Mpp(Mpp { e_b, .. }) => *e_b,
+            Self::Trace(trace) => trace.peak(),
+        }
+    }
+
+    /// λ and `E_B`, of sources that have them.
+    pub const fn arrivals(&self) -> Option<Arrivals> {
+        match self {
+            Self::Eq5(arrivals) | Self::ExpMinusLambda(arrivals) => Some(*arrivals),
+            Self::Mpp(Mpp { lambda, e_b, .. }) => Some(Arrivals {
+                lambda: *lambda,
+                e_b: *e_b,
+            }),
+            Self::Trace(_) => None,
+        }
+    }
+
+    /// The probability of an arrival in a TTI of duration `tau`, of sources whose arrivals do not depend on each other.
+    pub fn independent_probability(&self, tau: f64) -> Option<f64> {
+        match self.setup(tau, 0) {
+            HarvestSetup::Arrivals(ArrivalsSetup { p, .. }) => Some(p),
+            HarvestSetup::OnOff(_) | HarvestSetup::Trace(_) => None,
+        }
+    }
+}
+
+/// A source's parameters in the form that a device needs, model time already counted in TTIs.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum HarvestSetup {
+    /// Independent arrivals.
+    Arrivals(ArrivalsSetup),
+    /// An on/off source.
+    OnOff(OnOffSetup),
+    /// Recorded energy.
+    Trace(TraceSetup),
+}
+
+impl HarvestSetup {
+    /// The mean harvest in a TTI, to the nearest micro-unit; `traces` are the run's, energy per TTI by row.
+    pub fn mean(&self, traces: &[Arc<Vec<Energy>>]) -> Energy {
+        match self {
+            Self::Arrivals(arrivals) => arrivals.mean(),
+            Self::OnOff(on_off) => on_off.mean(),
+            Self::Trace(trace) => trace.mean(traces),
+        }
+    }
+
+    /// Whether a device can be given it: probabilities are shares, and a trace is among the run's `traces`.
+    pub fn is_sound(&self, traces: &[Arc<Vec<Energy>>]) -> bool {
+        match self {
+            Self::Arrivals(arrivals) => arrivals.is_sound(),
+            Self::OnOff(on_off) => on_off.is_sound(),
+            Self::Trace(trace) => trace.is_sound(traces),
+        }
+    }
+
+    /// Whether it reads one of the run's traces.
+    pub const fn reads_a_trace(&self) -> bool {
+        match self {
+            Self::Trace(_) => true,
+            Self::Arrivals(_) | Self::OnOff(_) => false,
+        }
+    }
+}
+
+impl Sources {
+    /// What sources of the kinds `setups` need. `traces` are the run's traces, energy per TTI by row.
+    pub fn new<'a>(setups: impl IntoIterator<Item = &'a HarvestSetup>, traces: Vec<Arc<Vec<Energy>>>) -> Self {
+        let probability = |setup: &HarvestSetup| match *setup {
+            HarvestSetup::Arrivals(ArrivalsSetup { p, .. }) => Some(p),
+            HarvestSetup::OnOff(_) | HarvestSetup::Trace(_) => None,
+        };
+        Self::with_gaps(setups.into_iter().filter_map(probability), traces)
+    }
+}
+
+/// The arrivals of one device's source.
+#[derive(Clone, Debug)]
+pub struct HarvestSource {
+    next: Tti,
+    source: Source,
+}
+
+#[derive(Clone, Debug)]
+enum Source {
+    Arrivals(ArrivalsSource),
+    OnOff(OnOffSource),
+    Trace(TraceSource),
+}
+
+impl HarvestSource {
+    /// The source of `device`.
+    ///
+    /// # Panics
+    /// If `setup` names a trace that is not among those of `shared`.
+    pub fn new(setup: &HarvestSetup, shared: &Sources, seed: u64, device: DeviceId) -> Self {
+        let stream = Stream::new(seed, Purpose::Harvest, u64::from(device.0));
+        let (source, next) = match setup {
+            HarvestSetup::Arrivals(setup) => {
+                let (source, next) = setup.source(shared, stream);
+                (Source::Arrivals(source), next)
+            }
+            HarvestSetup::OnOff(setup) => {
+                let (source, next) = setup.source(stream);
+                (Source::OnOff(source), next)
+            }
+            HarvestSetup::Trace(setup) => {
+                let (source, next) = setup.source(&shared.traces);
+                (Source::Trace(source), next)
+            }
+        };
+        Self { next, source }
+    }
+
+    /// The TTI of the next arrival; [`Tti::NEVER`] if there is none.
+    pub const fn next(&self) -> Tti {
+        self.next
+    }
+
+    /// Takes the next arrival. Only where there is one.
+    #[inline]
+    pub fn take(&mut self) -> Energy {
+        let (energy, next) = match &mut self.source {
+            Source::Arrivals(source) => source.take(self.next),
+            Source::OnOff(source) => source.take(self.next),
+            Source::Trace(source) => source.take(self.next),
+        };
+        self.next = next;
+        energy
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const E_B: Energy = Energy::from_micro(5_000_000);
+
+    fn source(harvest: &Harvest, device: u32) -> HarvestSource {
+        HarvestSource::new(&harvest.setup(1.0, 0), &Sources::default(), 11, DeviceId(device))
+    }
+
+    fn arrivals(source: &mut HarvestSource, ttis: u64) -> u64 {
+        let mut n = 0;
+        while source.next() < Tti(ttis) {
+            let before = source.next();
+            assert_eq!(source.take(), E_B);
+            assert!(source.next() > before);
+            n += 1;
+        }
+        n
+    }
+
+    /// Mean arrivals per TTI over independent devices, and its standard error.
+    fn measure(harvest: &Harvest) -> (f64, f64) {
+        let (devices, ttis) = (400, 5_000);
+        let rates: Vec<f64> = (0..devices)
+            .map(|d| arrivals(&mut source(harvest, d), ttis) as f64 / ttis as f64)
+            .collect();
+        let mean = rates.iter().sum::<f64>() / rates.len() as f64;
+        let variance = rates.iter().map(|r| (r - mean).powi(2)).sum::<f64>() / (rates.len() - 1) as f64;
+        (mean, (variance / rates.len() as f64).sqrt())
+    }
+
+    #[test]
+    fn means_follow_the_closed_forms() {
+        let lambda = 0.3;
+        let cases = [
+            (Harvest::Eq5(Arrivals { lambda, e_b: E_B }), lambda * libm::exp(-lambda)),
+            (
+                Harvest::ExpMinusLambda(Arrivals { lambda, e_b: E_B }),
+                libm::exp(-lambda),
+            ),
+            (
+                Harvest::Mpp(Mpp {
+                    lambda,
+                    e_b: E_B,
+                    off_mean: 7.0,
+                }),
+                (1.0 / lambda) / (1.0 / lambda + 7.0),
+            ),
+        ];
+        for (harvest, expected) in cases {
+            let (mean, error) = measure(&harvest);
+            assert!(
+                (mean - expected).abs() < 3.0 * error,
+                "{harvest:?}: {mean} ± {error}, expected {expected}"
+            );
+        }
+    }
+
+    #[test]
+    fn on_runs_of_mpp_are_as_long_as_its_chain_says() {
+        let (lambda, off_mean) = (0.05, 10.0);
+        let mut s = source(
+            &Harvest::Mpp(Mpp {
+                lambda,
+                e_b: E_B,
+                off_mean,
+            }),
+            1,
+        );
+        let (mut runs, mut length, mut last) = (0u64, 0u64, Tti::NEVER);
+        while s.next() < Tti(400_000) {
+            let now = s.next();
+            s.take();
+            length += 1;
+            runs += u64::from(last == Tti::NEVER || now != last + 1);
+            last = now;
+        }
+        // A run ends after each of its TTIs with the probability that the sampled chain leaves "on".
+        let rate = lambda + 1.0 / off_mean;
+        let leave = (1.0 - (1.0 / off_mean) / rate) * (1.0 - libm::exp(-rate));
+        let mean = length as f64 / runs as f64;
+        assert!(
+            (mean * leave - 1.0).abs() < 4.0 / (runs as f64).sqrt(),
+            "mean run {mean}, expected {}",
+            1.0 / leave
+        );
+    }
+
+    #[test]
+    fn a_trace_cycles_or_stops_and_skips_zeros() {
+        let rows = Arc::new([0, 3, 0, 4].map(Energy::from_micro).to_vec());
+        let make = |end, ttis_per_row| {
+            HarvestSource::new(
+                &HarvestSetup::Trace(TraceSetup {
+                    trace: 0,
+                    ttis_per_row,
+                    end,
+                }),
+                &Sources::new([], vec![Arc::clone(&rows)]),
+                0,
+                DeviceId(0),
+            )
+        };
+        let collect = |mut s: HarvestSource, ttis: u64| {
+            let mut seen = Vec::new();
+            while s.next() < Tti(ttis) {
+                let k = s.next().0;
+                seen.push((k, s.take().micro()));
+            }
+            seen
+        };
+        assert_eq!(collect(make(TraceEnd::Cycle, 1), 9), [(1, 3), (3, 4), (5, 3), (7, 4)]);
+        assert_eq!(collect(make(TraceEnd::Stop, 1), 9), [(1, 3), (3, 4)]);
+        assert_eq!(collect(make(TraceEnd::Stop, 2), 99), [(2, 3), (3, 3), (6, 4), (7, 4)]);
+        let dark = HarvestSource::new(
+            &HarvestSetup::Trace(TraceSetup {
+                trace: 0,
+                ttis_per_row: 1,
+                end: TraceEnd::Cycle,
+            }),
+            &Sources::new([], vec![Arc::new(vec![Energy::ZERO; 5])]),
+            0,
+            DeviceId(0),
+        );
+        assert_eq!(dark.next(), Tti::NEVER);
+    }
+}

@@ -1,0 +1,80 @@
+//! Emulation: the virtual clock.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use super::Concerns;
+use crate::event::Stimulus;
+use crate::ids::{DeviceId, Tti};
+
+/// The grant of one or more TTIs.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Tick {
+    /// First granted TTI.
+    pub first: Tti,
+    /// Last granted TTI. Only in this one can a device have anything to report.
+    pub last: Tti,
+    /// What the world shows in `last`.
+    pub stimulus: Option<Stimulus>,
+    /// Whether the answer carries the sums of the TTIs before `first`.
+    pub account: bool,
+    /// Whether the answer carries the states and batteries after `last`.
+    pub views: bool,
+    /// The TTI from which the plan in force holds. A host that has missed that plan does not answer, and is sent it
+    /// again.
+    pub plan: Tti,
+}
+
+/// Emulation, BS → all hosts.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Clock {
+    /// TTIs are granted.
+    Grant(Tick),
+    /// The run has ended before this TTI: hosts answer with their devices' ledgers and leave.
+    Finish(Tti),
+    /// Everything has been received: hosts leave.
+    Dismiss,
+    /// The run has failed, for the reason given: hosts leave.
+    Fail(String),
+}
+
+impl Concerns for Clock {
+    fn concerns(&self, _number: Option<u32>, _device: DeviceId) -> bool {
+        false
+    }
+}
+
+impl fmt::Display for Clock {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Grant(tick) => tick.fmt(f),
+            Self::Finish(end) => write!(f, "the run ends before TTI {end}"),
+            Self::Dismiss => f.write_str("hosts may leave"),
+            Self::Fail(why) => write!(f, "the run has failed: {why}"),
+        }
+    }
+}
+
+impl fmt::Display for Tick {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            first,
+            last,
+            stimulus,
+            account,
+            views,
+            plan: _,
+        } = self;
+        if first == last {
+            write!(f, "TTI {first}")?;
+        } else {
+            write!(f, "TTIs {first} to {last}")?;
+        }
+        if let Some(Stimulus { event, epicentre }) = stimulus {
+            write!(f, ", event {} at ({:.2}, {:.2}) m", event.0, epicentre.x, epicentre.y)?;
+        }
+        f.write_str(if *account { ", sums wanted" } else { "" })?;
+        f.write_str(if *views { ", states and batteries wanted" } else { "" })
+    }
+}

@@ -1,0 +1,165 @@
+//! Emulation: commands to the virtual clock, and where it is.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use super::Concerns;
+use crate::ids::{DeviceId, HostId, Tti};
+
+/// Emulation, anyone → BS, a query: commands to the virtual clock.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ClockCommand {
+    /// Grant nothing more until told.
+    Pause,
+    /// Grant `n` TTIs, then pause.
+    Step(u64),
+    /// Grant TTIs up to but not including this one, then pause.
+    RunTo(Tti),
+    /// Grant to the end.
+    Resume,
+    /// Change nothing.
+    Status,
+}
+
+impl Concerns for ClockCommand {
+    fn concerns(&self, _number: Option<u32>, _device: DeviceId) -> bool {
+        false
+    }
+}
+
+impl fmt::Display for ClockCommand {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Pause => f.write_str("pause"),
+            Self::Step(n) => write!(f, "step {n}"),
+            Self::RunTo(k) => write!(f, "run to TTI {k}"),
+            Self::Resume => f.write_str("resume"),
+            Self::Status => f.write_str("status"),
+        }
+    }
+}
+
+/// Emulation, BS → operator: the reply to a [`ClockCommand`].
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ClockStatus {
+    /// The next TTI to be granted.
+    pub tti: Tti,
+    /// Length K of the run.
+    pub ttis: u64,
+    /// Whether the clock stands: no TTI is in work, and none begins before a command.
+    pub paused: bool,
+    /// The TTI before which the clock will stop.
+    pub until: Tti,
+    /// Whether all devices have joined.
+    pub begun: bool,
+    /// Number of devices N of the run.
+    pub devices: u32,
+    /// The hosts that the BS has lost and waits for.
+    pub lost: Vec<LostHost>,
+}
+
+/// A host that is waited for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LostHost {
+    /// The host.
+    pub host: HostId,
+    /// Its first device.
+    pub first: DeviceId,
+    /// Its last device.
+    pub last: DeviceId,
+}
+
+impl fmt::Display for LostHost {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "host {} (devices {} to {})", self.host, self.first, self.last)
+    }
+}
+
+impl fmt::Display for ClockStatus {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            tti,
+            ttis,
+            paused,
+            until,
+            begun,
+            devices: _,
+            lost,
+        } = self;
+        if !begun {
+            write!(f, "before TTI 0 of {ttis}, waiting for devices to join")?;
+            return f.write_str(if *paused { "; then paused" } else { "" });
+        }
+        match (paused, lost.is_empty()) {
+            (true, _) => write!(f, "paused before TTI {tti} of {ttis}")?,
+            (false, true) => write!(f, "running at TTI {tti} of {ttis}")?,
+            (false, false) => write!(f, "held at TTI {tti} of {ttis}")?,
+        }
+        if !paused && until.0 < *ttis {
+            write!(f, ", to stop before TTI {until}")?;
+        }
+        for (nth, host) in lost.iter().enumerate() {
+            write!(f, "{} {host}", if nth == 0 { ": waiting for" } else { "," })?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_status_says_what_the_clock_does() {
+        let running = ClockStatus {
+            tti: Tti(12),
+            ttis: 400,
+            paused: false,
+            until: Tti(400),
+            begun: true,
+            devices: 50,
+            lost: Vec::new(),
+        };
+        let lost = LostHost {
+            host: HostId(1),
+            first: DeviceId(25),
+            last: DeviceId(49),
+        };
+        let cases = [
+            (running.clone(), "running at TTI 12 of 400"),
+            (
+                ClockStatus {
+                    until: Tti(15),
+                    ..running.clone()
+                },
+                "running at TTI 12 of 400, to stop before TTI 15",
+            ),
+            (
+                ClockStatus {
+                    paused: true,
+                    ..running.clone()
+                },
+                "paused before TTI 12 of 400",
+            ),
+            (
+                ClockStatus {
+                    lost: vec![lost],
+                    ..running.clone()
+                },
+                "held at TTI 12 of 400: waiting for host 1 (devices 25 to 49)",
+            ),
+            (
+                ClockStatus {
+                    begun: false,
+                    paused: true,
+                    ..running
+                },
+                "before TTI 0 of 400, waiting for devices to join; then paused",
+            ),
+        ];
+        for (status, text) in cases {
+            assert_eq!(status.to_string(), text);
+        }
+    }
+}

@@ -1,0 +1,40 @@
+//! Emulation: joining a run.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use super::{Assignment, Concerns};
+use crate::ids::DeviceId;
+
+/// Emulation, host → BS, a query: places in the run.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct JoinRequest {
+    /// The host's version of Reveille.
+    pub version: String,
+    /// How many devices it offers to carry, ≥ 1.
+    pub count: u32,
+    /// A number that this host process drew for itself: a repeated request gets the same places.
+    pub nonce: u64,
+}
+
+/// Emulation, BS → host: the reply to a [`JoinRequest`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum JoinReply {
+    /// The host's places.
+    Welcome(Assignment),
+    /// Why not, in words.
+    Refused(String),
+}
+
+impl Concerns for JoinRequest {
+    fn concerns(&self, _number: Option<u32>, _device: DeviceId) -> bool {
+        false
+    }
+}
+
+impl fmt::Display for JoinRequest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "offers to carry {} devices, reveille {}", self.count, self.version)
+    }
+}

@@ -1,0 +1,345 @@
+//! What crosses the bus: every kind of message, declared once.
+//!
+//! Two planes: on the *air* plane travels what a real deployment would send over the radio, on the *emulation* plane
+//! what only the emulation needs. The table `messages!` below is the one list of kinds: the keys ([`crate::keys`]), the
+//! typed bus (`crate::bus`), `reveille inspect`, its help, and the fuzz target read it. A new kind is a row of the
+//! table and a file with its payload.
+//!
+//! Not in the table: the copies for observers ([`TapBatch`]), which are no part of the run.
+
+mod answer;
+mod clock;
+mod control;
+mod join;
+mod plan;
+mod ready;
+mod report;
+mod setup;
+mod tap;
+mod wake;
+
+use std::fmt;
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use crate::codec::{self, CodecError};
+use crate::ids::{DeviceId, HostId};
+
+pub use answer::{Answer, Failure};
+pub use clock::{Clock, Tick};
+pub use control::{ClockCommand, ClockStatus, LostHost};
+pub use join::{JoinReply, JoinRequest};
+pub use plan::PlanUpdate;
+pub use ready::Ready;
+pub use report::Report;
+pub use setup::{Assignment, DeviceSetup};
+pub use tap::{TapBatch, TapFrame};
+pub use wake::{WakeOutcome, WakeUp};
+
+/// Declares the kinds of message: kind "name": payload, plane, what stands at the end of the key, direction, help;
+/// a query has its reply behind `=>`.
+macro_rules! messages {
+    ($(
+        $kind:ident $name:literal: $payload:ty $(=> $reply:ty)?, $plane:ident, $address:ty, $direction:literal,
+        $about:literal;
+    )+) => {
+        /// The kinds of message, each with a key of its own.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+        pub enum MessageKind {
+            $(#[doc = $about] $kind,)+
+        }
+
+        impl MessageKind {
+            /// Every kind.
+            pub const ALL: &[Self] = &[$(Self::$kind),+];
+
+            /// The name of the kind in keys and on the command line.
+            pub const fn name(self) -> &'static str {
+                match self {
+                    $(Self::$kind => $name,)+
+                }
+            }
+
+            /// The plane it travels on.
+            pub const fn plane(self) -> Plane {
+                match self {
+                    $(Self::$kind => Plane::$plane,)+
+                }
+            }
+
+            /// Whose number stands at the end of its key.
+            pub const fn addressee(self) -> Addressee {
+                match self {
+                    $(Self::$kind => <$address as Address>::ADDRESSEE,)+
+                }
+            }
+
+            /// From whom to whom, in words.
+            pub const fn direction(self) -> &'static str {
+                match self {
+                    $(Self::$kind => $direction,)+
+                }
+            }
+
+            /// One line of help.
+            pub const fn about(self) -> &'static str {
+                match self {
+                    $(Self::$kind => $about,)+
+                }
+            }
+        }
+
+        $(impl Payload for $payload {
+            type Address = $address;
+            const KIND: MessageKind = MessageKind::$kind;
+        })+
+
+        $($(impl Question for $payload {
+            type Reply = $reply;
+        })?)+
+
+        /// A decoded message of any kind.
+        #[derive(Clone, Debug, PartialEq, Serialize)]
+        #[serde(untagged)]
+        pub enum Message {
+            $(#[doc = $about] $kind($payload),)+
+        }
+
+        impl Message {
+            /// The message of `kind` in `payload`.
+            ///
+            /// # Errors
+            /// If `payload` is of another version or not exactly one message of this kind.
+            pub fn decode(kind: MessageKind, payload: &[u8]) -> Result<Self, CodecError> {
+                match kind {
+                    $(MessageKind::$kind => codec::decode(payload).map(Self::$kind),)+
+                }
+            }
+
+            /// Its wire form.
+            pub fn encode(&self) -> Vec<u8> {
+                match self {
+                    $(Self::$kind(message) => codec::encode(message),)+
+                }
+            }
+
+            /// The length of its wire form in bytes, without making it.
+            pub fn encoded_len(&self) -> u64 {
+                match self {
+                    $(Self::$kind(message) => codec::encoded_len(message),)+
+                }
+            }
+
+            /// Its kind.
+            pub const fn kind(&self) -> MessageKind {
+                match self {
+                    $(Self::$kind(_) => MessageKind::$kind,)+
+                }
+            }
+
+            /// Whether it is to, from or about `device`; `number` is the one in its key.
+            pub fn concerns(&self, number: Option<u32>, device: DeviceId) -> bool {
+                match self {
+                    $(Self::$kind(message) => message.concerns(number, device),)+
+                }
+            }
+        }
+
+        impl fmt::Display for Message {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                match self {
+                    $(Self::$kind(message) => message.fmt(f),)+
+                }
+            }
+        }
+
+        /// A decoded reply to a query of any kind.
+        #[derive(Clone, Debug, PartialEq, Serialize)]
+        #[serde(untagged)]
+        pub enum Reply {
+            $($(#[doc = concat!("To `", stringify!($payload), "`.")] $kind($reply),)?)+
+        }
+
+        impl Reply {
+            /// The reply in `payload` to a query of `kind`; `None` if the kind is no query.
+            pub fn decode(kind: MessageKind, payload: &[u8]) -> Option<Result<Self, CodecError>> {
+                $($(if kind == MessageKind::$kind {
+                    return Some(codec::decode::<$reply>(payload).map(Self::$kind));
+                })?)+
+                None
+            }
+
+            /// Its wire form.
+            pub fn encode(&self) -> Vec<u8> {
+                match self {
+                    $($(Self::$kind(reply) => codec::encode::<$reply>(reply),)?)+
+                }
+            }
+        }
+    };
+}
+
+messages! {
+    Plan "plan": PlanUpdate, Air, (), "BS → all devices",
+        "The plan δ: who senses in which TTI. Sent when it changes and for synchronisation.";
+    Wake "wake": WakeUp, Air, DeviceId, "BS → one device",
+        "A wake-up for a device's wake-up radio.";
+    Report "report": Report, Air, DeviceId, "device → BS",
+        "What a device in S3 sends: information and battery.";
+    Clock "clock": Clock, Emu, (), "BS → all hosts",
+        "The virtual clock: a grant of TTIs with what the world shows in them, or the end of the run.";
+    Answer "answer": Answer, Emu, HostId, "host → BS",
+        "A host's answer to the clock or to a wake-up.";
+    Join "join": JoinRequest => JoinReply, Emu, (), "host → BS",
+        "A query: a host asks for places in the run.";
+    Ready "ready": Ready => bool, Emu, (), "host → BS",
+        "A query: a host is subscribed to everything and waits for the first TTI.";
+    Control "control": ClockCommand => ClockStatus, Emu, (), "operator → BS",
+        "A query: pause, step, resume, or where the clock is.";
+}
+
+/// The two planes on the bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Plane {
+    /// What a real deployment would send over the radio.
+    Air,
+    /// What only the emulation needs.
+    Emu,
+}
+
+impl Plane {
+    /// The name of the plane in keys and on the command line.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Air => "air",
+            Self::Emu => "emu",
+        }
+    }
+}
+
+/// Whose number stands at the end of a kind's keys.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Addressee {
+    /// Nobody's: the kind has a single key.
+    Nobody,
+    /// A device's: the receiver of a wake-up, the sender of a report.
+    Device,
+    /// A host's.
+    Host,
+}
+
+impl Addressee {
+    /// What the number is called; empty where there is none.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Nobody => "",
+            Self::Device => "device",
+            Self::Host => "host",
+        }
+    }
+}
+
+/// A value that completes the key of a kind: a device, a host, or `()` for a kind with a single key.
+pub trait Address: Copy {
+    /// Whose number it is.
+    const ADDRESSEE: Addressee;
+
+    /// The number at the end of the key.
+    fn number(self) -> Option<u32>;
+}
+
+impl Address for () {
+    const ADDRESSEE: Addressee = Addressee::Nobody;
+
+    fn number(self) -> Option<u32> {
+        None
+    }
+}
+
+impl Address for DeviceId {
+    const ADDRESSEE: Addressee = Addressee::Device;
+
+    fn number(self) -> Option<u32> {
+        Some(self.0)
+    }
+}
+
+impl Address for HostId {
+    const ADDRESSEE: Addressee = Addressee::Host;
+
+    fn number(self) -> Option<u32> {
+        Some(self.0)
+    }
+}
+
+/// A payload that knows its kind, so that no key can carry another type than its own.
+pub trait Payload: Concerns + fmt::Display + Serialize + DeserializeOwned {
+    /// What completes the key.
+    type Address: Address;
+    /// Its kind.
+    const KIND: MessageKind;
+}
+
+/// A query: a payload that is answered.
+pub trait Question: Payload {
+    /// The answer.
+    type Reply: Serialize + DeserializeOwned;
+}
+
+/// Whom a message concerns.
+pub trait Concerns {
+    /// Whether the message is to, from or about `device`; `number` is the one in its key.
+    fn concerns(&self, number: Option<u32>, device: DeviceId) -> bool;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ids::Tti;
+    use crate::units::Energy;
+
+    #[test]
+    fn kinds_have_names_of_their_own_and_help() {
+        let mut names: Vec<&str> = MessageKind::ALL.iter().map(|kind| kind.name()).collect();
+        names.sort_unstable();
+        names.dedup();
+        assert_eq!(names.len(), MessageKind::ALL.len());
+        assert!(
+            MessageKind::ALL
+                .iter()
+                .all(|kind| kind.about().ends_with('.') && kind.direction().contains(" → "))
+        );
+    }
+
+    #[test]
+    fn a_message_of_any_kind_is_decoded_by_its_kind() {
+        let report = Report {
+            device: DeviceId(3),
+            tti: Tti(5),
+            information: 0.25,
+            battery: Energy::from_micro(1_500_000),
+        };
+        let message = Message::decode(MessageKind::Report, &codec::encode(&report)).expect("a report");
+        assert_eq!((message.kind(), &message), (Report::KIND, &Message::Report(report)));
+        assert_eq!(message.encode(), codec::encode(&report));
+        assert_eq!(message.encoded_len(), codec::encoded_len(&report));
+        assert!(message.concerns(Some(3), DeviceId(3)) && !message.concerns(Some(3), DeviceId(4)));
+        assert_eq!(message.to_string(), "I 0.2500, battery 1.50 left");
+        assert!(Message::decode(MessageKind::Wake, &codec::encode(&report)).is_err());
+    }
+
+    #[test]
+    fn only_queries_have_replies() {
+        let yes = codec::encode(&true);
+        let with_reply = MessageKind::ALL
+            .iter()
+            .filter(|&&kind| Reply::decode(kind, &yes).is_some());
+        let queries = [MessageKind::Join, MessageKind::Ready, MessageKind::Control];
+        assert!(with_reply.eq(&queries));
+        let reply = Reply::decode(MessageKind::Ready, &yes)
+            .expect("a query")
+            .expect("a reply");
+        assert_eq!((reply.encode(), reply), (yes, Reply::Ready(true)));
+    }
+}

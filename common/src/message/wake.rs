@@ -1,0 +1,58 @@
+//! Air: wake-ups, and what comes of them.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use super::{Concerns, Failure, Report};
+use crate::ids::{DeviceId, Tti};
+use crate::state::{DeviceState, DeviceView};
+use crate::units::Energy;
+
+/// Air, BS → one device's wake-up radio.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct WakeUp {
+    /// The TTI in which it is sent.
+    pub tti: Tti,
+}
+
+impl Concerns for WakeUp {
+    fn concerns(&self, number: Option<u32>, device: DeviceId) -> bool {
+        number == Some(device.0)
+    }
+}
+
+impl fmt::Display for WakeUp {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("wake-up")
+    }
+}
+
+/// What came of a wake-up.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum WakeOutcome {
+    /// S4 → S2 → S3: it reported.
+    Reported(Report),
+    /// S4 → S2 → S4: it woke and could not pay E_Tx.
+    Failed(Failure),
+    /// Its wake-up radio had no power, or it was not asleep.
+    Unheard,
+}
+
+impl WakeOutcome {
+    /// What `view`, taken before the wake-up, has become by it.
+    #[must_use]
+    pub const fn on(&self, view: DeviceView) -> DeviceView {
+        match self {
+            Self::Reported(report) => DeviceView {
+                state: DeviceState::Transmission,
+                battery: report.battery,
+            },
+            Self::Failed(_) => DeviceView {
+                state: DeviceState::Sleep { powered: false },
+                battery: Energy::ZERO,
+            },
+            Self::Unheard => view,
+        }
+    }
+}

@@ -1,0 +1,25 @@
+//! The settings of a policy, whose meaning only that policy knows.
+
+use std::any::Any;
+use std::fmt::Debug;
+
+use crate::declare::Sink;
+
+/// The settings of a policy, validated.
+pub trait PolicySettings: Any + Debug + Send + Sync {
+    /// Hands every field with its value to `sink`.
+    fn visit(&self, sink: &mut dyn Sink);
+
+    /// What a user should know before a run, a sentence each.
+    fn warnings(&self) -> Vec<String> {
+        Vec::new()
+    }
+}
+
+/// The settings of a policy that has none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct NoSettings;
+
+impl PolicySettings for NoSettings {
+    fn visit(&self, _: &mut dyn Sink) {}
+}

@@ -1,0 +1,81 @@
+//! From the merged layers to a [`Scenario`] that every part of a run may rely on.
+
+use std::cell::RefCell;
+use std::sync::Arc;
+
+use super::bs::BsSettings;
+use super::classes::{DeviceClass, check_shares};
+use super::model::{Policies, PolicyChoice, Scenario};
+use super::policy::NoSettings;
+use super::run::{PolicyName, Run};
+use crate::declare::{Declaration, Ground, Merged, Reader, ScenarioError};
+use crate::event::settings::Events;
+use crate::geometry::{Area, Layout};
+use crate::sensing::Sensing;
+
+/// The scenario that `merged` describes; `preset` is the name of the one that it started from.
+pub(super) fn settle(
+    preset: &str,
+    declaration: &Declaration,
+    merged: &Merged<'_>,
+    policies: Policies<'_>,
+    ground: Ground<'_>,
+) -> Result<Scenario, ScenarioError> {
+    let warnings = RefCell::new(Vec::new());
+    let reader = &Reader::new(declaration, merged, ground, &warnings);
+    reader.check_idle()?;
+    let run = Run::read(reader)?;
+    let area = Area::read(reader)?;
+    let sensing = Sensing::settle(reader, area)?;
+    let events = Events::read(reader)?;
+    let bs = BsSettings::read(reader)?;
+    let (mut classes, shares) = DeviceClass::settle_all(reader, run.tau)?;
+    let has_classes = !reader.items().is_empty();
+    let names: Vec<&str> = classes
+        .iter()
+        .filter(|_| has_classes)
+        .map(|class| class.name.as_str())
+        .collect();
+    let layout = Layout::settle(reader, area, run.devices, &names)?;
+    check_shares(reader, &mut classes, &shares, layout.classes())?;
+    let name = PolicyName::read(reader)?.name;
+    let Some(&kind) = policies.iter().find(|policy| policy.name() == name) else {
+        return Err(reader.refuse("policy.name", name, "must be the name of a policy"));
+    };
+    let mut scenario = Scenario {
+        preset: preset.to_owned(),
+        devices: run.devices,
+        ttis: run.ttis,
+        seed: run.seed,
+        warm_up: run.warm_up,
+        tau: run.tau,
+        area,
+        layout,
+        classes,
+        sensing,
+        events,
+        bs,
+        policy: PolicyChoice::new(kind, Arc::new(NoSettings)),
+        warnings: Vec::new(),
+    };
+    scenario.policy = PolicyChoice::new(kind, kind.settle(reader, &scenario)?);
+    bounded(reader, &scenario)?;
+    scenario.warnings = warnings.take();
+    Ok(scenario)
+}
+
+/// Energy sums over all devices and TTIs have to fit in 64 bits.
+fn bounded(reader: &Reader<'_>, scenario: &Scenario) -> Result<(), ScenarioError> {
+    let largest = |class: &DeviceClass| class.energy.e_max.max(class.harvest.peak());
+    let largest = scenario.classes.iter().map(largest).max().unwrap_or_default();
+    let per_tti = u128::from(scenario.devices) * u128::from(largest.micro().max(1));
+    let most = u128::from(u64::MAX) / per_tti;
+    if u128::from(scenario.ttis) <= most {
+        return Ok(());
+    }
+    let allowed = format!(
+        "must be at most {most} with {} devices that hold or harvest up to {largest}, or sums of energy overflow",
+        scenario.devices
+    );
+    Err(reader.refuse("ttis", scenario.ttis, allowed))
+}

@@ -1,0 +1,30 @@
+//! The states of a device (Sec. II).
+
+use serde::{Deserialize, Serialize};
+
+use crate::units::Energy;
+
+/// The state S^(j) of a device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum DeviceState {
+    /// S1, "idle": sensing, waits for an event.
+    Idle,
+    /// S2, "active": has sensed an event or was woken, about to transmit. Left within the same TTI.
+    Active,
+    /// S3, "transmission": has sent its report in this TTI.
+    Transmission,
+    /// S4, "sleep": only the wake-up radio is on, if it has power.
+    Sleep {
+        /// Whether the wake-up radio has power and can hear.
+        powered: bool,
+    },
+}
+
+/// A device as it is at the end of a TTI.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DeviceView {
+    /// The state that it was in.
+    pub state: DeviceState,
+    /// What its battery holds.
+    pub battery: Energy,
+}

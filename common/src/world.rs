@@ -1,0 +1,191 @@
+//! The physical world of a run: when events start, where they are, who detects them, and when they end (Sec. II).
+//!
+//! The world is ground truth. A base station and its policies are never handed a [`World`]; the genie alone is told of
+//! events, by the door [`Oracle`].
+
+use crate::deployment::Deployment;
+use crate::event::{ActiveEvent, EventProcess, Stimulus};
+use crate::geometry::{Buckets, Point};
+use crate::ids::{DeviceId, Tti};
+use crate::plan::Plan;
+use crate::scenario::Scenario;
+use crate::sensing::Sensing;
+
+/// Somebody who is told of every event when it starts, as no real base station is: the genie.
+pub trait Oracle {
+    /// An event has started. Whether anybody is to be woken for it in this TTI.
+    fn told(&mut self, stimulus: &Stimulus) -> bool;
+}
+
+/// What the world does.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Turn {
+    /// An event has started, in its TTI `start`.
+    Started(ActiveEvent),
+    /// The event under way has ended without a report; this was its last TTI.
+    Missed(Tti),
+}
+
+/// The event under way.
+#[derive(Clone, Copy, Debug)]
+struct Current {
+    event: ActiveEvent,
+    /// Whether the oracle wakes somebody in its first TTI.
+    is_told: bool,
+}
+
+/// The world of one run.
+#[derive(Clone, Debug)]
+pub struct World {
+    seed: u64,
+    sensing: Sensing,
+    positions: Vec<Point>,
+    buckets: Buckets,
+    process: EventProcess,
+    current: Option<Current>,
+    /// Devices that detect the event under way in any TTI in which they have δ = 1.
+    audience: Vec<DeviceId>,
+    detectors: Vec<DeviceId>,
+}
+
+impl World {
+    /// The world of `scenario` before TTI 0, with its devices as in `deployment`.
+    pub fn new(scenario: &Scenario, deployment: &Deployment) -> Self {
+        Self::with_events(
+            scenario,
+            deployment,
+            EventProcess::new(scenario.seed, scenario.area, &scenario.events),
+        )
+    }
+
+    /// The same with the events of `process`.
+    pub fn with_events(scenario: &Scenario, deployment: &Deployment, process: EventProcess) -> Self {
+        let positions = deployment.positions();
+        Self {
+            seed: scenario.seed,
+            sensing: scenario.sensing.clone(),
+            buckets: Buckets::new(&positions, scenario.area, scenario.sensing.d_max),
+            positions,
+            process,
+            current: None,
+            audience: Vec::new(),
+            detectors: Vec::new(),
+        }
+    }
+
+    /// Plays the TTIs from `k` on, up to and not including `horizon`, until one in which a device may react to an event
+    /// under `plan`; gives that TTI. `turns` are filled with what the world does on the way, in order.
+    ///
+    /// With an `oracle` nobody senses by itself, and the oracle alone reacts.
+    pub fn play(
+        &mut self,
+        mut k: Tti,
+        horizon: Tti,
+        plan: &Plan,
+        mut oracle: Option<&mut impl Oracle>,
+        turns: &mut Vec<Turn>,
+    ) -> Option<Tti> {
+        self.detectors.clear();
+        loop {
+            let Some(Current { event, is_told }) = self.current else {
+                k = self.process.next_start();
+                if k >= horizon {
+                    return None;
+                }
+                turns.push(Turn::Started(self.start(oracle.as_deref_mut())));
+                continue;
+            };
+            if is_told && k == event.start {
+                return Some(k);
+            }
+            let reaction = self.first_reaction(k, plan);
+            if reaction <= event.last && reaction < horizon {
+                return Some(reaction);
+            }
+            self.detectors.clear();
+            if event.last >= horizon || reaction <= event.last {
+                return None;
+            }
+            self.end(event.last);
+            turns.push(Turn::Missed(event.last));
+            k = event.last + 1;
+        }
+    }
+
+    /// What the world shows the devices, while an event is under way.
+    pub fn stimulus(&self) -> Option<Stimulus> {
+        self.current.map(|current| current.event.stimulus)
+    }
+
+    /// Who detects the event in the TTI that [`Self::play`] gave, battery permitting, in no order.
+    pub fn detectors(&self) -> &[DeviceId] {
+        &self.detectors
+    }
+
+    /// Whether `device` is farther than d_max from the event under way.
+    ///
+    /// # Panics
+    /// While no event is.
+    pub fn is_far(&self, device: DeviceId) -> bool {
+        let epicentre = self.stimulus().expect("an event is under way").epicentre;
+        self.positions[device.index()].distance(epicentre) > self.sensing.d_max
+    }
+
+    /// TTI `tti` closes. Whether the event under way ends with it: it was reported, or this was its last TTI.
+    pub fn close(&mut self, tti: Tti, is_reported: bool) -> bool {
+        let ends = self
+            .current
+            .is_some_and(|current| is_reported || current.event.last == tti);
+        if ends {
+            self.end(tti);
+        }
+        ends
+    }
+
+    /// The first TTI from `k` on in which somebody of the audience has δ = 1; fills the detectors of that TTI.
+    fn first_reaction(&mut self, k: Tti, plan: &Plan) -> Tti {
+        let mut reaction = Tti::NEVER;
+        for &device in &self.audience {
+            let next_on = plan.duty_cycle(device).next_on(k);
+            if next_on < reaction {
+                self.detectors.clear();
+                reaction = next_on;
+            }
+            if next_on == reaction {
+                self.detectors.push(device);
+            }
+        }
+        reaction
+    }
+
+    fn start(&mut self, oracle: Option<&mut impl Oracle>) -> ActiveEvent {
+        let event = self.process.start();
+        let Stimulus { event: id, epicentre } = event.stimulus;
+        let Self {
+            seed,
+            sensing,
+            buckets,
+            audience,
+            ..
+        } = self;
+        audience.clear();
+        let is_told = if let Some(oracle) = oracle {
+            oracle.told(&event.stimulus)
+        } else {
+            buckets.within(epicentre, sensing.d_max, |j, d| {
+                let device = DeviceId(j as u32);
+                if sensing.detects(*seed, id, device, d) {
+                    audience.push(device);
+                }
+            });
+            false
+        };
+        self.current = Some(Current { event, is_told });
+        event
+    }
+
+    fn end(&mut self, last: Tti) {
+        self.current = None;
+        self.process.end(last);
+    }
+}

@@ -1,0 +1,88 @@
+//! A barrier over zenoh and nothing else: what `reveille bench bus` compares the emulator with.
+//!
+//! The same sessions and the same message sizes, no model, no codec: the BS publishes a tick, every host answers from
+//! zenoh's callback, and the next tick follows when all have answered.
+
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::time::Duration;
+
+use anyhow::ensure;
+use reveille_common::bus::{Bus, BusError, Declared, RawTopic};
+use reveille_common::ids::HostId;
+
+/// How long a tick may take before it counts as lost.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// The BS's side of a bare barrier.
+pub struct Barrier {
+    ticks: RawTopic,
+    /// Hosts that have not answered, and the bell for when all have.
+    waiting: Arc<(Mutex<usize>, Condvar)>,
+    _answers: Declared,
+}
+
+impl Barrier {
+    /// A barrier on the session of `bus`.
+    ///
+    /// # Errors
+    /// If zenoh refuses.
+    pub fn new(bus: &Bus) -> Result<Self, BusError> {
+        let waiting = Arc::new((Mutex::new(0_usize), Condvar::new()));
+        let seen = Arc::clone(&waiting);
+        let answers = bus.subscribe_raw(key(bus, "answer/*"), move |_| {
+            let mut waiting = seen.0.lock().unwrap_or_else(PoisonError::into_inner);
+            *waiting = waiting.saturating_sub(1);
+            if *waiting == 0 {
+                seen.1.notify_one();
+            }
+        })?;
+        Ok(Self {
+            ticks: bus.publisher_raw(key(bus, "tick"))?,
+            waiting,
+            _answers: answers,
+        })
+    }
+
+    /// One round: publishes `tick` and waits for `hosts` answers.
+    ///
+    /// # Errors
+    /// If not all come.
+    pub fn round(&self, tick: &[u8], hosts: usize) -> anyhow::Result<()> {
+        let (lock, all) = &*self.waiting;
+        *lock.lock().unwrap_or_else(PoisonError::into_inner) = hosts;
+        self.ticks.put(tick)?;
+        let waiting = lock.lock().unwrap_or_else(PoisonError::into_inner);
+        let (waiting, _) = all
+            .wait_timeout_while(waiting, PATIENCE, |waiting| *waiting > 0)
+            .unwrap_or_else(PoisonError::into_inner);
+        ensure!(*waiting == 0, "{} hosts did not answer", *waiting);
+        Ok(())
+    }
+}
+
+/// A host's side: answers every tick with `answer` bytes until the BS is gone, then returns.
+///
+/// # Errors
+/// If zenoh refuses.
+pub async fn host(bus: &Bus, number: u32, answer: usize) -> Result<(), BusError> {
+    let answers = bus.publisher_raw(key(bus, &format!("answer/{number}")))?;
+    let payload = vec![0_u8; answer];
+    let _ticks = bus.subscribe_raw(key(bus, "tick"), move |_| {
+        // The link is gone with the BS.
+        let _gone = answers.put(&payload).is_err();
+    })?;
+    let _here = bus.declare_alive(bus.keys().alive(HostId(number)))?;
+    let gone = Arc::new(tokio::sync::Notify::new());
+    let bell = Arc::clone(&gone);
+    let _watch = bus.watch_alive(bus.keys().bs_alive(), move |_, alive| {
+        if !alive {
+            bell.notify_one();
+        }
+    })?;
+    gone.notified().await;
+    Ok(())
+}
+
+fn key(bus: &Bus, end: &str) -> String {
+    format!("reveille/{}/bare/{end}", bus.keys().run())
+}

@@ -1,0 +1,53 @@
+//! From the command line to the scenario that it means.
+
+use reveille_bs::policy::registry;
+use reveille_bs::scenario::{Override, Scenario, load};
+
+use crate::cli::ScenarioArgs;
+
+/// The scenario that the command line means.
+pub fn resolve(args: &ScenarioArgs) -> anyhow::Result<Scenario> {
+    let mut overrides = args
+        .set
+        .iter()
+        .map(|text| Override::parse(text))
+        .collect::<Result<Vec<_>, _>>()?;
+    let flags = [
+        ("--devices", "devices", &args.devices),
+        ("--policy", "policy.name", &args.policy),
+        ("--ttis", "ttis", &args.ttis),
+        ("--seed", "seed", &args.seed),
+    ];
+    for (flag, field, value) in flags {
+        if let Some(value) = value {
+            give_once(args, flag, field)?;
+            overrides.push(Override::flag(flag, field, value)?);
+        }
+    }
+    if args.learn {
+        give_once(args, "--learn", "policy.q-learning.learn")?;
+        overrides.push(Override::flag("--learn", "policy.q-learning.learn", "true")?);
+    }
+    let scenario = load(&args.scenario, &overrides)?;
+    let name = scenario.policy.name();
+    let learns = registry::named(name).is_some_and(|policy| policy.profile().learns);
+    if args.learn && !learns {
+        anyhow::bail!(
+            "--learn: the policy {name} does not learn; add --policy {}",
+            registry::list(|profile| profile.learns)
+        );
+    }
+    for warning in &scenario.warnings {
+        tracing::warn!("{warning}");
+    }
+    Ok(scenario)
+}
+
+/// Refuses a field that both an option of its own and `--set` give: one of them would have no effect.
+fn give_once(args: &ScenarioArgs, flag: &str, field: &str) -> anyhow::Result<()> {
+    let named = |text: &&String| text.split_once('=').is_some_and(|(name, _)| name.trim() == field);
+    match args.set.iter().find(named) {
+        Some(text) => anyhow::bail!("{flag} and --set {text} both give {field}; leave one of them out"),
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,85 @@
+//! The battery by itself, in micro-units that can be added up by hand.
+
+use proptest::prelude::*;
+use reveille_common::scenario::EnergyModel;
+use reveille_common::units::Energy;
+
+use super::Battery;
+
+const fn micro(n: u64) -> Energy {
+    Energy::from_micro(n)
+}
+
+fn battery(initial: u64, capacity: u64) -> Battery {
+    Battery::new(&EnergyModel {
+        e_max: micro(capacity),
+        e_idle: micro(1),
+        e_wur: micro(1),
+        e_tx: micro(1),
+        initial: micro(initial),
+    })
+}
+
+#[test]
+fn a_harvest_fills_up_to_the_capacity_and_the_rest_is_overflow() {
+    let mut battery = battery(5, 10);
+    battery.harvest(micro(3));
+    assert_eq!((battery.level(), battery.ledger().overflow), (micro(8), micro(0)));
+    battery.harvest(micro(7));
+    assert_eq!((battery.level(), battery.ledger().overflow), (micro(10), micro(5)));
+    assert_eq!(
+        battery.ledger().harvested,
+        micro(10),
+        "what overflows was harvested too"
+    );
+}
+
+#[test]
+fn an_action_that_can_be_paid_costs_its_price() {
+    let mut battery = battery(5, 10);
+    assert_eq!(battery.pay(micro(5)), Ok(()), "the last micro-unit counts");
+    assert_eq!((battery.level(), battery.ledger().spent), (micro(0), micro(5)));
+    assert_eq!(battery.pay(micro(0)), Ok(()), "what costs nothing works on nothing");
+}
+
+#[test]
+fn an_action_that_cannot_be_paid_empties_the_battery() {
+    let mut battery = battery(5, 10);
+    assert_eq!(battery.pay(micro(6)), Err(micro(5)));
+    assert_eq!((battery.level(), battery.ledger().spent), (micro(0), micro(5)));
+    assert_eq!(battery.pay(micro(1)), Err(micro(0)));
+}
+
+#[test]
+#[should_panic(expected = "at most E_max")]
+fn a_battery_does_not_start_fuller_than_full() {
+    battery(11, 10);
+}
+
+proptest! {
+    #[test]
+    fn nothing_gets_lost(initial in 0..=50_u64, steps in prop::collection::vec((any::<bool>(), 0..40_u64), 0..60)) {
+        let mut battery = battery(initial, 50);
+        let (mut level, mut harvested, mut spent, mut overflow) = (initial, 0, 0, 0);
+        for (is_harvest, energy) in steps {
+            if is_harvest {
+                battery.harvest(micro(energy));
+                harvested += energy;
+                overflow += (level + energy).saturating_sub(50);
+                level = (level + energy).min(50);
+            } else {
+                let paid = battery.pay(micro(energy));
+                prop_assert_eq!(paid, if energy <= level { Ok(()) } else { Err(micro(level)) });
+                spent += energy.min(level);
+                level -= energy.min(level);
+            }
+        }
+        let ledger = battery.ledger();
+        prop_assert_eq!(
+            [ledger.initial, ledger.harvested, ledger.spent, ledger.overflow, ledger.battery].map(Energy::micro),
+            [initial, harvested, spent, overflow, level]
+        );
+        prop_assert_eq!(initial + harvested, spent + overflow + level);
+        prop_assert!(ledger.closes());
+    }
+}

@@ -1,0 +1,402 @@
+//! A host process: joins a run, carries its share of the devices, and answers the virtual clock for all of them.
+//!
+//! In a TTI without a stimulus the host answers at once: its devices catch up when they are next needed. With one it
+//! wakes the actors of the devices that have δ = 1 and that it reaches, and the last of them to finish sends the
+//! answer.
+
+pub mod actor;
+pub mod round;
+pub mod uplink;
+
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use reveille_common::bus::{Bus, BusError, Declared};
+use reveille_common::event::Stimulus;
+use reveille_common::geometry::Point;
+use reveille_common::ids::{DeviceId, HostId, Tti};
+use reveille_common::message::{Assignment, Clock, JoinReply, JoinRequest, PlanUpdate, Ready, Tick, WakeUp};
+use reveille_common::plan::DutyCycle;
+use tokio::runtime::Handle;
+use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
+use tokio::sync::watch;
+
+use crate::host::actor::{Actor, Input};
+use crate::host::round::{Part, Question, Round};
+use crate::host::uplink::Uplink;
+use crate::machine::{Machine, Physics};
+
+/// How long a host that has lost its BS waits for it to come back.
+const BS_GRACE: Duration = Duration::from_secs(5);
+
+/// Why a host could not do its work.
+#[derive(Debug, thiserror::Error)]
+pub enum HostError {
+    /// The bus failed.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// The BS would not have it.
+    #[error("the base station refused: {0}")]
+    Refused(String),
+    /// The BS gave places that cannot be.
+    #[error("the base station's assignment cannot be: {0}")]
+    Assignment(String),
+    /// A device's task has ended: a bug in Reveille.
+    #[error("a device has failed in a way that it never should; please report the lines above")]
+    DeviceFailed,
+    /// The BS says that the run has failed.
+    #[error("the run has failed: {0}")]
+    RunFailed(String),
+    /// The BS is gone.
+    #[error("lost the base station of run {run} after TTI {tti}: its process ended or the link broke")]
+    BsLost {
+        /// The run.
+        run: String,
+        /// The last TTI granted.
+        tti: Tti,
+    },
+}
+
+/// How far a host has come.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Progress {
+    Running,
+    BsMissing,
+    DeviceFailed,
+    Dismissed,
+    RunFailed(String),
+}
+
+/// Says so when an actor's task panics, which tokio would keep to itself.
+struct Obituary(watch::Sender<Progress>);
+
+impl Drop for Obituary {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.0.send_modify(|progress| *progress = Progress::DeviceFailed);
+        }
+    }
+}
+
+/// What a host carries, shared by the callbacks of its subscriptions.
+struct Shared {
+    host: HostId,
+    first: DeviceId,
+    positions: Vec<Point>,
+    d_max: f64,
+    end: Tti,
+    fallback: Handle,
+    mailboxes: Vec<UnboundedSender<Input>>,
+    uplink: Arc<Uplink>,
+    state: Mutex<HostState>,
+    progress: watch::Sender<Progress>,
+}
+
+struct HostState {
+    /// Actors that have not been started; see [`Shared::start_actors`].
+    resting: Vec<(Actor, UnboundedReceiver<Input>)>,
+    duties: Vec<DutyCycle>,
+    /// The TTI from which the plan that this host has holds.
+    plan_from: Option<Tti>,
+    /// The first TTI that has not been granted.
+    next: Tti,
+    tick: Option<Tick>,
+    round: Option<Arc<Round>>,
+}
+
+/// Joins the run of `bus` with up to `count` devices, carries them to the end of the run, and leaves. `on_joined` is
+/// told the host's number and its first and last device.
+///
+/// # Errors
+/// If there is no such run within `patience`, the BS refuses, or it is lost on the way.
+pub async fn carry(
+    bus: &Bus,
+    count: u32,
+    nonce: u64,
+    patience: Duration,
+    on_joined: impl FnOnce(HostId, DeviceId, DeviceId),
+) -> Result<(), HostError> {
+    let assignment = join(bus, count, nonce, patience).await?;
+    let host = assignment.host;
+    let (first, last) = (
+        assignment.devices[0].id,
+        assignment.devices[assignment.devices.len() - 1].id,
+    );
+    tracing::info!(%host, %first, %last, "joined");
+    on_joined(host, first, last);
+    let shared = Arc::new(Shared::new(bus, assignment)?);
+    let _declared = shared.declare(bus)?;
+    match bus.ask_until(&Ready { host }, patience).await? {
+        Some(true) => shared.stay(bus).await,
+        Some(false) => Err(HostError::Refused("it has given this host's places away".to_owned())),
+        None => Err(bus.no_run().await.into()),
+    }
+}
+
+async fn join(bus: &Bus, count: u32, nonce: u64, patience: Duration) -> Result<Assignment, HostError> {
+    let request = JoinRequest {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        count,
+        nonce,
+    };
+    match bus.ask_until(&request, patience).await? {
+        Some(JoinReply::Welcome(assignment)) => {
+            assignment.check().map_err(HostError::Assignment)?;
+            Ok(assignment)
+        }
+        Some(JoinReply::Refused(why)) => Err(HostError::Refused(why)),
+        None => Err(bus.no_run().await.into()),
+    }
+}
+
+impl Shared {
+    fn new(bus: &Bus, assignment: Assignment) -> Result<Self, BusError> {
+        let Assignment {
+            host,
+            seed,
+            ttis,
+            sensing,
+            devices,
+            traces,
+        } = assignment;
+        let first = devices.first().map_or(DeviceId(0), |d| d.id);
+        let uplink = Arc::new(Uplink::new(bus, host, first, devices.len() as u32)?);
+        let positions = devices.iter().map(|d| d.position).collect();
+        let d_max = sensing.d_max;
+        let physics = Arc::new(Physics::new(seed, sensing, &devices, traces));
+        let mut resting = Vec::new();
+        let mailboxes = devices
+            .iter()
+            .map(|setup| {
+                let (mailbox, inputs) = unbounded_channel();
+                let actor = Actor::new(Machine::new(setup, &physics), Arc::clone(&physics), Arc::clone(&uplink));
+                resting.push((actor, inputs));
+                mailbox
+            })
+            .collect();
+        let duties = vec![DutyCycle::ASLEEP; devices.len()];
+        let state = Mutex::new(HostState {
+            duties,
+            resting,
+            plan_from: None,
+            next: Tti::ZERO,
+            tick: None,
+            round: None,
+        });
+        Ok(Self {
+            host,
+            first,
+            positions,
+            d_max,
+            end: Tti(ttis),
+            fallback: Handle::current(),
+            mailboxes,
+            uplink,
+            state,
+            progress: watch::Sender::new(Progress::Running),
+        })
+    }
+
+    /// Subscribes to everything that concerns this host. The order matters: once the BS sees the token, all is in
+    /// place.
+    fn declare(self: &Arc<Self>, bus: &Bus) -> Result<Vec<Declared>, BusError> {
+        let keys = bus.keys();
+        let mut declared = Vec::new();
+        let this = Arc::clone(self);
+        declared.push(bus.subscribe((), move |update: PlanUpdate| this.on_plan(&update))?);
+        for device in (self.first.0..).take(self.mailboxes.len()).map(DeviceId) {
+            let this = Arc::clone(self);
+            declared.push(bus.subscribe(device, move |wake: WakeUp| this.on_wake(device, wake))?);
+        }
+        let this = Arc::clone(self);
+        declared.push(bus.subscribe((), move |clock: Clock| this.on_clock(clock))?);
+        let this = Arc::clone(self);
+        declared.push(bus.watch_alive(keys.bs_alive(), move |_, alive| this.on_bs(alive))?);
+        declared.push(bus.declare_alive(keys.alive(self.host))?);
+        Ok(declared)
+    }
+
+    /// Waits until the BS dismisses the host or is lost.
+    async fn stay(&self, bus: &Bus) -> Result<(), HostError> {
+        let mut progress = self.progress.subscribe();
+        loop {
+            let now = progress.borrow_and_update().clone();
+            let changed = match now {
+                Progress::Dismissed => return Ok(()),
+                Progress::RunFailed(why) => return Err(HostError::RunFailed(why)),
+                Progress::DeviceFailed => return Err(HostError::DeviceFailed),
+                Progress::Running => progress.changed().await.is_ok(),
+                Progress::BsMissing => tokio::time::timeout(BS_GRACE, progress.changed()).await.is_ok(),
+            };
+            if !changed {
+                let tti = self.lock().tick.map_or(Tti::ZERO, |t| t.last);
+                return Err(HostError::BsLost {
+                    run: bus.keys().run().to_string(),
+                    tti,
+                });
+            }
+        }
+    }
+
+    fn on_bs(&self, alive: bool) {
+        self.progress.send_modify(|progress| match progress {
+            Progress::Dismissed | Progress::RunFailed(_) | Progress::DeviceFailed => {}
+            Progress::Running | Progress::BsMissing => {
+                *progress = if alive { Progress::Running } else { Progress::BsMissing };
+            }
+        });
+    }
+
+    /// Starts the actors, on the runtime that delivers their messages: there a message wakes its actor without handing
+    /// over to another thread, which costs more than all that the actor does.
+    fn start_actors(&self, state: &mut HostState) {
+        let runtime = Handle::try_current().unwrap_or_else(|_| self.fallback.clone());
+        for (actor, inputs) in state.resting.drain(..) {
+            let obituary = Obituary(self.progress.clone());
+            runtime.spawn(async move {
+                let _obituary = obituary;
+                actor.run(inputs).await;
+            });
+        }
+    }
+
+    fn on_plan(&self, update: &PlanUpdate) {
+        let mut state = self.lock();
+        if update.from != state.next {
+            tracing::debug!(from = %update.from, next = %state.next, "a plan for another TTI, one sent again as a \
+                rule");
+            return;
+        }
+        if !state.resting.is_empty() {
+            self.start_actors(&mut state);
+        }
+        state.plan_from = Some(update.from);
+        for (j, duty) in state.duties.iter_mut().enumerate() {
+            let new = update.plan.duty_cycle(DeviceId(self.first.0 + j as u32));
+            if *duty != new {
+                *duty = new;
+                self.send(j, Input::Duty(update.from, new));
+            }
+        }
+    }
+
+    fn on_wake(&self, device: DeviceId, wake: WakeUp) {
+        let j = device.index() - self.first.index();
+        let stimulus = self
+            .lock()
+            .tick
+            .filter(|tick| tick.last == wake.tti)
+            .and_then(|tick| tick.stimulus);
+        if let Some(stimulus) = stimulus {
+            self.send(j, Input::Wake(wake.tti, stimulus));
+        } else {
+            tracing::debug!(%device, tti = %wake.tti, "a wake-up outside its TTI");
+        }
+    }
+
+    fn on_clock(&self, clock: Clock) {
+        match clock {
+            Clock::Grant(tick) => self.on_grant(tick),
+            Clock::Finish(end) => self.on_finish(end),
+            Clock::Dismiss => self.leave(Progress::Dismissed),
+            Clock::Fail(why) => self.leave(Progress::RunFailed(why)),
+        }
+    }
+
+    /// The BS has said how the run has ended: its first word counts, unless a device has failed before.
+    fn leave(&self, end: Progress) {
+        self.progress.send_modify(|progress| match progress {
+            Progress::Dismissed | Progress::RunFailed(_) | Progress::DeviceFailed => {}
+            Progress::Running | Progress::BsMissing => *progress = end,
+        });
+    }
+
+    fn on_grant(&self, tick: Tick) {
+        let mut state = self.lock();
+        if let Some(round) = state
+            .round
+            .as_ref()
+            .filter(|r| r.question() == Question::Grant(tick.last))
+        {
+            let round = Arc::clone(round);
+            drop(state);
+            return round.repeat(&self.uplink);
+        }
+        if tick.first != state.next
+            || tick.last < tick.first
+            || tick.last >= self.end
+            || state.plan_from != Some(tick.plan)
+        {
+            tracing::debug!(?tick, next = %state.next, "cannot follow this grant; waiting for it to be sent again \
+                with its plan");
+            return;
+        }
+        state.next = tick.last.saturating_add(1);
+        let listeners: Vec<usize> = match tick.stimulus {
+            Some(stimulus) => (0..state.duties.len())
+                .filter(|&j| state.duties[j].is_on(tick.last) && self.is_in_reach(j, &stimulus))
+                .collect(),
+            None => Vec::new(),
+        };
+        let questions = usize::from(tick.account) + usize::from(tick.views);
+        let round = Arc::new(Round::new(
+            self.host,
+            Question::Grant(tick.last),
+            questions * self.mailboxes.len() + listeners.len(),
+        ));
+        state.tick = Some(tick);
+        state.round = Some(Arc::clone(&round));
+        drop(state);
+        if tick.account {
+            for j in 0..self.mailboxes.len() {
+                self.send(j, Input::Settle(tick.first, Arc::clone(&round)));
+            }
+        }
+        if let Some(stimulus) = tick.stimulus {
+            for j in listeners {
+                self.send(j, Input::Sense(tick.last, stimulus, Arc::clone(&round)));
+            }
+        }
+        if tick.views {
+            for j in 0..self.mailboxes.len() {
+                self.send(j, Input::View(tick.last, Arc::clone(&round)));
+            }
+        }
+        round.add(&Part::Nothing, &self.uplink);
+    }
+
+    /// Whether the world's stimulus reaches the `j`-th device at all.
+    fn is_in_reach(&self, j: usize, stimulus: &Stimulus) -> bool {
+        self.positions[j].distance(stimulus.epicentre) <= self.d_max
+    }
+
+    fn on_finish(&self, end: Tti) {
+        let mut state = self.lock();
+        if let Some(round) = state.round.as_ref().filter(|r| r.question() == Question::Ledgers) {
+            let round = Arc::clone(round);
+            drop(state);
+            return round.repeat(&self.uplink);
+        }
+        if end != state.next {
+            tracing::debug!(%end, next = %state.next, "an end at another TTI than the next; ignored");
+            return;
+        }
+        self.start_actors(&mut state);
+        let round = Arc::new(Round::new(self.host, Question::Ledgers, self.mailboxes.len()));
+        state.round = Some(Arc::clone(&round));
+        drop(state);
+        for j in 0..self.mailboxes.len() {
+            self.send(j, Input::Settle(end, Arc::clone(&round)));
+        }
+        round.add(&Part::Nothing, &self.uplink);
+    }
+
+    fn send(&self, j: usize, input: Input) {
+        // A mailbox closes only when the actor's task has panicked, which its process reports.
+        let _closed = self.mailboxes[j].send(input).is_err();
+    }
+
+    fn lock(&self) -> std::sync::MutexGuard<'_, HostState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

@@ -1,0 +1,205 @@
+//! What a run needs before its first TTI: its devices on the ground, and the pilot runs that its policy asks for.
+//!
+//! The `adjusted` policy (Sec. V-A, P2) has each duty cycle of its grid judged by a pilot run of the same machines on
+//! the same deployment, with events and harvests of a seed of its own: what a BS knows from the positions and from
+//! historical data, not what is about to happen. All pairs see the same pilot events and harvests.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use reveille_bs::beliefs::ranking::i_min;
+use reveille_bs::grids::Grids;
+use reveille_bs::outcome::Outcome;
+use reveille_bs::policy::adjusted::search::{DutyChoice, Trial, choose};
+use reveille_bs::policy::adjusted::settings::AdjustedSettings;
+use reveille_bs::policy::contract::Findings;
+use reveille_bs::prepared::Prepared;
+use reveille_common::scenario::Scenario;
+use reveille_common::score::Metrics;
+
+use crate::run::{Options, Run};
+
+/// Added to the seed for the pilot runs.
+const PILOT: u64 = 0x5EED_0F91_1070_0500;
+/// The share of a pilot run that is left out of its metrics.
+const WARM_UP: f64 = 0.25;
+/// Searches that are remembered.
+const REMEMBERED: usize = 1024;
+
+/// Prepares runs, and remembers what several of them need. Sharing one changes no result.
+#[derive(Debug, Default)]
+pub struct Workshop {
+    grids: Arc<Grids>,
+    /// What was found, by the hash of the pilot scenario: runs that differ in nothing but their length share a search.
+    found: Mutex<VecDeque<([u8; 32], DutyChoice)>>,
+}
+
+impl Workshop {
+    /// `scenario` on its ground, with the pilot runs made that its policy asks for.
+    pub fn prepare(&self, scenario: &Scenario) -> Prepared {
+        let mut prepared = Prepared {
+            grids: Arc::clone(&self.grids),
+            ..Prepared::without_pilots(scenario)
+        };
+        if let Some(settings) = scenario.policy.settings::<AdjustedSettings>() {
+            prepared.findings.duty = Some(self.duty(&prepared, settings));
+        }
+        prepared
+    }
+
+    fn duty(&self, prepared: &Prepared, settings: &AdjustedSettings) -> DutyChoice {
+        let key = pilot(&prepared.scenario, settings).hash();
+        if let Some(known) = self.recall(&key) {
+            return known;
+        }
+        let choice = search(prepared, settings);
+        self.remember(key, choice);
+        choice
+    }
+
+    fn recall(&self, key: &[u8; 32]) -> Option<DutyChoice> {
+        let found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
+        found.iter().find(|(known, _)| known == key).map(|(_, choice)| *choice)
+    }
+
+    /// Two threads that searched for the same deployment have found the same.
+    fn remember(&self, key: [u8; 32], choice: DutyChoice) {
+        let mut found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
+        if found.len() == REMEMBERED {
+            found.pop_front();
+        }
+        found.push_back((key, choice));
+    }
+}
+
+/// `scenario` prepared by itself.
+pub fn prepare(scenario: &Scenario) -> Prepared {
+    Workshop::default().prepare(scenario)
+}
+
+/// A run of `scenario` before TTI 0, prepared by itself.
+pub fn start(scenario: &Scenario, options: Options) -> Run {
+    Run::new(&prepare(scenario), options)
+}
+
+/// Runs `scenario`, prepared by itself, from its first TTI to its last.
+pub fn run(scenario: &Scenario) -> Outcome {
+    start(scenario, Options::default()).finish(&mut ())
+}
+
+/// All duty cycles of the grid with their pilot runs on the ground of `prepared`, in the order of the grid.
+pub fn trials(prepared: &Prepared, settings: &AdjustedSettings) -> Vec<Trial> {
+    let pilot = Prepared {
+        scenario: pilot(&prepared.scenario, settings),
+        ..prepared.clone()
+    };
+    let judge = |(t_on, t_drx)| {
+        let duty = DutyChoice {
+            t_on,
+            t_drx,
+            reaches_i_min: false,
+            pairs: 1,
+            device_ttis: 0,
+        };
+        let one = Prepared {
+            findings: Findings { duty: Some(duty) },
+            ..pilot.clone()
+        };
+        let Metrics {
+            info_per_event,
+            energy_per_device_tti,
+            ..
+        } = Run::new(&one, Options::default()).finish(&mut ()).metrics;
+        Trial {
+            t_on,
+            t_drx,
+            information: info_per_event,
+            energy: energy_per_device_tti,
+        }
+    };
+    settings.pairs().map(judge).collect()
+}
+
+fn search(prepared: &Prepared, settings: &AdjustedSettings) -> DutyChoice {
+    let scenario = &prepared.scenario;
+    let trials = trials(prepared, settings);
+    let threshold = i_min(&prepared.deployment.positions(), scenario.area, &scenario.sensing);
+    let (best, reaches_i_min) = choose(&trials, threshold).expect("the grid holds a pair");
+    let pairs = trials.len() as u32;
+    DutyChoice {
+        t_on: best.t_on,
+        t_drx: best.t_drx,
+        reaches_i_min,
+        pairs,
+        device_ttis: u64::from(pairs) * u64::from(scenario.devices) * settings.pilot_ttis,
+    }
+}
+
+/// The scenario of the pilot runs, whose seed is not that of its deployment.
+fn pilot(scenario: &Scenario, settings: &AdjustedSettings) -> Scenario {
+    Scenario {
+        ttis: settings.pilot_ttis,
+        seed: scenario.seed.wrapping_add(PILOT),
+        warm_up: WARM_UP,
+        ..scenario.clone()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use reveille_bs::scenario::{Override, load};
+    use reveille_common::deployment::Deployment;
+
+    use super::*;
+
+    fn scenario(overrides: &[&str]) -> Scenario {
+        let overrides: Vec<Override> = overrides
+            .iter()
+            .map(|o| Override::parse(o).expect("an override"))
+            .collect();
+        load("paper", &overrides).expect("a scenario")
+    }
+
+    fn settings(scenario: &Scenario) -> &AdjustedSettings {
+        let Some(settings) = scenario.policy.settings::<AdjustedSettings>() else {
+            panic!("{:?}", scenario.policy)
+        };
+        settings
+    }
+
+    #[test]
+    fn the_search_covers_the_grid_and_takes_the_best() {
+        let scenario = scenario(&[
+            "policy.name=adjusted",
+            "devices=60",
+            "policy.adjusted.t_on=[1,3,9]",
+            "policy.adjusted.t_drx=[2,8]",
+            "policy.adjusted.pilot_ttis=800",
+        ]);
+        let prepared = prepare(&scenario);
+        let all = trials(&prepared, settings(&scenario));
+        let pairs: Vec<(u32, u32)> = all.iter().map(|c| (c.t_on, c.t_drx)).collect();
+        assert_eq!(pairs, [(1, 2), (1, 8), (3, 8)]);
+        let choice = prepared.findings.duty.expect("found");
+        let positions = prepared.deployment.positions();
+        let threshold = i_min(&positions, scenario.area, &scenario.sensing);
+        let reaching = all.iter().filter(|c| c.information >= threshold);
+        let least = reaching.map(|c| c.energy).fold(f64::INFINITY, f64::min);
+        let own = all.iter().find(|c| (c.t_on, c.t_drx) == (choice.t_on, choice.t_drx));
+        assert!((own.expect("of the grid").energy - least).abs() < 1e-15);
+        assert_eq!((choice.pairs, choice.device_ttis), (3, 3 * 60 * 800));
+    }
+
+    #[test]
+    fn the_pilot_stands_on_the_same_ground_and_sees_other_events() {
+        let scenario = scenario(&["policy.name=adjusted", "devices=40"]);
+        let pilot = pilot(&scenario, settings(&scenario));
+        assert_ne!(pilot.seed, scenario.seed);
+        let (a, b) = (Deployment::new(&scenario), Deployment::new(&pilot));
+        assert_ne!(
+            a.positions(),
+            b.positions(),
+            "which is why the run is given its deployment"
+        );
+    }
+}

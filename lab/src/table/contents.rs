@@ -1,0 +1,16 @@
+//! A result table in memory.
+
+use super::about::About;
+use super::columns::Schema;
+use super::row::Row;
+
+/// A result table.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Table {
+    /// Where it comes from.
+    pub about: About,
+    /// Its columns.
+    pub schema: Schema,
+    /// One row per run.
+    pub rows: Vec<Row>,
+}

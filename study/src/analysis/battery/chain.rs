@@ -1,0 +1,308 @@
+//! The Markov chain of the battery level (Sec. III-B) under a fixed duty cycle, and its steady state.
+//!
+//! A state is a level on the [`Lattice`] at a phase of the duty cycle. A TTI goes as in the emulator: the device
+//! harvests up to E_max, pays for δ, and, if it is made active (a detection in S1, a wake-up in S4), pays for the
+//! transmission; what it cannot pay empties the battery. There are two transition matrices, for δ = 1 and δ = 0, and
+//! the distribution at the start of a cycle is the one that t_DRX steps leave unchanged.
+
+use nalgebra::DVector;
+use nalgebra_sparse::ops::Op;
+use nalgebra_sparse::ops::serial::spmm_csr_dense;
+use nalgebra_sparse::{CooMatrix, CsrMatrix};
+
+use super::lattice::Lattice;
+use crate::analysis::AnalysisError;
+
+/// The residual at which a distribution counts as steady.
+const STEADY: f64 = 1e-11;
+/// Transitions after which it is given up.
+const MOST_TTIS: u64 = 4_000_000;
+
+/// What drives a battery.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Drive {
+    /// TTIs in S1 per cycle, `0 ..= t_drx`.
+    pub t_on: u32,
+    /// TTIs in a cycle, ≥ 1.
+    pub t_drx: u32,
+    /// Probability of an arrival in a TTI, `(0, 1)`.
+    pub arrival: f64,
+    /// Probability that the device is made active in a TTI, whatever its state, `[0, 1]`: the paper's P_1,2 + P_4,2.
+    pub activation: f64,
+}
+
+impl Drive {
+    /// Whether all is in its range.
+    ///
+    /// # Errors
+    /// If not.
+    pub fn check(&self) -> Result<(), AnalysisError> {
+        const LONGEST: u32 = 1 << 20;
+        let Self { t_on, t_drx, .. } = *self;
+        if t_drx == 0 || t_drx > LONGEST {
+            let allowed = format!("must be a number of TTIs from 1 to {LONGEST}");
+            return Err(AnalysisError::invalid("t_DRX", &t_drx, allowed));
+        }
+        if t_on > t_drx {
+            let allowed = format!("must be at most t_DRX = {t_drx}, the length of the cycle that t_on is a part of");
+            return Err(AnalysisError::invalid("t_on", &t_on, allowed));
+        }
+        if !(self.arrival > 0.0 && self.arrival < 1.0) {
+            let allowed = "must be above 0 and below 1 for a steady state; change harvest.lambda";
+            return Err(AnalysisError::invalid("Pr(arrival)", &self.arrival, allowed));
+        }
+        if !(0.0..=1.0).contains(&self.activation) {
+            let allowed = "must be a probability, 0 to 1";
+            return Err(AnalysisError::invalid("activation", &self.activation, allowed));
+        }
+        Ok(())
+    }
+}
+
+/// The steady state of a chain.
+#[derive(Clone, Debug)]
+pub struct SteadyState {
+    /// Probability of each level at the end of a TTI, over all phases of the cycle, from empty to full.
+    pub levels: Vec<f64>,
+    /// Transitions that it took.
+    pub ttis: u64,
+    /// Σ |π P − π| over one cycle.
+    pub residual: f64,
+}
+
+impl SteadyState {
+    /// The probability of a level of at least `level`.
+    pub fn at_least(&self, level: usize) -> f64 {
+        self.levels.iter().skip(level).sum()
+    }
+}
+
+/// The steady state of a battery on `lattice` under `drive`, by power iteration.
+///
+/// # Errors
+/// If `drive` is out of range, or the chain mixes too slowly to be solved.
+pub fn steady_state(lattice: &Lattice, drive: &Drive) -> Result<SteadyState, AnalysisError> {
+    drive.check()?;
+    let steps = Steps {
+        on: transitions(lattice, drive, lattice.e_idle),
+        off: transitions(lattice, drive, lattice.e_wur),
+        drive: *drive,
+    };
+    let n = lattice.levels();
+    let mut now = DVector::from_element(n, 1.0 / n as f64);
+    let mut spare = DVector::zeros(n);
+    let mut ttis = 0;
+    loop {
+        let before = now.clone();
+        steps.cycle(&mut now, &mut spare, |_| {});
+        ttis += u64::from(drive.t_drx);
+        let residual = (&now - &before).lp_norm(1);
+        if residual <= STEADY {
+            let mut sum = DVector::zeros(n);
+            steps.cycle(&mut now, &mut spare, |end| sum += end);
+            let levels = sum / f64::from(drive.t_drx);
+            return Ok(SteadyState {
+                levels: levels.iter().copied().collect(),
+                ttis,
+                residual,
+            });
+        }
+        if ttis > MOST_TTIS {
+            let allowed =
+                format!("of one cycle should be at most {STEADY:e} after {MOST_TTIS} TTIs; the chain mixes too slowly");
+            return Err(AnalysisError::invalid("residual", &residual, allowed));
+        }
+    }
+}
+
+/// The matrices of one cycle.
+struct Steps {
+    on: CsrMatrix<f64>,
+    off: CsrMatrix<f64>,
+    drive: Drive,
+}
+
+impl Steps {
+    /// Moves the distribution `now` on by one cycle, and shows it at the end of each TTI.
+    fn cycle(&self, now: &mut DVector<f64>, spare: &mut DVector<f64>, mut show: impl FnMut(&DVector<f64>)) {
+        for phase in 0..self.drive.t_drx {
+            let matrix = if phase < self.drive.t_on { &self.on } else { &self.off };
+            spmm_csr_dense(0.0, &mut *spare, 1.0, Op::NoOp(matrix), Op::NoOp(&*now));
+            std::mem::swap(now, spare);
+            show(now);
+        }
+    }
+}
+
+/// The transposed transition matrix of a TTI that costs `cost` quanta: entry (l, k) is the probability of level l after
+/// k.
+pub(super) fn transitions(lattice: &Lattice, drive: &Drive, cost: usize) -> CsrMatrix<f64> {
+    let n = lattice.levels();
+    let mut matrix = CooMatrix::new(n, n);
+    for level in 0..n {
+        let filled = (level + lattice.e_b).min(lattice.e_max);
+        for (level_now, probability) in [(filled, drive.arrival), (level, 1.0 - drive.arrival)] {
+            // A device that could not pay for δ is deaf: it is not made active.
+            let Some(left) = level_now.checked_sub(cost) else {
+                matrix.push(0, level, probability);
+                continue;
+            };
+            matrix.push(left.saturating_sub(lattice.e_tx), level, probability * drive.activation);
+            matrix.push(left, level, probability * (1.0 - drive.activation));
+        }
+    }
+    CsrMatrix::from(&matrix)
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::DMatrix;
+
+    use super::*;
+
+    const P: f64 = 0.3;
+
+    fn lattice(e_max: usize, e_idle: usize, e_wur: usize, e_tx: usize, e_b: usize) -> Lattice {
+        Lattice {
+            per_unit: 1,
+            e_max,
+            e_idle,
+            e_wur,
+            e_tx,
+            e_b,
+        }
+    }
+
+    fn drive(t_on: u32, t_drx: u32, activation: f64) -> Drive {
+        Drive {
+            t_on,
+            t_drx,
+            arrival: P,
+            activation,
+        }
+    }
+
+    fn assert_steady(lattice: &Lattice, drive: &Drive, expected: &[f64]) {
+        let found = steady_state(lattice, drive).expect("a steady state");
+        assert_eq!(found.levels.len(), expected.len());
+        for (level, (a, b)) in found.levels.iter().zip(expected).enumerate() {
+            assert!(
+                (a - b).abs() < 1e-9,
+                "level {level} of {drive:?}: {found:?}, not {expected:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn two_levels_by_hand() {
+        // S1 takes whatever is there; in S4, free of cost, an arrival fills the battery until the next S1.
+        assert_steady(&lattice(1, 1, 0, 9, 1), &drive(1, 2, 0.0), &[1.0 - P / 2.0, P / 2.0]);
+        // One S1 in three: full after one S4 with P, after two with 1 − (1 − P)².
+        let full = (P + 1.0 - (1.0 - P) * (1.0 - P)) / 3.0;
+        assert_steady(&lattice(1, 1, 0, 9, 1), &drive(1, 3, 0.0), &[1.0 - full, full]);
+    }
+
+    #[test]
+    fn three_levels_by_hand() {
+        // Always in S1: an arrival of 2 pays for this TTI and the next, unless that has one of its own.
+        assert_steady(&lattice(2, 1, 0, 9, 2), &drive(1, 1, 0.0), &[1.0 - P, P, 0.0]);
+        // Never in S1, no cost but E_Tx = 1: births with P (1 − a), deaths with (1 − P) a, from the full battery with
+        // a.
+        let a = 0.2;
+        let (up, down) = (P * (1.0 - a), (1.0 - P) * a);
+        let weights = [1.0, up / down, up / down * up / a];
+        let sum: f64 = weights.iter().sum();
+        assert_steady(&lattice(2, 1, 0, 1, 1), &drive(0, 1, a), &weights.map(|w| w / sum));
+    }
+
+    #[test]
+    fn a_failed_transmission_empties_the_battery() {
+        // From 3 at most, E_Tx = 5 is never paid: the run of arrivals since the last activation decides the level.
+        let a = 0.4;
+        let lattice = lattice(3, 1, 0, 5, 1);
+        let matrix = DMatrix::from(&transitions(&lattice, &drive(0, 1, a), 0));
+        let row = |to: usize| (0..4).map(|from| matrix[(to, from)]).collect::<Vec<f64>>();
+        assert!(row(0).iter().skip(1).all(|&p| (p - a).abs() < 1e-15), "{matrix}");
+        assert!((row(2)[1] - P * 0.6).abs() < 1e-15 && (row(3)[3] - 0.6).abs() < 1e-15);
+    }
+
+    #[test]
+    fn every_column_is_a_distribution() {
+        let lattice = lattice(140, 14, 1, 40, 35);
+        for cost in [lattice.e_idle, lattice.e_wur] {
+            let matrix = DMatrix::from(&transitions(&lattice, &drive(1, 4, 0.1), cost));
+            for column in matrix.column_iter() {
+                assert!((column.sum() - 1.0).abs() < 1e-14 && column.min() >= 0.0);
+            }
+        }
+    }
+
+    /// The same by solving (P − 1) π = 0, Σ π = 1 for the chain of levels at the start of a cycle.
+    #[test]
+    fn a_dense_solver_agrees() {
+        let lattice = lattice(84, 14, 1, 40, 35);
+        let drive = drive(2, 5, 0.05);
+        let matrix = |cost| DMatrix::from(&transitions(&lattice, &drive, cost));
+        let (on, off) = (matrix(lattice.e_idle), matrix(lattice.e_wur));
+        let cycle = &off * &off * &off * &on * &on;
+        let n = lattice.levels();
+        let mut system = cycle - DMatrix::identity(n, n);
+        system.row_mut(n - 1).fill(1.0);
+        let mut right = DVector::zeros(n);
+        right[n - 1] = 1.0;
+        let start = system.lu().solve(&right).expect("regular");
+        let mut sum = DVector::zeros(n);
+        let mut now = start;
+        for step in [&on, &on, &off, &off, &off] {
+            now = step * now;
+            sum += &now;
+        }
+        let found = steady_state(&lattice, &drive).expect("a steady state");
+        let off_by: f64 = found
+            .levels
+            .iter()
+            .zip(sum.iter())
+            .map(|(a, b)| (a - b / 5.0).abs())
+            .sum();
+        assert!(off_by < 1e-9, "{off_by}");
+        assert!(found.residual <= STEADY && (found.at_least(0) - 1.0).abs() < 1e-9);
+    }
+
+    /// The paper's system: R b = c with c all ones and R row-stochastic, and Σ b = 1 below it. Its first rows already
+    /// say b = (1, …, 1), whose sum is the number of states.
+    #[test]
+    fn the_printed_system_has_no_solution() {
+        let r = DMatrix::<f64>::from_row_slice(3, 2, &[0.7, 0.3, 0.4, 0.6, 1.0, 1.0]);
+        let ones = DVector::from_element(3, 1.0);
+        let square = r.rows(0, 2).into_owned();
+        let b = square.lu().solve(&ones.rows(0, 2)).expect("regular");
+        assert!((b[0] - 1.0).abs() < 1e-12 && (b[1] - 1.0).abs() < 1e-12);
+        assert!(((&r * b)[2] - 2.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn impossible_drives_are_refused() {
+        for (bad, part) in [
+            (drive(3, 2, 0.0), "t_on = 3: must be at most t_DRX = 2"),
+            (drive(0, 0, 0.0), "t_DRX = 0"),
+            (drive(1, 2, 1.5), "activation = 1.5"),
+            (
+                Drive {
+                    arrival: 0.0,
+                    ..drive(1, 2, 0.0)
+                },
+                "Pr(arrival) = 0",
+            ),
+            (
+                Drive {
+                    arrival: 1.0,
+                    ..drive(1, 2, 0.0)
+                },
+                "Pr(arrival) = 1",
+            ),
+        ] {
+            let message = steady_state(&lattice(1, 1, 0, 1, 1), &bad).expect_err(part).to_string();
+            assert!(message.contains(part), "{message}");
+        }
+    }
+}

@@ -1,0 +1,132 @@
+//! A common quantum of all energies of a device, so that its battery has finitely many levels.
+
+use reveille_common::scenario::EnergyModel;
+use reveille_common::units::{Energy, MICRO_PER_UNIT};
+
+use crate::analysis::AnalysisError;
+
+/// The finest lattice that is tried, quanta a unit.
+const FINEST: u64 = 1000;
+/// How far an energy may be from a whole number of quanta. E_WuR, 71 429 micro-units, is 6·10⁻⁶ off one fourteenth.
+const TOLERANCE: f64 = 1e-5;
+/// The most battery levels of a chain.
+const MOST_LEVELS: u64 = 200_000;
+
+/// The energies of a device in whole quanta.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Lattice {
+    /// Quanta in a unit: 14 with the costs of Table II.
+    pub per_unit: u64,
+    /// `E_max`, quanta.
+    pub e_max: usize,
+    /// `E_idle`, quanta.
+    pub e_idle: usize,
+    /// `E_WuR`, quanta.
+    pub e_wur: usize,
+    /// `E_Tx`, quanta.
+    pub e_tx: usize,
+    /// `E_B`, quanta.
+    pub e_b: usize,
+}
+
+impl Lattice {
+    /// The coarsest lattice that holds all energies of `model` and `e_b`, to within 10⁻⁵ of a quantum.
+    ///
+    /// # Errors
+    /// If there is none with at most 1000 quanta a unit, or the battery has too many levels on it.
+    pub fn new(model: &EnergyModel, e_b: Energy) -> Result<Self, AnalysisError> {
+        let energies = [model.e_max, model.e_idle, model.e_wur, model.e_tx, e_b];
+        let fits = |per_unit: &u64| energies.iter().all(|&e| distance(e, *per_unit) <= TOLERANCE);
+        let Some(per_unit) = (1..=FINEST).find(fits) else {
+            let value = energies.map(|e| e.units().to_string()).join(", ");
+            let allowed = format!(
+                "E_max, E_idle, E_WuR, E_Tx and E_B must be multiples of a common quantum of 1/n unit, n up to \
+                    {FINEST}, for \
+                 the battery to have few enough levels; round them, for example to hundredths of a unit"
+            );
+            return Err(AnalysisError::invalid("energies (units)", &value, allowed));
+        };
+        let [e_max, e_idle, e_wur, e_tx, e_b] = energies.map(|e| quanta(e, per_unit));
+        if e_max >= MOST_LEVELS {
+            let allowed = format!(
+                "with {per_unit} quanta a unit the battery has {} levels, and {MOST_LEVELS} are the most that the \
+                    chain \
+                 takes; use a smaller battery or coarser costs",
+                e_max + 1
+            );
+            return Err(AnalysisError::invalid("energy.e_max", &model.e_max.units(), allowed));
+        }
+        Ok(Self {
+            per_unit,
+            e_max: e_max as usize,
+            e_idle: e_idle as usize,
+            e_wur: e_wur as usize,
+            e_tx: e_tx as usize,
+            e_b: e_b as usize,
+        })
+    }
+
+    /// Battery levels, the empty one included.
+    pub const fn levels(&self) -> usize {
+        self.e_max + 1
+    }
+
+    /// The level nearest to `energy`.
+    pub fn level(&self, energy: Energy) -> usize {
+        (quanta(energy, self.per_unit) as usize).min(self.e_max)
+    }
+}
+
+/// `energy` in quanta, to the nearest.
+fn quanta(energy: Energy, per_unit: u64) -> u64 {
+    (energy.micro() * per_unit + MICRO_PER_UNIT / 2) / MICRO_PER_UNIT
+}
+
+/// How far `energy` is from a whole number of quanta, in quanta.
+fn distance(energy: Energy, per_unit: u64) -> f64 {
+    let whole = quanta(energy, per_unit) * MICRO_PER_UNIT;
+    (energy.micro() * per_unit).abs_diff(whole) as f64 / MICRO_PER_UNIT as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn model(units: [f64; 4]) -> EnergyModel {
+        let [e_max, e_idle, e_wur, e_tx] = units.map(|u| Energy::from_units(u).expect("in range"));
+        EnergyModel {
+            e_max,
+            e_idle,
+            e_wur,
+            e_tx,
+            initial: Energy::ZERO,
+        }
+    }
+
+    #[test]
+    fn table_ii_lies_on_fourteenths() {
+        let table_ii = model([100.0, 1.0, 1.0 / 14.0, 10.0]);
+        let lattice = Lattice::new(&table_ii, Energy::from_micro(5_000_000)).expect("a lattice");
+        let expected = Lattice {
+            per_unit: 14,
+            e_max: 1400,
+            e_idle: 14,
+            e_wur: 1,
+            e_tx: 140,
+            e_b: 70,
+        };
+        assert_eq!(lattice, expected);
+        assert_eq!(lattice.level(Energy::from_micro(999_976)), 14);
+        assert_eq!(lattice.level(Energy::from_micro(100_000_000)), 1400);
+        let finer = Lattice::new(&table_ii, Energy::from_micro(2_500_000)).expect("a lattice");
+        assert_eq!((finer.per_unit, finer.e_b), (14, 35));
+    }
+
+    #[test]
+    fn what_has_no_lattice_is_refused() {
+        let odd = Lattice::new(&model([100.0, 1.0, 0.071_234, 10.0]), Energy::from_micro(1));
+        assert!(odd.expect_err("no lattice").to_string().contains("common quantum"));
+        let large = Lattice::new(&model([10_000.0, 1.0, 0.01, 10.0]), Energy::from_micro(1_000_000));
+        assert!(large.expect_err("too large").to_string().contains("1000001 levels"));
+    }
+}

@@ -1,0 +1,90 @@
+//! The battery of device machines under a fixed duty cycle, counted at the end of every TTI.
+
+use rayon::prelude::*;
+use reveille_common::event::Stimulus;
+use reveille_common::geometry::Point;
+use reveille_common::harvest::{ArrivalsSetup, HarvestSetup};
+use reveille_common::ids::{DeviceId, EventId, Tti};
+use reveille_common::message::DeviceSetup;
+use reveille_common::plan::DutyCycle;
+use reveille_common::rng::{Geometric, Purpose, Stream};
+use reveille_common::scenario::EnergyModel;
+use reveille_common::sensing::{DetectionKind, Fusion, Sensing};
+use reveille_common::units::Energy;
+use reveille_device::machine::{Machine, Physics};
+
+use super::chain::Drive;
+use super::lattice::Lattice;
+
+/// What to count.
+#[derive(Clone, Copy, Debug)]
+pub struct Sample {
+    /// Seed of the devices' streams.
+    pub seed: u64,
+    /// Devices, each with an arrival stream of its own and its duty cycle shifted by one TTI more.
+    pub devices: u32,
+    /// TTIs of each device that are counted.
+    pub ttis: u64,
+    /// TTIs before those.
+    pub warm_up: u64,
+}
+
+/// TTIs by battery level at their end, one vector for each device.
+pub fn levels(model: &EnergyModel, e_b: Energy, lattice: &Lattice, drive: &Drive, sample: &Sample) -> Vec<Vec<u64>> {
+    let setups: Vec<DeviceSetup> = (0..sample.devices)
+        .map(|id| DeviceSetup {
+            id: DeviceId(id),
+            position: Point::new(0.0, 0.0),
+            energy: *model,
+            harvest: HarvestSetup::Arrivals(ArrivalsSetup { p: drive.arrival, e_b }),
+        })
+        .collect();
+    let world = Physics::new(sample.seed, always_detects(), &setups, Vec::new());
+    let count = |setup: &DeviceSetup| levels_of(setup, &world, lattice, drive, sample);
+    setups.par_iter().map(count).collect()
+}
+
+/// One device. It is made active by an event on top of it in S1, by a wake-up in S4.
+fn levels_of(setup: &DeviceSetup, world: &Physics, lattice: &Lattice, drive: &Drive, sample: &Sample) -> Vec<u64> {
+    let mut counts = vec![0; lattice.levels()];
+    let mut machine = Machine::new(setup, world);
+    let duty = DutyCycle {
+        t_on: drive.t_on,
+        t_drx: drive.t_drx,
+        offset: setup.id.0 % drive.t_drx,
+    };
+    machine.set_duty(Tti::ZERO, duty);
+    let gaps = Geometric::new(drive.activation);
+    let mut stream = Stream::new(sample.seed, Purpose::EventGap, u64::from(setup.id.0));
+    let mut active = gaps.draw(&mut stream).saturating_sub(1);
+    let stimulus = Stimulus {
+        event: EventId(0),
+        epicentre: setup.position,
+    };
+    for k in 0..sample.warm_up + sample.ttis {
+        let tti = Tti(k);
+        machine.begin(tti);
+        if k == active {
+            active = k.saturating_add(gaps.draw(&mut stream));
+            if duty.is_on(tti) {
+                machine.sense(tti, &stimulus, world);
+            } else {
+                machine.wake(tti, &stimulus, world);
+            }
+        }
+        if k >= sample.warm_up {
+            counts[lattice.level(machine.battery())] += 1;
+        }
+    }
+    counts
+}
+
+const fn always_detects() -> Sensing {
+    Sensing {
+        kind: DetectionKind::Range,
+        d_max: 1.0,
+        eta: 1.0,
+        psi: 1.0,
+        g: Fusion::Max,
+    }
+}

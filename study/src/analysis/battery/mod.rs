@@ -1,0 +1,296 @@
+//! The battery level under a fixed duty cycle (Sec. III-B): the Markov chain solved for its steady state, Eq. (8) in
+//! its forms, and device machines, side by side.
+//!
+//! The chain lives on a lattice of whole quanta, one fourteenth of a unit with the costs of Table II. The machines
+//! count in micro-units, where E_WuR is 71 429, that is 6/14 of a micro-unit more than a quantum. Levels of both go to
+//! the nearest quantum and then into bins of [`Study::bin`] units, `[0, bin)`, `[bin, 2 bin)`, …, so no border of a bin
+//! splits levels that the chain holds for one.
+
+mod chain;
+mod eq8;
+mod lattice;
+mod measured;
+
+pub use chain::{Drive, SteadyState, steady_state};
+pub use eq8::{Eq8, states};
+pub use lattice::Lattice;
+pub use measured::Sample;
+
+use reveille_common::scenario::EnergyModel;
+use reveille_common::units::Energy;
+
+use super::AnalysisError;
+use super::harvest::Reading;
+use reveille_lab::stats::Estimate;
+
+/// The fewest devices that are measured: intervals are taken between devices.
+const FEWEST_DEVICES: u32 = 2;
+/// The most device-TTIs that are measured.
+const MOST_DEVICE_TTIS: u64 = 100_000_000_000;
+
+/// One battery under one duty cycle.
+#[derive(Clone, Copy, Debug)]
+pub struct Study {
+    /// Battery and costs.
+    pub model: EnergyModel,
+    /// How λ is read.
+    pub reading: Reading,
+    /// λ.
+    pub lambda: f64,
+    /// Duration τ of a TTI.
+    pub tau: f64,
+    /// E_B, > 0.
+    pub e_b: Energy,
+    /// t_on, TTIs, `0 ..= t_drx`.
+    pub t_on: u32,
+    /// t_DRX, TTIs, ≥ 1.
+    pub t_drx: u32,
+    /// P_1,2 + P_4,2: the probability that the device is made active in a TTI.
+    pub activation: f64,
+    /// What to measure; at least 2 devices and a TTI.
+    pub sample: Sample,
+    /// Width of a bin of the distributions, units, at least a quantum.
+    pub bin: f64,
+}
+
+/// Pr(B ≥ E) four ways. Levels are those at the end of a TTI.
+#[derive(Clone, Copy, Debug)]
+pub struct Availability {
+    /// E, units.
+    pub threshold: f64,
+    /// By the chain.
+    pub chain: f64,
+    /// By device machines; the interval is between devices.
+    pub measured: Estimate,
+    /// By Eq. (8).
+    pub eq8: Eq8,
+}
+
+/// A study's results.
+#[derive(Clone, Debug)]
+pub struct Comparison {
+    /// The lattice of the chain.
+    pub lattice: Lattice,
+    /// Probability of an arrival in a TTI.
+    pub arrival: f64,
+    /// The steady state of the chain.
+    pub steady: SteadyState,
+    /// Bins: lower edge in units, probability by the chain, share of measured TTIs.
+    pub bins: Vec<(f64, f64, f64)>,
+    /// Total variation distance of the two over these bins, `[0, 1]`.
+    pub total_variation: f64,
+    /// Mean battery by the chain, units.
+    pub chain_mean: f64,
+    /// Mean battery measured, units; the interval is between devices.
+    pub measured_mean: Estimate,
+    /// Pr(B ≥ E_Tx) and Pr(B ≥ E_idle).
+    pub availability: [Availability; 2],
+}
+
+/// Solves the chain, runs the devices and compares.
+///
+/// # Errors
+/// If something is out of its range, the energies have no common quantum, or the chain mixes too slowly.
+pub fn compare(study: &Study) -> Result<Comparison, AnalysisError> {
+    study.check()?;
+    let lattice = Lattice::new(&study.model, study.e_b)?;
+    let drive = study.drive();
+    let steady = steady_state(&lattice, &drive)?;
+    let bins = Bins::new(&lattice, study.bin)?;
+    let devices = measured::levels(&study.model, study.e_b, &lattice, &drive, &study.sample);
+    let shares: Vec<Vec<f64>> = devices.iter().map(|counts| normalised(counts)).collect();
+    let pooled: Vec<f64> = (0..lattice.levels())
+        .map(|level| shares.iter().map(|one| one[level]).sum::<f64>() / shares.len() as f64)
+        .collect();
+    let (by_chain, by_devices) = (bins.gather(&steady.levels), bins.gather(&pooled));
+    let distance: f64 = by_chain.iter().zip(&by_devices).map(|(a, b)| (a - b).abs()).sum();
+    let edges = (0..by_chain.len()).map(|bin| bin as f64 * study.bin);
+    let availability = |threshold: Energy| study.availability(&lattice, threshold, &steady, &shares);
+    let mean = |levels: &[f64]| mean_level(levels) / lattice.per_unit as f64;
+    Ok(Comparison {
+        lattice,
+        arrival: drive.arrival,
+        total_variation: distance / 2.0,
+        bins: edges
+            .zip(by_chain)
+            .zip(by_devices)
+            .map(|((edge, a), b)| (edge, a, b))
+            .collect(),
+        chain_mean: mean(&steady.levels),
+        measured_mean: Estimate::over(shares.iter().map(|one| mean(one))),
+        availability: [study.model.e_tx, study.model.e_idle].map(availability),
+        steady,
+    })
+}
+
+impl Study {
+    /// Its drive.
+    pub fn drive(&self) -> Drive {
+        Drive {
+            t_on: self.t_on,
+            t_drx: self.t_drx,
+            arrival: self.reading.probability(self.lambda, self.tau),
+            activation: self.activation,
+        }
+    }
+
+    fn check(&self) -> Result<(), AnalysisError> {
+        self.drive().check()?;
+        if self.e_b == Energy::ZERO {
+            return Err(AnalysisError::invalid(
+                "e-b",
+                &0,
+                "must be above 0 units, or nothing is ever harvested",
+            ));
+        }
+        let Sample {
+            devices, ttis, warm_up, ..
+        } = self.sample;
+        if devices < FEWEST_DEVICES {
+            let allowed = format!("must be at least {FEWEST_DEVICES}: intervals are taken between devices");
+            return Err(AnalysisError::invalid("devices", &devices, allowed));
+        }
+        let all = ttis.saturating_add(warm_up).saturating_mul(u64::from(devices));
+        if ttis == 0 || all > MOST_DEVICE_TTIS {
+            let allowed = format!(
+                "must be at least 1, and with the warm-up and all devices at most {MOST_DEVICE_TTIS} device-TTIs"
+            );
+            return Err(AnalysisError::invalid("ttis", &ttis, allowed));
+        }
+        Ok(())
+    }
+
+    fn availability(
+        &self,
+        lattice: &Lattice,
+        threshold: Energy,
+        steady: &SteadyState,
+        shares: &[Vec<f64>],
+    ) -> Availability {
+        let level = lattice.level(threshold);
+        let states = states(self.model.e_max.units(), self.e_b.units(), self.lambda);
+        Availability {
+            threshold: threshold.units(),
+            chain: steady.at_least(level),
+            measured: Estimate::over(shares.iter().map(|one| one.iter().skip(level).sum())),
+            eq8: Eq8::new(threshold.units(), self.model.e_max.units(), states, self.activation),
+        }
+    }
+}
+
+/// The bins of a distribution of levels.
+struct Bins {
+    /// The bin of each level.
+    of_level: Vec<usize>,
+}
+
+impl Bins {
+    fn new(lattice: &Lattice, width: f64) -> Result<Self, AnalysisError> {
+        let quantum = 1.0 / lattice.per_unit as f64;
+        let capacity = lattice.e_max as f64 * quantum;
+        if !(width >= quantum && width <= capacity) {
+            let allowed =
+                format!("must be at least a quantum, {quantum:.6} units, and at most E_max, {capacity} units");
+            return Err(AnalysisError::invalid("bin", &width, allowed));
+        }
+        // A level that is a multiple of the width up to rounding begins a bin.
+        let bin = |level: usize| (level as f64 * quantum / width + 1e-9).floor() as usize;
+        Ok(Self {
+            of_level: (0..lattice.levels()).map(bin).collect(),
+        })
+    }
+
+    fn gather(&self, levels: &[f64]) -> Vec<f64> {
+        let last = self.of_level.last().copied().unwrap_or_default();
+        let mut bins = vec![0.0; last + 1];
+        for (bin, probability) in self.of_level.iter().zip(levels) {
+            bins[*bin] += probability;
+        }
+        bins
+    }
+}
+
+fn normalised(counts: &[u64]) -> Vec<f64> {
+    let all: u64 = counts.iter().sum();
+    counts.iter().map(|&count| count as f64 / all as f64).collect()
+}
+
+/// Σ level · probability, quanta.
+fn mean_level(levels: &[f64]) -> f64 {
+    levels.iter().enumerate().map(|(level, p)| level as f64 * p).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use reveille_bs::scenario::load;
+
+    use super::*;
+
+    fn study(e_b: f64, t_on: u32, t_drx: u32, activation: f64) -> Study {
+        let scenario = load("paper", &[]).expect("the preset");
+        Study {
+            model: scenario.classes[0].energy,
+            reading: Reading::Eq5,
+            lambda: 0.1,
+            tau: 1.0,
+            e_b: Energy::from_units(e_b).expect("in range"),
+            t_on,
+            t_drx,
+            activation,
+            sample: Sample {
+                seed: 3,
+                devices: 8,
+                ttis: 150_000,
+                warm_up: 20_000,
+            },
+            bin: 0.5,
+        }
+    }
+
+    #[test]
+    fn the_chain_is_what_the_machines_do() {
+        for e_b in [1.0, 5.0, 10.0] {
+            for (t_on, t_drx, activation) in [(1, 2, 0.0), (1, 5, 0.0), (2, 16, 0.0), (0, 1, 0.0), (1, 8, 0.02)] {
+                let study = study(e_b, t_on, t_drx, activation);
+                let found = compare(&study).expect("a comparison");
+                assert!(
+                    found.total_variation <= 0.02,
+                    "E_B {e_b}, {t_on}/{t_drx}: {}",
+                    found.total_variation
+                );
+                assert!((found.bins.iter().map(|b| b.1).sum::<f64>() - 1.0).abs() < 1e-9);
+                assert!((found.bins.iter().map(|b| b.2).sum::<f64>() - 1.0).abs() < 1e-9);
+                for a in found.availability {
+                    assert!((a.chain - a.measured.mean).abs() <= 0.02, "{study:?}: {a:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn bins_hold_what_the_levels_hold() {
+        let lattice = Lattice::new(&study(5.0, 1, 2, 0.0).model, Energy::from_micro(5_000_000)).expect("a lattice");
+        let bins = Bins::new(&lattice, 0.5).expect("bins");
+        assert_eq!(
+            [0, 6, 7, 13, 14, 1399, 1400].map(|l| bins.of_level[l]),
+            [0, 0, 1, 1, 2, 199, 200]
+        );
+        assert!(Bins::new(&lattice, 0.01).is_err() && Bins::new(&lattice, f64::NAN).is_err());
+    }
+
+    #[test]
+    fn impossible_samples_are_refused() {
+        let good = study(5.0, 1, 2, 0.0);
+        let with = |change: &dyn Fn(&mut Study)| {
+            let mut bad = good;
+            change(&mut bad);
+            compare(&bad).expect_err("refused").to_string()
+        };
+        assert!(with(&|s| s.sample.devices = 1).contains("devices = 1"));
+        assert!(with(&|s| s.sample.ttis = 0).contains("ttis = 0"));
+        assert!(with(&|s| s.bin = 1000.0).contains("bin = 1000"));
+        assert!(with(&|s| s.e_b = Energy::ZERO).contains("e-b = 0"));
+        assert!(with(&|s| s.t_on = 3).contains("t_on = 3"));
+        assert!(with(&|s| s.lambda = 0.0).contains("Pr(arrival) = 0"));
+    }
+}

@@ -1,0 +1,90 @@
+//! E(I_min) over deployments (Sec. V-A, Eqs. (`E_Info3`) and (`E_Info1`)).
+
+use reveille_bs::beliefs::ranking::i_min;
+use reveille_common::deployment::Deployment;
+use reveille_common::scenario::Scenario;
+
+use super::AnalysisError;
+use super::runs::{check_seeds, over_seeds};
+use reveille_lab::stats::Estimate;
+
+/// I_min of the deployments of one scenario.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct IMin {
+    /// p(d*) over the deployments, one for each seed.
+    pub measured: Estimate,
+    /// The least and the largest of them.
+    pub range: (f64, f64),
+    /// p(√(ξ/(2N))), Eq. (`E_Info1`): a square grid.
+    pub grid: f64,
+}
+
+/// I_min of `scenario`'s layout under each of `seeds` seeds from its own on.
+///
+/// # Errors
+/// If `seeds` is 0.
+pub fn measure(scenario: &Scenario, seeds: u64) -> Result<IMin, AnalysisError> {
+    check_seeds(seeds)?;
+    let values = over_seeds(scenario, seeds, |one| {
+        i_min(&Deployment::new(one).positions(), one.area, &one.sensing)
+    });
+    let least = values.iter().copied().fold(f64::INFINITY, f64::min);
+    let largest = values.iter().copied().fold(0.0, f64::max);
+    let half_diagonal = (scenario.area.surface() / (2.0 * f64::from(scenario.devices))).sqrt();
+    Ok(IMin {
+        measured: Estimate::over(values),
+        range: (least, largest),
+        grid: scenario.sensing.p(half_diagonal),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use reveille_bs::scenario::{Override, load};
+
+    use super::*;
+
+    fn study(overrides: &[&str]) -> IMin {
+        let parse = |text: &&str| Override::parse(text).expect("an override");
+        let overrides: Vec<Override> = overrides.iter().map(parse).collect();
+        measure(&load("paper", &overrides).expect("a scenario"), 40).expect("a study")
+    }
+
+    #[test]
+    fn a_square_grid_is_eq_e_info1_and_random_layouts_do_worse() {
+        let grid = study(&["layout.kind=grid", "devices=100"]);
+        assert!(
+            (grid.measured.mean - grid.grid).abs() < 1e-12 && grid.measured.deviation < 1e-12,
+            "{grid:?}"
+        );
+        // √(400 / 200) = √2 m.
+        assert!((grid.grid - 0.243_116_734).abs() < 1e-9);
+        for layout in [
+            "layout.kind=uniform",
+            "layout.kind=jittered-grid",
+            "layout.kind=poisson-disk",
+        ] {
+            let random = study(&[layout, "devices=100"]);
+            assert!(
+                random.measured.mean + random.measured.half_width < random.grid,
+                "{layout}: {random:?}"
+            );
+            assert!(
+                random.measured.deviation > 0.0 && random.range.0 < random.measured.mean,
+                "{layout}: {random:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn one_device_sees_the_farthest_corner() {
+        let alone = study(&[
+            "layout.kind=grid",
+            "devices=1",
+            "area.width=6",
+            "area.height=8",
+            "sensing.d_max=4",
+        ]);
+        assert!((alone.measured.mean - libm::exp(-5.0)).abs() < 1e-12, "{alone:?}");
+    }
+}

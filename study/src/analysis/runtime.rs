@@ -1,0 +1,279 @@
+//! Run time against N (Sec. V-D): the work to be timed, and power laws fitted to the times. The clock is the caller's.
+//!
+//! The paper counts the cost of a *configuration*: O(ϱ^N) for the exhaustive search of the adjusted duty cycle,
+//! O(N(N−1)/2) for KNN clusters, O(N²) for Q-learning and for the decision transformer. That is what [`Work::set_up`]
+//! does. What goes on after it is the run, [`Work::run`], and within it the BS's answers to events, [`Work::decide`].
+
+use std::sync::Arc;
+
+use reveille_bs::knowledge::Knowledge;
+use reveille_bs::observation::Observation;
+use reveille_bs::policy::mind::Mind;
+use reveille_bs::policy::registry;
+use reveille_bs::prepared::Prepared;
+use reveille_common::event::Stimulus;
+use reveille_common::geometry::Point;
+use reveille_common::ids::{DeviceId, EventId, Tti};
+use reveille_common::message::Report;
+use reveille_common::plan::Plan;
+use reveille_common::rng::{Purpose, Stream};
+use reveille_common::scenario::{PolicyChoice, Scenario};
+use reveille_common::units::Energy;
+use reveille_common::world::Oracle;
+use statrs::distribution::{ContinuousCDF, StudentsT};
+
+use super::AnalysisError;
+use reveille_lab::preparation::{prepare, start};
+use reveille_lab::run::{Options, Run};
+
+/// What the paper says of the cost of configuring a policy.
+pub fn paper_claim(policy: &PolicyChoice) -> &'static str {
+    registry::named(policy.name()).map_or("–", |policy| policy.profile().runtime)
+}
+
+/// A scenario to be timed.
+pub struct Work {
+    scenario: Scenario,
+}
+
+impl Work {
+    /// The work of `scenario`.
+    pub const fn new(scenario: Scenario) -> Self {
+        Self { scenario }
+    }
+
+    /// Puts the devices on the ground and configures the policy: clusters, or a search. Done once per deployment.
+    pub fn set_up(&self) -> Run {
+        start(&self.scenario, Options::default())
+    }
+
+    /// Runs to the end.
+    pub fn run(run: Run) {
+        std::hint::black_box(run.finish(&mut ()));
+    }
+
+    /// The BS's side of `events` events, ready to be decided.
+    pub fn decide(&self, events: u64) -> Decisions {
+        Decisions::new(&prepare(&self.scenario), events)
+    }
+}
+
+/// Events with their first reports, for one policy.
+pub struct Decisions {
+    known: Knowledge,
+    /// Charged at random, half full on the mean.
+    batteries: Vec<Energy>,
+    mind: Mind,
+    plan: Plan,
+    situations: Vec<(Tti, Stimulus, Vec<Report>)>,
+}
+
+impl Decisions {
+    fn new(prepared: &Prepared, events: u64) -> Self {
+        let Prepared {
+            scenario,
+            deployment,
+            policies,
+            findings,
+            grids,
+        } = prepared;
+        let known = Knowledge::of(scenario, deployment, Arc::clone(grids));
+        let mut mind = registry::build(policies, &scenario.policy, &known, findings);
+        let nothing = Plan::from_bits(known.devices.iter().map(|_| false));
+        let mut stream = Stream::new(scenario.seed, Purpose::Training, 0);
+        let mut level = |full: Energy| Energy::from_micro((stream.unit() * full.micro() as f64) as u64);
+        let batteries: Vec<Energy> = deployment.devices.iter().map(|d| level(d.energy.e_max)).collect();
+        let plan = mind.decide(&observe(&known, &batteries, &nothing, Tti::ZERO, 0.0));
+        let situation = |event| {
+            let mut stream = Stream::new(scenario.seed, Purpose::Epicentre, event);
+            let epicentre = Point::new(
+                stream.unit() * scenario.area.width,
+                stream.unit() * scenario.area.height,
+            );
+            let tti = Tti(event);
+            let sensing_now = (0..scenario.devices)
+                .map(DeviceId)
+                .filter(|&j| plan.duty_cycle(j).is_on(tti));
+            let report = |j: DeviceId| report(&known, j, tti, epicentre);
+            let reports = sensing_now.map(report).filter(|r| r.information > 0.0).collect();
+            let event = EventId(event);
+            (tti, Stimulus { event, epicentre }, reports)
+        };
+        let situations = (0..events).map(situation).collect();
+        Self {
+            known,
+            batteries,
+            mind,
+            plan,
+            situations,
+        }
+    }
+
+    /// Decides who senses in `ttis` TTIs, one after the other. `None` for a policy whose first plan holds for good. It
+    /// may be repeated.
+    pub fn plan(&mut self, ttis: u64) -> Option<()> {
+        let Self {
+            known,
+            batteries,
+            mind,
+            plan,
+            ..
+        } = self;
+        for k in (1..=ttis).map(Tti) {
+            if mind.next_decision(k) == Tti::NEVER {
+                return None;
+            }
+            *plan = mind.decide(&observe(known, batteries, plan, k, 0.0));
+        }
+        Some(())
+    }
+
+    /// Decides all of them, each until the policy asks for no more wake-ups, all of which are answered. Gives the
+    /// number of wake-ups. It may be repeated.
+    pub fn run(&mut self) -> u64 {
+        let Self {
+            known,
+            batteries,
+            mind,
+            plan,
+            situations,
+        } = self;
+        let mut wake_ups = 0;
+        for (tti, stimulus, reports) in situations {
+            let policy = match mind {
+                Mind::Genie(genie) => {
+                    wake_ups += u64::from(genie.told(stimulus));
+                    continue;
+                }
+                Mind::Policy(_) if reports.is_empty() => continue,
+                Mind::Policy(policy) => policy,
+            };
+            let fused = reports.iter().map(|r| r.information);
+            let mut information = fused.fold(0.0, |so_far, i| known.sensing.fuse(so_far, i));
+            policy.reported(&observe(known, batteries, plan, *tti, information), reports);
+            while let Some(woken) = policy.next_wake_up(&observe(known, batteries, plan, *tti, information)) {
+                wake_ups += 1;
+                let report = report(known, woken, *tti, stimulus.epicentre);
+                information = known.sensing.fuse(information, report.information);
+                policy.answered(&observe(known, batteries, plan, *tti, information), Some(&report));
+            }
+        }
+        wake_ups
+    }
+}
+
+fn report(known: &Knowledge, device: DeviceId, tti: Tti, epicentre: Point) -> Report {
+    let d = known.devices[device.index()].position.distance(epicentre);
+    Report {
+        device,
+        tti,
+        information: known.sensing.information(d),
+        battery: Energy::ZERO,
+    }
+}
+
+const fn observe<'a>(
+    known: &'a Knowledge,
+    batteries: &'a [Energy],
+    plan: &'a Plan,
+    now: Tti,
+    information: f64,
+) -> Observation<'a> {
+    Observation {
+        now,
+        known,
+        plan,
+        information,
+        batteries,
+    }
+}
+
+/// A power law y = c · x^exponent.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PowerLaw {
+    /// The exponent.
+    pub exponent: f64,
+    /// Half the width of its 95 % interval; NaN for two points.
+    pub half_width: f64,
+    /// c.
+    pub factor: f64,
+}
+
+/// The power law through `points` (x, y), all above 0, by least squares of the logarithms.
+///
+/// # Errors
+/// With fewer than two different x, or a value that has no logarithm.
+pub fn power_law(points: &[(f64, f64)]) -> Result<PowerLaw, AnalysisError> {
+    if let Some(bad) = points.iter().find(|(x, y)| !(*x > 0.0 && *y > 0.0)) {
+        let allowed = "must both be above 0 for a power law";
+        return Err(AnalysisError::invalid("point (N, time)", &format!("{bad:?}"), allowed));
+    }
+    let logs: Vec<(f64, f64)> = points.iter().map(|(x, y)| (libm::log(*x), libm::log(*y))).collect();
+    let n = logs.len() as f64;
+    let (mean_x, mean_y) = (
+        logs.iter().map(|l| l.0).sum::<f64>() / n,
+        logs.iter().map(|l| l.1).sum::<f64>() / n,
+    );
+    let xx: f64 = logs.iter().map(|(x, _)| (x - mean_x).powi(2)).sum();
+    if logs.len() < 2 || xx <= 0.0 {
+        let allowed = "must hold at least two different values for an exponent to be fitted";
+        return Err(AnalysisError::invalid("devices", &points.len(), allowed));
+    }
+    let xy: f64 = logs.iter().map(|(x, y)| (x - mean_x) * (y - mean_y)).sum();
+    let exponent = xy / xx;
+    let intercept = mean_y - exponent * mean_x;
+    let residuals: f64 = logs.iter().map(|(x, y)| (y - intercept - exponent * x).powi(2)).sum();
+    let t = StudentsT::new(0.0, 1.0, n - 2.0).map_or(f64::NAN, |t| t.inverse_cdf(0.975));
+    Ok(PowerLaw {
+        exponent,
+        half_width: t * (residuals / (n - 2.0) / xx).sqrt(),
+        factor: libm::exp(intercept),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use reveille_bs::scenario::{Override, load};
+
+    use super::*;
+
+    #[test]
+    fn a_power_law_is_found_again_and_its_spread_is_the_textbooks() {
+        let exact: Vec<(f64, f64)> = [10.0, 50.0, 250.0, 2500.0]
+            .map(|x: f64| (x, 3.0 * x * x.sqrt()))
+            .to_vec();
+        let law = power_law(&exact).expect("a law");
+        assert!((law.exponent - 1.5).abs() < 1e-12 && (law.factor - 3.0).abs() < 1e-9 && law.half_width < 1e-6);
+        // Logarithms 0, 1, 2 and 0, 1, 4: slope 2, residuals 1/3, −2/3, 1/3, t with one degree of freedom 12.706.
+        let e = |power: f64| libm::exp(power);
+        let law = power_law(&[(e(0.0), e(0.0)), (e(1.0), e(1.0)), (e(2.0), e(4.0))]).expect("a law");
+        assert!((law.exponent - 2.0).abs() < 1e-12, "{law:?}");
+        assert!(
+            (law.half_width - 12.706_205 * (2.0_f64 / 3.0 / 2.0).sqrt()).abs() < 1e-3,
+            "{law:?}"
+        );
+        assert!(power_law(&[(10.0, 1.0)]).is_err() && power_law(&[(10.0, 1.0), (10.0, 2.0)]).is_err());
+        assert!(power_law(&[(10.0, 0.0), (20.0, 1.0)]).is_err());
+    }
+
+    #[test]
+    fn decisions_may_be_repeated_and_wake_devices() {
+        for policy in ["knn", "random", "genie", "adjusted"] {
+            let name = format!("policy.name={policy}");
+            let overrides = [
+                name.as_str(),
+                "devices=80",
+                "ttis=400",
+                "policy.adjusted.pilot_ttis=100",
+            ];
+            let parse = |text: &&str| Override::parse(text).expect("an override");
+            let overrides: Vec<Override> = overrides.iter().map(parse).collect();
+            let work = Work::new(load("paper", &overrides).expect("a scenario"));
+            Work::run(work.set_up());
+            let mut decisions = work.decide(200);
+            let first = decisions.run();
+            assert_eq!(first, decisions.run(), "{policy}");
+            assert_eq!(first > 0, policy != "random", "{policy}: {first}");
+        }
+    }
+}

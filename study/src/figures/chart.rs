@@ -1,0 +1,462 @@
+//! A chart: axes, lines with markers and interval bands, marks for what the paper states, a legend below and a caption.
+//!
+//! Laid out for a column of a journal, 3.5 inch wide, with no text under 8 points.
+
+use super::font::{Weight, width, wrap};
+use super::layout::{COLUMN, EDGE, LARGE, LEADING, SMALL};
+use super::note::{Note, Obstacles, settle};
+use super::path::Path;
+use super::scale::{Scale, Tick};
+use super::scene::{Anchor, Paint, Scene, Stroke, Text};
+use super::style::{LINE, MARKER, Style};
+
+/// Height of the plot, points.
+const PLOT: f64 = 158.0;
+/// The legend of marks.
+const STATED: &str = "hollow: stated in the paper";
+/// How far marks stand beside their x at the most, points: no more than some devices on the axis of N.
+const BESIDE: f64 = 4.0;
+/// How pale grid lines are.
+const GRID: f64 = 0.14;
+
+/// A measured point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sample {
+    /// Where.
+    pub x: f64,
+    /// Its mean.
+    pub y: f64,
+    /// Half the width of its 95 % interval; NaN where there is none, as for a single run or a closed form.
+    pub half: f64,
+    /// The same of x; NaN where x is given rather than measured.
+    pub across: f64,
+}
+
+/// How the intervals of a line are drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Interval {
+    /// A band, and bars with caps at the points.
+    Bars,
+    /// A band alone.
+    Area,
+    /// A band with its edges, in place of the line.
+    Edges,
+    /// Bars with caps at the points in both directions, without a band.
+    Crosses,
+}
+
+/// A line of a chart.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Series {
+    /// Its name in the legend; empty for one that has no entry.
+    pub name: String,
+    /// How it looks.
+    pub style: Style,
+    /// Whether its points are joined.
+    pub joined: bool,
+    /// Whether its points have markers.
+    pub marked: bool,
+    /// How its intervals are drawn.
+    pub interval: Interval,
+    /// Its points, in the order in which they are joined.
+    pub samples: Vec<Sample>,
+}
+
+/// What the paper says of a point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Stated {
+    /// This value.
+    Value(f64),
+    /// Between these values.
+    Range(f64, f64),
+    /// Less than this.
+    Below(f64),
+    /// More than this.
+    Above(f64),
+}
+
+impl Stated {
+    /// The values that it names.
+    pub fn values(self) -> [f64; 2] {
+        match self {
+            Self::Value(v) | Self::Below(v) | Self::Above(v) => [v, v],
+            Self::Range(low, high) => [low, high],
+        }
+    }
+}
+
+/// A mark for what the paper says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mark {
+    /// Where.
+    pub x: f64,
+    /// How far it stands beside that, points, so that marks at one place do not hide each other.
+    pub aside: f64,
+    /// What it says.
+    pub stated: Stated,
+    /// How it looks.
+    pub style: Style,
+}
+
+/// What the paper says of a policy for a range of x.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Span {
+    /// From here.
+    pub from: f64,
+    /// To here.
+    pub to: f64,
+    /// What it says.
+    pub stated: Stated,
+    /// Whose it is.
+    pub paint: Paint,
+}
+
+/// A chart.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Chart {
+    /// What it shows.
+    pub title: String,
+    /// What x is, with its unit.
+    pub x_label: String,
+    /// What y is, with its unit.
+    pub y_label: String,
+    /// The x axis.
+    pub x: Scale,
+    /// The y axis.
+    pub y: Scale,
+    /// Its lines.
+    pub series: Vec<Series>,
+    /// What the paper says.
+    pub marks: Vec<Mark>,
+    /// What it says for ranges of x: hatched.
+    pub spans: Vec<Span>,
+    /// What stands beside points, the most important first: those for which there is no room are left out.
+    pub notes: Vec<Note>,
+    /// Whether values of zero stand at the lower border, which then says so.
+    pub zero_below: bool,
+    /// How to read marks and intervals, and what the runs were.
+    pub caption: String,
+}
+
+/// Where the plot is on the canvas.
+struct Frame<'a> {
+    chart: &'a Chart,
+    left: f64,
+    top: f64,
+    right: f64,
+    bottom: f64,
+}
+
+impl Chart {
+    /// The chart as a picture.
+    pub fn scene(&self) -> Scene {
+        let mut scene = Scene::new(COLUMN, 0.0);
+        scene.title.clone_from(&self.title);
+        scene.description.clone_from(&self.caption);
+        let mut y = EDGE + LARGE;
+        for line in wrap(&self.title, Weight::Bold, LARGE, COLUMN - 2.0 * EDGE) {
+            scene.text(Text::new(line, (EDGE, y), LARGE).bold());
+            y += LEADING + 1.0;
+        }
+        let labels = self.y_ticks().into_iter().map(|tick| tick.label);
+        let widest = labels.map(|l| width(&l, Weight::Regular, SMALL)).fold(0.0, f64::max);
+        let frame = Frame {
+            chart: self,
+            left: EDGE + LEADING + widest + 5.0,
+            top: y - 2.0,
+            right: COLUMN - EDGE - 4.0,
+            bottom: y - 2.0 + PLOT,
+        };
+        frame.axes(&mut scene);
+        frame.data(&mut scene);
+        let mut y = frame.bottom + 3.0 * LEADING + 6.0;
+        y = self.legend(&mut scene, y);
+        y += 1.0;
+        for line in wrap(&self.caption, Weight::Regular, SMALL, COLUMN - 2.0 * EDGE) {
+            scene.text(Text::new(line, (EDGE, y), SMALL));
+            y += LEADING;
+        }
+        scene.height = (y - LEADING + 0.24 * SMALL + EDGE).ceil();
+        scene
+    }
+
+    fn y_ticks(&self) -> Vec<Tick> {
+        let mut ticks = self.y.ticks();
+        if let Some(lowest) = ticks.first_mut().filter(|_| self.zero_below) {
+            "0".clone_into(&mut lowest.label);
+        }
+        ticks
+    }
+
+    /// Rows of as many entries as fit; gives the base line of what follows.
+    fn legend(&self, scene: &mut Scene, mut y: f64) -> f64 {
+        const SWATCH: f64 = 22.0;
+        let mut x = EDGE;
+        for series in self.series.iter().filter(|s| !s.name.is_empty()) {
+            let lines = wrap(&series.name, Weight::Regular, SMALL, COLUMN - 2.0 * EDGE - SWATCH);
+            let widest = lines
+                .iter()
+                .map(|line| width(line, Weight::Regular, SMALL))
+                .fold(0.0, f64::max);
+            let needed = SWATCH + widest;
+            if x > EDGE && (x + needed > COLUMN - EDGE || lines.len() > 1) {
+                (x, y) = (EDGE, y + LEADING + 1.0);
+            }
+            let middle = y - 0.35 * SMALL;
+            if series.joined {
+                scene.line(Path::segment((x, middle), (x + 18.0, middle)), series.style.line());
+            }
+            if series.marked {
+                series.style.mark(scene, (x + 9.0, middle));
+            }
+            for (i, line) in lines.into_iter().enumerate() {
+                y += if i > 0 { LEADING } else { 0.0 };
+                scene.text(Text::new(line, (x + SWATCH, y), SMALL));
+            }
+            x += needed + 9.0;
+        }
+        if let Some(mark) = self.marks.first() {
+            let needed = 10.0 + width(STATED, Weight::Regular, SMALL);
+            if x + needed > COLUMN - EDGE {
+                (x, y) = (EDGE, y + LEADING + 1.0);
+            }
+            let hollow = Style {
+                paint: Paint::Ink,
+                ..mark.style
+            };
+            hollow.mark_hollow(scene, (x + 4.0, y - 0.35 * SMALL));
+            scene.text(Text::new(STATED, (x + 11.0, y), SMALL));
+        }
+        y + LEADING + 2.0
+    }
+}
+
+impl Frame<'_> {
+    fn x(&self, value: f64) -> f64 {
+        self.left + self.chart.x.place(value) * (self.right - self.left)
+    }
+
+    fn y(&self, value: f64) -> f64 {
+        self.bottom - self.chart.y.place(value) * (self.bottom - self.top)
+    }
+
+    fn axes(&self, scene: &mut Scene) {
+        let (axis, grid) = (
+            Stroke::solid(Paint::Ink, 0.7),
+            Stroke::solid(Paint::Ink, 0.5).faded(GRID),
+        );
+        for tick in self.chart.y_ticks() {
+            let y = self.y(tick.value);
+            let is_main = !tick.label.is_empty();
+            if is_main {
+                scene.line(Path::segment((self.left, y), (self.right, y)), grid);
+                let at = (self.left - 4.0, y + 0.36 * SMALL);
+                scene.text(Text::new(tick.label, at, SMALL).anchored(Anchor::End));
+            }
+            let length = if is_main { 2.5 } else { 1.5 };
+            scene.line(Path::segment((self.left - length, y), (self.left, y)), axis);
+        }
+        for tick in self.chart.x.ticks() {
+            let x = self.x(tick.value);
+            let is_main = !tick.label.is_empty();
+            if is_main {
+                scene.line(Path::segment((x, self.top), (x, self.bottom)), grid);
+                let at = (x, self.bottom + LEADING + 1.5);
+                scene.text(Text::new(tick.label, at, SMALL).anchored(Anchor::Middle));
+            }
+            let length = if is_main { 2.5 } else { 1.5 };
+            scene.line(Path::segment((x, self.bottom), (x, self.bottom + length)), axis);
+        }
+        let corner = [
+            (self.left, self.top),
+            (self.left, self.bottom),
+            (self.right, self.bottom),
+        ];
+        scene.line(Path::polyline(corner, false), axis);
+        let below = (0.5 * (self.left + self.right), self.bottom + 2.0 * LEADING + 2.5);
+        scene.text(Text::new(self.chart.x_label.as_str(), below, SMALL).anchored(Anchor::Middle));
+        let beside = (EDGE + 0.76 * SMALL, 0.5 * (self.top + self.bottom));
+        let mut label = Text::new(self.chart.y_label.as_str(), beside, SMALL).anchored(Anchor::Middle);
+        label.upwards = true;
+        scene.text(label);
+    }
+
+    fn data(&self, scene: &mut Scene) {
+        for series in &self.chart.series {
+            self.intervals(scene, series);
+        }
+        for span in &self.chart.spans {
+            self.span(scene, span);
+        }
+        for mark in &self.chart.marks {
+            self.range(scene, mark);
+        }
+        let has_line = |s: &&Series| s.joined && s.interval != Interval::Edges;
+        for series in self.chart.series.iter().filter(has_line) {
+            let points = series.samples.iter().map(|s| (self.x(s.x), self.y(s.y)));
+            scene.line(Path::polyline(points, false), series.style.line());
+        }
+        for mark in &self.chart.marks {
+            self.point(scene, mark);
+        }
+        for series in self.chart.series.iter().filter(|s| s.marked) {
+            for sample in &series.samples {
+                series.style.mark(scene, (self.x(sample.x), self.y(sample.y)));
+            }
+        }
+        self.notes(scene);
+    }
+
+    fn notes(&self, scene: &mut Scene) {
+        let notes = self.chart.notes.iter();
+        let notes: Vec<_> = notes.map(|n| ((self.x(n.x), self.y(n.y)), n.text.as_str())).collect();
+        let mut obstacles = Obstacles::default();
+        for series in &self.chart.series {
+            let at = |s: &Sample| (self.x(s.x), self.y(s.y));
+            let markers = series.samples.iter().map(|s| (at(s), MARKER));
+            obstacles.markers.extend(markers);
+            let lines = series.samples.windows(2).map(|pair| [at(&pair[0]), at(&pair[1])]);
+            obstacles.lines.extend(lines.filter(|_| series.joined));
+            for s in &series.samples {
+                let (x, y) = at(s);
+                let ends = [-1.0, 1.0].map(|side| (self.x(s.x + side * s.across), y));
+                obstacles.lines.extend(s.across.is_finite().then_some(ends));
+                let ends = [-1.0, 1.0].map(|side| (x, self.y(s.y + side * s.half)));
+                obstacles.lines.extend(s.half.is_finite().then_some(ends));
+            }
+        }
+        let marks = self.chart.marks.iter();
+        // A number beside a hollow mark would be taken for its own.
+        let values = marks.map(|m| ((self.aside(m), self.y(m.stated.values()[0])), 4.0 * MARKER));
+        obstacles.markers.extend(values);
+        for text in settle(&notes, &obstacles, [self.left, self.top, self.right, self.bottom]) {
+            scene.text(text);
+        }
+    }
+
+    /// The band of a joined series, and a bar with caps at each of its points.
+    fn intervals(&self, scene: &mut Scene, series: &Series) {
+        let known: Vec<&Sample> = series.samples.iter().filter(|s| s.half.is_finite()).collect();
+        if series.joined && known.len() > 1 && series.interval != Interval::Crosses {
+            let upper = known.iter().map(|s| (self.x(s.x), self.y(s.y + s.half)));
+            let lower = known.iter().rev().map(|s| (self.x(s.x), self.y(s.y - s.half)));
+            scene.area(Path::polyline(upper.chain(lower), true), series.style.paint, 0.25);
+        }
+        match series.interval {
+            Interval::Bars | Interval::Crosses => {}
+            Interval::Area => return,
+            Interval::Edges => {
+                for sign in [1.0, -1.0] {
+                    let edge = known.iter().map(|s| (self.x(s.x), self.y(s.y + sign * s.half)));
+                    scene.line(Path::polyline(edge, false), series.style.line());
+                }
+                return;
+            }
+        }
+        let bar = Stroke::solid(series.style.paint, 0.7);
+        for sample in known {
+            let x = self.x(sample.x);
+            let (top, bottom) = (self.y(sample.y + sample.half), self.y(sample.y - sample.half));
+            let mut path = Path::segment((x, top), (x, bottom));
+            path.extend(Path::segment((x - 2.0, top), (x + 2.0, top)));
+            path.extend(Path::segment((x - 2.0, bottom), (x + 2.0, bottom)));
+            scene.line(path, bar);
+        }
+        for sample in series.samples.iter().filter(|s| s.across.is_finite()) {
+            let y = self.y(sample.y);
+            let (left, right) = (self.x(sample.x - sample.across), self.x(sample.x + sample.across));
+            let mut path = Path::segment((left, y), (right, y));
+            path.extend(Path::segment((left, y - 2.0), (left, y + 2.0)));
+            path.extend(Path::segment((right, y - 2.0), (right, y + 2.0)));
+            scene.line(path, bar);
+        }
+    }
+
+    fn aside(&self, mark: &Mark) -> f64 {
+        (self.x(mark.x) + mark.aside).clamp(self.left + 3.0, self.right + 2.0)
+    }
+
+    fn range(&self, scene: &mut Scene, mark: &Mark) {
+        let Stated::Range(low, high) = mark.stated else { return };
+        let x = self.aside(mark);
+        let corners = [x - 2.2, self.y(high), x + 2.2, self.y(low)];
+        scene.outlined(
+            Path::rectangle(corners),
+            Paint::Paper,
+            Stroke::solid(mark.style.paint, 0.9),
+        );
+    }
+
+    /// An outline with light hatching; of a bound its line, hatched on the side on which values may be.
+    fn span(&self, scene: &mut Scene, span: &Span) {
+        const DEPTH: f64 = 7.0;
+        let (left, right) = (self.x(span.from), self.x(span.to));
+        let stroke = Stroke::solid(span.paint, 0.6).faded(0.6);
+        let (top, bottom) = match span.stated {
+            Stated::Range(low, high) => (self.y(high), self.y(low)),
+            Stated::Value(v) => (self.y(v), self.y(v)),
+            Stated::Below(v) => (self.y(v), (self.y(v) + DEPTH).min(self.bottom)),
+            Stated::Above(v) => ((self.y(v) - DEPTH).max(self.top), self.y(v)),
+        };
+        let edges = match span.stated {
+            Stated::Range(..) => vec![top, bottom],
+            Stated::Value(_) | Stated::Below(_) => vec![top],
+            Stated::Above(_) => vec![bottom],
+        };
+        for y in edges {
+            scene.line(Path::segment((left, y), (right, y)), stroke.dashed(&[3.0, 1.5]));
+        }
+        for hatch in hatching([left, top, right, bottom]) {
+            scene.line(hatch, Stroke::solid(span.paint, 0.4).faded(0.4));
+        }
+    }
+
+    fn point(&self, scene: &mut Scene, mark: &Mark) {
+        let x = self.aside(mark);
+        let (value, direction) = match mark.stated {
+            Stated::Range(..) => return,
+            Stated::Value(value) => (value, 0.0),
+            Stated::Below(value) => (value, 1.0),
+            Stated::Above(value) => (value, -1.0),
+        };
+        let y = self.y(value);
+        if direction != 0.0 {
+            // The arrow stays in the plot, next to the bound if the bound is at its border.
+            let tip = (y + direction * 13.0).clamp(self.top - 4.0, self.bottom);
+            let mut arrow = Path::segment((x, y), (x, tip));
+            let barb = tip - direction * 3.0;
+            arrow.extend(Path::polyline([(x - 2.0, barb), (x, tip), (x + 2.0, barb)], false));
+            scene.line(arrow, Stroke::solid(mark.style.paint, 0.8 * LINE));
+        }
+        mark.style.mark_hollow(scene, (x, y));
+    }
+}
+
+/// Lines that rise through a rectangle at 45°.
+pub(super) fn hatching([left, top, right, bottom]: [f64; 4]) -> Vec<Path> {
+    const STEP: f64 = 6.0;
+    let height = bottom - top;
+    if height <= 0.0 {
+        return Vec::new();
+    }
+    let count = ((right - left + height) / STEP) as u32;
+    let line = |i: u32| {
+        let foot = left - height + STEP * f64::from(i);
+        let (from, to) = ((left - foot).max(0.0), (right - foot).min(height));
+        (to > from).then(|| Path::segment((foot + from, bottom - from), (foot + to, bottom - to)))
+    };
+    (0..=count).filter_map(line).collect()
+}
+
+/// Places marks that share an x side by side in their order: [`MARKER`]s apart, but none further than `BESIDE`.
+pub fn spread(marks: &mut [Mark]) {
+    let all = marks.to_vec();
+    for (i, mark) in marks.iter_mut().enumerate() {
+        let shares = |other: &&Mark| (other.x - mark.x).abs() < 1e-9;
+        let count = all.iter().filter(shares).count();
+        let turn = all[..i].iter().filter(shares).count();
+        let gaps = count as f64 - 1.0;
+        let step = (2.4 * MARKER).min(2.0 * BESIDE / gaps.max(1.0));
+        mark.aside = (turn as f64 - 0.5 * gaps) * step;
+    }
+}

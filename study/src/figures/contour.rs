@@ -1,0 +1,97 @@
+//! Contour lines of values on a grid, as segments.
+
+/// A point of the unit square.
+type Place = (f64, f64);
+
+/// The segments of the line where values are `level`: `rows` are by rising y, of equal length, at the middles of equal
+/// cells of the unit square; beyond the outermost middles values stay as they are there (marching squares).
+pub fn segments(rows: &[Vec<f64>], level: f64) -> Vec<(Place, Place)> {
+    let (high, wide) = (rows.len(), rows.first().map_or(0, Vec::len));
+    let mut found = Vec::new();
+    if high == 0 || wide == 0 {
+        return found;
+    }
+    // Nodes 0 and n + 1 lie on the border and have the values of their neighbours.
+    let place = |i: usize, count: usize| ((i as f64 - 0.5) / count as f64).clamp(0.0, 1.0);
+    let value = |i: usize, j: usize| rows[j.clamp(1, high) - 1][i.clamp(1, wide) - 1];
+    for j in 0..=high {
+        for i in 0..=wide {
+            let corners = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]
+                .map(|(i, j)| ((place(i, wide), place(j, high)), value(i, j)));
+            let mut crossings = Vec::new();
+            for side in 0..4 {
+                let ((a, from), (b, to)) = (corners[side], corners[(side + 1) % 4]);
+                if (from >= level) != (to >= level) {
+                    let share = (level - from) / (to - from);
+                    crossings.push((a.0 + share * (b.0 - a.0), a.1 + share * (b.1 - a.1)));
+                }
+            }
+            // With four crossings the middle decides which corners hang together.
+            if crossings.len() == 4 {
+                let middle = corners.iter().map(|(_, value)| value).sum::<f64>() / 4.0;
+                if (middle >= level) != (corners[0].1 >= level) {
+                    crossings.rotate_left(1);
+                }
+            }
+            found.extend(crossings.chunks_exact(2).map(|pair| (pair[0], pair[1])));
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn grid(of: impl Fn(f64, f64) -> f64) -> Vec<Vec<f64>> {
+        let middle = |i: u32| (f64::from(i) + 0.5) / 40.0;
+        (0..40)
+            .map(|j| (0..40).map(|i| of(middle(i), middle(j))).collect())
+            .collect()
+    }
+
+    fn length(segments: &[(Place, Place)]) -> f64 {
+        let one = |(a, b): &(Place, Place)| ((a.0 - b.0) * (a.0 - b.0) + (a.1 - b.1) * (a.1 - b.1)).sqrt();
+        segments.iter().map(one).sum()
+    }
+
+    #[test]
+    fn the_line_of_a_cone_is_a_circle() {
+        let cone = grid(|x, y| ((x - 0.5) * (x - 0.5) + (y - 0.5) * (y - 0.5)).sqrt());
+        let found = segments(&cone, 0.3);
+        assert!(
+            (length(&found) - 0.6 * std::f64::consts::PI).abs() < 0.01,
+            "{}",
+            length(&found)
+        );
+        for (a, _) in &found {
+            let reach = ((a.0 - 0.5) * (a.0 - 0.5) + (a.1 - 0.5) * (a.1 - 0.5)).sqrt();
+            assert!((reach - 0.3).abs() < 0.002, "{reach}");
+        }
+        assert!(segments(&cone, 2.0).is_empty() && segments(&[], 0.0).is_empty());
+    }
+
+    #[test]
+    fn the_line_of_a_plane_goes_from_edge_to_edge() {
+        let found = segments(&grid(|x, _| x), 0.4);
+        assert!((length(&found) - 1.0).abs() < 1e-9, "{}", length(&found));
+        assert!(
+            found
+                .iter()
+                .all(|(a, b)| (a.0 - 0.4).abs() < 1e-9 && (b.0 - 0.4).abs() < 1e-9)
+        );
+    }
+
+    #[test]
+    fn lines_do_not_cross_at_a_saddle() {
+        // The middle (0.5) is above the level, so the high corners hang together.
+        let saddle = vec![vec![1.0, 0.0], vec![0.0, 1.0]];
+        let found = segments(&saddle, 0.4);
+        let between = |t: &Place| t.0 + t.1;
+        // Each piece lies wholly on one side of the diagonal through the high corners.
+        for (a, b) in found {
+            let side = |p: &Place| p.1 - p.0;
+            assert!(side(&a) * side(&b) > 0.0, "{a:?} {b:?} {}", between(&a));
+        }
+    }
+}

@@ -1,0 +1,311 @@
+//! The paper's Figs. 13 and 14: harvest and net energy against λ for E_B of 1, 5 and 10 units.
+//!
+//! As in the paper, what a policy spends is held fixed while λ varies: its consumption in the tables, which is that of
+//! Fig. 8. Lines are the closed form λτ·exp(-λτ)·E_B of Eq. (5), points are harvests of the lab's machines
+//! (less the same consumption).
+
+use std::fmt::Write as _;
+
+use reveille_bs::scenario::{Scenario, load};
+use reveille_common::units::Energy;
+
+use super::chart::{Chart, Interval, Mark, Sample, Series, Stated};
+use super::results::Condition;
+use super::scale::Scale;
+use super::style::Style;
+use crate::analysis::AnalysisError;
+use crate::analysis::harvest::{self, Point, Reading, STATED, Study, measure};
+use reveille_lab::stats::Estimate;
+
+/// The names of the two figures.
+pub const NAMES: [&str; 2] = ["harvest", "net"];
+/// E_B of the figures, units.
+const E_B: [f64; 3] = [1.0, 5.0, 10.0];
+/// λ at which harvests are measured.
+const LAMBDAS: [f64; 9] = [0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0];
+/// The ends of the λ axis. Eq. (5) is largest at λτ = 1.
+const ENDS: (f64, f64) = (0.01, 1.0);
+/// Points of a closed form's line.
+const STEPS: u32 = 80;
+/// The N of Fig. 14.
+const NET_N: u32 = 100;
+/// The policies of Fig. 14: those that the paper has as spending most and least.
+const NET_POLICIES: [&str; 2] = ["adjusted", "random"];
+/// The y axis of Fig. 14, units per device and TTI; lines end where they leave it.
+const NET_ENDS: (f64, f64) = (-0.4, 1.0);
+/// Devices, TTIs and runs of the measured harvests.
+const MEASURED: (u32, u64, u64) = (20, 2000, 8);
+
+/// Harvests of the lab's machines for the λ and E_B of the figures, with everything else as in the preset `name`.
+///
+/// # Errors
+/// None for a preset.
+pub fn harvests(name: &str) -> Result<Vec<Point>, AnalysisError> {
+    let (devices, ttis, seeds) = MEASURED;
+    let Ok(preset) = load(name, &[]) else {
+        return Ok(Vec::new());
+    };
+    let scenario = Scenario {
+        devices,
+        ttis,
+        ..preset
+    };
+    measure(&Study {
+        scenario,
+        readings: vec![Reading::Eq5],
+        lambdas: LAMBDAS.to_vec(),
+        e_b: E_B.into_iter().filter_map(Energy::from_units).collect(),
+        seeds,
+    })
+}
+
+/// The least and the most that a policy spends in `condition` with `n` devices, units per device and TTI; the genie,
+/// which no one can build, does not count. `None` without two policies.
+pub fn consumption(condition: &Condition, n: u32) -> Option<[(String, Estimate); 2]> {
+    let policies = condition.policies().into_iter().filter(|policy| *policy != "genie");
+    let spent = policies.filter_map(|policy| {
+        let estimate = condition.estimate(policy, n, "energy_per_device_tti")?;
+        Some((policy.to_owned(), estimate))
+    });
+    let mut spent: Vec<(String, Estimate)> = spent.collect();
+    spent.sort_by(|a, b| a.1.mean.total_cmp(&b.1.mean));
+    match &spent[..] {
+        [least, .., most] => Some([least.clone(), most.clone()]),
+        [] | [_] => None,
+    }
+}
+
+fn lambdas() -> impl Iterator<Item = f64> {
+    let (from, to) = ENDS;
+    (0..=STEPS).map(move |i| from * libm::pow(to / from, f64::from(i) / f64::from(STEPS)))
+}
+
+fn closed_form(e_b: f64, lambda: f64) -> f64 {
+    e_b * Reading::Eq5.probability(lambda, 1.0)
+}
+
+fn axis() -> Scale {
+    Scale::Log {
+        from: ENDS.0,
+        to: ENDS.1,
+    }
+}
+
+/// Fig. 13 with `points` of [`harvests`]; consumption bands for N = 10 and 250 where `condition` has them.
+pub fn harvest_chart(condition: &Condition, points: &[Point]) -> Chart {
+    let (devices, ttis, seeds) = MEASURED;
+    let mut series = Vec::new();
+    let mut bands = String::new();
+    for (n, style) in [(10, Style::nth(1)), (250, Style::nth(2))] {
+        let Some([(less, least), (more, most)]) = consumption(condition, n) else {
+            continue;
+        };
+        let (least, most) = (least.mean, most.mean);
+        let half = 0.5 * (most - least);
+        let samples = [ENDS.0, ENDS.1].map(|x| Sample {
+            x,
+            y: least + half,
+            half,
+            across: f64::NAN,
+        });
+        series.push(Series {
+            name: format!("spent, N = {n}"),
+            style,
+            joined: true,
+            marked: false,
+            interval: Interval::Edges,
+            samples: samples.to_vec(),
+        });
+        let _ = write!(bands, " Spent at N = {n}: {least:.3} ({less}) to {most:.3} ({more}).");
+    }
+    for (e_b, style) in E_B.into_iter().zip([Style::nth(0), Style::nth(3), Style::nth(4)]) {
+        let line = lambdas().map(|x| Sample {
+            x,
+            y: closed_form(e_b, x),
+            half: f64::NAN,
+            across: f64::NAN,
+        });
+        series.push(line_of(format!("E_B = {e_b}"), style, line.collect()));
+        let measured = points.iter().filter(|p| (p.e_b - e_b).abs() < 1e-9);
+        series.push(dots_of(style, measured.map(harvest_of).collect()));
+    }
+    Chart {
+        title: "Harvest against λ (Fig. 13 of the paper)".to_owned(),
+        x_label: "energy arrival rate λ, per TTI".to_owned(),
+        y_label: "units per device and TTI".to_owned(),
+        x: axis(),
+        y: Scale::Log { from: 0.01, to: 10.0 },
+        caption: format!(
+            "Lines: closed form λ·exp(−λ)·E_B, Eq. (5). Points: {seeds} runs with N = {devices}, {ttis} TTIs, made \
+                for this picture \
+             under preset {}, 95 % intervals. Hollow, on the lines: the λ above which, as the paper has it, harvest \
+             exceeds \
+             consumption, N = 10 and 250. Bands: {}.{bands}",
+            condition.preset,
+            condition.label()
+        ),
+        series,
+        marks: STATED
+            .iter()
+            .filter(|s| s.devices != NET_N)
+            .flat_map(marks_of)
+            .collect(),
+        spans: Vec::new(),
+        notes: Vec::new(),
+        zero_below: false,
+    }
+}
+
+/// Fig. 14: what is harvested less what `random` and `adjusted` spend with 100 devices, in closed form and with
+/// `points` of [`harvests`]. `None` if `condition` lacks those policies.
+pub fn net_chart(condition: &Condition, points: &[Point]) -> Option<Chart> {
+    let (devices, ttis, seeds) = MEASURED;
+    let spent = |policy| condition.estimate(policy, NET_N, "energy_per_device_tti");
+    let mut series = Vec::new();
+    let mut figures = Vec::new();
+    for policy in NET_POLICIES {
+        let consumption = spent(policy)?;
+        let (spent, half) = (consumption.mean, consumption.half_width);
+        figures.push(if half.is_nan() {
+            format!("{policy} spends {spent:.3}")
+        } else {
+            format!("{policy} spends {spent:.4} ± {half:.4}")
+        });
+        for (e_b, style) in E_B.into_iter().zip([Style::nth(0), Style::nth(3), Style::nth(4)]) {
+            let net = lambdas().map(|x| Sample {
+                x,
+                y: closed_form(e_b, x) - spent,
+                half,
+                across: f64::NAN,
+            });
+            let style = Style {
+                dashes: Style::of_policy(policy).dashes,
+                ..style
+            };
+            let shown = net.filter(|s| (NET_ENDS.0..=NET_ENDS.1).contains(&s.y));
+            series.push(line_of(format!("{policy}, E_B = {e_b}"), style, shown.collect()));
+            let measured = points.iter().filter(|p| (p.e_b - e_b).abs() < 1e-9);
+            let net = measured.map(|p| net_of(p, &consumption));
+            series.push(dots_of(
+                style,
+                net.filter(|s| (NET_ENDS.0..=NET_ENDS.1).contains(&s.y)).collect(),
+            ));
+        }
+    }
+    let stated = STATED.iter().filter(|s| s.devices == NET_N).flat_map(marks_of);
+    let marks = stated.map(|mark| Mark {
+        stated: Stated::Value(0.0),
+        ..mark
+    });
+    Some(Chart {
+        title: "Net energy against λ (Fig. 14 of the paper)".to_owned(),
+        x_label: "energy arrival rate λ, per TTI".to_owned(),
+        y_label: "units per device and TTI".to_owned(),
+        x: axis(),
+        y: Scale::Linear {
+            from: NET_ENDS.0,
+            to: NET_ENDS.1,
+        },
+        marks: marks.collect(),
+        spans: Vec::new(),
+        notes: Vec::new(),
+        zero_below: false,
+        caption: format!(
+            "Lines: closed form λ·exp(−λ)·E_B, Eq. (5), less what the policy spends with {NET_N} devices, preset {}: \
+             {}; bands are their 95 % intervals. Points: harvests measured in {seeds} runs with N = {devices}, {ttis} \
+             TTIs, \
+             less the same. Hollow, at zero: where the paper says that it turns positive.",
+            condition.label(),
+            figures.join(", ")
+        ),
+        series,
+    })
+}
+
+/// The λ of a statement, on the line of its E_B.
+fn marks_of(stated: &harvest::Stated) -> impl Iterator<Item = Mark> {
+    let own = E_B.iter().position(|e| (e - stated.e_b).abs() < 1e-9).unwrap_or(0);
+    let (style, e_b) = ([Style::nth(0), Style::nth(3), Style::nth(4)][own], stated.e_b);
+    stated.ends().map(move |end| Mark {
+        x: end.lambda,
+        aside: 0.0,
+        stated: Stated::Value(closed_form(e_b, end.lambda)),
+        style,
+    })
+}
+
+fn line_of(name: String, style: Style, samples: Vec<Sample>) -> Series {
+    Series {
+        name,
+        style,
+        joined: true,
+        marked: false,
+        interval: Interval::Area,
+        samples,
+    }
+}
+
+/// Measured points without an entry in the legend.
+fn dots_of(style: Style, samples: Vec<Sample>) -> Series {
+    Series {
+        name: String::new(),
+        style,
+        joined: false,
+        marked: true,
+        interval: Interval::Bars,
+        samples,
+    }
+}
+
+fn harvest_of(point: &Point) -> Sample {
+    Sample {
+        x: point.lambda,
+        y: point.harvested.mean,
+        half: point.harvested.half_width,
+        across: f64::NAN,
+    }
+}
+
+/// The harvest of `point` less `consumption`. The two come from different runs, so their variances add up; of one run
+/// there is none.
+fn net_of(point: &Point, consumption: &Estimate) -> Sample {
+    Sample {
+        x: point.lambda,
+        y: point.harvested.mean - consumption.mean,
+        half: libm::hypot(point.harvested.half_width, consumption.half_width),
+        across: f64::NAN,
+    }
+}
+
+/// What Fig. 13 shows, as CSV.
+pub fn harvest_csv(points: &[Point]) -> String {
+    let mut out = String::from("lambda,e_b,closed_form,harvested,half_width_95,runs\n");
+    for p in points {
+        let Point {
+            lambda,
+            e_b,
+            closed_form,
+            harvested,
+            ..
+        } = p;
+        let (mean, half, runs) = (harvested.mean, harvested.half_width, harvested.runs);
+        let _ = writeln!(out, "{lambda},{e_b},{closed_form},{mean},{half},{runs}");
+    }
+    out
+}
+
+/// What Fig. 14 shows, as CSV: the lines, and the points with their half-widths.
+pub fn net_csv(chart: &Chart) -> String {
+    let mut out = String::from("line,kind,lambda,net,half_width_95\n");
+    let mut line = "";
+    for series in &chart.series {
+        let kind = if series.joined { "closed form" } else { "measured" };
+        if series.joined {
+            line = &series.name;
+        }
+        for Sample { x, y, half, .. } in &series.samples {
+            let _ = writeln!(out, "\"{line}\",{kind},{x},{y},{half}");
+        }
+    }
+    out
+}

@@ -1,0 +1,108 @@
+//! What can be wrong with a wish for a picture.
+
+use thiserror::Error;
+
+/// Why there is no picture.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum FigureError {
+    /// There is no figure of that name.
+    #[error("figure `{name}`: there is none of that name; the figures are {known}")]
+    Unknown {
+        /// The name asked for.
+        name: String,
+        /// All names.
+        known: String,
+    },
+    /// The tables hold no run.
+    #[error("{tables}: no rows, so there is nothing to draw; `reveille sweep` writes tables with runs")]
+    Empty {
+        /// The tables.
+        tables: String,
+    },
+    /// Two tables disagree about a run.
+    #[error(
+        "scenario {scenario}: the tables hold two different outcomes (digests {first} and {second}) of one scenario; \
+            they come \
+         from versions of Reveille that do not agree, so make them again with one version"
+    )]
+    Contradiction {
+        /// The scenario's hash.
+        scenario: String,
+        /// One digest.
+        first: String,
+        /// The other.
+        second: String,
+    },
+    /// The run has no such event.
+    #[error(
+        "event {event}: the run of {ttis} TTIs has {count} events, numbered from 0; give one of them, or a longer run \
+            with --ttis"
+    )]
+    NoEvent {
+        /// The event asked for.
+        event: u64,
+        /// Events in the run.
+        count: usize,
+        /// Length of the run.
+        ttis: u64,
+    },
+    /// The run has no such device.
+    #[error("device {device}: the scenario has {count} devices, numbered 0 to {}", count - 1)]
+    NoDevice {
+        /// The device asked for.
+        device: u32,
+        /// Devices in the run.
+        count: u32,
+    },
+    /// The TTIs asked for are none, too many, or not in the run.
+    #[error("TTIs {from} to {to}: the run has TTIs 0 to {}, and a timeline shows 10 to 2000 of them", ttis - 1)]
+    NoWindow {
+        /// First TTI.
+        from: u64,
+        /// Last TTI.
+        to: u64,
+        /// Length of the run.
+        ttis: u64,
+    },
+    /// Too many devices for a picture that can be read.
+    #[error("{count} devices: {what} shows {limit} at the most; {advice}")]
+    Crowd {
+        /// Devices asked for.
+        count: u32,
+        /// Which picture.
+        what: &'static str,
+        /// How many it can show.
+        limit: u32,
+        /// What to do.
+        advice: &'static str,
+    },
+    /// The file has no table for this number of devices.
+    #[error(
+        "N = {devices}: {file} has tables for {known} devices; reveille train q-learning --devices {devices} --out \
+            FILE learns others"
+    )]
+    NoEntry {
+        /// N asked for.
+        devices: u32,
+        /// The file.
+        file: String,
+        /// Every N that it has.
+        known: String,
+    },
+    /// The file does not tell how its training went.
+    #[error("{file}: holds no learning curve; reveille train q-learning --out FILE writes tables with theirs")]
+    NoCurve {
+        /// The file.
+        file: String,
+    },
+    /// Too much for a picture of learning curves that can be read.
+    #[error("{count} {what}: a picture of learning curves shows {limit} at the most")]
+    Curves {
+        /// How many.
+        count: usize,
+        /// Of what.
+        what: &'static str,
+        /// How many it can show.
+        limit: usize,
+    },
+}

@@ -1,0 +1,144 @@
+//! Text as outlines of DejaVu Sans Condensed, so that a picture looks the same on every machine, with whatever fonts.
+
+use ttf_parser::{Face, GlyphId, OutlineBuilder};
+
+use super::path::{Path, Step};
+
+/// How heavy the letters are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Weight {
+    /// For running text.
+    Regular,
+    /// For titles.
+    Bold,
+}
+
+/// A letter of the font.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Glyph {
+    /// Its weight.
+    pub weight: Weight,
+    /// Its number in the font.
+    pub id: u16,
+}
+
+/// The font. Only its tables of contents are read here, so it need not be kept.
+fn face(weight: Weight) -> Face<'static> {
+    let data = match weight {
+        Weight::Regular => dejavu::sans_condensed::regular(),
+        Weight::Bold => dejavu::sans_condensed::bold(),
+    };
+    Face::parse(data, 0).expect("the font that Reveille brings along")
+}
+
+/// Units of the font in its size.
+pub fn units_per_em(weight: Weight) -> f64 {
+    f64::from(face(weight).units_per_em())
+}
+
+/// The letters of `text` with their places along the base line, in units of the font, and the length of it all. A
+/// letter that the font lacks becomes its box for missing ones.
+pub fn set(text: &str, weight: Weight) -> (Vec<(Glyph, u32)>, u32) {
+    let face = face(weight);
+    let mut at = 0;
+    let glyphs = text
+        .chars()
+        .map(|letter| {
+            let id = face.glyph_index(letter).unwrap_or(GlyphId(0));
+            let place = at;
+            at += u32::from(face.glyph_hor_advance(id).unwrap_or(0));
+            (Glyph { weight, id: id.0 }, place)
+        })
+        .collect();
+    (glyphs, at)
+}
+
+/// The length of `text` in points.
+pub fn width(text: &str, weight: Weight, size: f64) -> f64 {
+    f64::from(set(text, weight).1) * size / units_per_em(weight)
+}
+
+/// Whether the font has every letter of `text`.
+pub fn has(text: &str, weight: Weight) -> bool {
+    let face = face(weight);
+    text.chars().all(|letter| face.glyph_index(letter).is_some())
+}
+
+/// The outline of a letter, in units of the font, y upwards; empty for a space.
+pub fn outline(glyph: Glyph) -> Path {
+    let mut pen = Pen(Path::default());
+    // A letter without an outline leaves the path empty.
+    let _bounds = face(glyph.weight).outline_glyph(GlyphId(glyph.id), &mut pen);
+    pen.0
+}
+
+/// `text` in lines of at most `limit` points, broken at spaces. A word that is longer has a line of its own.
+pub fn wrap(text: &str, weight: Weight, size: f64, limit: f64) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in text.split(' ').filter(|word| !word.is_empty()) {
+        if let Some(line) = lines.last_mut() {
+            let longer = format!("{line} {word}");
+            if width(&longer, weight, size) <= limit {
+                *line = longer;
+                continue;
+            }
+        }
+        lines.push(word.to_owned());
+    }
+    lines
+}
+
+struct Pen(Path);
+
+impl OutlineBuilder for Pen {
+    fn move_to(&mut self, x: f32, y: f32) {
+        self.0.0.push(Step::Move(x.into(), y.into()));
+    }
+
+    fn line_to(&mut self, x: f32, y: f32) {
+        self.0.0.push(Step::Line(x.into(), y.into()));
+    }
+
+    fn quad_to(&mut self, x1: f32, y1: f32, x: f32, y: f32) {
+        self.0.0.push(Step::Quad(x1.into(), y1.into(), x.into(), y.into()));
+    }
+
+    fn curve_to(&mut self, x1: f32, y1: f32, x2: f32, y2: f32, x: f32, y: f32) {
+        let step = Step::Cubic(x1.into(), y1.into(), x2.into(), y2.into(), x.into(), y.into());
+        self.0.0.push(step);
+    }
+
+    fn close(&mut self) {
+        self.0.0.push(Step::Close);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_letters_of_the_model_are_there() {
+        for weight in [Weight::Regular, Weight::Bold] {
+            assert!(has("αβγδληξτφΨΣÎ≥≤≈±×·−–…°², Pr(S₃|S₁) 0123456789 %", weight));
+        }
+        assert!(!has("\u{e000}", Weight::Regular));
+    }
+
+    #[test]
+    fn lines_keep_to_their_length_and_lose_no_word() {
+        let text = "knn, random and genie over 1000 runs of 10 000 TTIs each, mean and 95 % interval of the mean";
+        let lines = wrap(text, Weight::Regular, 8.0, 120.0);
+        assert!(lines.len() > 2);
+        assert!(lines.iter().all(|line| width(line, Weight::Regular, 8.0) <= 120.0));
+        assert_eq!(lines.join(" "), text);
+        assert_eq!(wrap("incomprehensibilities", Weight::Regular, 8.0, 10.0).len(), 1);
+    }
+
+    #[test]
+    fn a_space_has_a_width_and_no_outline() {
+        let (glyphs, length) = set("a b", Weight::Regular);
+        assert_eq!(outline(glyphs[1].0), Path::default());
+        assert!(glyphs[1].1 < glyphs[2].1 && glyphs[2].1 < length);
+    }
+}

@@ -1,0 +1,278 @@
+//! Learning curves of tables: reward and information, episode by episode, a row of panels for each N.
+//!
+//! Rewards of few and of many devices lie far apart and each moves little, so every panel has its own axis.
+
+use std::fmt::Write as _;
+
+use reveille_bs::policy::q_learning::learned::{CurvePoint, Learned};
+
+use super::error::FigureError;
+use super::font::{Weight, width, wrap};
+use super::layout::{EDGE, LARGE, LEADING, SMALL, WIDE};
+use super::path::Path;
+use super::q_table::{setting, trained};
+use super::scale::Scale;
+use super::scene::{Anchor, Paint, Scene, Stroke, Text};
+use super::study::csv_cell;
+use super::style::Style;
+
+/// The most files and the most N of one picture.
+const LIMITS: (usize, usize) = (6, 40);
+/// The most points of a line that have markers.
+const MARKED: usize = 40;
+/// Height of a panel and of the gap below it, points.
+const PANEL: (f64, f64) = (38.0, 11.0);
+/// Where the panels start, and how far they are apart, points.
+const LEFT: f64 = 88.0;
+const GAP: f64 = 48.0;
+/// How pale grid lines are.
+const GRID: f64 = 0.14;
+
+/// What a column of panels shows.
+struct Quantity {
+    title: &'static str,
+    of: fn(&CurvePoint) -> f64,
+}
+
+const QUANTITIES: [Quantity; 2] = [
+    Quantity {
+        title: "reward r(k) per TTI",
+        of: |point| point.reward,
+    },
+    Quantity {
+        title: "information per event",
+        of: |point| point.information,
+    },
+];
+
+/// A file of tables, and its name.
+pub type Source = (String, Learned);
+
+/// The N of all curves of `sources`, each with its area in m², by rising density.
+fn rows(sources: &[Source]) -> Vec<(u32, f64)> {
+    let entries = sources.iter().flat_map(|(_, learned)| &learned.entries);
+    let drawn = entries.filter(|entry| !entry.curve.is_empty());
+    let mut rows: Vec<(u32, f64)> = drawn.map(|entry| (entry.devices, entry.surface)).collect();
+    rows.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
+    rows.dedup();
+    rows
+}
+
+fn curve(learned: &Learned, (devices, surface): (u32, f64)) -> &[CurvePoint] {
+    let is_own = |entry: &&reveille_bs::policy::q_learning::learned::Entry| {
+        entry.devices == devices && entry.surface.to_bits() == surface.to_bits()
+    };
+    learned.entries.iter().find(is_own).map_or(&[], |entry| &entry.curve)
+}
+
+/// The picture: a row for each N, a line for each of `sources`.
+///
+/// # Errors
+/// A file without a curve, too many files, or too many N.
+pub fn scene(sources: &[Source]) -> Result<Scene, FigureError> {
+    let too_many = |count, what, limit| FigureError::Curves { count, what, limit };
+    if sources.len() > LIMITS.0 {
+        return Err(too_many(sources.len(), "files", LIMITS.0));
+    }
+    let is_bare = |(_, learned): &&Source| learned.entries.iter().all(|entry| entry.curve.is_empty());
+    if let Some((file, _)) = sources.iter().find(is_bare) {
+        return Err(FigureError::NoCurve { file: file.clone() });
+    }
+    let rows = rows(sources);
+    if rows.len() > LIMITS.1 {
+        return Err(too_many(rows.len(), "numbers of devices", LIMITS.1));
+    }
+    let mut scene = Scene::new(WIDE, 0.0);
+    "Learning curves of q-learning".clone_into(&mut scene.title);
+    scene.description = caption(sources);
+    let mut y = EDGE + LARGE;
+    scene.text(Text::new(scene.title.clone(), (EDGE, y), LARGE).bold());
+    y = legend(&mut scene, sources, y + LEADING + 3.0);
+    let wide = 0.5 * (WIDE - EDGE - 14.0 - LEFT - GAP);
+    let lefts = [LEFT, LEFT + wide + GAP];
+    for (left, quantity) in lefts.iter().zip(&QUANTITIES) {
+        let at = (left + 0.5 * wide, y);
+        scene.text(Text::new(quantity.title, at, SMALL).bold().anchored(Anchor::Middle));
+    }
+    let last = sources.iter().flat_map(|(_, l)| &l.entries).flat_map(|e| &e.curve);
+    let x = Scale::linear([0.0, last.map(|p| p.ttis as f64).fold(1.0, f64::max)], true);
+    let is_one_area = rows.windows(2).all(|pair| pair[0].1.to_bits() == pair[1].1.to_bits());
+    let mut top = y + 7.0;
+    for (i, row) in rows.iter().enumerate() {
+        name(&mut scene, *row, is_one_area, top);
+        for (left, quantity) in lefts.iter().zip(&QUANTITIES) {
+            let panel = Panel {
+                corners: [*left, top, left + wide, top + PANEL.0],
+                x,
+                is_last: i + 1 == rows.len(),
+            };
+            panel.draw(&mut scene, sources, *row, quantity);
+        }
+        top += PANEL.0 + PANEL.1;
+    }
+    let mut y = top - PANEL.1 + 3.0 * LEADING + 6.0;
+    for line in wrap(&scene.description.clone(), Weight::Regular, SMALL, WIDE - 2.0 * EDGE) {
+        scene.text(Text::new(line, (EDGE, y), SMALL));
+        y += LEADING;
+    }
+    scene.height = (y - LEADING + 0.24 * SMALL + EDGE).ceil();
+    Ok(scene)
+}
+
+/// N beside a row, with its area if not all rows have the same.
+fn name(scene: &mut Scene, (devices, surface): (u32, f64), is_one_area: bool, top: f64) {
+    let middle = top + 0.5 * PANEL.0;
+    scene.text(Text::new(format!("N = {devices}"), (EDGE, middle + 0.36 * SMALL), SMALL).bold());
+    if !is_one_area {
+        scene.text(Text::new(
+            format!("{surface} m²"),
+            (EDGE, middle + 0.36 * SMALL + LEADING),
+            SMALL,
+        ));
+    }
+}
+
+/// The files with their lines, if there are several; gives the y below.
+fn legend(scene: &mut Scene, sources: &[Source], mut y: f64) -> f64 {
+    const SWATCH: f64 = 22.0;
+    if sources.len() < 2 {
+        return y + 2.0;
+    }
+    let mut x = EDGE;
+    for (i, (file, _)) in sources.iter().enumerate() {
+        let (style, file) = (Style::nth(i), fit(file, WIDE - 2.0 * EDGE - SWATCH));
+        let needed = SWATCH + width(&file, Weight::Regular, SMALL);
+        if x > EDGE && x + needed > WIDE - EDGE {
+            (x, y) = (EDGE, y + LEADING + 1.0);
+        }
+        let middle = y - 0.35 * SMALL;
+        scene.line(Path::segment((x, middle), (x + 18.0, middle)), style.line());
+        style.mark(scene, (x + 9.0, middle));
+        scene.text(Text::new(file, (x + SWATCH, y), SMALL));
+        x += needed + 9.0;
+    }
+    y + LEADING + 6.0
+}
+
+/// The end of `text` that is at most `limit` points long.
+fn fit(text: &str, limit: f64) -> String {
+    let all: Vec<char> = text.chars().collect();
+    let shortened = (0..all.len()).map(|from| {
+        let mark = if from == 0 { "" } else { "…" };
+        format!("{mark}{}", all[from..].iter().collect::<String>())
+    });
+    let mut fitting = shortened.filter(|text| width(text, Weight::Regular, SMALL) <= limit);
+    fitting.next().unwrap_or_default()
+}
+
+fn caption(sources: &[Source]) -> String {
+    let mut text = String::from(
+        "A point is an episode on a deployment of its own: its mean reward, and information per event, while the \
+         policy also tried things out. Episodes rank wake-ups by posterior and by p42 in turn. Every panel has its \
+         own axis, \
+         which need not start at zero.",
+    );
+    let is_one_setting = sources.windows(2).all(|pair| pair[0].1.setting == pair[1].1.setting);
+    for (file, learned) in sources {
+        if sources.len() > 1 {
+            let _ = write!(text, " {}:", fit(file, WIDE - 8.0 * EDGE));
+        }
+        let _ = write!(text, " {}", trained(learned, "for each N"));
+        if !is_one_setting {
+            let _ = write!(text, " {}", setting(learned));
+        }
+    }
+    if let Some((_, first)) = sources.first().filter(|_| is_one_setting) {
+        let _ = write!(text, " {}", setting(first));
+    }
+    text
+}
+
+/// One panel.
+struct Panel {
+    /// Left, top, right, bottom.
+    corners: [f64; 4],
+    x: Scale,
+    is_last: bool,
+}
+
+impl Panel {
+    fn draw(&self, scene: &mut Scene, sources: &[Source], row: (u32, f64), quantity: &Quantity) {
+        let [left, top, right, bottom] = self.corners;
+        let points = || sources.iter().flat_map(|(_, learned)| curve(learned, row));
+        let scale = Scale::linear(points().map(quantity.of), false);
+        self.axes(scene, scale);
+        let at = |point: &CurvePoint| {
+            let x = left + self.x.place(point.ttis as f64) * (right - left);
+            (x, bottom - scale.place((quantity.of)(point)) * (bottom - top))
+        };
+        for (i, (_, learned)) in sources.iter().enumerate() {
+            let (style, curve) = (Style::nth(i), curve(learned, row));
+            if curve.len() > 1 {
+                scene.line(Path::polyline(curve.iter().map(at), false), style.line());
+            }
+            if curve.len() <= MARKED {
+                for point in curve {
+                    style.mark(scene, at(point));
+                }
+            }
+        }
+    }
+
+    /// Ticks of y have labels at the ends alone: there is no room for more.
+    fn axes(&self, scene: &mut Scene, y: Scale) {
+        let [left, top, right, bottom] = self.corners;
+        let (axis, grid) = (
+            Stroke::solid(Paint::Ink, 0.7),
+            Stroke::solid(Paint::Ink, 0.5).faded(GRID),
+        );
+        let ticks = y.ticks();
+        for (i, tick) in ticks.iter().enumerate() {
+            let at = bottom - y.place(tick.value) * (bottom - top);
+            scene.line(Path::segment((left, at), (right, at)), grid);
+            scene.line(Path::segment((left - 2.5, at), (left, at)), axis);
+            if i == 0 || i + 1 == ticks.len() {
+                let text = Text::new(tick.label.as_str(), (left - 4.0, at + 0.36 * SMALL), SMALL);
+                scene.text(text.anchored(Anchor::End));
+            }
+        }
+        for tick in self.x.ticks() {
+            let at = left + self.x.place(tick.value) * (right - left);
+            scene.line(Path::segment((at, top), (at, bottom)), grid);
+            scene.line(Path::segment((at, bottom), (at, bottom + 2.5)), axis);
+            if self.is_last {
+                let text = Text::new(tick.label, (at, bottom + LEADING + 1.5), SMALL);
+                scene.text(text.anchored(Anchor::Middle));
+            }
+        }
+        scene.line(
+            Path::polyline([(left, top), (left, bottom), (right, bottom)], false),
+            axis,
+        );
+        if self.is_last {
+            let below = (0.5 * (left + right), bottom + 2.0 * LEADING + 2.5);
+            scene.text(Text::new("TTIs of training", below, SMALL).anchored(Anchor::Middle));
+        }
+    }
+}
+
+/// What is drawn, as CSV.
+pub fn csv(sources: &[Source]) -> String {
+    let mut out = String::from("file,n,surface,ttis,reward_per_tti,info_per_event,energy_per_device_tti\n");
+    for (file, learned) in sources {
+        let file = csv_cell(file);
+        for entry in &learned.entries {
+            for point in &entry.curve {
+                let CurvePoint {
+                    ttis,
+                    reward,
+                    information,
+                    energy,
+                } = point;
+                let (n, surface) = (entry.devices, entry.surface);
+                let _ = writeln!(out, "{file},{n},{surface},{ttis},{reward},{information},{energy}");
+            }
+        }
+    }
+    out
+}

@@ -1,0 +1,170 @@
+//! Words beside points of a chart, where there is room for them.
+
+use super::font::{Weight, width};
+use super::layout::SMALL;
+use super::scene::{Anchor, Text};
+use super::style::MARKER;
+
+/// Words beside a point.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Note {
+    /// Where.
+    pub x: f64,
+    /// Where.
+    pub y: f64,
+    /// What it says.
+    pub text: String,
+}
+
+/// The box of a text or a marker: left, top, right, bottom, points.
+type Corners = [f64; 4];
+
+/// What notes keep clear of, points.
+#[derive(Clone, Debug, Default)]
+pub struct Obstacles {
+    /// Markers: their centres, and how far they reach.
+    pub markers: Vec<((f64, f64), f64)>,
+    /// Lines, which may be crossed where there is no other room.
+    pub lines: Vec<[(f64, f64); 2]>,
+}
+
+/// `notes` beside their places within `frame`, clear of each other and of `obstacles`, all in points. The first come
+/// first; one without a free side is left out.
+pub fn settle(notes: &[((f64, f64), &str)], obstacles: &Obstacles, frame: Corners) -> Vec<Text> {
+    let markers = obstacles.markers.iter();
+    let markers: Vec<Corners> = markers.map(|&((x, y), r)| [x - r, y - r, x + r, y + r]).collect();
+    let mut settled: Vec<Text> = Vec::new();
+    for &(at, words) in notes {
+        let taken: Vec<Corners> = settled.iter().map(Text::bounds).collect();
+        let is_free = |text: &Text| {
+            let own = text.bounds();
+            let is_inside = own[0] >= frame[0] && own[1] >= frame[1] && own[2] <= frame[2] && own[3] <= frame[3];
+            is_inside && !markers.iter().chain(&taken).any(|other| meet(own, *other))
+        };
+        let crossed = |text: &Text| {
+            let own = letters(text);
+            obstacles.lines.iter().filter(|line| cross(own, **line)).count()
+        };
+        // Of equally good sides `min_by_key` takes the first.
+        let best = sides(at, words).into_iter().filter(is_free).min_by_key(crossed);
+        settled.extend(best);
+    }
+    settled
+}
+
+/// The box of a text without the room for descenders, which numbers do not have.
+fn letters(text: &Text) -> Corners {
+    let [left, top, right, _] = text.bounds();
+    [left, top, right, text.at.1]
+}
+
+/// Whether part of a line is in a box: its stretches between the left and right and the top and bottom borders overlap.
+fn cross([left, top, right, bottom]: Corners, [from, to]: [(f64, f64); 2]) -> bool {
+    let (mut start, mut end) = (0.0_f64, 1.0_f64);
+    for (at, change, low, high) in [
+        (from.0, to.0 - from.0, left, right),
+        (from.1, to.1 - from.1, top, bottom),
+    ] {
+        if change == 0.0 {
+            if at <= low || at >= high {
+                return false;
+            }
+        } else {
+            let (a, b) = ((low - at) / change, (high - at) / change);
+            (start, end) = (start.max(a.min(b)), end.min(a.max(b)));
+        }
+    }
+    start < end
+}
+
+/// `words` right of, left of, above, below and in the corners around a point.
+fn sides((x, y): (f64, f64), words: &str) -> [Text; 8] {
+    const AWAY: f64 = MARKER + 2.0;
+    let half = 0.5 * width(words, Weight::Regular, SMALL);
+    let middle = y + 0.36 * SMALL;
+    let (above, below) = (y - AWAY - 0.24 * SMALL, y + AWAY + 0.76 * SMALL);
+    let text = |x: f64, y: f64| Text::new(words, (x, y), SMALL).anchored(Anchor::Middle);
+    [
+        text(x + AWAY + half, middle),
+        text(x - AWAY - half, middle),
+        text(x, above),
+        text(x, below),
+        text(x + MARKER + half, above),
+        text(x - MARKER - half, above),
+        text(x + MARKER + half, below),
+        text(x - MARKER - half, below),
+    ]
+}
+
+fn meet(a: Corners, b: Corners) -> bool {
+    a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FRAME: Corners = [0.0, 0.0, 100.0, 100.0];
+
+    #[test]
+    fn notes_keep_clear_of_each_other_of_markers_and_of_the_border() {
+        let points: Vec<(f64, f64)> = (0..10).map(|i| (50.0 + 0.5 * f64::from(i), 50.0)).collect();
+        let notes: Vec<_> = points.iter().map(|p| (*p, "250")).collect();
+        let markers = points.iter().map(|point| (*point, MARKER)).collect();
+        let obstacles = Obstacles {
+            markers,
+            ..Obstacles::default()
+        };
+        let settled = settle(&notes, &obstacles, FRAME);
+        assert!((2..10).contains(&settled.len()), "{settled:?}");
+        for (i, a) in settled.iter().enumerate() {
+            assert!(settled[..i].iter().all(|b| !meet(a.bounds(), b.bounds())));
+            for (x, y) in &points {
+                assert!(!meet(a.bounds(), [x - 1.0, y - 1.0, x + 1.0, y + 1.0]), "{a:?}");
+            }
+        }
+        let corner = settle(&[((99.0, 1.0), "10")], &Obstacles::default(), FRAME);
+        let [left, top, right, bottom] = corner[0].bounds();
+        assert!(left >= 0.0 && top >= 0.0 && right <= 100.0 && bottom <= 100.0);
+    }
+
+    #[test]
+    fn the_first_note_has_the_best_place() {
+        let settled = settle(
+            &[((50.0, 50.0), "10"), ((50.0, 50.0), "20")],
+            &Obstacles::default(),
+            FRAME,
+        );
+        assert_eq!(settled[0].text, "10");
+        assert!(settled[0].bounds()[0] > 50.0 && settled[1].bounds()[2] < 50.0);
+    }
+
+    #[test]
+    fn lines_are_crossed_only_where_there_is_no_other_room() {
+        let to_the_right = [(50.0, 50.0), (100.0, 50.0)];
+        let obstacles = |lines: &[[(f64, f64); 2]]| Obstacles {
+            markers: vec![((50.0, 50.0), MARKER)],
+            lines: lines.to_vec(),
+        };
+        let settled = settle(&[((50.0, 50.0), "10")], &obstacles(&[to_the_right]), FRAME);
+        assert!(settled[0].bounds()[2] < 50.0, "{settled:?}");
+        // Lines so close that every side is crossed.
+        let all: Vec<_> = (0..100).map(|y| [(0.0, f64::from(y)), (100.0, f64::from(y))]).collect();
+        assert_eq!(settle(&[((50.0, 50.0), "10")], &obstacles(&all), FRAME).len(), 1);
+    }
+
+    #[test]
+    fn a_line_crosses_a_box_that_it_goes_through() {
+        let corners = [10.0, 10.0, 20.0, 20.0];
+        for (line, expected) in [
+            ([(0.0, 0.0), (30.0, 30.0)], true),
+            ([(15.0, 12.0), (16.0, 13.0)], true),
+            ([(15.0, 0.0), (15.0, 30.0)], true),
+            ([(0.0, 15.0), (9.0, 15.0)], false),
+            ([(0.0, 12.0), (12.0, 0.0)], false),
+            ([(25.0, 0.0), (25.0, 30.0)], false),
+        ] {
+            assert_eq!(cross(corners, line), expected, "{line:?}");
+        }
+    }
+}

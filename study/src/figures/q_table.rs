@@ -1,0 +1,475 @@
+//! What `q-learning` has learned for one N: the table of its duty cycling and those of its wake-ups, as heat maps.
+
+use std::f64::consts::PI;
+use std::fmt::Write as _;
+
+use reveille_bs::policy::q_learning::learned::{
+    AREAS, BATTERIES, Cell, Entry, INFORMATIONS, Learned, NODES, REPORTS, SCORES, WakeTable, area_edge, score_edge,
+};
+use reveille_common::scenario::WakeUpRanking;
+
+use super::chart::{Chart, Interval, Sample, Series};
+use super::error::FigureError;
+use super::font::{Weight, wrap};
+use super::heat::{HeatCell, HeatMap, Known, Rows, key};
+use super::layout::{EDGE, LARGE, LEADING, SMALL, WIDE};
+use super::scale::Scale;
+use super::scene::{Scene, Text};
+use super::style::Style;
+
+/// Heights of rows, points.
+const DUTY_ROW: f64 = 15.0;
+const WAKE_ROW: f64 = 12.0;
+/// Distance of panels, points.
+const GAP: f64 = 12.0;
+/// The ends of the buckets of Î, shares of Ψ; those of
+/// [`reveille_bs::policy::q_learning::learned::information_bucket`].
+const INFORMATION: [f64; INFORMATIONS + 1] = [0.0, 0.03, 0.08, 0.15, 0.25, 0.4, 0.55, 0.75, 1.0];
+/// From which battery bucket on a device can sense and report.
+const ABLE: usize = 2;
+
+/// The entry of `learned`, read from `file`, for `devices` devices.
+///
+/// # Errors
+/// It has none.
+pub fn entry<'l>(file: &str, learned: &'l Learned, devices: u32) -> Result<&'l Entry, FigureError> {
+    let found = learned.entries.iter().find(|entry| entry.devices == devices);
+    found.ok_or_else(|| {
+        let known: Vec<String> = learned.entries.iter().map(|entry| entry.devices.to_string()).collect();
+        FigureError::NoEntry {
+            devices,
+            file: file.to_owned(),
+            known: known.join(", "),
+        }
+    })
+}
+
+/// E_max, E_idle and E_Tx of the training, units, if it says so.
+fn energies(learned: &Learned) -> Option<[f64; 3]> {
+    let [e_max, e_idle, e_tx] = ["energy.e_max", "energy.e_idle", "energy.e_tx"].map(|name| field(learned, name));
+    Some([e_max?, e_idle?, e_tx?])
+}
+
+/// A number of the training's scenario.
+fn field(learned: &Learned, name: &str) -> Option<f64> {
+    let own = learned.setting.numbers.iter().find(|(path, _)| path == name);
+    own.map(|(_, value)| *value)
+}
+
+/// The ends of the battery buckets, units.
+fn battery_ends([e_max, e_idle, e_tx]: [f64; 3]) -> [f64; BATTERIES + 1] {
+    let needed = e_idle + e_tx;
+    let part = (e_max - needed) / (BATTERIES - ABLE) as f64;
+    std::array::from_fn(|end| match end {
+        0 => 0.0,
+        1 => e_idle,
+        _ => needed + part * (end - ABLE) as f64,
+    })
+}
+
+/// The ends of the area buckets, shares of the sensing disc.
+fn area_ends() -> [f64; AREAS + 1] {
+    std::array::from_fn(|end| match end {
+        0 => 0.0,
+        AREAS => 1.0,
+        _ => area_edge(end - 1),
+    })
+}
+
+/// The ends of the score buckets, shares of Ψ.
+fn score_ends() -> [f64; SCORES + 1] {
+    std::array::from_fn(score_edge)
+}
+
+/// `value` to two digits, without more zeros than it needs.
+fn short(value: f64) -> String {
+    let decimals = if value == 0.0 || value >= 9.95 {
+        0
+    } else if value >= 0.995 {
+        1
+    } else {
+        2
+    };
+    let text = format!("{value:.decimals$}");
+    if text.contains('.') {
+        text.trim_end_matches('0').trim_end_matches('.').to_owned()
+    } else {
+        text
+    }
+}
+
+/// The duty table of `entry` as it is drawn.
+pub fn duty_map(learned: &Learned, entry: &Entry) -> HeatMap {
+    let used = entry.duty.advantages();
+    let cell = |battery: usize, area: usize| {
+        let [on, off] = [true, false].map(|delta| entry.duty.at(battery, area, delta));
+        HeatCell {
+            value: on.value - off.value,
+            known: match (on.visits, off.visits) {
+                (0, 0) => Known::Never,
+                (0, _) | (_, 0) => Known::Half,
+                (_, _) => Known::Well,
+            },
+            framed: battery >= ABLE && used[battery][area] > 0.0,
+        }
+    };
+    let ends = energies(learned).map(battery_ends);
+    let name = |battery: usize| {
+        let range = ends.map(|ends| format!("{}–{}", short(ends[battery]), short(ends[battery + 1])));
+        match (battery, range) {
+            (0, range) => format!("cannot sense: {}", range.unwrap_or_default()),
+            (1, range) => format!("cannot report: {}", range.unwrap_or_default()),
+            (_, Some(range)) => range,
+            (_, None) => format!("sixth {} of the rest", battery - 1),
+        }
+    };
+    let in_units = |unit: &str, whole: f64| (unit.to_owned(), area_ends().map(|end| short(whole * end)).to_vec());
+    let mut columns = vec![in_units("% of the disc", 100.0)];
+    if let Some(d_max) = field(learned, "sensing.d_max") {
+        columns.push(in_units("m²", PI * d_max * d_max));
+    }
+    HeatMap {
+        x_label: "area that the device would newly cover: share of its sensing disc".to_owned(),
+        y_label: "battery, units".to_owned(),
+        columns,
+        rows: Rows::Names((0..BATTERIES).map(name).collect()),
+        cells: (0..BATTERIES)
+            .map(|battery| (0..AREAS).map(|area| cell(battery, area)).collect())
+            .collect(),
+    }
+}
+
+/// The picture of the duty table of `entry`: advantages, and V beneath them.
+pub fn duty_scene(learned: &Learned, entry: &Entry) -> Scene {
+    let title = format!("What sensing is worth with N = {}: Q(s, 1) − Q(s, 0)", entry.devices);
+    let map = duty_map(learned, entry);
+    let text = format!(
+        "A cell is a state s of a device: its battery, and how much of the area it would newly cover. The number is \
+            what it \
+         gains if it senses in the next TTI (δ = 1) rather than sleeps, in units of N r(k). Within the bold line the \
+         policy lets it sense, those with most to gain first: there the advantage is positive once it is made never \
+         to fall with \
+         the area, and the battery is enough to sense and report. Colours follow the root of the number. {}{}",
+        if map.count(Known::Half) > 0 {
+            "Where one action was never tried, it is worth its start, what it brings at once, so read such a number \
+                as a guess. "
+        } else {
+            ""
+        },
+        learned_on(learned, entry)
+    );
+    let (mut scene, y) = begun(title, text.clone());
+    let largest = map.largest();
+    let mut y = map.draw(&mut scene, (EDGE, y), (WIDE - 2.0 * EDGE, DUTY_ROW), largest);
+    let half = (map.count(Known::Half) > 0).then_some("one action never tried");
+    y = key(&mut scene, (EDGE, y), largest, "senses", half) + 8.0;
+    let value = value_chart(learned, entry).scene();
+    let lower = value.height;
+    scene.put(value, (0.0, y));
+    let (left, mut line_y) = (0.5 * (WIDE + GAP), y + EDGE + LARGE);
+    for line in wrap(&text, Weight::Regular, SMALL, WIDE - EDGE - left) {
+        scene.text(Text::new(line, (left, line_y), SMALL));
+        line_y += LEADING;
+    }
+    scene.height = (y + lower).max(line_y - LEADING + 0.24 * SMALL + EDGE).ceil();
+    scene
+}
+
+/// A scene with its title, and the y below that.
+fn begun(title: String, description: String) -> (Scene, f64) {
+    let mut scene = Scene::new(WIDE, 0.0);
+    scene.text(Text::new(title.as_str(), (EDGE, EDGE + LARGE), LARGE).bold());
+    scene.title = title;
+    scene.description = description;
+    (scene, EDGE + LARGE + LEADING)
+}
+
+/// V against the battery.
+fn value_chart(learned: &Learned, entry: &Entry) -> Chart {
+    let e_max = energies(learned).map(|[e_max, ..]| e_max);
+    let sample = |node: usize, y: f64| Sample {
+        x: e_max.unwrap_or(1.0) * node as f64 / (NODES - 1) as f64,
+        y,
+        half: f64::NAN,
+        across: f64::NAN,
+    };
+    let used: Vec<Sample> = (0..)
+        .zip(entry.duty.values())
+        .map(|(node, y)| sample(node, y))
+        .collect();
+    let visited = |(_, cell): &(usize, &Cell)| cell.visits > 0;
+    let raw = entry.duty.value.iter().enumerate().filter(visited);
+    let raw: Vec<Sample> = raw.map(|(node, cell)| sample(node, cell.value)).collect();
+    let ys = used.iter().chain(&raw).map(|s| s.y);
+    let (y, x) = (
+        Scale::linear(ys, false),
+        Scale::linear([0.0, sample(NODES - 1, 0.0).x], true),
+    );
+    let series = |name: &str, style: Style, joined: bool, samples: Vec<Sample>| Series {
+        name: name.to_owned(),
+        style,
+        joined,
+        marked: !joined,
+        interval: Interval::Bars,
+        samples,
+    };
+    Chart {
+        title: "Value V of a battery".to_owned(),
+        x_label: match e_max {
+            Some(_) => "battery, units".to_owned(),
+            None => "battery, share of E_max".to_owned(),
+        },
+        y_label: "V, units of N r(k)".to_owned(),
+        x,
+        y,
+        series: vec![
+            series("as the policy uses it", Style::nth(0), true, used),
+            series("as learned", Style::nth(1), false, raw),
+        ],
+        marks: Vec::new(),
+        spans: Vec::new(),
+        notes: Vec::new(),
+        zero_below: false,
+        caption: "What a device can expect in all, with discount ζ. The policy makes it never fall with the battery."
+            .to_owned(),
+    }
+}
+
+/// What `entry` was learned on, in two sentences.
+fn learned_on(learned: &Learned, entry: &Entry) -> String {
+    let (n, surface) = (entry.devices, entry.surface);
+    format!(
+        "{} {}",
+        trained(learned, &format!("with N = {n} on {surface} m²")),
+        setting(learned)
+    )
+}
+
+/// By whom a file was learned, how, and for which weights; `place` says on how many devices or how large an area.
+pub(super) fn trained(learned: &Learned, place: &str) -> String {
+    let (weights, schedule, training) = (learned.weights, &learned.schedule, &learned.training);
+    let (first, last) = training.epsilon;
+    format!(
+        "Learned by {} for μ1 = {}, μ2 = {}, ζ = {} and a window of {} TTIs, in {} episodes of {} TTIs {place}, ε \
+            from {first} \
+         to {last}, learning rate max((n + 4)^−{}, {}), optimism {}, seed {}{}.",
+        learned.made_by,
+        weights.mu1,
+        weights.mu2,
+        weights.zeta,
+        learned.window,
+        training.episodes,
+        training.ttis,
+        schedule.rate_decay,
+        schedule.rate_floor,
+        schedule.optimism,
+        training.seed,
+        learned
+            .begun_from
+            .as_ref()
+            .map_or_else(String::new, |from| format!("; begun from {from}")),
+    )
+}
+
+/// The setting that a file was learned on, in a sentence.
+pub(super) fn setting(learned: &Learned) -> String {
+    let words = learned.setting.words.iter();
+    let words = words.map(|(name, value)| format!("{name} = {value}"));
+    let numbers = learned.setting.numbers.iter();
+    // To four decimals, without zeros at the end.
+    let numbers = numbers.map(|(name, value)| format!("{name} = {}", (value * 1e4).round() / 1e4));
+    let all: Vec<String> = words.chain(numbers).collect();
+    format!("Setting: {}.", all.join(", "))
+}
+
+/// What is drawn of the duty table, as CSV.
+pub fn duty_csv(learned: &Learned, entry: &Entry) -> String {
+    let mut out = String::from(
+        "bucket,battery_from,battery_to,area_from,area_to,q_sleep,visits_sleep,q_sense,visits_sense,\
+         advantage,used,senses\n",
+    );
+    let (areas, batteries) = (area_ends(), energies(learned).map(battery_ends));
+    let used = entry.duty.advantages();
+    for (battery, cells) in duty_map(learned, entry).cells.iter().enumerate() {
+        let range = batteries.map_or_else(
+            || ",".to_owned(),
+            |ends| format!("{},{}", ends[battery], ends[battery + 1]),
+        );
+        for (area, cell) in cells.iter().enumerate() {
+            let [off, on] = [false, true].map(|delta| entry.duty.at(battery, area, delta));
+            let _ = writeln!(
+                out,
+                "{battery},{range},{},{},{},{},{},{},{},{},{}",
+                areas[area],
+                areas[area + 1],
+                off.value,
+                off.visits,
+                on.value,
+                on.visits,
+                cell.value,
+                used[battery][area],
+                u8::from(cell.framed)
+            );
+        }
+    }
+    out
+}
+
+/// V, as CSV.
+pub fn value_csv(learned: &Learned, entry: &Entry) -> String {
+    let mut out = String::from("battery,value,visits,used\n");
+    let e_max = energies(learned).map_or(1.0, |[e_max, ..]| e_max);
+    for (node, (cell, used)) in entry.duty.value.iter().zip(entry.duty.values()).enumerate() {
+        let level = e_max * node as f64 / (NODES - 1) as f64;
+        let _ = writeln!(out, "{level},{},{},{used}", cell.value, cell.visits);
+    }
+    out
+}
+
+/// The wake-up table of `entry` for one ranking.
+pub const fn wake_table(entry: &Entry, ranking: WakeUpRanking) -> &WakeTable {
+    match ranking {
+        WakeUpRanking::P42 => &entry.wake_p42,
+        WakeUpRanking::Posterior => &entry.wake_posterior,
+    }
+}
+
+/// The wake-up table after `reports` reports, a bucket.
+fn wake_map(table: &WakeTable, reports: usize) -> HeatMap {
+    let used: [_; INFORMATIONS] = std::array::from_fn(|information| table.worths(information, reports));
+    let cell = |score: usize, information: usize| {
+        let cell = table.at([score, information, reports]);
+        HeatCell {
+            value: cell.value,
+            known: if cell.visits == 0 { Known::Never } else { Known::Well },
+            framed: used[information][score] <= 0.0,
+        }
+    };
+    let row = |score: usize| (0..INFORMATIONS).map(|information| cell(score, information)).collect();
+    // Every other end is a root between two halvings.
+    let score = |end: usize| match SCORES - end {
+        _ if end == 0 => "0".to_owned(),
+        0 => "1".to_owned(),
+        roots if roots % 2 == 1 => String::new(),
+        roots => format!("1/{}", 1_u32 << (roots / 2)),
+    };
+    HeatMap {
+        x_label: "information so far Î / Ψ".to_owned(),
+        y_label: "score of the best candidate / Ψ".to_owned(),
+        columns: vec![(String::new(), INFORMATION.map(short).to_vec())],
+        rows: Rows::Ends((0..=SCORES).map(score).collect()),
+        cells: (0..SCORES).map(row).collect(),
+    }
+}
+
+/// The picture of a wake-up table of `entry`: a panel for each number of reports.
+pub fn wake_scene(learned: &Learned, entry: &Entry, ranking: WakeUpRanking) -> Scene {
+    let (table, name) = (wake_table(entry, ranking), ranking.name());
+    let title = format!("What a wake-up is worth with N = {}, ranking {name}: Q", entry.devices);
+    let text = format!(
+        "A cell is what the BS knows of an event: the score of the best device that it could wake (rows, as a share \
+            of Ψ), \
+         the information that it has (columns), and the reports so far (panels). The number is what waking is worth, \
+         in units of \
+         N r*(k), where stopping is worth 0. Within the bold line the policy does not wake: there the number is not \
+         positive once it is made never to fall with \
+         the score. Cells that were never visited keep the optimistic start. Colours follow the root of the \
+         number, the same in all panels. {}",
+        learned_on(learned, entry)
+    );
+    let (mut scene, top) = begun(title, text.clone());
+    let maps: Vec<HeatMap> = (0..REPORTS).map(|reports| wake_map(table, reports)).collect();
+    let largest = maps.iter().map(HeatMap::largest).fold(0.0, f64::max);
+    let wide = 0.5 * (WIDE - 2.0 * EDGE - GAP);
+    let mut y = top;
+    for (row, pair) in maps.chunks(2).enumerate() {
+        let mut below = y;
+        for (column, map) in pair.iter().enumerate() {
+            let left = EDGE + (wide + GAP) * column as f64;
+            let name = match 2 * row + column {
+                0 => "after 1 report".to_owned(),
+                last if last + 1 == REPORTS => format!("after {REPORTS} reports and more"),
+                reports => format!("after {} reports", reports + 1),
+            };
+            scene.text(Text::new(name, (left + 0.5 * wide, y + 2.0), SMALL).anchored(super::scene::Anchor::Middle));
+            below = map.draw(&mut scene, (left, y + LEADING), (wide, WAKE_ROW), largest);
+        }
+        y = below + 6.0;
+    }
+    y = key(&mut scene, (EDGE, y - 2.0), largest, "does not wake", None) + LEADING + 4.0;
+    for line in wrap(&text, Weight::Regular, SMALL, WIDE - 2.0 * EDGE) {
+        scene.text(Text::new(line, (EDGE, y), SMALL));
+        y += LEADING;
+    }
+    scene.height = (y - LEADING + 0.24 * SMALL + EDGE).ceil();
+    scene
+}
+
+/// What is drawn of a wake-up table, as CSV.
+pub fn wake_csv(entry: &Entry, ranking: WakeUpRanking) -> String {
+    let mut out = String::from("reports,score_from,score_to,information_from,information_to,q,visits,used,wakes\n");
+    let (table, scores) = (wake_table(entry, ranking), score_ends());
+    for reports in 0..REPORTS {
+        for score in 0..SCORES {
+            for information in 0..INFORMATIONS {
+                let cell = table.at([score, information, reports]);
+                let used = table.worths(information, reports)[score];
+                let _ = writeln!(
+                    out,
+                    "{},{},{},{},{},{},{},{used},{}",
+                    reports + 1,
+                    scores[score],
+                    scores[score + 1],
+                    INFORMATION[information],
+                    INFORMATION[information + 1],
+                    cell.value,
+                    cell.visits,
+                    u8::from(used > 0.0)
+                );
+            }
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use reveille_bs::policy::q_learning::learned::{area_bucket, battery_bucket, information_bucket, score_bucket};
+    use reveille_bs::scenario::load;
+    use reveille_common::units::Energy;
+
+    use super::*;
+
+    /// Checks that values just above the start and just below the end of each bucket are in it.
+    fn agree(ends: &[f64], bucket: impl Fn(f64) -> usize) {
+        for (at, pair) in ends.windows(2).enumerate() {
+            let inside = 1e-4 * (pair[1] - pair[0]);
+            assert_eq!(
+                [bucket(pair[0] + inside), bucket(pair[1] - inside)],
+                [at, at],
+                "{pair:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn the_ends_drawn_are_those_of_the_buckets() {
+        agree(&INFORMATION, information_bucket);
+        agree(&score_ends(), score_bucket);
+        agree(&area_ends(), area_bucket);
+        let energy = load("paper", &[]).expect("a preset").classes[0].energy;
+        let ends = battery_ends([energy.e_max, energy.e_idle, energy.e_tx].map(Energy::units));
+        agree(&ends, |x| {
+            battery_bucket(Energy::from_units(x).expect("an energy"), &energy)
+        });
+    }
+
+    #[test]
+    fn ends_are_written_short() {
+        let values = [0.0, 0.02, 0.5, 0.725, 1.524, 9.96, 25.833, 100.0, 0.010_053];
+        assert_eq!(
+            values.map(short),
+            ["0", "0.02", "0.5", "0.72", "1.5", "10", "26", "100", "0.01"].map(str::to_owned)
+        );
+    }
+}

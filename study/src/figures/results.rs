@@ -1,0 +1,385 @@
+//! Result tables put together for drawing and judging: runs by condition, policy and N.
+
+use std::collections::BTreeMap;
+
+use reveille_bs::scenario::{Override, Scenario, load};
+use sha2::{Digest as _, Sha256};
+
+use super::error::FigureError;
+use crate::claims::POLICIES;
+use reveille_lab::stats::{Cell, Estimate, cells};
+use reveille_lab::table::{About, Hash, Row, Table};
+
+/// A table and its name.
+#[derive(Clone, Debug)]
+pub struct Source {
+    /// Where it was read from.
+    pub name: String,
+    /// What it says about its origin.
+    pub about: About,
+    /// How many runs it holds.
+    pub rows: usize,
+    /// SHA-256 over the digests of its runs, in their order, hexadecimal.
+    pub digests: String,
+}
+
+/// Everything but policy, N and seed that runs have in common.
+#[derive(Clone, Debug)]
+pub struct Condition {
+    /// The preset.
+    pub preset: String,
+    /// Length of the runs K, TTIs.
+    pub ttis: u64,
+    /// Swept fields with their values.
+    pub swept: Vec<(String, String)>,
+    /// Fields that the experiment sets to something else than the preset, with their values.
+    pub changes: Vec<(String, String)>,
+    /// The table, if scenarios of it differ from their preset in more than all that, so that nobody can tell in what.
+    pub changed_in: Option<String>,
+    /// The scenario of its first run; `None` where nobody can tell.
+    pub scenario: Option<Scenario>,
+    /// The runs by policy and N, each in the order of seeds.
+    runs: BTreeMap<(String, u32), BTreeMap<u64, Row>>,
+}
+
+/// All tables together.
+#[derive(Clone, Debug)]
+pub struct Results {
+    /// The tables.
+    pub sources: Vec<Source>,
+    /// The conditions, in the order in which tables bring them up.
+    pub conditions: Vec<Condition>,
+}
+
+impl Results {
+    /// Puts `tables` together. A run that several of them hold counts once.
+    ///
+    /// # Errors
+    /// No runs at all, or two outcomes of one run.
+    pub fn new(tables: &[(String, Table)]) -> Result<Self, FigureError> {
+        let mut results = Self {
+            sources: Vec::new(),
+            conditions: Vec::new(),
+        };
+        for (name, table) in tables {
+            results.sources.push(Source {
+                name: name.clone(),
+                about: table.about.clone(),
+                rows: table.rows.len(),
+                digests: digests(table),
+            });
+            results.add(name, table)?;
+        }
+        if results.conditions.is_empty() {
+            let names: Vec<&str> = tables.iter().map(|(name, _)| name.as_str()).collect();
+            return Err(FigureError::Empty {
+                tables: names.join(", "),
+            });
+        }
+        Ok(results)
+    }
+
+    fn add(&mut self, name: &str, table: &Table) -> Result<(), FigureError> {
+        let cells = cells(table);
+        let swept_of = |cell: &Cell<'_>| {
+            let fields = table.schema.swept.iter().map(|(path, _)| path.clone());
+            fields
+                .zip(cell.swept.iter().map(ToString::to_string))
+                .collect::<Vec<_>>()
+        };
+        let set = changes_of(&table.about.experiment);
+        // A change may concern one policy alone; a table's policies stay together all the same.
+        let scenario = |cell: &Cell<'_>, set: &[(String, String)]| scenario_of(cell.rows[0], &swept_of(cell), set);
+        let is_preset = cells.iter().all(|cell| scenario(cell, &[]).is_some());
+        let is_known = cells.iter().all(|cell| scenario(cell, &set).is_some());
+        let changes = if is_known && !is_preset { set } else { Vec::new() };
+        let changed_in = (!is_known && !is_preset).then(|| name.to_owned());
+        for cell in cells {
+            let wanted = Condition {
+                preset: cell.preset.to_owned(),
+                ttis: cell.ttis,
+                changes: changes.clone(),
+                changed_in: changed_in.clone(),
+                scenario: scenario(&cell, &changes).filter(|_| changed_in.is_none()),
+                swept: swept_of(&cell),
+                runs: BTreeMap::new(),
+            };
+            let found = self.conditions.iter().position(|s| s.is_like(&wanted));
+            let at = found.unwrap_or_else(|| {
+                self.conditions.push(wanted);
+                self.conditions.len() - 1
+            });
+            let runs = &mut self.conditions[at].runs;
+            let runs = runs.entry((cell.policy.to_owned(), cell.n)).or_default();
+            for row in cell.rows {
+                if let Some(known) = runs.insert(row.seed, row.clone())
+                    && known.digest != row.digest
+                {
+                    return Err(FigureError::Contradiction {
+                        scenario: row.scenario_hash.to_string(),
+                        first: known.digest.to_string(),
+                        second: row.digest.to_string(),
+                    });
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+fn digests(table: &Table) -> String {
+    let mut sum = Sha256::new();
+    for row in &table.rows {
+        sum.update(row.digest.0);
+    }
+    Hash(sum.finalize().into()).to_string()
+}
+
+/// What the experiment `text` sets for all its runs: fields and values; nothing if it cannot be read.
+fn changes_of(text: &str) -> Vec<(String, String)> {
+    let Ok(experiment) = text.parse::<toml::Table>() else {
+        return Vec::new();
+    };
+    let set = experiment.get("set").and_then(toml::Value::as_table);
+    let words = |value: &toml::Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+    let set = set.into_iter().flatten();
+    set.map(|(path, value)| (path.clone(), words(value))).collect()
+}
+
+/// The scenario of `row`, if it is its preset with nothing changed but what the columns of the table and `set` say.
+fn scenario_of(row: &Row, swept: &[(String, String)], set: &[(String, String)]) -> Option<Scenario> {
+    let set = set.iter().chain(swept).map(|(path, value)| format!("{path}={value}"));
+    let columns = [
+        format!("policy.name={}", row.policy),
+        format!("devices={}", row.n),
+        format!("ttis={}", row.ttis),
+        format!("seed={}", row.seed),
+    ];
+    let overrides: Result<Vec<Override>, _> = set.chain(columns).map(|text| Override::parse(&text)).collect();
+    let scenario = load(&row.preset, &overrides.ok()?).ok()?;
+    (scenario.hash() == row.scenario_hash.0).then_some(scenario)
+}
+
+impl Condition {
+    fn is_like(&self, other: &Self) -> bool {
+        self.preset == other.preset
+            && self.ttis == other.ttis
+            && self.swept == other.swept
+            && self.changes == other.changes
+            && self.changed_in == other.changed_in
+    }
+
+    /// The policies that were run, the paper's in its order and then others by name.
+    pub fn policies(&self) -> Vec<&str> {
+        let has = |name: &&str| self.runs.keys().any(|(policy, _)| policy == name);
+        let mut names: Vec<&str> = POLICIES.into_iter().filter(has).collect();
+        for (policy, _) in self.runs.keys() {
+            if !names.contains(&policy.as_str()) {
+                names.push(policy);
+            }
+        }
+        names
+    }
+
+    /// The values of N that were run with `policy`, rising.
+    pub fn sizes(&self, policy: &str) -> Vec<u32> {
+        let own = self.runs.keys().filter(|(name, _)| name == policy);
+        own.map(|(_, n)| *n).collect()
+    }
+
+    /// The estimate of `metric` for `policy` with `n` devices; `None` without runs in which it is defined.
+    ///
+    /// Where not one event was missed, runs do not differ, which tells nothing: half the interval of `misdetection_pct`
+    /// is then the rule of three's 95 % bound, 300 / Σ events %.
+    pub fn estimate(&self, policy: &str, n: u32, metric: &str) -> Option<Estimate> {
+        let runs = self.runs.get(&(policy.to_owned(), n))?;
+        let mut estimate = Estimate::of(runs.values().filter_map(|row| row.metric(metric)))?;
+        if let Some(events) = self.unseen(policy, n, metric) {
+            estimate.half_width = 300.0 / events as f64;
+        }
+        Some(estimate)
+    }
+
+    /// The events of a cell, all runs together, if `metric` is the share of those missed and none was.
+    pub fn unseen(&self, policy: &str, n: u32, metric: &str) -> Option<u64> {
+        let missed = self
+            .runs(policy, n)
+            .filter_map(|row| row.metric(metric))
+            .fold(0.0, f64::max);
+        let events = self.runs(policy, n).map(|row| row.events).sum();
+        (metric == "misdetection_pct" && missed == 0.0 && events > 0).then_some(events)
+    }
+
+    /// The runs of a cell, in the order of seeds.
+    pub fn runs(&self, policy: &str, n: u32) -> impl Iterator<Item = &Row> {
+        let runs = self.runs.get(&(policy.to_owned(), n));
+        runs.into_iter().flat_map(BTreeMap::values)
+    }
+
+    /// The least and the largest number of runs of a cell.
+    pub fn runs_per_cell(&self) -> (usize, usize) {
+        let counts = || self.runs.values().map(BTreeMap::len);
+        (counts().min().unwrap_or(0), counts().max().unwrap_or(0))
+    }
+
+    /// The first and the last seed.
+    pub fn seeds(&self) -> (u64, u64) {
+        let seeds = || self.runs.values().flat_map(BTreeMap::keys);
+        (seeds().min().copied().unwrap_or(0), seeds().max().copied().unwrap_or(0))
+    }
+
+    /// Fields that it changes, for the whole table and then for some of its cells, with their values.
+    pub fn changed(&self) -> impl Iterator<Item = &(String, String)> {
+        self.changes.iter().chain(&self.swept)
+    }
+
+    /// What it is, in words.
+    pub fn label(&self) -> String {
+        let mut label = self.preset.clone();
+        for (path, value) in self.changed() {
+            label = format!("{label}, {path} = {value}");
+        }
+        match &self.changed_in {
+            None => label,
+            Some(table) => format!("{label}, changed as in {table}"),
+        }
+    }
+
+    /// Whether it is its preset, with nothing swept or changed.
+    pub fn is_plain(&self) -> bool {
+        self.swept.is_empty() && self.changes.is_empty() && self.changed_in.is_none()
+    }
+
+    /// How many runs there are.
+    pub fn run_count(&self) -> usize {
+        self.runs.values().map(BTreeMap::len).sum()
+    }
+
+    /// What it is, as part of a file's name; with `folder` of the table that it comes from, if it takes a table to
+    /// tell.
+    fn file_label(&self, has_folder: bool) -> String {
+        let mut label = self.preset.clone();
+        for (path, value) in self.changed() {
+            label = format!("{label}-{path}-{value}");
+        }
+        if let Some(table) = &self.changed_in {
+            let table = std::path::Path::new(table);
+            let folder = table
+                .parent()
+                .and_then(std::path::Path::file_name)
+                .filter(|_| has_folder);
+            for part in [folder, table.file_stem()].into_iter().flatten() {
+                label = format!("{label}-{}", part.to_string_lossy());
+            }
+        }
+        let keep = |c: char| {
+            if c.is_ascii_alphanumeric() || matches!(c, '.' | '-') {
+                c
+            } else {
+                '_'
+            }
+        };
+        label.chars().map(keep).collect()
+    }
+}
+
+impl Results {
+    /// For each of [`Self::conditions`] the part of a file's name that sets it apart from all others.
+    pub fn file_labels(&self) -> Vec<String> {
+        let lengths = self.conditions.windows(2).any(|pair| pair[0].ttis != pair[1].ttis);
+        let of = |condition: &Condition, has_folder: bool| {
+            let label = condition.file_label(has_folder);
+            if lengths {
+                format!("{label}-k{}", condition.ttis)
+            } else {
+                label
+            }
+        };
+        let short: Vec<String> = self.conditions.iter().map(|s| of(s, false)).collect();
+        let mut labels: Vec<String> = Vec::new();
+        for (condition, label) in self.conditions.iter().zip(&short) {
+            let is_shared = short.iter().filter(|other| other.eq_ignore_ascii_case(label)).count() > 1;
+            let label = of(condition, is_shared);
+            let is_taken = |name: &str| labels.iter().any(|other| other.eq_ignore_ascii_case(name));
+            let numbered = (2..).map(|i| format!("{label}-{i}"));
+            let free = std::iter::once(label.clone())
+                .chain(numbered)
+                .find(|name| !is_taken(name));
+            labels.extend(free);
+        }
+        labels
+    }
+}
+
+impl Results {
+    /// The conditions by what they have in common, preset and K, with a part of a file's name for each group.
+    pub fn together(&self) -> Vec<(String, Vec<&Condition>)> {
+        let has_lengths = self.conditions.windows(2).any(|pair| pair[0].ttis != pair[1].ttis);
+        let mut groups: Vec<(String, Vec<&Condition>)> = Vec::new();
+        for condition in &self.conditions {
+            let mut label = format!("{}-together", condition.preset);
+            if has_lengths {
+                label = format!("{label}-k{}", condition.ttis);
+            }
+            match groups.iter_mut().find(|(known, _)| *known == label) {
+                Some((_, group)) => group.push(condition),
+                None => groups.push((label, vec![condition])),
+            }
+        }
+        groups
+    }
+}
+
+/// Tables for tests.
+#[cfg(test)]
+pub(crate) mod fixtures {
+    use std::sync::Arc;
+
+    use reveille_bs::scenario::{Override, load};
+    use reveille_common::score::Metrics;
+    use reveille_lab::table::{About, Hash, Row, Schema, Table};
+
+    /// A table of runs under `preset`: for each policy and N the values of `metric`, one a run. All other metrics are 1
+    /// more than their number.
+    pub fn table(preset: &str, metric: &str, runs: &[(&str, u32, &[f64])]) -> (String, Table) {
+        let mut rows = Vec::new();
+        for (policy, n, values) in runs {
+            for (seed, value) in (1..).zip(*values) {
+                rows.push(row(preset, policy, *n, seed, metric, *value));
+            }
+        }
+        let about = About {
+            version: "0.1.0".to_owned(),
+            experiment: format!("preset = \"{preset}\"\n"),
+            ..About::default()
+        };
+        let schema = Schema::default();
+        (format!("{preset}.parquet"), Table { about, schema, rows })
+    }
+
+    fn row(preset: &str, policy: &str, n: u32, seed: u64, metric: &str, value: f64) -> Row {
+        let overrides = [format!("devices={n}"), "ttis=2000".to_owned(), format!("seed={seed}")];
+        // Policies that cannot be run yet can be drawn.
+        let is_known = reveille_bs::policy::registry::named(policy).is_some();
+        let policy_is = is_known.then(|| format!("policy.name={policy}"));
+        let overrides = overrides.into_iter().chain(policy_is);
+        let overrides: Vec<Override> = overrides.map(|o| Override::parse(&o).expect("an override")).collect();
+        let scenario = load(preset, &overrides).expect("a scenario");
+        let mut metrics = [0.0; Metrics::COUNT];
+        for (at, (slot, name)) in metrics.iter_mut().zip(Metrics::NAMES).enumerate() {
+            *slot = if name == metric { value } else { 1.0 + at as f64 };
+        }
+        Row {
+            scenario_hash: Hash(scenario.hash()),
+            preset: Arc::from(preset),
+            policy: Arc::from(policy),
+            n,
+            ttis: 2000,
+            seed,
+            swept: Arc::from([]),
+            metrics,
+            events: 300,
+            digest: Hash([seed as u8; 32]),
+        }
+    }
+}

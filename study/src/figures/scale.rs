@@ -1,0 +1,251 @@
+//! Axes: where a value stands between the ends of an axis, and which values get a tick.
+
+use libm::{floor, log10};
+
+/// How values are spread over an axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Scale {
+    /// Evenly.
+    Linear {
+        /// The value at the start.
+        from: f64,
+        /// The value at the end, > `from`.
+        to: f64,
+    },
+    /// By their logarithm.
+    Log {
+        /// The value at the start, > 0.
+        from: f64,
+        /// The value at the end, > `from`.
+        to: f64,
+    },
+}
+
+/// A mark on an axis.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tick {
+    /// Its value.
+    pub value: f64,
+    /// What it says; empty for a mark between labelled ones.
+    pub label: String,
+}
+
+/// How many labelled ticks an axis has at the most, about.
+const TICKS: f64 = 6.0;
+
+impl Scale {
+    /// An even axis that holds all of `values` and ends on ticks. Negative zero, infinities and NaN do not count;
+    /// without any value it runs from 0 to 1.
+    pub fn linear(values: impl IntoIterator<Item = f64>, with_zero: bool) -> Self {
+        let Some((mut low, mut high)) = range(values) else {
+            return Self::Linear { from: 0.0, to: 1.0 };
+        };
+        if with_zero {
+            (low, high) = (low.min(0.0), high.max(0.0));
+        }
+        if high <= low {
+            let room = if low == 0.0 { 1.0 } else { 0.5 * low.abs() };
+            (low, high) = (low - if low > 0.0 || !with_zero { room } else { 0.0 }, high + room);
+        }
+        let step = step(high - low);
+        Self::Linear {
+            from: step * floor(low / step + 1e-9),
+            to: -step * floor(-high / step + 1e-9),
+        }
+    }
+
+    /// A logarithmic axis over whole decades that holds all of `values` above zero. `None` if there is none.
+    pub fn log(values: impl IntoIterator<Item = f64>) -> Option<Self> {
+        let (low, high) = range(values.into_iter().filter(|x| *x > 0.0))?;
+        let from = floor(log10(low) + 1e-9);
+        let to = (-floor(-log10(high) + 1e-9)).max(from + 1.0);
+        Some(Self::Log {
+            from: power(from as i32),
+            to: power(to as i32),
+        })
+    }
+
+    /// The ends of the axis.
+    pub const fn ends(self) -> (f64, f64) {
+        match self {
+            Self::Linear { from, to } | Self::Log { from, to } => (from, to),
+        }
+    }
+
+    /// Where `value` stands, 0 at the start and 1 at the end of the axis; a value beyond an end stands at that end.
+    pub fn place(self, value: f64) -> f64 {
+        let share = match self {
+            Self::Linear { from, to } => (value - from) / (to - from),
+            Self::Log { from, .. } if value <= from => 0.0,
+            Self::Log { from, to } => log10(value / from) / log10(to / from),
+        };
+        share.clamp(0.0, 1.0)
+    }
+
+    /// Its ticks, from start to end.
+    pub fn ticks(self) -> Vec<Tick> {
+        match self {
+            Self::Linear { from, to } => {
+                let step = step(to - from);
+                let first = -floor(-from / step + 1e-6);
+                let count = floor(to / step - first + 1e-6) as u32;
+                (0..=count)
+                    .map(|i| step * (first + f64::from(i)))
+                    .map(|value| Tick {
+                        value,
+                        label: label(value, step),
+                    })
+                    .collect()
+            }
+            Self::Log { from, to } => log_ticks(from, to),
+        }
+    }
+}
+
+/// A label for `value` on an axis with ticks `step` apart: as many decimals as the step has.
+pub fn label(value: f64, step: f64) -> String {
+    let decimals = (0..9)
+        .find(|&d| {
+            let scaled = step * power(d);
+            (scaled - scaled.round()).abs() < 1e-6 * scaled
+        })
+        .unwrap_or(9);
+    let text = format!("{value:.*}", decimals as usize);
+    let is_zero = text.chars().all(|c| matches!(c, '-' | '0' | '.'));
+    if is_zero {
+        "0".to_owned()
+    } else {
+        text.replace('-', "−")
+    }
+}
+
+fn range(values: impl IntoIterator<Item = f64>) -> Option<(f64, f64)> {
+    let finite = values.into_iter().filter(|x| x.is_finite());
+    finite.fold(None, |range, x| match range {
+        None => Some((x, x)),
+        Some((low, high)) => Some((x.min(low), x.max(high))),
+    })
+}
+
+/// The distance of ticks over a range of this length: 1, 2 or 5 times a power of ten.
+fn step(length: f64) -> f64 {
+    let rough = length / TICKS;
+    let unit = power(floor(log10(rough)) as i32);
+    let factors = [1.0, 2.0, 5.0];
+    let fit = factors.into_iter().find(|f| f * unit >= rough * (1.0 - 1e-9));
+    fit.unwrap_or(10.0) * unit
+}
+
+/// 10ⁿ, the nearest there is.
+fn power(n: i32) -> f64 {
+    libm::exp10(f64::from(n))
+}
+
+fn log_ticks(from: f64, to: f64) -> Vec<Tick> {
+    let (first, last) = (log10(from).round() as i32, log10(to).round() as i32);
+    let decades = last - first;
+    // Many decades leave room for every other label.
+    let every = 1 + decades / 8;
+    let mut ticks = Vec::new();
+    for n in first..=last {
+        let value = power(n);
+        let is_labelled = (last - n) % every == 0;
+        let text = if is_labelled {
+            label(value, value.min(1.0))
+        } else {
+            String::new()
+        };
+        ticks.push(Tick { value, label: text });
+        if n == last {
+            break;
+        }
+        for factor in 2..10 {
+            let value = value * f64::from(factor);
+            let is_labelled = decades <= 1 && matches!(factor, 2 | 5);
+            let text = if is_labelled {
+                label(value, power(n).min(1.0))
+            } else {
+                String::new()
+            };
+            ticks.push(Tick { value, label: text });
+        }
+    }
+    ticks
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn labels(scale: Scale) -> Vec<String> {
+        let ticks = scale.ticks();
+        ticks.into_iter().map(|t| t.label).filter(|l| !l.is_empty()).collect()
+    }
+
+    #[test]
+    fn even_axes_end_on_round_numbers() {
+        let axis = Scale::linear([0.145, 0.83], true);
+        assert_eq!(axis, Scale::Linear { from: 0.0, to: 1.0 });
+        assert_eq!(
+            labels(axis),
+            ["0.0", "0.2", "0.4", "0.6", "0.8", "1.0"].map(|l| if l == "0.0" { "0" } else { l })
+        );
+        assert_eq!(
+            labels(Scale::linear([10.0, 250.0], false)),
+            ["0", "50", "100", "150", "200", "250"]
+        );
+        assert_eq!(
+            labels(Scale::linear([-3.2, 4.1], false)),
+            ["−4", "−2", "0", "2", "4", "6"]
+        );
+        let (from, to) = Scale::linear([61.0, 64.0], false).ends();
+        assert!((from - 61.0).abs() < 1e-9 && (to - 64.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn an_axis_holds_whatever_it_is_given() {
+        for values in [
+            vec![],
+            vec![0.0],
+            vec![5.0],
+            vec![-5.0],
+            vec![f64::NAN, 2.0],
+            vec![1e-9, 1e9],
+        ] {
+            for with_zero in [true, false] {
+                let axis = Scale::linear(values.iter().copied(), with_zero);
+                let (from, to) = axis.ends();
+                assert!(from < to, "{values:?}: {axis:?}");
+                for v in values.iter().filter(|v| v.is_finite()) {
+                    assert!(from <= *v + 1e-9 && *v <= to + 1e-9, "{v} on {axis:?}");
+                }
+                let ticks = axis.ticks();
+                assert!((2..=12).contains(&ticks.len()), "{} ticks on {axis:?}", ticks.len());
+            }
+        }
+    }
+
+    #[test]
+    fn decades_are_labelled_as_people_write_them() {
+        let axis = Scale::log([0.003, 77.0, 0.0, f64::NAN]).expect("two values above zero");
+        assert_eq!(labels(axis), ["0.001", "0.01", "0.1", "1", "10", "100"]);
+        assert!((axis.place(0.1) - 0.4).abs() < 1e-12);
+        assert!(axis.place(0.0).abs() < 1e-12, "zero stands at the start");
+        assert_eq!(labels(Scale::log([2.0, 7.0]).expect("a scale")), ["1", "2", "5", "10"]);
+        assert_eq!(Scale::log([0.0, -1.0]), None);
+        assert_eq!(Scale::log([1.0]).map(Scale::ends), Some((1.0, 10.0)));
+    }
+
+    #[test]
+    fn ticks_are_round_where_the_ends_are_not() {
+        let axis = Scale::Linear { from: -15.0, to: 267.0 };
+        assert_eq!(labels(axis), ["0", "50", "100", "150", "200", "250"]);
+    }
+
+    #[test]
+    fn places_are_even_on_an_even_axis() {
+        let axis = Scale::Linear { from: -1.0, to: 3.0 };
+        assert!((axis.place(0.0) - 0.25).abs() < 1e-15);
+        assert!((axis.place(9.0) - 1.0).abs() < 1e-15);
+    }
+}

@@ -1,0 +1,339 @@
+//! The paper's Figs. 7 to 12: a metric against N, a line for each policy.
+
+use std::fmt::Write as _;
+
+use reveille_common::score::Metrics;
+
+use super::chart::{Chart, Interval, Mark, Sample, Series, Span, Stated, spread};
+use super::error::FigureError;
+use super::results::Condition;
+use super::scale::Scale;
+use super::style::Style;
+use crate::claims::{Claim, Relation, Sites, topic};
+
+/// One of the paper's figures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Figure {
+    /// Its name in commands and files.
+    pub name: &'static str,
+    /// The metric.
+    pub metric: &'static str,
+    /// Its title.
+    pub title: &'static str,
+    /// Which figure of the paper shows the same.
+    pub paper: &'static str,
+    /// Whether y is logarithmic.
+    pub is_log: bool,
+}
+
+/// The figures against N, in the paper's order.
+pub const FIGURES: [Figure; 7] = {
+    const fn figure(
+        name: &'static str,
+        metric: &'static str,
+        title: &'static str,
+        paper: &'static str,
+        is_log: bool,
+    ) -> Figure {
+        Figure {
+            name,
+            metric,
+            title,
+            paper,
+            is_log,
+        }
+    }
+    [
+        figure(
+            "information",
+            "info_per_event",
+            "Information per event",
+            "Fig. 7",
+            false,
+        ),
+        figure("energy", "energy_per_device_tti", "Energy consumption", "Fig. 8", false),
+        figure("misdetection", "misdetection_pct", "Misdetections", "Fig. 9", true),
+        figure(
+            "low-energy",
+            "low_energy_pct",
+            "Devices too low to transmit",
+            "Fig. 10",
+            false,
+        ),
+        figure("battery", "mean_battery", "Mean battery level", "Fig. 11", false),
+        figure(
+            "wrong",
+            "wrong_activations_per_event",
+            "Wrong activations",
+            "Fig. 12a",
+            false,
+        ),
+        figure("wasted", "wasted_energy_per_event", "Energy wasted", "Fig. 12b", false),
+    ]
+};
+
+/// The figures called `names`, all of them if there is none, in the paper's order. `others` are names that somebody
+/// else draws.
+///
+/// # Errors
+/// A name that neither knows.
+pub fn chosen(names: &[String], others: &[&str]) -> Result<Vec<Figure>, FigureError> {
+    let known = |name: &String| FIGURES.iter().any(|f| f.name == name) || others.contains(&name.as_str());
+    if let Some(unknown) = names.iter().find(|name| !known(name)) {
+        let all: Vec<&str> = FIGURES.iter().map(|f| f.name).chain(others.iter().copied()).collect();
+        return Err(FigureError::Unknown {
+            name: unknown.clone(),
+            known: all.join(", "),
+        });
+    }
+    let is_chosen = |f: &Figure| names.is_empty() || names.iter().any(|name| name == f.name);
+    Ok(FIGURES.into_iter().filter(is_chosen).collect())
+}
+
+/// A figure ready to be drawn, and what it lacks.
+#[derive(Clone, Debug)]
+pub struct Drawing {
+    /// The chart.
+    pub chart: Chart,
+    /// Policies that were run and have no value of the metric.
+    pub undefined: Vec<String>,
+}
+
+impl Figure {
+    /// The figure for the runs of `condition`; `None` if none of them has the metric.
+    pub fn draw(&self, condition: &Condition) -> Option<Drawing> {
+        let mut series = Vec::new();
+        let mut undefined = Vec::new();
+        for policy in condition.policies() {
+            let samples = self.samples(condition, policy);
+            if samples.is_empty() {
+                undefined.push(policy.to_owned());
+                continue;
+            }
+            series.push(Series {
+                name: policy.to_owned(),
+                style: Style::of_policy(policy),
+                joined: true,
+                marked: true,
+                interval: Interval::Bars,
+                samples,
+            });
+        }
+        if series.is_empty() {
+            return None;
+        }
+        let marks = self.marks(&series);
+        let spans = self.spans(&series);
+        let largest = series.iter().flat_map(|s| &s.samples).map(|s| s.x);
+        let largest = largest.chain(marks.iter().map(|m| m.x)).fold(0.0, f64::max);
+        let chart = Chart {
+            title: format!("{} ({} of the paper)", self.title, self.paper),
+            x_label: "number of devices N".to_owned(),
+            y_label: Metrics::axis(self.metric).to_owned(),
+            x: Scale::Linear {
+                from: -0.06 * largest,
+                to: 1.07 * largest,
+            },
+            y: self.y_scale(&series, &marks, &spans),
+            caption: self.caption(condition, (&series, &marks, &spans), &undefined),
+            notes: Vec::new(),
+            zero_below: self.is_log && has_zero(&series),
+            series,
+            marks,
+            spans,
+        };
+        Some(Drawing { chart, undefined })
+    }
+
+    fn samples(&self, condition: &Condition, policy: &str) -> Vec<Sample> {
+        let sizes = condition.sizes(policy).into_iter();
+        let sample = |n: u32| {
+            let estimate = condition.estimate(policy, n, self.metric)?;
+            Some(Sample {
+                x: f64::from(n),
+                y: estimate.mean,
+                half: estimate.half_width,
+                across: f64::NAN,
+            })
+        };
+        sizes.filter_map(sample).collect()
+    }
+
+    /// What the paper states of the policies drawn, at one N or as a ratio to something stated at one N.
+    fn marks(&self, series: &[Series]) -> Vec<Mark> {
+        let claims = topic(self.metric).map_or(&[][..], |topic| topic.claims);
+        let drawn = claims.iter().filter(|c| series.iter().any(|s| s.name == c.policy));
+        let mut marks: Vec<Mark> = drawn.filter_map(|claim| mark(claim, claims)).collect();
+        marks.sort_by(|a, b| a.x.total_cmp(&b.x));
+        spread(&mut marks);
+        marks
+    }
+
+    /// What the paper states of the policies drawn for several N, from the least to the largest of them that was run.
+    fn spans(&self, series: &[Series]) -> Vec<Span> {
+        let claims = topic(self.metric).map_or(&[][..], |topic| topic.claims);
+        let xs = || series.iter().flat_map(|s| &s.samples).map(|s| s.x);
+        let (least, largest) = (xs().fold(f64::INFINITY, f64::min), xs().fold(0.0, f64::max));
+        let span = |claim: &Claim| {
+            let to = match claim.sites {
+                Sites::At(_) => return None,
+                Sites::Under(limit) => largest.min(f64::from(limit)),
+                Sites::Everywhere => largest,
+            };
+            let own = series.iter().find(|s| s.name == claim.policy)?;
+            Some(Span {
+                from: least,
+                to,
+                stated: stated(claim, claims)?,
+                paint: own.style.paint,
+            })
+        };
+        claims
+            .iter()
+            .filter_map(span)
+            .filter(|span| span.from < span.to)
+            .collect()
+    }
+
+    fn y_scale(&self, series: &[Series], marks: &[Mark], spans: &[Span]) -> Scale {
+        let ends = |s: &Sample| {
+            let half = if s.half.is_finite() { s.half } else { 0.0 };
+            // None of these metrics can be negative, whatever an interval says.
+            [(s.y - half).max(s.y.min(0.0)), s.y + half]
+        };
+        let measured = series.iter().flat_map(|s| &s.samples);
+        let stated = marks.iter().map(|m| m.stated).chain(spans.iter().map(|s| s.stated));
+        let stated = stated.flat_map(Stated::values);
+        if !self.is_log {
+            return Scale::linear(measured.flat_map(ends).chain(stated), true);
+        }
+        // The lower ends of intervals may go below zero; the axis holds all means.
+        let values = measured.clone().flat_map(|s| [s.y, ends(s)[1]]).chain(stated);
+        let scale = Scale::log(values).unwrap_or(Scale::Log { from: 0.01, to: 100.0 });
+        let (from, to) = scale.ends();
+        Scale::Log {
+            from: if has_zero(series) { from / 10.0 } else { from },
+            to,
+        }
+    }
+
+    fn caption(
+        &self,
+        condition: &Condition,
+        (series, marks, spans): (&[Series], &[Mark], &[Span]),
+        undefined: &[String],
+    ) -> String {
+        let runs = runs_in_words(condition.runs_per_cell());
+        let mut text = format!(
+            "Preset {}; {runs} of {} TTIs a point, mean with its 95 % interval as band and bar.",
+            condition.label(),
+            condition.ttis
+        );
+        if !marks.is_empty() {
+            text.push_str(" What the paper states stands beside its N; box: a range, arrow: a bound.");
+        }
+        if !spans.is_empty() {
+            text.push_str(" Hatched: what it states for a range of N.");
+        }
+        if self.is_log && has_zero(series) {
+            text.push_str(
+                " At the lower border: not one of the events; bars then end at 300 / Σ events %, the rule of three.",
+            );
+        }
+        if !undefined.is_empty() {
+            let _ = write!(text, " Not defined for {}.", undefined.join(", "));
+        }
+        text
+    }
+
+    /// What is drawn, as CSV: measured means and the paper's statements.
+    pub fn csv(&self, condition: &Condition, drawing: &Drawing) -> String {
+        let mut out = String::from("kind,setting,policy,n,metric,mean,half_width_95,runs,paper_low,paper_high\n");
+        let label = csv_cell(&condition.label());
+        for series in &drawing.chart.series {
+            for n in condition.sizes(&series.name) {
+                if let Some(e) = condition.estimate(&series.name, n, self.metric) {
+                    let half = csv_half(e.half_width);
+                    let (policy, metric) = (&series.name, self.metric);
+                    let _ = writeln!(
+                        out,
+                        "measured,{label},{policy},{n},{metric},{},{half},{},,",
+                        e.mean, e.runs
+                    );
+                }
+            }
+        }
+        let claims = topic(self.metric).map_or(&[][..], |topic| topic.claims);
+        for claim in claims {
+            if let Some(Mark { x, stated, .. }) = mark(claim, claims) {
+                let (low, high) = match stated {
+                    Stated::Value(v) => (v.to_string(), v.to_string()),
+                    Stated::Range(low, high) => (low.to_string(), high.to_string()),
+                    Stated::Below(v) => (String::new(), v.to_string()),
+                    Stated::Above(v) => (v.to_string(), String::new()),
+                };
+                let _ = writeln!(out, "paper,,{},{x},{},,,,{low},{high}", claim.policy, self.metric);
+            }
+        }
+        out
+    }
+}
+
+/// How many runs a point stands for.
+pub(super) fn runs_in_words(per_cell: (usize, usize)) -> String {
+    match per_cell {
+        (1, 1) => "one run".to_owned(),
+        (least, most) if least == most => format!("{most} runs"),
+        (least, most) => format!("{least} to {most} runs"),
+    }
+}
+
+/// Text as it may stand in a cell of CSV.
+pub(super) fn csv_cell(text: &str) -> String {
+    if text.contains([',', '"']) {
+        format!("\"{}\"", text.replace('"', "\"\""))
+    } else {
+        text.to_owned()
+    }
+}
+
+/// Half an interval in a cell of CSV, empty where there is none.
+pub(super) fn csv_half(half: f64) -> String {
+    if half.is_nan() { String::new() } else { half.to_string() }
+}
+
+fn has_zero(series: &[Series]) -> bool {
+    series.iter().flat_map(|s| &s.samples).any(|s| s.y <= 0.0)
+}
+
+/// Where and how `claim`, one of `claims`, is marked; `None` if it is not about one N.
+pub(super) fn mark(claim: &Claim, claims: &[Claim]) -> Option<Mark> {
+    let n = match claim.sites {
+        Sites::At(n) => n,
+        Sites::Under(_) | Sites::Everywhere => return None,
+    };
+    Some(Mark {
+        x: f64::from(n),
+        aside: 0.0,
+        stated: stated(claim, claims)?,
+        style: Style::of_policy(claim.policy),
+    })
+}
+
+/// What `claim`, one of `claims`, says; a ratio as its multiple of what is stated of the other policy.
+fn stated(claim: &Claim, claims: &[Claim]) -> Option<Stated> {
+    Some(match claim.relation {
+        Relation::About(v) => Stated::Value(v),
+        Relation::Between(low, high) => Stated::Range(low, high),
+        Relation::Below(v) => Stated::Below(v),
+        Relation::Above(v) => Stated::Above(v),
+        Relation::Times(factor, other) => {
+            let base = claims.iter().find(|c| c.policy == other && c.sites == claim.sites)?;
+            match base.relation {
+                Relation::About(v) => Stated::Value(factor * v),
+                Relation::Between(low, high) => Stated::Range(factor * low, factor * high),
+                Relation::Below(_) | Relation::Above(_) | Relation::Times(..) => return None,
+            }
+        }
+    })
+}

@@ -1,0 +1,167 @@
+//! A scene as SVG.
+//!
+//! Text is written as outlines. Ink is `currentColor` and the ground has the class `paper`, so that a page that holds
+//! the picture can turn both around for reading in the dark; on its own the picture is dark on white.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+use super::font::{Glyph, Weight, outline, set, units_per_em};
+use super::path::{Path, Step};
+use super::scene::{Item, Paint, Rgb, Scene, Shape, Text};
+
+/// The SVG of `scene`. `name` sets its identifiers apart from those of other pictures on the same page: letters,
+/// digits, `-`.
+pub fn svg(scene: &Scene, name: &str) -> String {
+    let mut glyphs: BTreeMap<Glyph, String> = BTreeMap::new();
+    let mut body = String::new();
+    for item in &scene.items {
+        match item {
+            Item::Shape(shape) => body.push_str(&shape_element(shape)),
+            Item::Text(text) => body.push_str(&text_element(text, name, &mut glyphs)),
+        }
+    }
+    let (w, h) = (number(scene.width), number(scene.height));
+    let mut out = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" xmlns:xlink=\"http://www.w3.org/1999/xlink\" width=\"{w}pt\" \
+         height=\"{h}pt\" viewBox=\"0 0 {w} {h}\" color=\"#1a1a1a\" \
+         role=\"img\">\n<title>{}</title>\n<desc>{}</desc>\n<defs>\n",
+        escape(&scene.title),
+        escape(&scene.description)
+    );
+    for (glyph, data) in &glyphs {
+        let _ = writeln!(out, "<path id=\"{}\" d=\"{data}\"/>", glyph_name(name, *glyph));
+    }
+    let _ = write!(
+        out,
+        "</defs>\n<rect class=\"paper\" width=\"{w}\" height=\"{h}\" fill=\"#fff\"/>\n{body}</svg>\n"
+    );
+    out
+}
+
+/// `text` as it may stand in XML.
+pub fn escape(text: &str) -> String {
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+        .replace('"', "&quot;")
+}
+
+/// A number with at most two decimals.
+fn number(x: f64) -> String {
+    let text = format!("{x:.2}");
+    let text = text.trim_end_matches('0').trim_end_matches('.');
+    if text == "-0" { "0".to_owned() } else { text.to_owned() }
+}
+
+fn colour(paint: Paint) -> String {
+    match paint {
+        Paint::Ink => "currentColor".to_owned(),
+        Paint::Paper => "#fff".to_owned(),
+        Paint::Colour(Rgb(r, g, b)) => format!("#{r:02x}{g:02x}{b:02x}"),
+    }
+}
+
+fn class(paint: Paint) -> &'static str {
+    match paint {
+        Paint::Paper => " class=\"paper\"",
+        Paint::Ink | Paint::Colour(_) => "",
+    }
+}
+
+fn data(path: &Path) -> String {
+    let mut out = String::new();
+    for step in &path.0 {
+        let (letter, numbers): (char, &[f64]) = match step {
+            Step::Move(x, y) => ('M', &[*x, *y]),
+            Step::Line(x, y) => ('L', &[*x, *y]),
+            Step::Quad(a, b, x, y) => ('Q', &[*a, *b, *x, *y]),
+            Step::Cubic(a, b, c, d, x, y) => ('C', &[*a, *b, *c, *d, *x, *y]),
+            Step::Close => ('Z', &[]),
+        };
+        out.push(letter);
+        let numbers: Vec<String> = numbers.iter().map(|x| number(*x)).collect();
+        out.push_str(&numbers.join(" "));
+    }
+    out
+}
+
+fn shape_element(shape: &Shape) -> String {
+    let mut out = format!("<path d=\"{}\"", data(&shape.path));
+    match shape.fill {
+        Some((paint, opacity)) => {
+            let _ = write!(out, "{} fill=\"{}\"", class(paint), colour(paint));
+            if opacity < 1.0 {
+                let _ = write!(out, " fill-opacity=\"{}\"", number(opacity));
+            }
+        }
+        None => out.push_str(" fill=\"none\""),
+    }
+    if let Some(stroke) = shape.stroke {
+        let (paint, width) = (colour(stroke.paint), number(stroke.width));
+        let _ = write!(
+            out,
+            " stroke=\"{paint}\" stroke-width=\"{width}\" stroke-linejoin=\"round\""
+        );
+        if stroke.opacity < 1.0 {
+            let _ = write!(out, " stroke-opacity=\"{}\"", number(stroke.opacity));
+        }
+        if !stroke.dashes.is_empty() {
+            let dashes: Vec<String> = stroke.dashes.iter().map(|x| number(*x)).collect();
+            let _ = write!(out, " stroke-dasharray=\"{}\"", dashes.join(" "));
+        }
+    }
+    out.push_str("/>\n");
+    out
+}
+
+fn text_element(text: &Text, name: &str, glyphs: &mut BTreeMap<Glyph, String>) -> String {
+    let (x, y) = text.start();
+    let scale = text.size / units_per_em(text.weight);
+    let turn = if text.upwards { " rotate(-90)" } else { "" };
+    let mut out = format!(
+        "<g transform=\"translate({} {}){turn} scale({scale:.7} -{scale:.7})\" fill=\"{}\">",
+        number(x),
+        number(y),
+        colour(text.paint)
+    );
+    for (glyph, at) in set(&text.text, text.weight).0 {
+        let data = glyphs.entry(glyph).or_insert_with(|| data(&outline(glyph)));
+        if !data.is_empty() {
+            let _ = write!(out, "<use xlink:href=\"#{}\" x=\"{at}\"/>", glyph_name(name, glyph));
+        }
+    }
+    out.push_str("</g>\n");
+    out
+}
+
+fn glyph_name(name: &str, glyph: Glyph) -> String {
+    let weight = match glyph.weight {
+        Weight::Regular => 'r',
+        Weight::Bold => 'b',
+    };
+    format!("{name}-{weight}{}", glyph.id)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_short() {
+        for (x, text) in [
+            (1.0, "1"),
+            (-0.001, "0"),
+            (2.504, "2.5"),
+            (-3.456, "-3.46"),
+            (100.0, "100"),
+        ] {
+            assert_eq!(number(x), text);
+        }
+    }
+
+    #[test]
+    fn what_xml_keeps_for_itself_is_escaped() {
+        assert_eq!(escape("a < b & \"c\" > d"), "a &lt; b &amp; &quot;c&quot; &gt; d");
+    }
+}

@@ -1,0 +1,291 @@
+//! Pictures of learned tables, and information against energy.
+
+use reveille_bs::policy::q_learning::learned::{
+    BATTERIES, CurvePoint, Entry, Learned, Schedule, Setting, Training, Weights,
+};
+use reveille_common::scenario::WakeUpRanking;
+
+use super::super::heat::Known;
+use super::super::{learning, pareto, q_table};
+use super::{FigureError, Results, check, fixtures, scenario};
+
+/// The start of a training with `n` devices.
+fn untrained(n: u32, weights: &Weights) -> Entry {
+    Entry::optimistic(&scenario(&[&format!("devices={n}")]), weights, 4, 1.0)
+}
+
+/// Tables for each of `sizes` with a curve of `episodes` points, of which some cells were learned.
+fn learned(sizes: &[u32], episodes: u64) -> Learned {
+    let weights = Weights {
+        mu1: 14.0,
+        mu2: 1.6,
+        zeta: 0.95,
+    };
+    let entry = |&n: &u32| {
+        let mut entry = untrained(n, &weights);
+        let rates = Schedule::default().rates();
+        for area in 0..16 {
+            for delta in [false, true] {
+                let cell = entry.duty.at_mut(5, area, delta);
+                cell.value = 20.0 + if delta { f64::from(n) * (area as f64 - 7.5) } else { 0.0 };
+                cell.visits = 3;
+            }
+        }
+        entry.duty.at_mut(4, 2, true).learn(-1000.0, rates);
+        entry.duty.at_mut(1, 15, false).learn(-1000.0, rates);
+        *entry.wake_posterior.at_mut([19, 0, 0]) = (f64::from(n), 7).into();
+        *entry.wake_posterior.at_mut([3, 1, 3]) = (-0.25, 20).into();
+        let point = |episode: u64| CurvePoint {
+            ttis: 3000 * (episode + 1),
+            reward: 1.0 - 3.0 / f64::from(n) + 0.001 * episode as f64,
+            information: 0.002 * f64::from(n),
+            energy: 0.3,
+        };
+        entry.curve = (0..episodes).map(point).collect();
+        entry
+    };
+    Learned {
+        made_by: "reveille 0.1.0".to_owned(),
+        scenario: "00".to_owned(),
+        weights,
+        window: 4,
+        begun_from: None,
+        schedule: Schedule::default(),
+        training: Training {
+            episodes,
+            ttis: 3000,
+            epsilon: (0.1, 0.03),
+            seed: 1,
+        },
+        setting: Setting::of(&scenario(&[])),
+        entries: sizes.iter().map(entry).collect(),
+    }
+}
+
+fn source(name: &str, sizes: &[u32], episodes: u64) -> learning::Source {
+    (name.to_owned(), learned(sizes, episodes))
+}
+
+#[test]
+fn learning_curves_are_drawn_for_one_n_and_for_ten_of_several_files() {
+    let ten = [10, 20, 40, 60, 80, 100, 130, 160, 200, 250];
+    for sources in [
+        vec![source("one.json", &[50], 1)],
+        vec![source("ten.json", &ten, 12)],
+        vec![
+            source("ten.json", &ten, 12),
+            source(&"long/".repeat(99), &[50, 1_000_000], 300),
+        ],
+    ] {
+        let scene = learning::scene(&sources).expect("a picture");
+        check("learning", &scene);
+        let mut sizes: Vec<u32> = sources
+            .iter()
+            .flat_map(|(_, l)| &l.entries)
+            .map(|e| e.devices)
+            .collect();
+        sizes.sort_unstable();
+        sizes.dedup();
+        let text = super::svg::svg(&scene, "learning");
+        assert!(text.contains("μ1 = 14, μ2 = 1.6, ζ = 0.95"), "{}", scene.description);
+        for n in sizes {
+            let name = format!("N = {n}");
+            assert!(
+                scene
+                    .items
+                    .iter()
+                    .any(|item| matches!(item, super::Item::Text(t) if t.text == name)),
+                "{name}"
+            );
+        }
+    }
+    let csv = learning::csv(&[source("a,b.json", &[10, 50], 3)]);
+    assert_eq!(csv.lines().count(), 7);
+    assert!(csv.contains("\"a,b.json\",50,400,6000,0.941,0.1,0.3\n"), "{csv}");
+}
+
+#[test]
+fn files_without_curves_or_too_many_of_them_are_refused() {
+    let refused = |sources: &[learning::Source]| learning::scene(sources).expect_err("no picture").to_string();
+    let bare = refused(&[source("a.json", &[10], 2), source("bare.json", &[10], 0)]);
+    assert!(
+        bare.contains("bare.json") && bare.contains("no learning curve"),
+        "{bare}"
+    );
+    let many: Vec<_> = (0..7).map(|_| source("a.json", &[10], 2)).collect();
+    assert!(refused(&many).contains("7 files"));
+    let sizes: Vec<u32> = (1..=41).collect();
+    assert!(refused(&[source("a.json", &sizes, 2)]).contains("41 numbers of devices"));
+}
+
+#[test]
+fn tables_are_drawn_whether_little_or_nothing_was_learned() {
+    let mut all = vec![learned(&[10, 250], 2), learned(&[1_000_000], 2)];
+    let mut nothing = learned(&[50], 0);
+    nothing.entries[0] = untrained(50, &nothing.weights);
+    nothing.setting.numbers.clear();
+    all.push(nothing);
+    for learned in &all {
+        for entry in &learned.entries {
+            check("q-table", &q_table::duty_scene(learned, entry));
+            for ranking in [WakeUpRanking::P42, WakeUpRanking::Posterior] {
+                check("wake", &q_table::wake_scene(learned, entry, ranking));
+            }
+        }
+    }
+}
+
+#[test]
+fn a_cell_is_the_advantage_and_is_framed_where_the_policy_senses() {
+    let learned = learned(&[10], 1);
+    let entry = q_table::entry("a.json", &learned, 10).expect("an entry");
+    let map = q_table::duty_map(&learned, entry);
+    // 10 · (area − 7.5): negative up to area 7.
+    let row = &map.cells[5];
+    assert!(
+        (row[0].value + 75.0).abs() < 1e-9 && (row[15].value - 75.0).abs() < 1e-9,
+        "{row:?}"
+    );
+    let framed: Vec<bool> = row.iter().map(|cell| cell.framed).collect();
+    assert_eq!(framed, (0..16).map(|area| area > 7).collect::<Vec<_>>());
+    assert!(
+        !map.cells[1][15].framed && map.cells[1][15].value > 0.0,
+        "it cannot report"
+    );
+    assert_eq!((map.count(Known::Well), map.count(Known::Half)), (16, 2));
+    assert_eq!(map.count(Known::Never), BATTERIES * 16 - 18);
+    let csv = q_table::duty_csv(&learned, entry);
+    assert_eq!(csv.lines().count(), 1 + BATTERIES * 16);
+    let own = csv.lines().find(|line| line.starts_with("5,")).expect("the row");
+    assert!(own.ends_with(",20,3,-55,3,-75,-75,0"), "{own}");
+    let wake = q_table::wake_csv(entry, WakeUpRanking::Posterior);
+    assert!(wake.contains("\n1,0.7071067811865476,1,0,0.03,10,7,10,1\n"), "{wake}");
+    // Pooled with the three cells below, each 1 and never visited: (3 · 1 − 21 · 0.25) / 24.
+    let own = wake
+        .lines()
+        .find(|line| line.contains(",0.00390625,0.03,0.08,-0.25,20,"));
+    let own: Vec<f64> = own
+        .expect("the cell")
+        .split(',')
+        .map(|x| x.parse().expect("a number"))
+        .collect();
+    assert!((own[7] + 0.09375).abs() < 1e-12 && own[8].abs() < 0.5, "{own:?}");
+    let text = q_table::duty_scene(&learned, entry).description;
+    for part in [
+        "μ1 = 14, μ2 = 1.6, ζ = 0.95",
+        "with N = 10 on 400 m²",
+        "sensing.d_max = 4",
+        "what it brings at once",
+    ] {
+        assert!(text.contains(part), "no {part:?} in {text}");
+    }
+}
+
+#[test]
+fn an_n_without_tables_is_refused_with_those_there_are() {
+    let refused = q_table::entry("a.json", &learned(&[10, 250], 1), 50).expect_err("no entry");
+    assert!(matches!(refused, FigureError::NoEntry { devices: 50, .. }));
+    let text = refused.to_string();
+    assert!(text.contains("N = 50: a.json has tables for 10, 250 devices"), "{text}");
+}
+
+#[test]
+fn information_is_drawn_against_energy_with_intervals_in_both_directions() {
+    let runs: [(&str, u32, &[f64]); 5] = [
+        ("knn", 250, &[0.4, 0.5, 0.6]),
+        ("knn", 10, &[0.1, 0.1]),
+        ("q-learning", 250, &[0.7]),
+        ("q-learning", 50, &[f64::NAN]),
+        ("dt", 10, &[f64::NAN]),
+    ];
+    let results = Results::new(&[fixtures::table("paper", "info_per_event", &runs)]).expect("runs");
+    let condition = &results.conditions[0];
+    let chart = pareto::chart(&[condition]).expect("a picture");
+    check("pareto", &chart.scene());
+    let names: Vec<&str> = chart.series.iter().map(|s| s.name.as_str()).collect();
+    assert_eq!(names, ["knn", "q-learning"], "dt has no information");
+    let knn = &chart.series[0].samples;
+    assert!(
+        (knn[0].y - 0.1).abs() < 1e-12 && (knn[1].y - 0.5).abs() < 1e-12,
+        "by rising N: {knn:?}"
+    );
+    // t(2) = 4.302653, and 0.1 / √3.
+    assert!((knn[1].half - 4.302_653 * 0.1 / 3.0_f64.sqrt()).abs() < 1e-5, "{knn:?}");
+    assert!(knn[1].across.abs() < 1e-12 && chart.series[1].samples[0].across.is_nan());
+    let notes: Vec<&str> = chart.notes.iter().map(|note| note.text.as_str()).collect();
+    assert_eq!(notes, ["250", "250", "10"], "ends of lines, the last first");
+    // What the paper states of both: knn 0.145 and 0.4, q-learning 0.24 and 0.72.
+    let marks: Vec<(f64, f64)> = chart.marks.iter().map(|m| (m.x, m.stated.values()[0])).collect();
+    assert_eq!(marks, [(0.145, 0.4), (0.24, 0.72)]);
+    assert!(
+        chart.caption.contains("Hollow marks are for N = 250."),
+        "{}",
+        chart.caption
+    );
+    let csv = pareto::csv(&[condition]);
+    assert_eq!(csv.lines().count(), 4);
+    let none = fixtures::table("paper", "info_per_event", &[("knn", 10, &[f64::NAN])]);
+    assert!(pareto::chart(&[&Results::new(&[none]).expect("runs").conditions[0]]).is_none());
+}
+
+#[test]
+fn each_setting_has_its_own_pareto_picture() {
+    let (name, table) = fixtures::table("paper", "info_per_event", &[("knn", 10, &[0.1, 0.2])]);
+    let (other, literal) = fixtures::table("paper-literal", "info_per_event", &[("knn", 10, &[0.3, 0.2])]);
+    let results = Results::new(&[(name, table), (other, literal)]).expect("runs");
+    let captions = results
+        .conditions
+        .iter()
+        .filter_map(|condition| pareto::chart(&[condition]))
+        .map(|chart| chart.caption);
+    let captions: Vec<String> = captions.collect();
+    assert!(captions[0].starts_with("Preset paper;") && captions[1].starts_with("Preset paper-literal;"));
+}
+
+#[test]
+fn settings_drawn_together_have_a_line_for_each_policy_and_shared_runs_once() {
+    let [plain, uniform] = [
+        &[("knn", 10, &[0.1, 0.2][..]), ("q-learning", 10, &[0.3, 0.4])],
+        &[("knn", 10, &[0.2, 0.2][..]), ("q-learning", 10, &[0.5, 0.4])],
+    ]
+    .map(|runs| fixtures::table("paper", "info_per_event", runs).1);
+    let mut uniform = uniform;
+    uniform.about.experiment += "[set]\n\"layout.kind\" = \"uniform\"\n";
+    for row in &mut uniform.rows {
+        let set = [
+            "layout.kind=uniform",
+            "devices=10",
+            "ttis=2000",
+            &format!("seed={}", row.seed),
+            &format!("policy.name={}", row.policy),
+        ];
+        row.scenario_hash = reveille_lab::table::Hash(scenario(&set).hash());
+        row.digest = if &*row.policy == "knn" {
+            row.digest
+        } else {
+            row.scenario_hash
+        };
+    }
+    let literal = fixtures::table("paper-literal", "info_per_event", &[("knn", 10, &[0.3])]);
+    let tables = [("a".to_owned(), plain), ("b".to_owned(), uniform), literal];
+    let results = Results::new(&tables).expect("runs");
+    let groups = results.together();
+    let labels: Vec<(&str, usize)> = groups.iter().map(|(label, all)| (label.as_str(), all.len())).collect();
+    assert_eq!(labels, [("paper-together", 2), ("paper-literal-together", 1)]);
+    let chart = pareto::chart(&groups[0].1).expect("a picture");
+    check("pareto-together", &chart.scene());
+    let names: Vec<&str> = chart.series.iter().map(|s| s.name.as_str()).collect();
+    assert_eq!(
+        names,
+        ["knn", "q-learning", "q-learning, layout.kind uniform"],
+        "knn has the same digests twice"
+    );
+    let [_, a, b] = &chart.series[..] else { unreachable!() };
+    assert!(a.style.paint == b.style.paint && a.style.marker != b.style.marker && a.style.dashes != b.style.dashes);
+    assert_eq!(pareto::csv(&groups[0].1).lines().count(), 4);
+    assert!(
+        chart
+            .caption
+            .starts_with("Preset paper, also changed as the legend says; 2 runs of 2000 TTIs")
+    );
+}

@@ -1,0 +1,89 @@
+//! The picture of a tuning.
+
+use super::super::scene::Item;
+use super::super::tuning::scene;
+use super::check;
+use reveille_lab::tuning::{Evaluation, History, Pair, Point, Ranges, Surface};
+
+fn history(pairs: &[Pair], of: impl Fn(Pair) -> f64) -> History {
+    let header = [
+        (
+            "objective",
+            "balance: information per event − 1 × energy − 1 × share missed",
+        ),
+        ("devices", "100"),
+        ("mu1", "0.5 to 20"),
+        ("mu2", "1 to 5"),
+        ("training", "12 episodes of 3000 TTIs, epsilon 0.1 to 0.03"),
+        ("evaluation", "8 runs of 10000 TTIs"),
+        ("ranking", "posterior"),
+        ("preset", "paper"),
+        ("seed", "1"),
+    ];
+    let mut history = History::new(header.map(|(name, value)| (name.to_owned(), value.to_owned())).to_vec());
+    for &weights in pairs {
+        let evaluation = Evaluation {
+            objective: of(weights),
+            objective_half: 0.01,
+            information: 0.4,
+            information_half: 0.01,
+            misdetection_pct: 0.1,
+            energy: 0.2,
+            wake_ups: 1.0,
+        };
+        history.points.push(Point { weights, evaluation });
+    }
+    history
+}
+
+fn surface(ranges: &Ranges, of: impl Fn(Pair) -> f64) -> Surface {
+    let middle = |i: u32| (f64::from(i) + 0.5) / 40.0;
+    let row = |j: u32| (0..40).map(|i| of(ranges.at([middle(i), middle(j)]))).collect();
+    Surface {
+        rows: (0..40).map(row).collect(),
+    }
+}
+
+fn hill([mu1, mu2]: Pair) -> f64 {
+    let (x, y) = (libm::log(mu1 / 6.0), libm::log(mu2 / 2.0));
+    0.3 - 0.02 * x * x - 0.1 * y * y
+}
+
+#[test]
+fn a_tuning_is_legible_even_where_pairs_crowd() {
+    let ranges = Ranges::new((0.5, 20.0), (1.0, 5.0)).expect("ranges");
+    let spread: [Pair; 6] = [[14.0, 1.6], [0.5, 1.0], [20.0, 5.0], [2.0, 3.0], [1.0, 4.9], [9.0, 2.5]];
+    let crowd = (0..14).map(|i| [6.0 + 0.03 * f64::from(i), 2.0 + 0.004 * f64::from(i % 3)]);
+    let pairs: Vec<Pair> = spread.into_iter().chain(crowd).collect();
+    let drawn = scene(&history(&pairs, hill), &ranges, &surface(&ranges, hill));
+    check("tuning", &drawn);
+    let texts: Vec<&str> = drawn
+        .items
+        .iter()
+        .filter_map(|item| match item {
+            Item::Text(text) => Some(text.text.as_str()),
+            Item::Shape(_) => None,
+        })
+        .collect();
+    for number in 1..=20 {
+        assert!(
+            texts.contains(&number.to_string().as_str()),
+            "number {number} is missing"
+        );
+    }
+    assert!(drawn.title.contains("N = 100") && drawn.description.contains("number 7: μ1 = 6, μ2 = 2"));
+    let values = texts.iter().filter(|text| text.starts_with("0.")).count();
+    assert!(values >= 5, "levels in the key and on lines: {texts:?}");
+}
+
+#[test]
+fn a_flat_tuning_can_be_drawn() {
+    let ranges = Ranges::new((1.0, 10.0), (1.0, 1000.0)).expect("ranges");
+    let flat = |_: Pair| 0.25;
+    let drawn = scene(
+        &history(&[[1.0, 1.0], [2.0, 10.0], [9.0, 900.0]], flat),
+        &ranges,
+        &surface(&ranges, flat),
+    );
+    check("flat", &drawn);
+}

@@ -1,0 +1,366 @@
+//! The timeline: battery and states of chosen devices, TTI by TTI, with the events and wake-ups of the run.
+
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::WakeOutcome;
+use reveille_common::scenario::{EnergyModel, Scenario};
+use reveille_common::score::EventRecord;
+use reveille_common::state::DeviceState;
+use reveille_common::units::Energy;
+
+use super::error::FigureError;
+use super::font::{Weight, wrap};
+use super::layout::{EDGE, LARGE, LEADING, SMALL, WIDE};
+use super::path::Path;
+use super::scale::Scale;
+use super::scene::{Anchor, Paint, Scene, Stroke, Text};
+use super::style::{BLUE, GREEN, ORANGE, VERMILION};
+use super::witness::{Happened, Walk, events};
+
+/// Where the plots start and end.
+const LEFT: f64 = 48.0;
+const RIGHT: f64 = WIDE - EDGE - 4.0;
+/// Height of a battery plot, of a lane of states, and of the gap to the next device, points.
+const BATTERY: f64 = 62.0;
+const LANE: f64 = 9.0;
+const GAP: f64 = 12.0;
+/// How many devices a timeline shows by default, and at the most.
+const SHOWN: usize = 3;
+/// The most devices that a timeline shows.
+pub const CROWD: u32 = 8;
+
+/// One device in one TTI.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Moment {
+    /// The TTI.
+    pub tti: Tti,
+    /// Its state after all that happened in the TTI.
+    pub state: DeviceState,
+    /// Whether it was in S2 and could not transmit.
+    pub failed: bool,
+    /// Whether the BS sent it a wake-up.
+    pub woken: bool,
+    /// Its battery at the end of the TTI.
+    pub battery: Energy,
+}
+
+/// What a timeline shows.
+#[derive(Clone, Debug)]
+pub struct Timeline {
+    /// First TTI.
+    pub from: Tti,
+    /// The TTI after the last.
+    pub end: Tti,
+    /// The devices, with battery and costs and what they went through.
+    pub devices: Vec<(DeviceId, EnergyModel, Vec<Moment>)>,
+    /// The events of these TTIs.
+    pub events: Vec<EventRecord>,
+}
+
+impl Timeline {
+    /// `ttis` TTIs of a run of `scenario` from TTI `from` on. Without `devices` it shows the three that were busiest in
+    /// them: most reports and wake-ups, the lower number first.
+    ///
+    /// # Errors
+    /// A device or TTIs that the run does not have, or more devices than [`CROWD`].
+    pub fn of(scenario: &Scenario, devices: &[u32], from: u64, ttis: u64) -> Result<Self, FigureError> {
+        let end = from.saturating_add(ttis);
+        if !(10..=2000).contains(&ttis) || end > scenario.ttis {
+            return Err(FigureError::NoWindow {
+                from,
+                to: end.saturating_sub(1),
+                ttis: scenario.ttis,
+            });
+        }
+        if let Some(&device) = devices.iter().find(|d| **d >= scenario.devices) {
+            return Err(FigureError::NoDevice {
+                device,
+                count: scenario.devices,
+            });
+        }
+        if devices.len() > CROWD as usize {
+            return Err(FigureError::Crowd {
+                count: devices.len() as u32,
+                what: "a timeline",
+                limit: CROWD,
+                advice: "draw several",
+            });
+        }
+        let shown = if devices.is_empty() {
+            busiest(scenario, Tti(from), Tti(end))
+        } else {
+            devices.iter().copied().map(DeviceId).collect()
+        };
+        let overlaps = |e: &EventRecord| e.start.0 < end && e.last.0 >= from;
+        Ok(Self {
+            from: Tti(from),
+            end: Tti(end),
+            devices: follow(scenario, &shown, Tti(from), Tti(end)),
+            events: events(scenario).into_iter().filter(overlaps).collect(),
+        })
+    }
+}
+
+/// Goes through the run up to TTI `end`, and shows `visit` each TTI from `from` on.
+fn walk(scenario: &Scenario, from: Tti, end: Tti, mut visit: impl FnMut(&Walk, Tti, &Happened)) {
+    let mut walk = Walk::new(scenario);
+    loop {
+        let (k, happened) = walk.step();
+        if k >= from {
+            visit(&walk, k, &happened);
+        }
+        if k + 1 >= end {
+            return;
+        }
+    }
+}
+
+fn busiest(scenario: &Scenario, from: Tti, end: Tti) -> Vec<DeviceId> {
+    let mut acts = vec![0_u32; scenario.devices as usize];
+    walk(scenario, from, end, |_, _, happened| {
+        let reporters = happened.reports.iter().map(|r| r.device);
+        let failed = happened.failures.iter().map(|f| f.device);
+        let woken = happened.woken.iter().map(|(device, _)| *device);
+        for device in reporters.chain(failed).chain(woken) {
+            acts[device.index()] += 1;
+        }
+    });
+    let mut ids: Vec<DeviceId> = (0..scenario.devices).map(DeviceId).collect();
+    ids.sort_by_key(|id| std::cmp::Reverse(acts[id.index()]));
+    ids.truncate(SHOWN);
+    ids.sort_unstable();
+    ids
+}
+
+fn follow(scenario: &Scenario, shown: &[DeviceId], from: Tti, end: Tti) -> Vec<(DeviceId, EnergyModel, Vec<Moment>)> {
+    let deployment = reveille_common::deployment::Deployment::new(scenario);
+    let start = |id: &DeviceId| (*id, deployment.devices[id.index()].energy, Vec::new());
+    let mut devices: Vec<(DeviceId, EnergyModel, Vec<Moment>)> = shown.iter().map(start).collect();
+    walk(scenario, from, end, |walk, k, happened| {
+        for (id, _, moments) in &mut devices {
+            let (state, battery) = walk.state(*id, k);
+            let wake_up = happened.woken.iter().find(|(woken, _)| woken == id);
+            let failed_awake = wake_up.is_some_and(|(_, outcome)| matches!(outcome, WakeOutcome::Failed(_)));
+            moments.push(Moment {
+                tti: k,
+                state,
+                failed: failed_awake || happened.failures.iter().any(|f| f.device == *id),
+                woken: wake_up.is_some(),
+                battery,
+            });
+        }
+    });
+    devices
+}
+
+/// The picture of `timeline`.
+pub fn scene(scenario: &Scenario, timeline: &Timeline) -> Scene {
+    let mut scene = Scene::new(WIDE, 0.0);
+    scene.title = format!(
+        "Battery and states of {} of {} devices, policy {}",
+        timeline.devices.len(),
+        scenario.devices,
+        scenario.policy.name()
+    );
+    scene.text(Text::new(scene.title.clone(), (EDGE, EDGE + LARGE), LARGE).bold());
+    let axis = Axis {
+        from: timeline.from.0 as f64,
+        ttis: (timeline.end - timeline.from) as f64,
+    };
+    let top = EDGE + LARGE + LEADING + 4.0;
+    legend(&mut scene, top);
+    let top = top + 8.0;
+    let height = BATTERY + 4.0 * LANE + GAP;
+    let bottom = top + height * timeline.devices.len() as f64 - GAP;
+    axis.events(&mut scene, &timeline.events, top, bottom);
+    for (i, (id, energy, moments)) in timeline.devices.iter().enumerate() {
+        let top = top + height * i as f64;
+        axis.battery(&mut scene, *id, energy, moments, top);
+        axis.states(&mut scene, moments, top + BATTERY);
+    }
+    axis.ticks(&mut scene, bottom);
+    let mut y = bottom + 3.0 * LEADING + 10.0;
+    scene.description = caption(scenario, timeline);
+    for line in wrap(&scene.description.clone(), Weight::Regular, SMALL, WIDE - 2.0 * EDGE) {
+        scene.text(Text::new(line, (EDGE, y), SMALL));
+        y += LEADING;
+    }
+    scene.height = (y - LEADING + 0.24 * SMALL + EDGE).ceil();
+    scene
+}
+
+fn legend(scene: &mut Scene, y: f64) {
+    let mut x = EDGE;
+    let middle = y - 0.35 * SMALL;
+    let mut entry = |scene: &mut Scene, text: &str, draw: &dyn Fn(&mut Scene, f64)| {
+        draw(scene, x);
+        scene.text(Text::new(text, (x + 13.0, y), SMALL));
+        x += 13.0 + super::font::width(text, Weight::Regular, SMALL) + 11.0;
+    };
+    entry(scene, "event", &|scene, x| {
+        let span = [x, middle - 4.0, x + 10.0, middle + 4.0];
+        scene.area(Path::rectangle(span), Paint::Colour(ORANGE), 0.35);
+    });
+    entry(scene, "event nobody reported", &|scene, x| {
+        let span = [x, middle - 4.0, x + 10.0, middle + 4.0];
+        scene.area(Path::rectangle(span), Paint::Ink, 0.25);
+    });
+    entry(scene, "battery", &|scene, x| {
+        let line = Path::segment((x, middle), (x + 10.0, middle));
+        scene.line(line, Stroke::solid(Paint::Colour(BLUE), 1.2));
+    });
+    entry(scene, "E_Tx", &|scene, x| {
+        scene.line(Path::segment((x, middle), (x + 10.0, middle)), threshold());
+    });
+    entry(scene, "wake-up", &|scene, x| wake_up(scene, x + 5.0, middle + 4.0));
+    entry(scene, "S2 without the energy for a report", &|scene, x| {
+        failure(scene, x + 5.0, middle);
+    });
+    entry(scene, "no power", &|scene, x| {
+        let span = [x, middle - 3.0, x + 10.0, middle + 3.0];
+        scene.outlined(Path::rectangle(span), Paint::Paper, Stroke::solid(Paint::Ink, 0.5));
+    });
+}
+
+struct Axis {
+    from: f64,
+    ttis: f64,
+}
+
+impl Axis {
+    /// Where TTI `k` begins.
+    fn x(&self, k: f64) -> f64 {
+        LEFT + ((k - self.from) / self.ttis).clamp(0.0, 1.0) * (RIGHT - LEFT)
+    }
+
+    fn events(&self, scene: &mut Scene, events: &[EventRecord], top: f64, bottom: f64) {
+        for event in events {
+            let (from, to) = (self.x(event.start.0 as f64), self.x(event.last.0 as f64 + 1.0));
+            let (paint, opacity) = if event.tally.reports > 0 {
+                (Paint::Colour(ORANGE), 0.35)
+            } else {
+                (Paint::Ink, 0.25)
+            };
+            scene.area(Path::rectangle([from, top, to, bottom]), paint, opacity);
+        }
+    }
+
+    fn battery(&self, scene: &mut Scene, id: DeviceId, energy: &EnergyModel, moments: &[Moment], top: f64) {
+        let bottom = top + BATTERY - 4.0;
+        let scale = Scale::Linear {
+            from: 0.0,
+            to: energy.e_max.units(),
+        };
+        let y = |units: f64| bottom - scale.place(units) * (bottom - top - 4.0);
+        let frame = [(LEFT, top), (LEFT, bottom), (RIGHT, bottom)];
+        scene.line(Path::polyline(frame, false), Stroke::solid(Paint::Ink, 0.7));
+        for value in [0.0, 0.5 * energy.e_max.units(), energy.e_max.units()] {
+            let at = (LEFT - 4.0, y(value) + 0.36 * SMALL);
+            scene.text(Text::new(super::scale::label(value, 1.0), at, SMALL).anchored(Anchor::End));
+            let tick = Path::segment((LEFT - 2.5, y(value)), (LEFT, y(value)));
+            scene.line(tick, Stroke::solid(Paint::Ink, 0.7));
+        }
+        let e_tx = y(energy.e_tx.units());
+        scene.line(Path::segment((LEFT, e_tx), (RIGHT, e_tx)), threshold());
+        let steps = moments.iter().flat_map(|m| {
+            let (k, level) = (m.tti.0 as f64, y(m.battery.units()));
+            [(self.x(k), level), (self.x(k + 1.0), level)]
+        });
+        scene.line(Path::polyline(steps, false), Stroke::solid(Paint::Colour(BLUE), 1.1));
+        let mut label = Text::new(
+            format!("device {id}"),
+            (EDGE + 0.76 * SMALL, 0.5 * (top + bottom)),
+            SMALL,
+        );
+        label.upwards = true;
+        scene.text(label.anchored(Anchor::Middle));
+        let mut unit = Text::new("units", (EDGE + 1.9 * SMALL, 0.5 * (top + bottom)), SMALL);
+        unit.upwards = true;
+        scene.text(unit.anchored(Anchor::Middle));
+    }
+
+    /// Four lanes, S1 above to S4 below.
+    fn states(&self, scene: &mut Scene, moments: &[Moment], top: f64) {
+        for (lane, name) in ["S1", "S2", "S3", "S4"].iter().enumerate() {
+            let y = top + LANE * (lane as f64 + 1.0) - 1.5;
+            scene.text(Text::new(*name, (LEFT - 4.0, y), SMALL).anchored(Anchor::End));
+            let line = Path::segment((LEFT, y + 1.5), (RIGHT, y + 1.5));
+            scene.line(line, Stroke::solid(Paint::Ink, 0.4).faded(0.3));
+        }
+        // Equal neighbours become one block.
+        for block in moments.chunk_by(|a, b| a.state == b.state && !a.failed && !b.failed) {
+            let (first, last) = (block[0], block[block.len() - 1]);
+            let (from, to) = (self.x(first.tti.0 as f64), self.x(last.tti.0 as f64 + 1.0));
+            let lane =
+                |lane: f64| Path::rectangle([from, top + LANE * lane + 1.0, to, top + LANE * (lane + 1.0) - 1.0]);
+            match first.state {
+                DeviceState::Idle => scene.area(lane(0.0), Paint::Colour(BLUE), 1.0),
+                DeviceState::Active => scene.area(lane(1.0), Paint::Colour(ORANGE), 1.0),
+                DeviceState::Transmission => {
+                    scene.area(lane(1.0), Paint::Colour(ORANGE), 1.0);
+                    scene.area(lane(2.0), Paint::Colour(VERMILION), 1.0);
+                }
+                DeviceState::Sleep { powered: true } => scene.area(lane(3.0), Paint::Ink, 0.45),
+                DeviceState::Sleep { powered: false } => {
+                    scene.outlined(lane(3.0), Paint::Paper, Stroke::solid(Paint::Ink, 0.5));
+                }
+            }
+        }
+        for m in moments {
+            let middle = self.x(m.tti.0 as f64 + 0.5);
+            if m.failed {
+                failure(scene, middle, top + 1.5 * LANE);
+            }
+            if m.woken {
+                wake_up(scene, middle, top + 4.0 * LANE + 5.5);
+            }
+        }
+    }
+
+    fn ticks(&self, scene: &mut Scene, bottom: f64) {
+        let y = bottom + 7.0;
+        scene.line(Path::segment((LEFT, y), (RIGHT, y)), Stroke::solid(Paint::Ink, 0.7));
+        let scale = Scale::linear([self.from, self.from + self.ttis], false);
+        for tick in scale.ticks() {
+            if tick.value < self.from || tick.value > self.from + self.ttis {
+                continue;
+            }
+            let x = self.x(tick.value);
+            scene.line(Path::segment((x, y), (x, y + 2.5)), Stroke::solid(Paint::Ink, 0.7));
+            // A label at the very end would leave the page.
+            let at = x.min(RIGHT - 4.0);
+            scene.text(Text::new(tick.label, (at, y + LEADING), SMALL).anchored(Anchor::Middle));
+        }
+        let middle = (0.5 * (LEFT + RIGHT), y + 2.0 * LEADING);
+        scene.text(Text::new("TTI k", middle, SMALL).anchored(Anchor::Middle));
+    }
+}
+
+const fn threshold() -> Stroke {
+    Stroke::solid(Paint::Colour(VERMILION), 0.8).dashed(&[3.0, 2.0])
+}
+
+/// A small arrow that points up, its tip at `y - 5`.
+fn wake_up(scene: &mut Scene, x: f64, y: f64) {
+    let tip = Path::polyline([(x, y - 5.0), (x + 2.4, y), (x - 2.4, y)], true);
+    scene.area(tip, Paint::Colour(GREEN), 1.0);
+}
+
+fn failure(scene: &mut Scene, x: f64, y: f64) {
+    let mut cross = Path::segment((x - 2.5, y - 2.5), (x + 2.5, y + 2.5));
+    cross.extend(Path::segment((x - 2.5, y + 2.5), (x + 2.5, y - 2.5)));
+    scene.line(cross, Stroke::solid(Paint::Ink, 1.1));
+}
+
+fn caption(scenario: &Scenario, timeline: &Timeline) -> String {
+    let unseen = timeline.events.iter().filter(|e| e.tally.reports == 0).count();
+    format!(
+        "Battery at the end of each TTI and states S1 (idle: sensing), S2 (active), S3 (transmission), S4 (sleep). A \
+            device that \
+         reports goes through S2 and S3 within its TTI. {} events, {unseen} of them reported by nobody. Preset {}, \
+         seed {}, K = {}.",
+        timeline.events.len(),
+        scenario.preset,
+        scenario.seed,
+        scenario.ttis
+    )
+}

@@ -1,0 +1,168 @@
+//! The claims on λ (Figs. 13 and 14): from which λ on a device harvests more than it spends.
+//!
+//! As in the paper, consumption is held fixed at what a policy spends in the tables (Fig. 8) while λ varies. The
+//! policies are those that the paper names at the ends of its ranges, whatever place they have in ours.
+
+use reveille_common::harvest::HarvestKind;
+use reveille_common::scenario::Scenario;
+
+use super::judge::{Verdict, within};
+use super::lines::{Column, Line, NO_TABLE, Ours};
+use super::why::not_run;
+use super::words::{number, plain, plus_minus};
+use crate::analysis::harvest::{Reading, STATED, Stated, StatedEnd, positive_net};
+use crate::figures::energy::consumption;
+use crate::figures::results::Condition;
+use reveille_lab::stats::Estimate;
+
+/// The metric that is held fixed.
+const SPENT: &str = "energy_per_device_tti";
+
+/// All claims on λ.
+pub fn lines(columns: &[Column<'_>]) -> Vec<Line> {
+    let lines = |stated: &'static Stated| {
+        let own = stated.ends().enumerate();
+        own.map(move |(end, value)| line(stated, end == 1, value, columns))
+    };
+    let mut lines: Vec<Line> = STATED.iter().flat_map(lines).collect();
+    lines.sort_by_key(|line| line.source);
+    lines
+}
+
+fn line(stated: &'static Stated, is_most: bool, end: StatedEnd, columns: &[Column<'_>]) -> Line {
+    let rank = if is_most { "most" } else { "least" };
+    Line {
+        source: stated.source,
+        about: format!("λ above which net energy is positive, E_B = {}", stated.e_b),
+        policy: format!("{}, spends {rank}", end.policy),
+        sites: format!("N = {}", stated.devices),
+        paper: format!("≈ {}", plain(end.lambda)),
+        ours: columns
+            .iter()
+            .map(|column| ours(stated, is_most, end, column))
+            .collect(),
+    }
+}
+
+fn ours(stated: &Stated, is_most: bool, end: StatedEnd, column: &Column<'_>) -> Ours {
+    let none = |why: String| Ours {
+        found: String::new(),
+        verdict: Verdict::NotRun,
+        firm: true,
+        why,
+    };
+    let Some(condition) = column.condition else {
+        return none(NO_TABLE.to_owned());
+    };
+    let Some(spent) = condition.estimate(end.policy, stated.devices, SPENT) else {
+        return none(not_run(end.policy));
+    };
+    let Some(tau) = condition.scenario.as_ref().and_then(tau_of_eq5) else {
+        return none(
+            "Not comparable: the claim is about Eq. (5), and the energy source of these runs is another, or their \
+                table does not \
+             tell it."
+                .to_owned(),
+        );
+    };
+    let mut ours = judge((stated.e_b, tau), end, &spent);
+    let place = place(condition, stated.devices, is_most, end.policy);
+    if !place.is_empty() {
+        let why = format!("{} {place}", ours.why);
+        why.trim_start().clone_into(&mut ours.why);
+    }
+    ours
+}
+
+/// τ of a scenario all of whose devices harvest by Eq. (5); `None` for any other.
+fn tau_of_eq5(scenario: &Scenario) -> Option<f64> {
+    let is_eq5 = scenario
+        .classes
+        .iter()
+        .all(|class| class.harvest.kind() == HarvestKind::Eq5);
+    is_eq5.then_some(scenario.tau)
+}
+
+/// A sentence if `policy` is not at the end of our range at which the paper has it.
+fn place(condition: &Condition, n: u32, is_most: bool, policy: &str) -> String {
+    let Some([least, most]) = consumption(condition, n) else {
+        return String::new();
+    };
+    let (own, other, rank) = if is_most {
+        (&most, &least, ["most", "least"])
+    } else {
+        (&least, &most, ["least", "most"])
+    };
+    if own.0 == policy {
+        return String::new();
+    }
+    let [rank, opposite] = rank;
+    let here = if other.0 == policy {
+        format!("it spends {opposite} of all")
+    } else {
+        "it is neither the first nor the last".to_owned()
+    };
+    format!(
+        "The paper has {policy} as the one that spends {rank}; here {here}, and {} spends {rank}, {} units.",
+        own.0,
+        number(own.1.mean)
+    )
+}
+
+fn judge((e_b, tau): (f64, f64), end: StatedEnd, spent: &Estimate) -> Ours {
+    let StatedEnd { lambda: stated, policy } = end;
+    let threshold =
+        |spent: f64| positive_net(Reading::Eq5, e_b, spent.max(f64::MIN_POSITIVE), tau).map(|(from, _)| from);
+    let (low, high) = (
+        threshold(spent.mean - spent.half_width),
+        threshold(spent.mean + spent.half_width),
+    );
+    let Some(found) = threshold(spent.mean) else {
+        let most = e_b * Reading::Eq5.probability(1.0 / tau, tau);
+        return Ours {
+            found: "never".to_owned(),
+            verdict: Verdict::NotReproduced,
+            firm: low.is_none(),
+            why: format!(
+                "{policy} spends {} units, and under Eq. (5) no λ brings more than E_B/e = {}. The paper's values fit \
+                    a harvest \
+                 of about λ·E_B, which λ·exp(-λ)·E_B is for small λ only.",
+                number(spent.mean),
+                number(most)
+            ),
+        };
+    };
+    let fits = within(found, stated, stated);
+    let measured = match (low, high) {
+        (Some(low), Some(high)) => plus_minus(found, 0.5 * (high - low)),
+        (Some(_) | None, None) | (None, Some(_)) => format!("{}, perhaps never", number(found)),
+    };
+    let firm = low
+        .zip(high)
+        .is_some_and(|(a, b)| within(a, stated, stated) == fits && within(b, stated, stated) == fits);
+    let doubt = if firm {
+        ""
+    } else {
+        " Our interval reaches across the border of this verdict: more runs would decide."
+    };
+    let why = if fits {
+        doubt.trim_start().to_owned()
+    } else {
+        let needed = e_b * Reading::Eq5.probability(stated, tau);
+        format!(
+            "{policy} spends {} units here; the paper's λ stands for a consumption of {}.{doubt}",
+            number(spent.mean),
+            number(needed)
+        )
+    };
+    Ours {
+        found: measured,
+        verdict: if fits {
+            Verdict::Reproduced
+        } else {
+            Verdict::NotReproduced
+        },
+        firm,
+        why,
+    }
+}

@@ -1,0 +1,149 @@
+//! The report as one page of HTML that needs nothing but itself.
+
+use std::fmt::Write as _;
+
+use super::judge::Verdict;
+use super::markdown::{RULE, origins};
+use super::{Line, Report};
+use crate::figures::svg::escape;
+
+const STYLE: &str = include_str!("page.css");
+
+/// The page. `pictures` are SVGs.
+pub fn page(report: &Report<'_>, pictures: &[String], command: &str) -> String {
+    let mut out = format!(
+        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" \
+         content=\"width=device-width, initial-scale=1\">\n<title>Reveille beside the \
+         paper</title>\n<style>\n{STYLE}</style>\n\
+         </head>\n<body>\n<h1>What the paper claims and what Reveille measures</h1>\n<p>{}</p>\n",
+        escape(RULE)
+    );
+    out.push_str(&tally(report));
+    out.push_str("<h2>Claims</h2>\n");
+    for (source, lines) in report.sections() {
+        out.push_str(&head(report, source));
+        out.extend(lines.iter().map(|line| row(report, line)));
+        out.push_str("</tbody></table></div>\n");
+    }
+    out.push_str("<h2>Figures</h2>\n<div class=\"figures\">\n");
+    for picture in pictures {
+        let _ = writeln!(out, "<figure>{picture}</figure>");
+    }
+    out.push_str("</div>\n<h2>How it was made</h2>\n");
+    let _ = writeln!(
+        out,
+        "<p>By Reveille {}: <code>{}</code></p>\n<ul>",
+        env!("CARGO_PKG_VERSION"),
+        escape(command)
+    );
+    for line in origins(report) {
+        let _ = writeln!(out, "<li>{}</li>", escape(&line));
+    }
+    out.push_str("</ul>\n");
+    for (name, text) in report.experiments() {
+        let (name, text) = (escape(name), escape(text));
+        let _ = writeln!(
+            out,
+            "<details><summary>The experiment of {name}</summary><pre>{text}</pre></details>"
+        );
+    }
+    out.push_str("</body>\n</html>\n");
+    out
+}
+
+const fn class(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::Reproduced => "yes",
+        Verdict::OrderReproduced => "order",
+        Verdict::NotReproduced => "no",
+        Verdict::NotRun => "none",
+    }
+}
+
+/// A sign in front of the words, for those who do not see colours.
+const fn sign(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::Reproduced => "✓",
+        Verdict::OrderReproduced => "≷",
+        Verdict::NotReproduced => "✗",
+        Verdict::NotRun => "–",
+    }
+}
+
+fn tally(report: &Report<'_>) -> String {
+    let mut out = String::from("<table class=\"tally\"><thead><tr><th>claims</th>");
+    for column in &report.columns {
+        let _ = write!(out, "<th>{}</th>", escape(&column.label));
+    }
+    out.push_str("</tr></thead><tbody>\n");
+    for verdict in Verdict::ALL {
+        let _ = write!(
+            out,
+            "<tr><td class=\"{}\">{} {}</td>",
+            class(verdict),
+            sign(verdict),
+            verdict.words()
+        );
+        for column in 0..report.columns.len() {
+            let _ = write!(out, "<td>{}</td>", report.tally(column, verdict));
+        }
+        out.push_str("</tr>\n");
+    }
+    out.push_str("</tbody></table>\n");
+    out
+}
+
+fn head(report: &Report<'_>, source: &str) -> String {
+    let mut out = format!(
+        "<h3>{}</h3>\n<div class=\"wide\"><table><thead><tr><th></th><th>policy</th><th>N</th><th>stated</th>",
+        escape(source)
+    );
+    for column in &report.columns {
+        let _ = write!(out, "<th>{}</th><th>verdict</th>", escape(&column.label));
+    }
+    out.push_str("</tr></thead><tbody>\n");
+    out
+}
+
+fn row(report: &Report<'_>, line: &Line) -> String {
+    let mut out = format!(
+        "<tr class=\"claim\"><td>{}</td><td>{}</td><td>{}</td><td>{}</td>",
+        escape(&line.about),
+        escape(&line.policy),
+        escape(&line.sites),
+        escape(&line.paper)
+    );
+    for ours in &line.ours {
+        let doubt = if ours.firm { "" } else { " ?" };
+        let (class, sign, words) = (class(ours.verdict), sign(ours.verdict), ours.verdict.words());
+        let _ = write!(
+            out,
+            "<td>{}</td><td class=\"{class}\">{sign} {words}{doubt}</td>",
+            together(&escape(&ours.found))
+        );
+    }
+    let mut reasons: Vec<String> = Vec::new();
+    let is_same = line.ours.iter().all(|ours| ours.why == line.ours[0].why);
+    for (column, ours) in report.columns.iter().zip(&line.ours) {
+        if is_same {
+            reasons = vec![escape(&ours.why)];
+        } else if !ours.why.is_empty() {
+            reasons.push(format!("<b>{}</b>: {}", escape(&column.label), escape(&ours.why)));
+        }
+    }
+    reasons.retain(|reason| !reason.is_empty());
+    out.push_str("</tr>\n");
+    if !reasons.is_empty() {
+        let (width, reasons) = (3 + 2 * report.columns.len(), together(&reasons.join("<br>")));
+        let _ = writeln!(
+            out,
+            "<tr class=\"why\"><td></td><td colspan=\"{width}\">{reasons}</td></tr>"
+        );
+    }
+    out
+}
+
+/// `text` with figures that are not to be torn apart at the end of a line.
+fn together(text: &str) -> String {
+    text.replace(" ± ", "\u{a0}±\u{a0}").replace("N = ", "N\u{a0}=\u{a0}")
+}

@@ -1,0 +1,236 @@
+//! Looking at a run and driving its clock: what is shown is what happens, once, and every refusal says why.
+
+use std::time::Duration;
+
+use reveille_tests::process::{
+    Folder, PATIENCE, Process, assert_refused, free_endpoint, hosts_of, send_signal, unique_run, wait_until,
+};
+use rustix::process::Signal;
+use serde_json::Value;
+
+/// A run of 60 TTIs that is paused before the first.
+fn paused(folder: &Folder, run: &str, args: &str) -> Process {
+    let up = folder.start(&format!("up -k 60 --paused --run {run} --quiet --out out {args}"));
+    folder.wait_for_tti(run, 0);
+    wait_until("all devices to join", PATIENCE, || {
+        folder.clock(run, "status").starts_with("paused").then_some(())
+    });
+    up
+}
+
+/// A spectator of `run` that has connected.
+fn tail(folder: &Folder, run: &str, args: &str) -> Process {
+    let tail = folder.start(&format!("inspect tail --run {run} {args}"));
+    tail.wait_for_stderr("connected to run");
+    tail
+}
+
+/// The messages that a spectator with `--json` has shown, without those of operators.
+fn messages(shown: &str) -> Vec<Value> {
+    let lines = shown
+        .lines()
+        .map(|line| serde_json::from_str(line).expect("a line is JSON"));
+    lines.filter(|message: &Value| message["kind"] != "control").collect()
+}
+
+/// What the spectator of a run with these processes is shown of the TTIs 20 to 49. The end of a run is not waited for
+/// by what copies its messages.
+fn shown(processes: u32) -> Vec<Value> {
+    let (folder, run) = (Folder::new(), unique_run("shown"));
+    let up = paused(
+        &folder,
+        &run,
+        &format!("-P {processes} -n 30 --set bs.sync_interval=5 --pace 5ms --set events.alpha=0.3"),
+    );
+    let tail = tail(&folder, &run, "--json");
+    let mut step = 0;
+    wait_until("the spectator to see something", PATIENCE, || {
+        step += 1;
+        folder.clock(&run, "step --wait");
+        tail.stdout().contains("\"clock\"").then_some(())
+    });
+    folder.clock(&run, "resume");
+    assert!(up.finish().is_success());
+    let tail = tail.finish();
+    assert!(tail.is_success(), "{tail}");
+    assert!(tail.stderr.contains(" 0 left out"), "{tail}");
+    let since = |message: &Value| message["tti"].as_u64().is_some_and(|tti| (20..50).contains(&tti));
+    assert!(step < 20, "the spectator saw nothing before TTI {step}");
+    messages(&tail.stdout).into_iter().filter(since).collect()
+}
+
+#[test]
+fn devices_in_the_base_stations_process_are_shown_once() {
+    let seen = |processes| {
+        let count = |kind: &str, of: &[Value]| of.iter().filter(|message| message["kind"] == kind).count();
+        let all = shown(processes);
+        ["plan", "wake", "report", "clock", "answer"].map(|kind| count(kind, &all))
+    };
+    let [plans, wakes, reports, clock, answers] = seen(1);
+    assert!(
+        reports > 0 && plans > 0,
+        "{plans} plans, {wakes} wake-ups, {reports} reports"
+    );
+    assert_eq!(
+        seen(0),
+        [plans, wakes, reports, clock, answers],
+        "as with one device process"
+    );
+}
+
+#[test]
+fn a_paused_run_is_greeted_and_its_lines_say_who() {
+    let (folder, run) = (Folder::new(), unique_run("greet"));
+    let up = paused(
+        &folder,
+        &run,
+        "-P 1 -n 30 --set bs.sync_interval=5 --set events.alpha=0.3",
+    );
+    let tail = tail(&folder, &run, "");
+    let greeting = format!("connected to run {run}: paused before TTI 0 of 60\n");
+    assert!(tail.stderr().contains(&greeting), "{}", tail.stderr());
+    wait_until("a report and an answer", PATIENCE, || {
+        folder.run(&format!("clock --run {run} step --wait"));
+        let text = tail.stdout();
+        let line = |kind: &str, whose: &str| text.lines().any(|line| line.contains(kind) && line.contains(whose));
+        (line(" report ", " device ") && line(" answer ", " host 0 ") && line(" plan ", " devices sense")).then_some(())
+    });
+    folder.run(&format!("clock --run {run} resume"));
+    assert!(up.finish().is_success());
+}
+
+#[test]
+fn filters_that_let_nothing_through_are_refused() {
+    let (folder, run) = (Folder::new(), unique_run("filters"));
+    let up = paused(&folder, &run, "-P 1 -n 5");
+    let end = folder.run(&format!("inspect tail --run {run} --device 99"));
+    assert_refused(&end, 1, &["--device 99", "5 devices", "0 to 4"]);
+    let end = folder.run(&format!("inspect tail --run {run} --plane air --kind plan,clock"));
+    assert_refused(&end, 1, &["--plane air", "--kind clock", "emu"]);
+    let end = folder.run(&format!("inspect tail --run {run} --kind plans"));
+    assert_refused(&end, 2, &["plans", "wake", "control"]);
+    folder.clock(&run, "resume");
+    assert!(up.finish().is_success());
+}
+
+#[test]
+fn help_lists_the_kinds_with_their_direction_and_the_exit_codes() {
+    let folder = Folder::new();
+    let help = folder.run("inspect tail --help").stdout;
+    for part in ["wake:", "BS → one device", "answer:", "host → BS"] {
+        assert!(help.contains(part), "no {part:?}: {help}");
+    }
+    let help = folder.run("--help").stdout;
+    for part in ["Exit codes:", "  0  ", "  1  ", "  2  ", "130  "] {
+        assert!(help.contains(part), "no {part:?}: {help}");
+    }
+    let help = folder.run("up --help").stdout;
+    assert!(help.contains("cannot take over"), "{help}");
+}
+
+#[test]
+fn a_waiting_clock_command_returns_when_it_is_done() {
+    let (folder, run) = (Folder::new(), unique_run("wait"));
+    let up = paused(&folder, &run, "-P 1 -n 5 --pace 20ms");
+    assert_eq!(folder.clock(&run, "step 3 --wait"), "paused before TTI 3 of 60\n");
+    assert_eq!(folder.clock(&run, "run-to 9 --wait"), "paused before TTI 9 of 60\n");
+    let said = folder.clock(&run, "step 3");
+    assert_eq!(said, "running at TTI 9 of 60, to stop before TTI 12\n");
+    folder.clock(&run, "resume");
+    let said = folder.clock(&run, "pause");
+    assert!(said.starts_with("paused before TTI "), "{said}");
+    let said = folder.clock(&run, "step 1000 --wait");
+    assert!(said.starts_with("the run has ended"), "{said}");
+    assert!(up.finish().is_success());
+}
+
+#[test]
+fn a_waiting_clock_command_says_that_the_run_ended_first() {
+    let (folder, run) = (Folder::new(), unique_run("cut"));
+    let up = paused(&folder, &run, "-P 1 -n 5 --pace 200ms");
+    let clock = folder.start(&format!("clock --run {run} run-to 59 --wait"));
+    folder.wait_for_tti(&run, 2);
+    up.signal(Signal::INT);
+    assert_refused(&clock.finish(), 1, &["the run ended before TTI 59", "of 60"]);
+    assert_eq!(up.finish().code(), Some(130));
+}
+
+#[test]
+fn a_held_clock_says_whom_it_waits_for() {
+    let (folder, run, endpoint) = (Folder::new(), unique_run("held"), free_endpoint());
+    let drive = "-n 50 -k 6000 --pace 5ms --on-loss wait --quiet --out out";
+    let bs = folder.start(&format!("bs {drive} --run {run} --listen {endpoint}"));
+    let [_first, second] = [0, 1].map(|_| {
+        let host = folder.start(&format!("-v device --connect {endpoint} --run {run} --count 25"));
+        host.wait_for_stderr("joined");
+        host
+    });
+    folder.wait_for_tti(&run, 10);
+    second.signal(Signal::KILL);
+    bs.wait_for_stderr("the clock is held");
+    let said = folder.clock(&run, "status");
+    assert!(said.starts_with("held at TTI "), "{said}");
+    assert!(said.contains(": waiting for host 1 (devices 25 to 49)"), "{said}");
+    let end = folder.run(&format!("device --connect {endpoint} --run {run} --count 25"));
+    assert_refused(&end, 1, &["refused", "cannot take over"]);
+    bs.signal(Signal::INT);
+    assert_eq!(bs.finish().code(), Some(130));
+}
+
+#[test]
+fn the_devices_of_a_failed_run_say_why_and_fail() {
+    let (folder, run, endpoint) = (Folder::new(), unique_run("failed"), free_endpoint());
+    let bs = folder.start(&format!(
+        "bs -n 5 -k 6000 --pace 5ms --quiet --out out --run {run} --listen {endpoint}"
+    ));
+    let [first, second] = [2, 3].map(|count| {
+        let host = folder.start(&format!("-v device --connect {endpoint} --run {run} --count {count}"));
+        host.wait_for_stderr("joined");
+        host
+    });
+    folder.wait_for_tti(&run, 10);
+    first.signal(Signal::KILL);
+    assert_eq!(bs.finish().code(), Some(1));
+    let end = second.finish();
+    assert_eq!(end.code(), Some(1), "{end}");
+    assert!(
+        end.stderr.contains("reveille: the run has failed: lost host 0"),
+        "{end}"
+    );
+}
+
+#[test]
+fn the_base_station_of_up_alone_says_why_its_run_failed() {
+    let (folder, run) = (Folder::new(), unique_run("alone"));
+    let up = folder.start(&format!(
+        "up -P 2 -n 5 -k 6000 --pace 5ms --quiet --out out --run {run}"
+    ));
+    folder.wait_for_tti(&run, 10);
+    send_signal(hosts_of(&run)[0], Signal::KILL);
+    let end = up.finish_within(PATIENCE);
+    assert_eq!(end.code(), Some(1), "{end}");
+    assert_eq!(end.stderr.matches("lost host").count(), 1, "{end}");
+}
+
+#[test]
+fn options_without_effect_are_refused_or_said() {
+    let folder = Folder::new();
+    let end = folder.run("run -n 5 -k 60 --set devices=7 --quiet");
+    assert_refused(&end, 1, &["--devices and --set devices=7", "leave one"]);
+    let end = folder.run("run -p random --set policy.name=knn --quiet");
+    assert_refused(&end, 1, &["--policy and --set policy.name=knn"]);
+    let end = folder.run("up -P 0 -n 5 -k 60 --quiet --on-loss wait");
+    assert!(
+        end.is_success() && end.stderr.contains("--on-loss has no effect"),
+        "{end}"
+    );
+    let end = folder.run("up -P 0 -n 5 -k 60 --quiet --pace 1ms --no-lookahead");
+    assert!(
+        end.is_success() && end.stderr.contains("--no-lookahead has no effect"),
+        "{end}"
+    );
+    let quick = folder
+        .start("up -P 0 -n 5 -k 60 --quiet")
+        .finish_within(Duration::from_mins(1));
+    assert!(quick.is_success() && quick.stderr.is_empty(), "{quick}");
+}

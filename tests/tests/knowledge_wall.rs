@@ -1,0 +1,189 @@
+//! A policy cannot see ground truth: what no base station can know, and what changes nothing that it can, changes no
+//! plan and no wake-up. The genie aside, which is told of events.
+
+use reveille_bs::observe::{Happening, Observer};
+use reveille_bs::prepared::Prepared;
+use reveille_bs::scenario::{Override, load};
+use reveille_common::event::{EventProcess, ScriptedEvent};
+use reveille_common::geometry::Point;
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::plan::Plan;
+use reveille_common::rng::{Purpose, Stream};
+use reveille_common::score::EventRecord;
+use reveille_common::world::World;
+use reveille_lab::preparation::prepare;
+use reveille_lab::run::{Options, Run};
+
+/// All that a base station commands in a run, and its events.
+#[derive(Debug, Default, PartialEq)]
+struct Transcript {
+    plans: Vec<(Tti, Plan)>,
+    wake_ups: Vec<(Tti, DeviceId)>,
+}
+
+#[derive(Default)]
+struct Watch {
+    transcript: Transcript,
+    events: Vec<EventRecord>,
+}
+
+impl Observer for Watch {
+    fn see(&mut self, happening: &Happening<'_>) {
+        match happening {
+            Happening::Plan { update, .. } => self.transcript.plans.push((update.from, update.plan.clone())),
+            Happening::WakeUp { tti, device } => self.transcript.wake_ups.push((*tti, *device)),
+            Happening::EventEnded(event) => self.events.push(**event),
+            Happening::Granted(_)
+            | Happening::EventStarted(_)
+            | Happening::Reported(_)
+            | Happening::Failed { .. }
+            | Happening::Woken { .. }
+            | Happening::Closed(_)
+            | Happening::States(_) => {}
+        }
+    }
+}
+
+fn play(prepared: &Prepared, script: &[ScriptedEvent]) -> Watch {
+    let process = EventProcess::scripted(script.to_vec());
+    let world = World::with_events(&prepared.scenario, &prepared.deployment, process);
+    let mut watch = Watch::default();
+    Run::with_world(prepared, world, Options::default()).finish(&mut watch);
+    watch
+}
+
+fn prepared(policy: &str, set: &[&str]) -> Prepared {
+    let mut overrides = vec![Override::flag("--policy", "policy.name", policy).expect("an override")];
+    let always = ["devices=30", "ttis=1500", "events.duration=3"];
+    overrides.extend(
+        always
+            .iter()
+            .chain(set)
+            .map(|set| Override::parse(set).expect("an override")),
+    );
+    prepare(&load("paper", &overrides).expect("a scenario"))
+}
+
+/// Events every few TTIs at random places, with gaps in which some can be made longer.
+fn script(prepared: &Prepared) -> Vec<ScriptedEvent> {
+    let mut stream = Stream::new(77, Purpose::Epicentre, 0);
+    let (width, height) = (prepared.scenario.area.width, prepared.scenario.area.height);
+    (0..prepared.scenario.ttis / 8)
+        .map(|i| ScriptedEvent {
+            start: Tti(8 * i + stream.below(3)),
+            duration: 1 + stream.below(3),
+            epicentre: Point::new(stream.unit() * width, stream.unit() * height),
+        })
+        .collect()
+}
+
+/// Whether an event at `epicentre` that lasts from `start` for `duration` TTIs has nobody in S1 within d_max under the
+/// plans of `transcript`.
+fn is_unseen(prepared: &Prepared, transcript: &Transcript, epicentre: Point, start: Tti, duration: u64) -> bool {
+    let d_max = prepared.scenario.sensing.d_max;
+    (start.0..start.0 + duration).map(Tti).all(|k| {
+        let at = transcript.plans.partition_point(|(from, _)| *from <= k);
+        let plan = &transcript.plans[at - 1].1;
+        let devices = prepared.deployment.devices.iter();
+        let mut near = devices.filter(|device| device.position.distance(epicentre) <= d_max);
+        !near.any(|device| plan.duty_cycle(device.id).is_on(k))
+    })
+}
+
+/// Every policy but the genie, with settings under which it knows most.
+fn policies() -> Vec<Prepared> {
+    let tables = "policy.q-learning.table=nothing";
+    vec![
+        prepared("random", &[]),
+        prepared("knn", &[]),
+        prepared("knn", &["bs.ranking=posterior", "sensing.kind=probabilistic"]),
+        prepared(
+            "adjusted",
+            &["policy.adjusted.t_drx=[4,8]", "policy.adjusted.pilot_ttis=400"],
+        ),
+        prepared(
+            "adjusted",
+            &[
+                "policy.adjusted.t_drx=[8]",
+                "policy.adjusted.pilot_ttis=400",
+                "bs.ranking=posterior",
+            ],
+        ),
+        prepared("q-learning", &[]),
+        prepared("q-learning", &["bs.ranking=posterior", "bs.battery_knowledge=reported"]),
+        prepared(
+            "q-learning",
+            &[tables, "policy.q-learning.learn=true", "policy.q-learning.epsilon=0.1"],
+        ),
+        prepared(
+            "q-learning",
+            &[tables, "policy.q-learning.learn=true", "bs.battery_knowledge=reported"],
+        ),
+    ]
+}
+
+#[test]
+fn where_an_event_is_that_nobody_reports_changes_no_plan_and_no_wake_up() {
+    for prepared in policies() {
+        let name = prepared.scenario.policy.name();
+        let script = script(&prepared);
+        let first = play(&prepared, &script);
+        let mut stream = Stream::new(78, Purpose::Epicentre, 0);
+        let (width, height) = (prepared.scenario.area.width, prepared.scenario.area.height);
+        let mut moved = script.clone();
+        let mut count = 0;
+        for (event, record) in moved.iter_mut().zip(&first.events) {
+            let unseen = |at| is_unseen(&prepared, &first.transcript, at, event.start, event.duration);
+            if record.tally.reports > 0 || !unseen(event.epicentre) {
+                continue;
+            }
+            let mut places = (0..400).map(|_| Point::new(stream.unit() * width, stream.unit() * height));
+            if let Some(place) = places.find(|&at| at.distance(event.epicentre) > 1.0 && unseen(at)) {
+                event.epicentre = place;
+                count += 1;
+            }
+        }
+        assert!(count >= 5, "{name}: only {count} events could be moved");
+        let second = play(&prepared, &moved);
+        assert!(
+            first.transcript == second.transcript,
+            "{name}: {count} unseen events were moved, and it knew"
+        );
+        assert!(
+            first
+                .events
+                .iter()
+                .zip(&second.events)
+                .any(|(a, b)| a.epicentre != b.epicentre)
+        );
+    }
+}
+
+#[test]
+fn how_long_an_event_lasts_that_nobody_reports_changes_no_plan_and_no_wake_up() {
+    for prepared in policies() {
+        let name = prepared.scenario.policy.name();
+        let script = script(&prepared);
+        let first = play(&prepared, &script);
+        let mut changed = script.clone();
+        let mut count = 0;
+        for (event, record) in changed.iter_mut().zip(&first.events) {
+            let unseen = |duration| is_unseen(&prepared, &first.transcript, event.epicentre, event.start, duration);
+            if record.tally.reports > 0 || !unseen(event.duration) {
+                continue;
+            }
+            let others = (1..=5).rev().filter(|other| *other != event.duration);
+            if let Some(other) = others.into_iter().find(|other| unseen(*other)) {
+                event.duration = other;
+                count += 1;
+            }
+        }
+        assert!(count >= 5, "{name}: only {count} events could be changed");
+        let second = play(&prepared, &changed);
+        assert!(
+            first.transcript == second.transcript,
+            "{name}: {count} unseen events were changed, and it knew"
+        );
+        assert!(first.events.iter().zip(&second.events).any(|(a, b)| a.last != b.last));
+    }
+}

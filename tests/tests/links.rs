@@ -1,0 +1,77 @@
+//! Pages link to what is there.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// The pages at the top, those in docs/, and the read-me of the containers.
+fn pages() -> Vec<PathBuf> {
+    let mut pages = Vec::new();
+    for folder in ["", "docs", "deploy/docker", "tests/fuzz"] {
+        for entry in fs::read_dir(root().join(folder)).expect("a folder") {
+            let path = entry.expect("an entry").path();
+            if path.extension().is_some_and(|e| e == "md") {
+                pages.push(path);
+            }
+        }
+    }
+    pages.sort();
+    pages
+}
+
+/// The text without what is code: there `](` is no link.
+fn prose(text: &str) -> String {
+    let outside_blocks: String = text.split("```").step_by(2).collect();
+    outside_blocks.split('`').step_by(2).collect()
+}
+
+/// The targets of all links in a page, of pictures too.
+fn targets(text: &str) -> Vec<String> {
+    let text = prose(text);
+    let ends = text
+        .split("](")
+        .skip(1)
+        .filter_map(|rest| rest.split([')', ' ']).next());
+    let sources = text.split("src=\"").skip(1).filter_map(|rest| rest.split('"').next());
+    ends.chain(sources).map(str::to_owned).collect()
+}
+
+/// The anchor that a heading gets: lower case, spaces as hyphens, punctuation left out.
+fn anchor(heading: &str) -> String {
+    let heading = heading.trim_start_matches('#').trim().to_lowercase().replace(' ', "-");
+    heading
+        .chars()
+        .filter(|&c| c.is_alphanumeric() || c == '-' || c == '_')
+        .collect()
+}
+
+/// Protects: a reader who follows a link arrives. Only links within the tree are looked at.
+#[test]
+fn links_lead_somewhere() {
+    let (mut seen, mut broken) = (0, Vec::new());
+    for page in pages() {
+        let text = fs::read_to_string(&page).expect("a page");
+        for target in targets(&text).into_iter().filter(|target| !target.contains("://")) {
+            seen += 1;
+            let (path, place) = target.split_once('#').unwrap_or((&target, ""));
+            let to = if path.is_empty() {
+                page.clone()
+            } else {
+                page.parent().expect("a folder").join(path)
+            };
+            let has_place = || {
+                let text = fs::read_to_string(&to).unwrap_or_default();
+                text.lines().any(|line| line.starts_with('#') && anchor(line) == place)
+            };
+            if !to.exists() || (!place.is_empty() && !has_place()) {
+                let page = page.strip_prefix(root()).unwrap_or(&page);
+                broken.push(format!("{}: {target}", page.display()));
+            }
+        }
+    }
+    assert!(seen > 5, "only {seen} links were found");
+    assert!(broken.is_empty(), "links that lead nowhere:\n  {}", broken.join("\n  "));
+}

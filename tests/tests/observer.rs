@@ -1,0 +1,139 @@
+//! What an observer sees is the same in memory and over the bus: every plan, grant, report, failure, wake-up, outcome,
+//! close and state, in the same order.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use reveille_bs::host::clock::Pace;
+use reveille_bs::host::{OnLoss, Progress, Settings, dismiss, serve};
+use reveille_bs::observe::{Happening, Observer};
+use reveille_bs::prepared::Prepared;
+use reveille_bs::scenario::{Override, load};
+use reveille_common::bus::Bus;
+use reveille_device::host::carry;
+use reveille_lab::preparation::prepare;
+use reveille_lab::run::{Options, Run};
+
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// Writes down everything, and asks for the states after every fifth grant.
+#[derive(Default)]
+struct Record {
+    lines: Vec<String>,
+    closed: u64,
+}
+
+impl Observer for Record {
+    fn see(&mut self, happening: &Happening<'_>) {
+        self.closed += u64::from(matches!(happening, Happening::Closed(_)));
+        self.lines.push(format!("{happening:?}"));
+    }
+
+    fn wants_states(&self) -> bool {
+        self.closed.is_multiple_of(5)
+    }
+}
+
+fn prepared(set: &[&str]) -> Prepared {
+    let overrides: Vec<Override> = set
+        .iter()
+        .map(|set| Override::parse(set).expect("an override"))
+        .collect();
+    prepare(&load("paper", &overrides).expect("a scenario"))
+}
+
+fn in_memory(prepared: &Prepared, lookahead: bool) -> Vec<String> {
+    let options = Options {
+        lookahead,
+        ..Options::default()
+    };
+    let mut record = Record::default();
+    Run::new(prepared, options).finish(&mut record);
+    record.lines
+}
+
+async fn over_the_bus(prepared: &Prepared, lookahead: bool, hosts: u32) -> Vec<String> {
+    let run = "observer-test";
+    let bus = Bus::listen("tcp/127.0.0.1:0", run.parse().expect("a name"))
+        .await
+        .expect("a port");
+    let devices = prepared.scenario.devices;
+    for host in 0..hosts {
+        let endpoint = bus.endpoint().to_owned();
+        tokio::spawn(async move {
+            let own = Bus::connect(&endpoint, run.parse().expect("a name"), PATIENCE)
+                .await
+                .expect("a link");
+            carry(
+                &own,
+                devices.div_ceil(hosts),
+                u64::from(host) + 1,
+                PATIENCE,
+                |_, _, _| {},
+            )
+            .await
+        });
+    }
+    let settings = Settings {
+        lookahead,
+        pace: Pace::Max,
+        on_loss: OnLoss::End,
+        window: u64::MAX,
+        join_patience: Some(PATIENCE),
+        paused: false,
+    };
+    let mut record = Record::default();
+    let progress = Arc::new(Progress::default());
+    serve(&bus, prepared, &settings, &progress, &mut record)
+        .await
+        .expect("a run");
+    dismiss(&bus, None).expect("a bus");
+    record.lines
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn memory_and_bus_show_the_same() {
+    // Batteries run low, so that wake-ups fail and go unheard.
+    let poor = ["harvest.lambda=0.02", "energy.initial=25", "events.alpha=0.4"];
+    let cases: [(&[&str], bool); 4] = [
+        (&["policy.name=knn", "devices=40", "ttis=300"], true),
+        (&["policy.name=knn", "devices=40", "ttis=300"], false),
+        (&["policy.name=q-learning", "devices=40", "ttis=200"], true),
+        (&["policy.name=genie", "devices=20", "ttis=300"], true),
+    ];
+    for (set, lookahead) in cases {
+        let set: Vec<&str> = set.iter().chain(&poor).copied().collect();
+        let prepared = prepared(&set);
+        let memory = in_memory(&prepared, lookahead);
+        let bus = over_the_bus(&prepared, lookahead, 3).await;
+        for (line, (expected, found)) in memory.iter().zip(&bus).enumerate() {
+            assert_eq!(expected, found, "{set:?}: the {line}th happening");
+        }
+        assert_eq!(memory.len(), bus.len(), "{set:?}");
+        let count = |kind: &str| memory.iter().filter(|line| line.starts_with(kind)).count();
+        for kind in [
+            "Plan",
+            "Granted",
+            "EventStarted",
+            "WakeUp",
+            "Woken",
+            "EventEnded",
+            "Closed",
+            "States",
+        ] {
+            assert!(count(kind) > 0, "{set:?}: no {kind}");
+        }
+    }
+}
+
+#[test]
+fn an_observer_changes_nothing() {
+    for policy in ["knn", "q-learning", "random"] {
+        let prepared = prepared(&[&format!("policy.name={policy}"), "devices=30", "ttis=800"]);
+        let plain = Run::new(&prepared, Options::default()).finish(&mut ());
+        let mut both = (Record::default(), Record::default());
+        let seen = Run::new(&prepared, Options::default()).finish(&mut both);
+        assert_eq!(plain, seen);
+        assert_eq!(both.0.lines, both.1.lines);
+    }
+}

@@ -1,0 +1,454 @@
+//! The Rust sources of the workspace, and what each module of them names.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use proc_macro2::{TokenStream, TokenTree};
+use syn::visit::{self, Visit};
+
+/// The crates, each after all that it may use.
+pub const CRATES: [&str; 7] = ["common", "device", "bs", "lab", "study", "deploy", "tests"];
+
+/// One file.
+pub struct Source {
+    /// Its path from the root of the workspace, such as `common/src/plan.rs`.
+    pub name: String,
+    /// What is in it.
+    pub text: String,
+}
+
+impl Source {
+    /// Whether it has nothing but tests in it.
+    pub fn is_test(&self) -> bool {
+        is_test(&self.name)
+    }
+
+    /// Its lines of code: without comments and without its unit tests at the end.
+    pub fn code(&self) -> Vec<&str> {
+        let text = self.text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
+        text.lines()
+            .filter(|line| !line.trim_start().starts_with("//"))
+            .collect()
+    }
+}
+
+/// Whether the file `name` has nothing but tests in it.
+fn is_test(name: &str) -> bool {
+    name.ends_with("tests.rs") || name.contains("/tests/") || name.contains("/program/")
+}
+
+/// The root of the workspace.
+pub fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// All Rust files of the workspace but those of the fuzz targets, in the order of their names.
+pub fn sources() -> Vec<Source> {
+    let mut found = Vec::new();
+    for member in CRATES {
+        for folder in ["src", "tests", "program"] {
+            collect(
+                &root().join(member).join(folder),
+                &format!("{member}/{folder}"),
+                &mut found,
+            );
+        }
+    }
+    found.sort_by(|a, b| a.name.cmp(&b.name));
+    assert!(found.len() > 100, "only {} source files were found", found.len());
+    found
+}
+
+fn collect(folder: &Path, name: &str, found: &mut Vec<Source>) {
+    let Ok(entries) = fs::read_dir(folder) else { return };
+    for entry in entries {
+        let path = entry.expect("an entry").path();
+        let name = format!("{name}/{}", path.file_name().expect("a name").to_string_lossy());
+        if path.is_dir() {
+            collect(&path, &name, found);
+        } else if path.extension().is_some_and(|e| e == "rs") {
+            let text = fs::read_to_string(&path).expect("UTF-8");
+            found.push(Source { name, text });
+        }
+    }
+}
+
+/// A path that code names, such as `crate::plan::DutyCycle`.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Mention {
+    /// Its words.
+    pub words: Vec<String>,
+    /// Where it is named.
+    role: Role,
+}
+
+/// Where a path is named.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Role {
+    /// In an expression, a type or a pattern.
+    Code,
+    /// In a `use`.
+    Import,
+    /// In a `pub use`, which hands it on.
+    HandedOn,
+}
+
+/// A module: a file's, or one in braces within a file. Tests are left out.
+#[derive(Default)]
+pub struct Module {
+    /// The file that it is in.
+    pub file: String,
+    /// Modules right in it.
+    children: BTreeSet<String>,
+    /// Names that it declares itself.
+    items: BTreeSet<String>,
+    /// Macros that it declares, which `#[macro_export]` puts at the root of the crate.
+    macros: BTreeSet<String>,
+    /// Names that it takes from elsewhere, with their paths.
+    imports: BTreeMap<String, Vec<String>>,
+    /// Modules that it takes all names from.
+    globs: Vec<Vec<String>>,
+    /// Every path named in it.
+    pub mentions: BTreeSet<Mention>,
+    /// Types of its `static` items, as written; `thread_local` for that macro.
+    pub statics: Vec<String>,
+}
+
+/// The modules of one crate by their paths, `[]` for its root.
+pub struct Crate(pub BTreeMap<Vec<String>, Module>);
+
+/// What a path leads to.
+enum Target {
+    Module(Vec<String>),
+    Item(String),
+}
+
+impl Crate {
+    /// Reads the modules of `member`.
+    pub fn read(member: &str, sources: &[Source]) -> Self {
+        let mut modules = BTreeMap::new();
+        let prefix = format!("{member}/src/");
+        for source in sources.iter().filter(|source| !source.is_test()) {
+            let Some(inner) = source.name.strip_prefix(&prefix) else {
+                continue;
+            };
+            let mut path: Vec<String> = inner.trim_end_matches(".rs").split('/').map(str::to_owned).collect();
+            if matches!(path.last().map(String::as_str), Some("mod" | "lib" | "main")) {
+                path.pop();
+            }
+            let file = syn::parse_file(&source.text).unwrap_or_else(|error| panic!("{}: {error}", source.name));
+            let mut reader = Reader {
+                file: &source.name,
+                path,
+                modules: &mut modules,
+            };
+            reader.module();
+            reader.visit_file(&file);
+        }
+        assert!(modules.contains_key(&Vec::new()), "{member} has a root");
+        let mut tree = Self(modules);
+        tree.know_children();
+        tree
+    }
+
+    /// Only modules of non-test files count as children.
+    fn know_children(&mut self) {
+        let paths: Vec<Vec<String>> = self.0.keys().cloned().collect();
+        for path in paths {
+            if let Some((name, above)) = path.split_last()
+                && let Some(parent) = self.0.get_mut(above)
+            {
+                parent.children.insert(name.clone());
+            }
+        }
+    }
+
+    /// Which file uses which others of the crate, each with a path that says so.
+    ///
+    /// A `mod` item is no use, nor is a `pub use` of something below: a folder's `mod.rs` may show what its files
+    /// declare, and what they take through it is counted as taken from where it is declared.
+    pub fn uses(&self) -> BTreeMap<String, BTreeMap<String, String>> {
+        let mut uses: BTreeMap<String, BTreeMap<String, String>> = BTreeMap::new();
+        for (path, module) in &self.0 {
+            let found = uses.entry(module.file.clone()).or_default();
+            for mention in &module.mentions {
+                if mention.role == Role::HandedOn && self.is_below(path, &mention.words) {
+                    continue;
+                }
+                if let Some(file) = self.file_of(path, &mention.words)
+                    && file != module.file
+                {
+                    found.entry(file).or_insert_with(|| mention.words.join("::"));
+                }
+            }
+        }
+        uses
+    }
+
+    fn is_below(&self, path: &[String], words: &[String]) -> bool {
+        let first = words.iter().find(|&word| word != "self");
+        first.is_some_and(|first| self.0[path].children.contains(first))
+    }
+
+    /// The file that declares what `words` mean in the module at `path`; `None` for what is not of this crate.
+    fn file_of(&self, path: &[String], words: &[String]) -> Option<String> {
+        if words.len() == 1 && !self.0[path].imports.contains_key(&words[0]) {
+            return None; // A variable, or an item of the module itself.
+        }
+        match self.resolve(path, words, 0)? {
+            Target::Module(path) => Some(self.0[&path].file.clone()),
+            Target::Item(file) => Some(file),
+        }
+    }
+
+    fn resolve(&self, path: &[String], words: &[String], depth: u32) -> Option<Target> {
+        let (first, rest) = words.split_first()?;
+        match first.as_str() {
+            "crate" => self.walk(Vec::new(), rest, depth),
+            "self" => self.walk(path.to_vec(), rest, depth),
+            "super" => {
+                let above = &path[..path.len().checked_sub(1)?];
+                if rest.first().is_some_and(|word| word == "super") {
+                    self.resolve(above, rest, depth)
+                } else {
+                    self.walk(above.to_vec(), rest, depth)
+                }
+            }
+            name => {
+                let module = &self.0[path];
+                let is_known = module.children.contains(name) || module.imports.contains_key(name);
+                is_known.then(|| self.walk(path.to_vec(), words, depth))?
+            }
+        }
+    }
+
+    fn walk(&self, at: Vec<String>, words: &[String], depth: u32) -> Option<Target> {
+        let module = self.0.get(&at)?;
+        let Some((first, rest)) = words.split_first() else {
+            return Some(Target::Module(at));
+        };
+        if module.children.contains(first) {
+            let mut below = at;
+            below.push(first.clone());
+            return self.walk(below, rest, depth);
+        }
+        if module.items.contains(first) || depth > 16 {
+            return Some(Target::Item(module.file.clone()));
+        }
+        if let Some(import) = module.imports.get(first) {
+            return match self.resolve(&at, import, depth + 1)? {
+                Target::Module(path) => self.walk(path, rest, depth + 1),
+                item @ Target::Item(_) => Some(item),
+            };
+        }
+        for glob in &module.globs {
+            if let Some(Target::Module(path)) = self.resolve(&at, glob, depth + 1)
+                && self.0[&path].items.contains(first)
+            {
+                return Some(Target::Item(self.0[&path].file.clone()));
+            }
+        }
+        let is_macro = |other: &&Module| at.is_empty() && other.macros.contains(first);
+        let declares = self.0.values().find(is_macro).unwrap_or(module);
+        Some(Target::Item(declares.file.clone()))
+    }
+}
+
+struct Reader<'a> {
+    file: &'a str,
+    path: Vec<String>,
+    modules: &'a mut BTreeMap<Vec<String>, Module>,
+}
+
+impl Reader<'_> {
+    fn module(&mut self) -> &mut Module {
+        let module = self.modules.entry(self.path.clone()).or_default();
+        if module.file.is_empty() {
+            self.file.clone_into(&mut module.file);
+        }
+        module
+    }
+
+    fn mention(&mut self, words: Vec<String>, role: Role) {
+        self.module().mentions.insert(Mention { words, role });
+    }
+
+    fn import(&mut self, tree: &syn::UseTree, mut words: Vec<String>, role: Role) {
+        let (word, name) = match tree {
+            syn::UseTree::Path(path) => {
+                words.push(path.ident.to_string());
+                return self.import(&path.tree, words, role);
+            }
+            syn::UseTree::Group(group) => {
+                for item in &group.items {
+                    self.import(item, words.clone(), role);
+                }
+                return;
+            }
+            syn::UseTree::Glob(_) => {
+                self.module().globs.push(words.clone());
+                return self.mention(words, role);
+            }
+            syn::UseTree::Name(name) => (name.ident.to_string(), name.ident.to_string()),
+            syn::UseTree::Rename(rename) => (rename.ident.to_string(), rename.rename.to_string()),
+        };
+        let name = if word == "self" {
+            words.last().cloned().unwrap_or_default()
+        } else {
+            words.push(word);
+            name
+        };
+        self.module().imports.insert(name, words.clone());
+        self.mention(words, role);
+    }
+
+    /// Paths in the arguments of a macro, which have no grammar of their own.
+    fn tokens(&mut self, tokens: TokenStream) {
+        let mut words: Vec<String> = Vec::new();
+        let mut colons = 0;
+        for token in tokens {
+            match token {
+                TokenTree::Ident(word) => {
+                    if colons != 2 {
+                        self.end_of_path(&mut words);
+                    }
+                    words.push(word.to_string());
+                    colons = 0;
+                }
+                TokenTree::Punct(mark) if mark.as_char() == ':' => colons += 1,
+                TokenTree::Group(group) => {
+                    self.end_of_path(&mut words);
+                    self.tokens(group.stream());
+                }
+                TokenTree::Punct(_) | TokenTree::Literal(_) => self.end_of_path(&mut words),
+            }
+        }
+        self.end_of_path(&mut words);
+    }
+
+    fn end_of_path(&mut self, words: &mut Vec<String>) {
+        let words = std::mem::take(words);
+        if words.len() > 1 {
+            self.mention(words, Role::Code);
+        }
+    }
+}
+
+fn is_for_tests(attributes: &[syn::Attribute]) -> bool {
+    attributes.iter().any(|attribute| {
+        let list = attribute.meta.require_list();
+        attribute.path().is_ident("cfg") && list.is_ok_and(|list| list.tokens.to_string() == "test")
+    })
+}
+
+#[expect(clippy::wildcard_enum_match_arm, reason = "an enum of syn, which may grow")]
+fn attributes(item: &syn::Item) -> &[syn::Attribute] {
+    match item {
+        syn::Item::Const(item) => &item.attrs,
+        syn::Item::Enum(item) => &item.attrs,
+        syn::Item::Fn(item) => &item.attrs,
+        syn::Item::Impl(item) => &item.attrs,
+        syn::Item::Macro(item) => &item.attrs,
+        syn::Item::Mod(item) => &item.attrs,
+        syn::Item::Static(item) => &item.attrs,
+        syn::Item::Struct(item) => &item.attrs,
+        syn::Item::Trait(item) => &item.attrs,
+        syn::Item::Type(item) => &item.attrs,
+        syn::Item::Use(item) => &item.attrs,
+        _ => &[],
+    }
+}
+
+/// The name that an item declares, if it has one.
+#[expect(clippy::wildcard_enum_match_arm, reason = "an enum of syn, which may grow")]
+fn declared(item: &syn::Item) -> Option<String> {
+    match item {
+        syn::Item::Const(item) => Some(item.ident.to_string()),
+        syn::Item::Enum(item) => Some(item.ident.to_string()),
+        syn::Item::Fn(item) => Some(item.sig.ident.to_string()),
+        syn::Item::Static(item) => Some(item.ident.to_string()),
+        syn::Item::Struct(item) => Some(item.ident.to_string()),
+        syn::Item::Trait(item) => Some(item.ident.to_string()),
+        syn::Item::Type(item) => Some(item.ident.to_string()),
+        _ => None,
+    }
+}
+
+impl<'ast> Visit<'ast> for Reader<'_> {
+    fn visit_item(&mut self, item: &'ast syn::Item) {
+        if is_for_tests(attributes(item)) {
+            return;
+        }
+        if let syn::Item::Macro(syn::ItemMacro { ident: Some(name), .. }) = item {
+            self.module().macros.insert(name.to_string());
+        }
+        if let Some(name) = declared(item) {
+            self.module().items.insert(name);
+        }
+        visit::visit_item(self, item);
+    }
+
+    fn visit_item_mod(&mut self, item: &'ast syn::ItemMod) {
+        if let Some((_, items)) = &item.content {
+            self.path.push(item.ident.to_string());
+            self.module();
+            for item in items {
+                self.visit_item(item);
+            }
+            self.path.pop();
+        }
+    }
+
+    fn visit_item_use(&mut self, item: &'ast syn::ItemUse) {
+        let role = if matches!(item.vis, syn::Visibility::Inherited) {
+            Role::Import
+        } else {
+            Role::HandedOn
+        };
+        self.import(&item.tree, Vec::new(), role);
+    }
+
+    fn visit_item_static(&mut self, item: &'ast syn::ItemStatic) {
+        let mut written = Names::default();
+        written.visit_type(&item.ty);
+        if matches!(item.mutability, syn::StaticMutability::Mut(_)) {
+            written.0.push("mut".to_owned());
+        }
+        self.module().statics.push(written.0.join(" "));
+        visit::visit_item_static(self, item);
+    }
+
+    fn visit_path(&mut self, path: &'ast syn::Path) {
+        let words = path.segments.iter().map(|segment| segment.ident.to_string()).collect();
+        self.mention(words, Role::Code);
+        visit::visit_path(self, path);
+    }
+
+    fn visit_macro(&mut self, call: &'ast syn::Macro) {
+        if call
+            .path
+            .segments
+            .last()
+            .is_some_and(|segment| segment.ident == "thread_local")
+        {
+            self.module().statics.push("thread_local".to_owned());
+        }
+        self.tokens(call.tokens.clone());
+        visit::visit_macro(self, call);
+    }
+
+    // `pub(crate)` and attributes name no code.
+    fn visit_visibility(&mut self, _: &'ast syn::Visibility) {}
+    fn visit_attribute(&mut self, _: &'ast syn::Attribute) {}
+}
+
+/// All names in a type.
+#[derive(Default)]
+struct Names(Vec<String>);
+
+impl<'ast> Visit<'ast> for Names {
+    fn visit_ident(&mut self, ident: &'ast proc_macro2::Ident) {
+        self.0.push(ident.to_string());
+    }
+}
