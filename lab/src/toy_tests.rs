@@ -114,16 +114,18 @@ impl Toy {
     /// The expectation over what one device harvests and pays.
     fn pass(&self, values: &[f64], device: usize, on: bool) -> Vec<f64> {
         let stride = LEVELS.pow(device as u32);
-        let at = |state: usize, level: usize, harvest: usize| {
-            let next = (level + harvest).min(E_MAX).saturating_sub(usize::from(on));
-            values[state - level * stride + next * stride]
-        };
-        (0..STATES)
-            .map(|state| {
-                let level = state / stride % LEVELS;
-                self.p * at(state, level, 1) + (1.0 - self.p) * at(state, level, 0)
-            })
-            .collect()
+        let next = |level: usize, harvest: usize| (level + harvest).min(E_MAX).saturating_sub(usize::from(on)) * stride;
+        let mut passed = vec![0.0; STATES];
+        for first in (0..STATES).step_by(stride * LEVELS) {
+            for level in 0..LEVELS {
+                let [came, none] = [1, 0].map(|harvest| &values[first + next(level, harvest)..][..stride]);
+                let target = &mut passed[first + level * stride..][..stride];
+                for ((target, came), none) in target.iter_mut().zip(came).zip(none) {
+                    *target = self.p * came + (1.0 - self.p) * none;
+                }
+            }
+        }
+        passed
     }
 
     /// The mean over all battery vectors of the discounted sum of rewards, times 1 − ζ, or with ζ = 1 the mean r(k) in
