@@ -14,8 +14,6 @@
 //! and from the world that it plays; the policy sees none of it. A driver that asks for one TTI at a time gets the same
 //! run.
 
-use std::sync::Arc;
-
 use reveille_common::codec;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Failure, PlanUpdate, Report, WakeOutcome, WakeUp};
@@ -27,10 +25,8 @@ use reveille_common::units::Energy;
 use reveille_common::world::{Turn, World};
 
 use crate::grant::Grant;
-use crate::knowledge::Knowledge;
 use crate::observe::{Happening, Observer};
 use crate::outcome::Outcome;
-use crate::policy::registry;
 use crate::prepared::Prepared;
 use crate::station::Station;
 
@@ -88,20 +84,13 @@ impl Cycle {
 
     /// The same in a world of the caller's, such as one with scripted events.
     pub fn with_world(prepared: &Prepared, world: World) -> Self {
-        let Prepared {
-            scenario,
-            deployment,
-            policies,
-            findings,
-            grids,
-        } = prepared;
-        let known = Knowledge::of(scenario, deployment, Arc::clone(grids));
-        let mind = registry::build(policies, &scenario.policy, &known, findings);
+        let known = prepared.knowledge();
+        let mind = prepared.mind(&known);
         Self {
-            scenario: scenario.clone(),
+            scenario: prepared.scenario.clone(),
             world,
             station: Station::new(known, mind),
-            score: Score::new(scenario, deployment),
+            score: Score::new(&prepared.scenario, &prepared.deployment),
             next: Tti::ZERO,
             is_open: false,
             turns: Vec::new(),
@@ -224,6 +213,11 @@ impl Cycle {
         };
         self.station.woken(tti, device, report);
         self.next_step(tti, observer)
+    }
+
+    /// The group that each device is in, in the order of ids, where the policy groups them by place.
+    pub fn groups(&self) -> Option<&[u32]> {
+        self.station.mind().groups()
     }
 
     /// The run's outcome. `ledgers` are the devices' totals in the order of ids, `at_warm_up` their sum at the end of

@@ -29,6 +29,32 @@ pub struct DeviceKnowledge {
 }
 
 /// What a base station knows of its deployment and of the model, the same for all policies.
+///
+/// No policy can be built from the seed, though it may draw,
+/// ```compile_fail
+/// fn peek(known: &reveille_bs::knowledge::Knowledge) -> u64 {
+///     known.streams.seed
+/// }
+/// ```
+/// or from how long events last, or from what a device will harvest:
+/// ```compile_fail
+/// fn peek(known: &reveille_bs::knowledge::Knowledge) -> u64 {
+///     known.events.duration
+/// }
+/// ```
+/// ```compile_fail
+/// fn peek(known: &reveille_bs::knowledge::Knowledge) {
+///     let _ = &known.devices[0].harvest;
+/// }
+/// ```
+/// This is what it can do:
+/// ```
+/// use reveille_common::rng::PolicyPurpose;
+///
+/// fn known(known: &reveille_bs::knowledge::Knowledge) -> f64 {
+///     known.alpha + known.devices[0].mean_harvest.units() + known.streams.unit_for_pair(PolicyPurpose::Exploration, 0, 0)
+/// }
+/// ```
 #[derive(Clone, Debug)]
 pub struct Knowledge {
     /// The served area ξ.

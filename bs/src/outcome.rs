@@ -4,7 +4,7 @@ use reveille_common::score::Digest;
 use reveille_common::score::Metrics;
 use reveille_common::totals::Totals;
 
-use crate::policy::q_learning::learned::Entry;
+use crate::policy::contract::Opaque;
 
 /// The result of a run, whole or cut short.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,8 +17,8 @@ pub struct Outcome {
     pub totals: Totals,
     /// Figures of the deployment that the policy found out, by name.
     pub facts: Vec<(&'static str, f64)>,
-    /// The tables of a policy that has learned in the run.
-    pub learned: Option<Entry>,
+    /// What the run has taught a policy that learns in it.
+    pub learned: Option<Opaque>,
     /// TTIs that were run.
     pub ttis_done: u64,
     /// Whether that is all of them.

@@ -6,8 +6,10 @@ use reveille_common::deployment::Deployment;
 use reveille_common::scenario::Scenario;
 
 use crate::grids::Grids;
-use crate::policy::contract::Findings;
-use crate::policy::registry::{POLICIES, Registry};
+use crate::knowledge::Knowledge;
+use crate::policy::contract::Opaque;
+use crate::policy::mind::Mind;
+use crate::policy::registry::{self, POLICIES, Registry};
 
 /// A scenario put on the ground, with what its policy asked to be found out before.
 #[derive(Clone, Debug)]
@@ -18,8 +20,8 @@ pub struct Prepared {
     pub deployment: Deployment,
     /// The policies of which the scenario names one.
     pub policies: Registry,
-    /// What pilot runs have found.
-    pub findings: Findings,
+    /// What pilot runs have found, if the policy asks for any.
+    pub findings: Option<Opaque>,
     /// Grids of wake-up correlations, shared with other runs.
     pub grids: Arc<Grids>,
 }
@@ -36,8 +38,18 @@ impl Prepared {
             policies,
             deployment: Deployment::new(scenario),
             scenario: scenario.clone(),
-            findings: Findings::default(),
+            findings: None,
             grids: Arc::default(),
         }
+    }
+
+    /// What a base station knows of it.
+    pub fn knowledge(&self) -> Knowledge {
+        Knowledge::of(&self.scenario, &self.deployment, Arc::clone(&self.grids))
+    }
+
+    /// Its policy, for a base station that knows `known`.
+    pub fn mind(&self, known: &Knowledge) -> Mind {
+        registry::build(self.policies, &self.scenario.policy, known, self.findings.as_ref())
     }
 }

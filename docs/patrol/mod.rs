@@ -6,14 +6,14 @@ use std::sync::Arc;
 
 use reveille_bs::knowledge::Knowledge;
 use reveille_bs::observation::Observation;
-use reveille_bs::policy::contract::{Findings, Policy};
+use reveille_bs::policy::contract::{Opaque, Policy};
 use reveille_bs::policy::kind::{Profile, Registered, own};
 use reveille_bs::policy::mind::Mind;
 use reveille_common::declare::{Reader, ScenarioError, Section};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Report;
 use reveille_common::plan::{DutyCycle, Plan};
-use reveille_common::scenario::{PolicyChoice, PolicyKind, PolicySettings, Scenario};
+use reveille_common::scenario::{PolicyChoice, PolicyKind, PolicySettings, Site};
 
 use self::settings::PatrolSettings;
 
@@ -92,20 +92,17 @@ impl PolicyKind for PatrolKind {
         Some(PatrolSettings::SECTION)
     }
 
-    fn settle(&self, reader: &Reader<'_>, _: &Scenario) -> Result<Arc<dyn PolicySettings>, ScenarioError> {
+    fn settle(&self, reader: &Reader<'_>, _: &Site<'_>) -> Result<Arc<dyn PolicySettings>, ScenarioError> {
         Ok(Arc::new(PatrolSettings::read(reader)?))
     }
 }
 
 impl Registered for PatrolKind {
     fn profile(&self) -> Profile {
-        Profile {
-            wakes: true,
-            ..Profile::plain(6)
-        }
+        Profile::plain(6)
     }
 
-    fn build(&self, choice: &PolicyChoice, _: &Knowledge, _: &Findings) -> Mind {
+    fn build(&self, choice: &PolicyChoice, _: &Knowledge, _: Option<&Opaque>) -> Mind {
         Mind::of(Patrol::new(*own(choice)))
     }
 }

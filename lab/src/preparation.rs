@@ -7,12 +7,11 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use reveille_bs::beliefs::ranking::i_min;
 use reveille_bs::grids::Grids;
 use reveille_bs::outcome::Outcome;
-use reveille_bs::policy::adjusted::search::{DutyChoice, Trial, choose};
-use reveille_bs::policy::adjusted::settings::AdjustedSettings;
-use reveille_bs::policy::contract::Findings;
+use reveille_bs::policy::contract::Opaque;
+use reveille_bs::policy::pilots::Pilots;
+use reveille_bs::policy::registry;
 use reveille_bs::prepared::Prepared;
 use reveille_common::scenario::Scenario;
 use reveille_common::score::Metrics;
@@ -31,7 +30,7 @@ const REMEMBERED: usize = 1024;
 pub struct Workshop {
     grids: Arc<Grids>,
     /// What was found, by the hash of the pilot scenario: runs that differ in nothing but their length share a search.
-    found: Mutex<VecDeque<([u8; 32], DutyChoice)>>,
+    found: Mutex<VecDeque<([u8; 32], Opaque)>>,
 }
 
 impl Workshop {
@@ -41,34 +40,36 @@ impl Workshop {
             grids: Arc::clone(&self.grids),
             ..Prepared::without_pilots(scenario)
         };
-        if let Some(settings) = scenario.policy.settings::<AdjustedSettings>() {
-            prepared.findings.duty = Some(self.duty(&prepared, settings));
-        }
+        let pilots = registry::pilots(prepared.policies, &scenario.policy);
+        prepared.findings = pilots.map(|pilots| self.search(&prepared, &*pilots));
         prepared
     }
 
-    fn duty(&self, prepared: &Prepared, settings: &AdjustedSettings) -> DutyChoice {
-        let key = pilot(&prepared.scenario, settings).hash();
+    fn search(&self, prepared: &Prepared, pilots: &dyn Pilots) -> Opaque {
+        let key = pilot(&prepared.scenario, pilots).hash();
         if let Some(known) = self.recall(&key) {
             return known;
         }
-        let choice = search(prepared, settings);
-        self.remember(key, choice);
-        choice
+        let found = pilots.judge(&prepared.knowledge(), &pilot_runs(prepared, pilots));
+        self.remember(key, found.clone());
+        found
     }
 
-    fn recall(&self, key: &[u8; 32]) -> Option<DutyChoice> {
+    fn recall(&self, key: &[u8; 32]) -> Option<Opaque> {
         let found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
-        found.iter().find(|(known, _)| known == key).map(|(_, choice)| *choice)
+        found
+            .iter()
+            .find(|(known, _)| known == key)
+            .map(|(_, found)| found.clone())
     }
 
     /// Two threads that searched for the same deployment have found the same.
-    fn remember(&self, key: [u8; 32], choice: DutyChoice) {
+    fn remember(&self, key: [u8; 32], what: Opaque) {
         let mut found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
         if found.len() == REMEMBERED {
             found.pop_front();
         }
-        found.push_back((key, choice));
+        found.push_back((key, what));
     }
 }
 
@@ -87,58 +88,24 @@ pub fn run(scenario: &Scenario) -> Outcome {
     start(scenario, Options::default()).finish(&mut ())
 }
 
-/// All duty cycles of the grid with their pilot runs on the ground of `prepared`, in the order of the grid.
-pub fn trials(prepared: &Prepared, settings: &AdjustedSettings) -> Vec<Trial> {
-    let pilot = Prepared {
-        scenario: pilot(&prepared.scenario, settings),
-        ..prepared.clone()
-    };
-    let judge = |(t_on, t_drx)| {
-        let duty = DutyChoice {
-            t_on,
-            t_drx,
-            reaches_i_min: false,
-            pairs: 1,
-            device_ttis: 0,
-        };
+/// What each candidate of `pilots` came to in a pilot run on the ground of `prepared`.
+fn pilot_runs(prepared: &Prepared, pilots: &dyn Pilots) -> Vec<Metrics> {
+    let scenario = pilot(&prepared.scenario, pilots);
+    let judge = |candidate| {
         let one = Prepared {
-            findings: Findings { duty: Some(duty) },
-            ..pilot.clone()
+            scenario: scenario.clone(),
+            findings: Some(candidate),
+            ..prepared.clone()
         };
-        let Metrics {
-            info_per_event,
-            energy_per_device_tti,
-            ..
-        } = Run::new(&one, Options::default()).finish(&mut ()).metrics;
-        Trial {
-            t_on,
-            t_drx,
-            information: info_per_event,
-            energy: energy_per_device_tti,
-        }
+        Run::new(&one, Options::default()).finish(&mut ()).metrics
     };
-    settings.pairs().map(judge).collect()
-}
-
-fn search(prepared: &Prepared, settings: &AdjustedSettings) -> DutyChoice {
-    let scenario = &prepared.scenario;
-    let trials = trials(prepared, settings);
-    let threshold = i_min(&prepared.deployment.positions(), scenario.area, &scenario.sensing);
-    let (best, reaches_i_min) = choose(&trials, threshold).expect("the grid holds a pair");
-    let pairs = trials.len() as u32;
-    DutyChoice {
-        t_on: best.t_on,
-        t_drx: best.t_drx,
-        reaches_i_min,
-        pairs,
-        device_ttis: u64::from(pairs) * u64::from(scenario.devices) * settings.pilot_ttis,
-    }
+    pilots.candidates().into_iter().map(judge).collect()
 }
 
 /// The scenario of the pilot runs, whose seed is not that of its deployment.
-fn pilot(scenario: &Scenario, settings: &AdjustedSettings) -> Scenario {
+fn pilot(scenario: &Scenario, pilots: &dyn Pilots) -> Scenario {
     Scenario {
-        ttis: settings.pilot_ttis,
+        ttis: pilots.ttis(),
         seed: scenario.seed.wrapping_add(PILOT),
         warm_up: WARM_UP,
         ..scenario.clone()
@@ -147,6 +114,9 @@ fn pilot(scenario: &Scenario, settings: &AdjustedSettings) -> Scenario {
 
 #[cfg(test)]
 mod tests {
+    use reveille_bs::beliefs::ranking::i_min;
+    use reveille_bs::policy::adjusted::search::{DutyChoice, Search};
+    use reveille_bs::policy::adjusted::settings::AdjustedSettings;
     use reveille_bs::scenario::{Override, load};
     use reveille_common::deployment::Deployment;
 
@@ -160,11 +130,14 @@ mod tests {
         load("paper", &overrides).expect("a scenario")
     }
 
-    fn settings(scenario: &Scenario) -> &AdjustedSettings {
-        let Some(settings) = scenario.policy.settings::<AdjustedSettings>() else {
-            panic!("{:?}", scenario.policy)
-        };
-        settings
+    fn search(scenario: &Scenario) -> Search {
+        Search(
+            scenario
+                .policy
+                .settings::<AdjustedSettings>()
+                .expect("adjusted")
+                .clone(),
+        )
     }
 
     #[test]
@@ -177,10 +150,15 @@ mod tests {
             "policy.adjusted.pilot_ttis=800",
         ]);
         let prepared = prepare(&scenario);
-        let all = trials(&prepared, settings(&scenario));
+        let search = search(&scenario);
+        let all = search.trials(&pilot_runs(&prepared, &search));
         let pairs: Vec<(u32, u32)> = all.iter().map(|c| (c.t_on, c.t_drx)).collect();
         assert_eq!(pairs, [(1, 2), (1, 8), (3, 8)]);
-        let choice = prepared.findings.duty.expect("found");
+        let choice = prepared
+            .findings
+            .as_ref()
+            .and_then(Opaque::get::<DutyChoice>)
+            .expect("found");
         let positions = prepared.deployment.positions();
         let threshold = i_min(&positions, scenario.area, &scenario.sensing);
         let reaching = all.iter().filter(|c| c.information >= threshold);
@@ -193,7 +171,7 @@ mod tests {
     #[test]
     fn the_pilot_stands_on_the_same_ground_and_sees_other_events() {
         let scenario = scenario(&["policy.name=adjusted", "devices=40"]);
-        let pilot = pilot(&scenario, settings(&scenario));
+        let pilot = pilot(&scenario, &search(&scenario));
         assert_ne!(pilot.seed, scenario.seed);
         let (a, b) = (Deployment::new(&scenario), Deployment::new(&pilot));
         assert_ne!(

@@ -10,6 +10,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use rayon::iter::{IntoParallelRefMutIterator, ParallelIterator};
 use reveille_bs::outcome::Outcome;
+use reveille_bs::policy::contract::Opaque;
 use reveille_bs::policy::q_learning::learned::{
     CurvePoint, Entry, Learned, LearnedError, Schedule, Setting, Training, Weights,
 };
@@ -17,7 +18,7 @@ use reveille_bs::policy::q_learning::settings::QLearningSettings;
 use reveille_bs::prepared::Prepared;
 use reveille_common::io::Disk;
 use reveille_common::rng::{Purpose, Stream};
-use reveille_common::scenario::{Scenario, WakeUpRanking};
+use reveille_common::scenario::{Scenario, Site, WakeUpRanking};
 use reveille_common::units::Energy;
 
 use crate::io::replace;
@@ -164,7 +165,12 @@ impl Trainer {
                 devices,
                 ..scenario.clone()
             };
-            let mut entry = Entry::optimistic(&one, &settings.weights, settings.window, settings.schedule.optimism);
+            let mut entry = Entry::optimistic(
+                &Site::of(&one),
+                &settings.weights,
+                settings.window,
+                settings.schedule.optimism,
+            );
             entry.round();
             entry
         });
@@ -199,7 +205,7 @@ impl Trainer {
             begun_from: None,
             schedule: self.settings.schedule,
             training: self.training.clone(),
-            setting: Setting::of(&self.scenario),
+            setting: Setting::of(&Site::of(&self.scenario)),
             entries: self.entries.clone(),
         }
     }
@@ -372,7 +378,7 @@ fn episode(
         ..Options::default()
     };
     let outcome = Run::new(&prepared, options).finish(&mut StopWhen(|| observer.stop()));
-    let mut learned = outcome.learned.clone().filter(|_| outcome.complete)?;
+    let mut learned = left_by(&outcome).filter(|_| outcome.complete)?;
     learned.curve.push(point(&outcome, (number + 1) * training.ttis));
     learned.round();
     Some(learned)
@@ -382,7 +388,7 @@ fn episode(
 /// that does not learn.
 pub fn learned_in(scenario: &Scenario, outcome: &Outcome) -> Option<Learned> {
     let settings = scenario.policy.settings::<QLearningSettings>()?;
-    let mut entry = outcome.learned.clone()?;
+    let mut entry = left_by(outcome)?;
     (entry.devices, entry.surface) = (scenario.devices, scenario.area.surface());
     let before = entry.curve.last().map_or(0, |point| point.ttis);
     entry.curve.push(point(outcome, before + outcome.ttis_done));
@@ -399,9 +405,14 @@ pub fn learned_in(scenario: &Scenario, outcome: &Outcome) -> Option<Learned> {
             epsilon: settings.epsilon,
             seed: scenario.seed,
         },
-        setting: Setting::of(scenario),
+        setting: Setting::of(&Site::of(scenario)),
         entries: vec![entry],
     })
+}
+
+/// The tables as the run has left them that came to `outcome`.
+fn left_by(outcome: &Outcome) -> Option<Entry> {
+    outcome.learned.as_ref().and_then(Opaque::get).cloned()
 }
 
 /// The point on the learning curve after a run that came to `outcome`, at `ttis`.

@@ -145,7 +145,7 @@ fn while_learning(set: &[&str], ttis: u64) -> (Vec<usize>, Entry) {
         let is_on = |j: &u32| plan.duty_cycle(DeviceId(*j)).is_on(reveille_common::ids::Tti(k));
         sensing.push((0..40).filter(is_on).count());
     }
-    (sensing, run.finish(&mut ()).learned.expect("it learns"))
+    (sensing, left_by(&run.finish(&mut ())).expect("it learns"))
 }
 
 #[test]

@@ -1,11 +1,13 @@
-//! What a policy answers, and what it may ask to be found out before a run.
+//! What a policy answers.
+
+use std::any::Any;
+use std::fmt::Debug;
+use std::sync::Arc;
 
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Report;
 use reveille_common::plan::Plan;
 
-use super::adjusted::search::DutyChoice;
-use super::q_learning::learned::Entry;
 use crate::observation::Observation;
 
 /// A policy that knows what a BS can know.
@@ -33,8 +35,13 @@ pub trait Policy: Send {
         false
     }
 
-    /// The tables as the run has left them, of a policy that has learned in it.
-    fn learned(&self) -> Option<Entry> {
+    /// What the run has taught a policy that learns in it.
+    fn learned(&self) -> Option<Opaque> {
+        None
+    }
+
+    /// The group that each device is in, in the order of ids, of a policy that groups them by place.
+    fn groups(&self) -> Option<&[u32]> {
         None
     }
 
@@ -42,9 +49,37 @@ pub trait Policy: Send {
     fn answered(&mut self, seen: &Observation<'_>, report: Option<&Report>);
 }
 
-/// What pilot runs have found for a deployment, for a policy that asks for them.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Findings {
-    /// The duty cycle of the `adjusted` policy.
-    pub duty: Option<DutyChoice>,
+/// Something that only the policy it belongs to can read: what pilot runs have found for it, or what it has learned.
+#[derive(Clone, Debug)]
+pub struct Opaque(Arc<dyn Content>);
+
+/// What can be put into an [`Opaque`].
+trait Content: Any + Debug + Send + Sync {
+    /// Whether `other` is of the same type and equal.
+    fn is_same(&self, other: &dyn Any) -> bool;
+}
+
+impl<T: Any + Debug + PartialEq + Send + Sync> Content for T {
+    fn is_same(&self, other: &dyn Any) -> bool {
+        other.downcast_ref::<T>() == Some(self)
+    }
+}
+
+impl Opaque {
+    /// `value`, to be read by those who know its type.
+    pub fn new(value: impl Any + Debug + PartialEq + Send + Sync) -> Self {
+        Self(Arc::new(value))
+    }
+
+    /// The value if it is a `T`.
+    pub fn get<T: Any>(&self) -> Option<&T> {
+        let any: &dyn Any = &*self.0;
+        any.downcast_ref()
+    }
+}
+
+impl PartialEq for Opaque {
+    fn eq(&self, other: &Self) -> bool {
+        self.0.is_same(&*other.0)
+    }
 }

@@ -4,27 +4,18 @@ use std::fmt::Debug;
 
 use reveille_common::scenario::{PolicyChoice, PolicyKind, PolicySettings};
 
-use super::contract::Findings;
+use super::contract::Opaque;
 use super::mind::Mind;
+use super::pilots::Pilots;
 use crate::knowledge::Knowledge;
 
-/// What a policy is like, for those who list, draw and compare policies.
+/// Facts about a policy, for those who list, draw and compare policies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[expect(
-    clippy::struct_excessive_bools,
-    reason = "answers to questions that do not depend on each other"
-)]
 pub struct Profile {
     /// Whether it can learn, so that it has tables to train.
     pub learns: bool,
-    /// Whether it needs a search in pilot runs before a run.
-    pub searches: bool,
-    /// Whether it wakes devices.
-    pub wakes: bool,
-    /// Whether it groups devices by place.
-    pub clusters: bool,
-    /// Whether it decides in every TTI, so that the clock cannot grant many at once.
-    pub decides_every_tti: bool,
+    /// Whether it is told where events are: a bound on what others reach, that no base station could run.
+    pub is_bound: bool,
     /// Its place in the palette of figures.
     pub series: usize,
     /// How the paper says that the time of a decision grows with N; "–" where it says nothing.
@@ -32,14 +23,11 @@ pub struct Profile {
 }
 
 impl Profile {
-    /// A policy that only follows a plan. `series` is its place in the palette.
+    /// A policy that a base station could run and that does not learn. `series` is its place in the palette.
     pub const fn plain(series: usize) -> Self {
         Self {
             learns: false,
-            searches: false,
-            wakes: false,
-            clusters: false,
-            decides_every_tti: false,
+            is_bound: false,
             series,
             runtime: "–",
         }
@@ -48,12 +36,17 @@ impl Profile {
 
 /// A policy of this program.
 pub trait Registered: PolicyKind + Debug {
-    /// What it is like.
+    /// Facts that others ask of it.
     fn profile(&self) -> Profile;
 
+    /// The pilot runs that it asks for with the settings of `choice`, which are its own.
+    fn pilots(&self, _choice: &PolicyChoice) -> Option<Box<dyn Pilots>> {
+        None
+    }
+
     /// The policy with the settings of `choice`, which are its own, for a base station that knows `known`. `findings`
-    /// are those of the pilot runs that it asks for.
-    fn build(&self, choice: &PolicyChoice, known: &Knowledge, findings: &Findings) -> Mind;
+    /// are those of the pilot runs that it has asked for.
+    fn build(&self, choice: &PolicyChoice, known: &Knowledge, findings: Option<&Opaque>) -> Mind;
 }
 
 /// The settings of `choice`.

@@ -3,9 +3,8 @@
 use reveille_common::ids::Tti;
 use reveille_common::plan::Plan;
 
-use super::contract::Policy;
+use super::contract::{Opaque, Policy};
 use super::genie::closest::Genie;
-use super::q_learning::learned::Entry;
 use crate::observation::Observation;
 
 /// Who decides for a base station. Ground truth reaches the genie alone, by construction.
@@ -55,9 +54,17 @@ impl Mind {
     }
 
     /// See [`Policy::learned`].
-    pub fn learned(&self) -> Option<Entry> {
+    pub fn learned(&self) -> Option<Opaque> {
         match self {
             Self::Policy(policy) => policy.learned(),
+            Self::Genie(_) => None,
+        }
+    }
+
+    /// See [`Policy::groups`].
+    pub fn groups(&self) -> Option<&[u32]> {
+        match self {
+            Self::Policy(policy) => policy.groups(),
             Self::Genie(_) => None,
         }
     }

@@ -10,6 +10,7 @@ pub mod genie;
 pub mod kind;
 pub mod knn;
 pub mod mind;
+pub mod pilots;
 pub mod q_learning;
 pub mod random;
 pub mod registry;

@@ -3,11 +3,12 @@
 use reveille_common::scenario::{PolicyChoice, PolicyKind};
 
 use super::adjusted::AdjustedKind;
-use super::contract::Findings;
+use super::contract::Opaque;
 use super::genie::GenieKind;
 use super::kind::{Profile, Registered};
 use super::knn::KnnKind;
 use super::mind::Mind;
+use super::pilots::Pilots;
 use super::q_learning::QLearningKind;
 use super::random::RandomKind;
 use crate::knowledge::Knowledge;
@@ -37,10 +38,21 @@ pub fn named(name: &str) -> Option<&'static dyn Registered> {
 ///
 /// # Panics
 /// If it is none of them.
-pub fn build(policies: Registry, choice: &PolicyChoice, known: &Knowledge, findings: &Findings) -> Mind {
+pub fn build(policies: Registry, choice: &PolicyChoice, known: &Knowledge, findings: Option<&Opaque>) -> Mind {
+    chosen(policies, choice).build(choice, known, findings)
+}
+
+/// The pilot runs that the one of `policies` asks for that `choice` names.
+///
+/// # Panics
+/// If it is none of them.
+pub fn pilots(policies: Registry, choice: &PolicyChoice) -> Option<Box<dyn Pilots>> {
+    chosen(policies, choice).pilots(choice)
+}
+
+fn chosen(policies: Registry, choice: &PolicyChoice) -> &'static dyn Registered {
     let named = policies.iter().find(|policy| policy.name() == choice.name());
-    let policy = named.expect("a scenario names a policy that it was loaded with");
-    policy.build(choice, known, findings)
+    *named.expect("a scenario names a policy that it was loaded with")
 }
 
 /// The names of the policies of which `is_so` holds, joined by commas: for lists on the command line.

@@ -39,6 +39,8 @@ pub struct Reader<'a> {
     warnings: &'a RefCell<Vec<String>>,
     /// The number of the item, and how the user knows it.
     item: Option<(usize, String)>,
+    /// Where only fields below a path may be read: that path with its stop.
+    scope: Option<String>,
 }
 
 impl<'a> Reader<'a> {
@@ -56,6 +58,7 @@ impl<'a> Reader<'a> {
             ground,
             warnings,
             item: None,
+            scope: None,
         }
     }
 
@@ -70,6 +73,7 @@ impl<'a> Reader<'a> {
             .map(|(index, table)| Self {
                 table,
                 item: Some((index, (index + 1).to_string())),
+                scope: self.scope.clone(),
                 ..*self
             })
             .collect()
@@ -82,10 +86,31 @@ impl<'a> Reader<'a> {
         Self { item, ..self }
     }
 
+    /// The same for the policy `name`, which may read its own fields alone: the seed and the event process are none of
+    /// its business.
+    #[must_use]
+    pub fn of_policy(&self, name: &str) -> Self {
+        Self {
+            item: self.item.clone(),
+            scope: Some(format!("policy.{name}.")),
+            ..*self
+        }
+    }
+
+    /// # Panics
+    /// If the field at `path` is none of those that may be read.
+    fn assert_own(&self, path: &str) {
+        let is_own = self.scope.as_ref().is_none_or(|scope| path.starts_with(scope));
+        assert!(is_own, "a policy reads its own fields, and not {path}");
+    }
+
     /// The value of a field that has to have one.
     ///
     /// # Errors
     /// It is out of its range, or not set.
+    ///
+    /// # Panics
+    /// If a policy reads a field that is not its own.
     pub fn field<T: Declared>(&self, section: &'static Section, field: &'static Field) -> Result<T, ScenarioError> {
         if let Some(value) = self.given(section, field)? {
             return Ok(value);
@@ -107,6 +132,7 @@ impl<'a> Reader<'a> {
         field: &'static Field,
     ) -> Result<Option<T>, ScenarioError> {
         let path = section.path_of(field.name);
+        self.assert_own(&path);
         let Some(value) = self.value(&path) else {
             return Ok(None);
         };
@@ -192,6 +218,7 @@ impl<'a> Reader<'a> {
 
     /// Whether `condition` holds here.
     pub fn holds(&self, condition: &Condition) -> bool {
+        self.assert_own(condition.field);
         self.word(condition.field)
             .is_some_and(|word| condition.values.contains(&word))
     }

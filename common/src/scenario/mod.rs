@@ -15,6 +15,7 @@ mod page;
 mod policy;
 mod run;
 mod settle;
+mod site;
 #[cfg(test)]
 pub(crate) mod testing;
 
@@ -26,6 +27,7 @@ pub use load::{load, parse};
 pub use model::{Policies, PolicyChoice, PolicyKind, Scenario};
 pub use policy::{NoSettings, PolicySettings};
 pub use run::PRESETS;
+pub use site::{ClassKnowledge, Site};
 
 pub use crate::declare::{Declaration, Override, Place, Preset, ScenarioError};
 pub use crate::energy::EnergyModel;

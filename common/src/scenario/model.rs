@@ -10,6 +10,7 @@ use super::bs::BsSettings;
 use super::classes::DeviceClass;
 use super::policy::PolicySettings;
 use super::run::{PolicyName, Run};
+use super::site::Site;
 use crate::declare::{Fingerprint, Page, Reader, ScenarioError, Section, Sink};
 use crate::event::settings::Events;
 use crate::geometry::{Area, Layout};
@@ -154,11 +155,12 @@ pub trait PolicyKind: Sync + Debug {
         None
     }
 
-    /// The settings for a scenario. `ground` is complete but for its policy.
+    /// The settings that `reader` has, for a base station that knows `site`. The reader gives the policy's own fields
+    /// alone.
     ///
     /// # Errors
     /// A value that may not be.
-    fn settle(&self, reader: &Reader<'_>, ground: &Scenario) -> Result<Arc<dyn PolicySettings>, ScenarioError>;
+    fn settle(&self, reader: &Reader<'_>, site: &Site<'_>) -> Result<Arc<dyn PolicySettings>, ScenarioError>;
 }
 
 /// All policies that a program knows, in the order of lists.

@@ -8,6 +8,7 @@ use super::classes::{DeviceClass, check_shares};
 use super::model::{Policies, PolicyChoice, Scenario};
 use super::policy::NoSettings;
 use super::run::{PolicyName, Run};
+use super::site::Site;
 use crate::declare::{Declaration, Ground, Merged, Reader, ScenarioError};
 use crate::event::settings::Events;
 use crate::geometry::{Area, Layout};
@@ -58,7 +59,7 @@ pub(super) fn settle(
         policy: PolicyChoice::new(kind, Arc::new(NoSettings)),
         warnings: Vec::new(),
     };
-    scenario.policy = PolicyChoice::new(kind, kind.settle(reader, &scenario)?);
+    scenario.policy = PolicyChoice::new(kind, kind.settle(&reader.of_policy(kind.name()), &Site::of(&scenario))?);
     bounded(reader, &scenario)?;
     scenario.warnings = warnings.take();
     Ok(scenario)

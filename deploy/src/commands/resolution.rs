@@ -25,8 +25,15 @@ pub fn resolve(args: &ScenarioArgs) -> anyhow::Result<Scenario> {
         }
     }
     if args.learn {
-        give_once(args, "--learn", "policy.q-learning.learn")?;
-        overrides.push(Override::flag("--learn", "policy.q-learning.learn", "true")?);
+        for name in registry::POLICIES
+            .iter()
+            .filter(|policy| policy.profile().learns)
+            .map(|policy| policy.name())
+        {
+            let field = format!("policy.{name}.learn");
+            give_once(args, "--learn", &field)?;
+            overrides.push(Override::flag("--learn", &field, "true")?);
+        }
     }
     let scenario = load(&args.scenario, &overrides)?;
     let name = scenario.policy.name();

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use reveille_bs::policy::adjusted::settings::AdjustedSettings;
+use reveille_bs::policy::registry::{POLICIES, pilots};
 use reveille_bs::scenario::{Override, Scenario, ScenarioError, load};
 use sha2::{Digest as _, Sha256};
 use toml::Value as Toml;
@@ -39,8 +39,8 @@ impl Cell {
 
     /// Device-TTIs of a run, those of a search before it included.
     pub fn device_ttis(&self) -> u64 {
-        let settings = self.scenario.policy.settings::<AdjustedSettings>();
-        let searched = settings.map_or(0, |settings| settings.pairs().count() as u64 * settings.pilot_ttis);
+        let pilots = pilots(POLICIES, &self.scenario.policy);
+        let searched = pilots.map_or(0, |pilots| pilots.candidates().len() as u64 * pilots.ttis());
         u64::from(self.scenario.devices) * (self.scenario.ttis + searched)
     }
 }

@@ -4,8 +4,6 @@
 //! O(N(N−1)/2) for KNN clusters, O(N²) for Q-learning and for the decision transformer. That is what [`Work::set_up`]
 //! does. What goes on after it is the run, [`Work::run`], and within it the BS's answers to events, [`Work::decide`].
 
-use std::sync::Arc;
-
 use reveille_bs::knowledge::Knowledge;
 use reveille_bs::observation::Observation;
 use reveille_bs::policy::mind::Mind;
@@ -70,15 +68,9 @@ pub struct Decisions {
 
 impl Decisions {
     fn new(prepared: &Prepared, events: u64) -> Self {
-        let Prepared {
-            scenario,
-            deployment,
-            policies,
-            findings,
-            grids,
-        } = prepared;
-        let known = Knowledge::of(scenario, deployment, Arc::clone(grids));
-        let mut mind = registry::build(policies, &scenario.policy, &known, findings);
+        let (scenario, deployment) = (&prepared.scenario, &prepared.deployment);
+        let known = prepared.knowledge();
+        let mut mind = prepared.mind(&known);
         let nothing = Plan::from_bits(known.devices.iter().map(|_| false));
         let mut stream = Stream::new(scenario.seed, Purpose::Training, 0);
         let mut level = |full: Energy| Energy::from_micro((stream.unit() * full.micro() as f64) as u64);

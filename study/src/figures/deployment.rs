@@ -2,14 +2,11 @@
 //! with it in the TTI in which it closed.
 
 use libm::{cos, sin};
-use reveille_bs::beliefs::clusters::Clusters;
 use reveille_bs::beliefs::ranking::i_min;
-use reveille_bs::policy::knn::settings::KnnSettings;
 use reveille_common::deployment::Deployment;
 use reveille_common::geometry::{Area, Point, cells};
 use reveille_common::ids::DeviceId;
 use reveille_common::message::WakeOutcome;
-use reveille_common::rng::{Purpose, Stream};
 use reveille_common::scenario::Scenario;
 use reveille_common::score::EventRecord;
 use reveille_common::state::DeviceState;
@@ -112,19 +109,12 @@ impl Moment {
         Ok(Self {
             event: *chosen,
             roles: roles.collect(),
-            clusters: clusters(scenario, &positions),
+            clusters: walk.groups().map(<[u32]>::to_vec),
             i_min: i_min(&positions, scenario.area, &scenario.sensing),
             positions,
             wake_ups: happened.woken.len(),
         })
     }
-}
-
-fn clusters(scenario: &Scenario, positions: &[Point]) -> Option<Vec<u32>> {
-    let settings = scenario.policy.settings::<KnnSettings>()?;
-    let d_max = scenario.sensing.d_max;
-    let start = Stream::new(scenario.seed, Purpose::Clusters, 0);
-    Some(Clusters::form(positions, scenario.area, d_max, settings.voting(), start).of)
 }
 
 fn role(device: DeviceId, happened: &Happened, state: DeviceState) -> Role {

@@ -6,6 +6,7 @@
 
 use std::fmt::Write as _;
 
+use reveille_bs::policy::registry;
 use reveille_bs::scenario::{Scenario, load};
 use reveille_common::units::Energy;
 
@@ -62,7 +63,10 @@ pub fn harvests(name: &str) -> Result<Vec<Point>, AnalysisError> {
 /// The least and the most that a policy spends in `condition` with `n` devices, units per device and TTI; the genie,
 /// which no one can build, does not count. `None` without two policies.
 pub fn consumption(condition: &Condition, n: u32) -> Option<[(String, Estimate); 2]> {
-    let policies = condition.policies().into_iter().filter(|policy| *policy != "genie");
+    let policies = condition
+        .policies()
+        .into_iter()
+        .filter(|policy| registry::named(policy).is_none_or(|policy| !policy.profile().is_bound));
     let spent = policies.filter_map(|policy| {
         let estimate = condition.estimate(policy, n, "energy_per_device_tti")?;
         Some((policy.to_owned(), estimate))

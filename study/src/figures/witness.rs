@@ -71,6 +71,11 @@ impl Walk {
         }
     }
 
+    /// The group that each device is in, where the policy groups them.
+    pub fn groups(&self) -> Option<&[u32]> {
+        self.run.cycle().groups()
+    }
+
     /// Goes through the next TTI.
     pub fn step(&mut self) -> (Tti, Happened) {
         let k = self.run.cycle().next_tti();

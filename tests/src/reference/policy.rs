@@ -4,6 +4,8 @@ use std::f64::consts::PI;
 
 use reveille_bs::beliefs::clusters::Clusters;
 use reveille_bs::beliefs::ranking::i_min;
+use reveille_bs::policy::adjusted::search::DutyChoice;
+use reveille_bs::policy::contract::Opaque;
 use reveille_bs::policy::knn::settings::KnnSettings;
 use reveille_common::geometry::Point;
 use reveille_common::rng::{Purpose, Stream};
@@ -96,7 +98,11 @@ impl Policy {
                     .collect(),
             ),
             "adjusted" => {
-                let choice = prepare(scenario).findings.duty.expect("the search finds a pair");
+                let choice = *prepare(scenario)
+                    .findings
+                    .as_ref()
+                    .and_then(Opaque::get::<DutyChoice>)
+                    .expect("the search finds a pair");
                 Self::Adjusted {
                     t_on: u64::from(choice.t_on),
                     t_drx: u64::from(choice.t_drx),

@@ -2,11 +2,10 @@
 //! by exhaustive search for the deployment; after a report any sleeping device may be woken, most correlated first,
 //! until Î ≥ I_min.
 //!
-//! The search runs the devices too, so whoever drives both sides makes the pilot runs (`reveille_lab::pilots`); what
-//! they bring is judged in [`search`], and the policy is handed what was found.
+//! The search runs the devices too, so whoever drives both sides makes the pilot runs; what they bring is judged in
+//! [`search`], and the policy is handed what was found.
 
 pub mod search;
-
 pub mod settings;
 
 use std::sync::Arc;
@@ -15,13 +14,14 @@ use reveille_common::declare::{Reader, ScenarioError, Section};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Report;
 use reveille_common::plan::{DutyCycle, Plan};
-use reveille_common::scenario::{PolicyChoice, PolicyKind, PolicySettings, Scenario};
+use reveille_common::scenario::{PolicyChoice, PolicyKind, PolicySettings, Site};
 
-use self::search::DutyChoice;
+use self::search::{DutyChoice, Search};
 use self::settings::AdjustedSettings;
-use super::contract::{Findings, Policy};
-use super::kind::{Profile, Registered};
+use super::contract::{Opaque, Policy};
+use super::kind::{Profile, Registered, own};
 use super::mind::Mind;
+use super::pilots::Pilots;
 use crate::beliefs::candidates::Candidates;
 use crate::beliefs::ranking::i_min;
 use crate::knowledge::Knowledge;
@@ -36,12 +36,9 @@ pub struct Adjusted {
 
 impl Adjusted {
     /// The policy with the duty cycle that the search has found.
-    ///
-    /// # Panics
-    /// If no search was made.
-    pub fn new(known: &Knowledge, findings: &Findings) -> Self {
+    pub fn new(known: &Knowledge, choice: DutyChoice) -> Self {
         Self {
-            choice: findings.duty.expect("the duty cycle is searched before a run"),
+            choice,
             i_min: i_min(&known.positions(), known.area, &known.sensing),
             candidates: Candidates::new(known),
         }
@@ -120,7 +117,7 @@ impl PolicyKind for AdjustedKind {
         Some(AdjustedSettings::SECTION)
     }
 
-    fn settle(&self, reader: &Reader<'_>, _: &Scenario) -> Result<Arc<dyn PolicySettings>, ScenarioError> {
+    fn settle(&self, reader: &Reader<'_>, _: &Site<'_>) -> Result<Arc<dyn PolicySettings>, ScenarioError> {
         Ok(Arc::new(AdjustedSettings::settle(reader)?))
     }
 }
@@ -128,14 +125,20 @@ impl PolicyKind for AdjustedKind {
 impl Registered for AdjustedKind {
     fn profile(&self) -> Profile {
         Profile {
-            searches: true,
-            wakes: true,
             runtime: "O(ϱ^N)",
             ..Profile::plain(1)
         }
     }
 
-    fn build(&self, _: &PolicyChoice, known: &Knowledge, findings: &Findings) -> Mind {
-        Mind::of(Adjusted::new(known, findings))
+    fn pilots(&self, choice: &PolicyChoice) -> Option<Box<dyn Pilots>> {
+        Some(Box::new(Search(own::<AdjustedSettings>(choice).clone())))
+    }
+
+    fn build(&self, _: &PolicyChoice, known: &Knowledge, findings: Option<&Opaque>) -> Mind {
+        let choice = findings.and_then(Opaque::get).copied();
+        Mind::of(Adjusted::new(
+            known,
+            choice.expect("the duty cycle is searched before a run"),
+        ))
     }
 }

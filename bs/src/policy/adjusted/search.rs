@@ -1,6 +1,14 @@
 //! The choice among the duty cycles of a grid (Sec. V-A, P2): the (t_on, t_DRX) of least mean consumption among those
 //! that reach I_min in their pilot runs, or, if none does, the one of most information.
 
+use reveille_common::score::Metrics;
+
+use super::settings::AdjustedSettings;
+use crate::beliefs::ranking::i_min;
+use crate::knowledge::Knowledge;
+use crate::policy::contract::Opaque;
+use crate::policy::pilots::Pilots;
+
 /// A duty cycle of the grid and how its pilot run went.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trial {
@@ -27,6 +35,53 @@ pub struct DutyChoice {
     pub pairs: u32,
     /// Device-TTIs of all pilot runs together.
     pub device_ttis: u64,
+}
+
+/// The search with its settings.
+#[derive(Clone, Debug)]
+pub struct Search(pub AdjustedSettings);
+
+impl Search {
+    /// The duty cycles of the grid with what their pilot runs brought, in the order of the grid.
+    pub fn trials(&self, pilots: &[Metrics]) -> Vec<Trial> {
+        let trial = |((t_on, t_drx), metrics): ((u32, u32), &Metrics)| Trial {
+            t_on,
+            t_drx,
+            information: metrics.info_per_event,
+            energy: metrics.energy_per_device_tti,
+        };
+        self.0.pairs().zip(pilots).map(trial).collect()
+    }
+}
+
+impl Pilots for Search {
+    fn ttis(&self) -> u64 {
+        self.0.pilot_ttis
+    }
+
+    fn candidates(&self) -> Vec<Opaque> {
+        let candidate = |(t_on, t_drx)| DutyChoice {
+            t_on,
+            t_drx,
+            reaches_i_min: false,
+            pairs: 1,
+            device_ttis: 0,
+        };
+        self.0.pairs().map(|pair| Opaque::new(candidate(pair))).collect()
+    }
+
+    fn judge(&self, known: &Knowledge, pilots: &[Metrics]) -> Opaque {
+        let threshold = i_min(&known.positions(), known.area, &known.sensing);
+        let (best, reaches_i_min) = choose(&self.trials(pilots), threshold).expect("the grid holds a pair");
+        let pairs = pilots.len() as u32;
+        Opaque::new(DutyChoice {
+            t_on: best.t_on,
+            t_drx: best.t_drx,
+            reaches_i_min,
+            pairs,
+            device_ttis: u64::from(pairs) * known.n() as u64 * self.0.pilot_ttis,
+        })
+    }
 }
 
 /// The first of the best of `trials` for the threshold `i_min`, and whether it reaches it.

@@ -5,10 +5,10 @@ pub mod closest;
 use std::sync::Arc;
 
 use reveille_common::declare::{Reader, ScenarioError};
-use reveille_common::scenario::{NoSettings, PolicyChoice, PolicyKind, PolicySettings, Scenario};
+use reveille_common::scenario::{NoSettings, PolicyChoice, PolicyKind, PolicySettings, Site};
 
 use self::closest::Genie;
-use super::contract::Findings;
+use super::contract::Opaque;
 use super::kind::{Profile, Registered};
 use super::mind::Mind;
 use crate::knowledge::Knowledge;
@@ -26,7 +26,7 @@ impl PolicyKind for GenieKind {
         "Every device sleeps; the one closest to the epicentre, which only this policy is told, is woken (Sec. VI)."
     }
 
-    fn settle(&self, _: &Reader<'_>, _: &Scenario) -> Result<Arc<dyn PolicySettings>, ScenarioError> {
+    fn settle(&self, _: &Reader<'_>, _: &Site<'_>) -> Result<Arc<dyn PolicySettings>, ScenarioError> {
         Ok(Arc::new(NoSettings))
     }
 }
@@ -34,12 +34,12 @@ impl PolicyKind for GenieKind {
 impl Registered for GenieKind {
     fn profile(&self) -> Profile {
         Profile {
-            wakes: true,
+            is_bound: true,
             ..Profile::plain(5)
         }
     }
 
-    fn build(&self, _: &PolicyChoice, known: &Knowledge, _: &Findings) -> Mind {
+    fn build(&self, _: &PolicyChoice, known: &Knowledge, _: Option<&Opaque>) -> Mind {
         Mind::Genie(Genie::new(known))
     }
 }

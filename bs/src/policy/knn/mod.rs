@@ -10,10 +10,10 @@ use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Report;
 use reveille_common::plan::{DutyCycle, Plan};
 use reveille_common::rng::PolicyPurpose;
-use reveille_common::scenario::{PolicyChoice, PolicyKind, PolicySettings, Scenario};
+use reveille_common::scenario::{PolicyChoice, PolicyKind, PolicySettings, Site};
 
 use self::settings::KnnSettings;
-use super::contract::{Findings, Policy};
+use super::contract::{Opaque, Policy};
 use super::kind::{Profile, Registered, own};
 use super::mind::Mind;
 use crate::beliefs::candidates::Candidates;
@@ -60,6 +60,10 @@ impl Policy for Knn {
             }
         }
         Plan::Periodic(cycles)
+    }
+
+    fn groups(&self) -> Option<&[u32]> {
+        Some(&self.clusters.of)
     }
 
     fn next_decision(&self, _: Tti) -> Tti {
@@ -128,7 +132,7 @@ impl PolicyKind for KnnKind {
         Some(KnnSettings::SECTION)
     }
 
-    fn settle(&self, reader: &Reader<'_>, _: &Scenario) -> Result<Arc<dyn PolicySettings>, ScenarioError> {
+    fn settle(&self, reader: &Reader<'_>, _: &Site<'_>) -> Result<Arc<dyn PolicySettings>, ScenarioError> {
         Ok(Arc::new(KnnSettings::read(reader)?))
     }
 }
@@ -136,14 +140,12 @@ impl PolicyKind for KnnKind {
 impl Registered for KnnKind {
     fn profile(&self) -> Profile {
         Profile {
-            wakes: true,
-            clusters: true,
             runtime: "O(N(N-1)/2)",
             ..Profile::plain(0)
         }
     }
 
-    fn build(&self, choice: &PolicyChoice, known: &Knowledge, _: &Findings) -> Mind {
+    fn build(&self, choice: &PolicyChoice, known: &Knowledge, _: Option<&Opaque>) -> Mind {
         Mind::of(Knn::new(known, own(choice)))
     }
 }

@@ -38,11 +38,11 @@ use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Report;
 use reveille_common::plan::Plan;
 use reveille_common::rng::PolicyPurpose;
-use reveille_common::scenario::{PolicyChoice, PolicyKind, PolicySettings, Scenario, WakeUpRanking};
+use reveille_common::scenario::{PolicyChoice, PolicyKind, PolicySettings, Site, WakeUpRanking};
 
 use self::learned::Entry;
 use self::settings::QLearningSettings;
-use super::contract::{Findings, Policy};
+use super::contract::{Opaque, Policy};
 use super::kind::{Profile, Registered, own};
 use super::mind::Mind;
 use crate::beliefs::candidates::Candidates;
@@ -212,7 +212,7 @@ impl Policy for QLearning {
         facts
     }
 
-    fn learned(&self) -> Option<Entry> {
+    fn learned(&self) -> Option<Opaque> {
         if !self.settings.learn {
             return None;
         }
@@ -223,7 +223,7 @@ impl Policy for QLearning {
             WakeUpRanking::P42 => entry.wake_p42 = wake,
             WakeUpRanking::Posterior => entry.wake_posterior = wake,
         }
-        Some(entry)
+        Some(Opaque::new(entry))
     }
 }
 
@@ -245,8 +245,8 @@ impl PolicyKind for QLearningKind {
         Some(QLearningSettings::SECTION)
     }
 
-    fn settle(&self, reader: &Reader<'_>, ground: &Scenario) -> Result<Arc<dyn PolicySettings>, ScenarioError> {
-        Ok(Arc::new(QLearningSettings::settle(reader, ground)?))
+    fn settle(&self, reader: &Reader<'_>, site: &Site<'_>) -> Result<Arc<dyn PolicySettings>, ScenarioError> {
+        Ok(Arc::new(QLearningSettings::settle(reader, site)?))
     }
 }
 
@@ -254,14 +254,12 @@ impl Registered for QLearningKind {
     fn profile(&self) -> Profile {
         Profile {
             learns: true,
-            wakes: true,
-            decides_every_tti: true,
             runtime: "O(N²)",
             ..Profile::plain(3)
         }
     }
 
-    fn build(&self, choice: &PolicyChoice, known: &Knowledge, _: &Findings) -> Mind {
+    fn build(&self, choice: &PolicyChoice, known: &Knowledge, _: Option<&Opaque>) -> Mind {
         Mind::of(QLearning::new(known, own(choice)))
     }
 }

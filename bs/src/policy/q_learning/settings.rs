@@ -8,7 +8,7 @@ use reveille_common::declare::{
     ABOVE_ZERO, Alternative, BELOW_ONE, NOT_NEGATIVE, Range, Reader, ScenarioError, Section, Sink, Value, number,
     source, switch, whole,
 };
-use reveille_common::scenario::{PolicySettings, Scenario};
+use reveille_common::scenario::{PolicySettings, Site};
 
 use super::learned::{Entry, LONGEST_WINDOW, Learned, Schedule, Setting, Weights};
 use crate::beliefs::coverage::CELLS_PER_RANGE;
@@ -111,13 +111,13 @@ impl QLearningSettings {
     /// Its fields as they are declared.
     pub const SECTION: &'static Section = Fields::SECTION;
 
-    /// The settings that `reader` has, for a scenario that is complete but for its policy.
+    /// The settings that `reader` has, for a base station that knows `site`.
     ///
     /// # Errors
     /// A value that may not be, or tables that cannot be used.
-    pub fn settle(reader: &Reader<'_>, ground: &Scenario) -> Result<Self, ScenarioError> {
-        check_raster(reader, ground)?;
-        settle(reader, ground)
+    pub fn settle(reader: &Reader<'_>, site: &Site<'_>) -> Result<Self, ScenarioError> {
+        check_raster(reader, site)?;
+        settle(reader, site)
     }
 }
 
@@ -162,8 +162,8 @@ impl PolicySettings for QLearningSettings {
 }
 
 /// The covered area is counted on cells of a size that follows from d_max; there may be too many.
-fn check_raster(reader: &Reader<'_>, ground: &Scenario) -> Result<(), ScenarioError> {
-    let (area, d_max) = (ground.area, ground.sensing.d_max);
+fn check_raster(reader: &Reader<'_>, site: &Site<'_>) -> Result<(), ScenarioError> {
+    let (area, d_max) = (site.area, site.sensing.d_max);
     let cells = (area.width / d_max * CELLS_PER_RANGE).ceil() * (area.height / d_max * CELLS_PER_RANGE).ceil();
     if cells <= MOST_CELLS {
         return Ok(());
@@ -174,24 +174,24 @@ fn check_raster(reader: &Reader<'_>, ground: &Scenario) -> Result<(), ScenarioEr
     Err(reader.refuse("sensing.d_max", d_max, allowed))
 }
 
-fn settle(reader: &Reader<'_>, ground: &Scenario) -> Result<QLearningSettings, ScenarioError> {
+fn settle(reader: &Reader<'_>, site: &Site<'_>) -> Result<QLearningSettings, ScenarioError> {
     let fields = Fields::read(reader)?;
     let name = fields.table.as_deref().unwrap_or("shipped");
-    let setting = Setting::of(ground);
+    let setting = Setting::of(site);
     let (source, learned) = tables(reader, name, &setting)?;
     if learned.is_none() && !fields.learn {
         let allowed = "needs policy.q-learning.learn = true, or nothing is ever known; or name a table";
         return Err(reader.refuse("policy.q-learning.table", name, allowed));
     }
-    let (weights, window) = terms(reader, &fields, learned.as_deref(), ground)?;
+    let (weights, window) = terms(reader, &fields, learned.as_deref(), site)?;
     let schedule = Schedule {
         rate_decay: fields.rate_decay,
         rate_floor: fields.rate_floor,
         optimism: fields.optimism,
     };
     let start = match &learned {
-        None => Arc::new(Entry::optimistic(ground, &weights, window, schedule.optimism)),
-        Some(tables) => Arc::new(entry(reader, name, tables, ground)?),
+        None => Arc::new(Entry::optimistic(site, &weights, window, schedule.optimism)),
+        Some(tables) => Arc::new(entry(reader, name, tables, site)?),
     };
     Ok(QLearningSettings {
         weights,
@@ -212,7 +212,7 @@ fn terms(
     reader: &Reader<'_>,
     fields: &Fields,
     learned: Option<&Learned>,
-    ground: &Scenario,
+    site: &Site<'_>,
 ) -> Result<(Weights, u32), ScenarioError> {
     let known = learned.map(|tables| tables.weights);
     let as_learned = |name: &str, known: Option<f64>, value: f64| match known {
@@ -236,7 +236,7 @@ fn terms(
         zeta: weight("zeta", fields.zeta, |w| w.zeta)?,
     };
     let known = learned.map(|tables| tables.window);
-    let usual = || ground.events.duration.min(u64::from(LONGEST_WINDOW)) as u32;
+    let usual = || site.event_duration.min(u64::from(LONGEST_WINDOW)) as u32;
     let window = fields.window.or(known).unwrap_or_else(usual);
     as_learned("window", known.map(f64::from), f64::from(window))?;
     Ok((weights, window))
@@ -266,15 +266,15 @@ fn tables(
 }
 
 /// The entry of `tables` for the scenario's density.
-fn entry(reader: &Reader<'_>, name: &str, tables: &Learned, ground: &Scenario) -> Result<Entry, ScenarioError> {
-    let surface = ground.area.surface();
-    tables.closest(ground.devices, surface).cloned().ok_or_else(|| {
+fn entry(reader: &Reader<'_>, name: &str, tables: &Learned, site: &Site<'_>) -> Result<Entry, ScenarioError> {
+    let surface = site.area.surface();
+    tables.closest(site.devices, surface).cloned().ok_or_else(|| {
         let (least, most) = tables.range(surface);
         let allowed = format!(
             "serves {least} to {most} devices on {surface} m², not {n}; train for yours: reveille train q-learning \
                 --devices {n} \
              --out FILE, with the same --scenario and --set",
-            n = ground.devices
+            n = site.devices
         );
         reader.refuse("policy.q-learning.table", name, allowed)
     })

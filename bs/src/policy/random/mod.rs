@@ -7,9 +7,9 @@ use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Report;
 use reveille_common::plan::{DutyCycle, Plan};
 use reveille_common::rng::PolicyPurpose;
-use reveille_common::scenario::{NoSettings, PolicyChoice, PolicyKind, PolicySettings, Scenario};
+use reveille_common::scenario::{NoSettings, PolicyChoice, PolicyKind, PolicySettings, Site};
 
-use super::contract::{Findings, Policy};
+use super::contract::{Opaque, Policy};
 use super::kind::{Profile, Registered};
 use super::mind::Mind;
 use crate::knowledge::Knowledge;
@@ -76,7 +76,7 @@ impl PolicyKind for RandomKind {
         "Each device draws its own duty cycle once; nobody is woken (Sec. VI)."
     }
 
-    fn settle(&self, _: &Reader<'_>, _: &Scenario) -> Result<Arc<dyn PolicySettings>, ScenarioError> {
+    fn settle(&self, _: &Reader<'_>, _: &Site<'_>) -> Result<Arc<dyn PolicySettings>, ScenarioError> {
         Ok(Arc::new(NoSettings))
     }
 }
@@ -86,7 +86,7 @@ impl Registered for RandomKind {
         Profile::plain(2)
     }
 
-    fn build(&self, _: &PolicyChoice, known: &Knowledge, _: &Findings) -> Mind {
+    fn build(&self, _: &PolicyChoice, known: &Knowledge, _: Option<&Opaque>) -> Mind {
         Mind::of(Random::new(known))
     }
 }

@@ -17,7 +17,7 @@ use std::fmt::Display;
 
 use serde::{Deserialize, Serialize};
 
-use reveille_common::scenario::Scenario;
+use reveille_common::scenario::Site;
 
 /// The longest time within which the area can be asked to be covered once, TTIs.
 pub const LONGEST_WINDOW: u32 = 1000;
@@ -57,20 +57,20 @@ pub struct Setting {
 }
 
 impl Setting {
-    /// The setting of `scenario`.
-    pub fn of(scenario: &Scenario) -> Self {
+    /// The setting of `site`.
+    pub fn of(site: &Site<'_>) -> Self {
         let word = |name: &str, value: &str| (name.to_owned(), value.to_owned());
         let number = |name: &str, value: f64| (name.to_owned(), value);
-        let sensing = &scenario.sensing;
+        let sensing = site.sensing;
         let mut numbers = vec![
-            number("events.alpha", scenario.events.alpha),
-            number("events.duration", scenario.events.duration as f64),
+            number("events.alpha", site.alpha),
+            number("events.duration", site.event_duration as f64),
             number("sensing.d_max", sensing.d_max),
             number("sensing.eta", sensing.eta),
             number("sensing.psi", sensing.psi),
         ];
-        let is_lone = scenario.classes.len() == 1;
-        for class in &scenario.classes {
+        let is_lone = site.classes.len() == 1;
+        for class in &site.classes {
             let energy = &class.energy;
             let of = |name: &str, value: f64| {
                 if is_lone {
@@ -84,7 +84,7 @@ impl Setting {
                 of("energy.e_idle", energy.e_idle.units()),
                 of("energy.e_wur", energy.e_wur.units()),
                 of("energy.e_tx", energy.e_tx.units()),
-                of("mean harvest", class.harvest.mean(scenario.tau).units()),
+                of("mean harvest", class.mean_harvest.units()),
             ]);
             if !is_lone {
                 numbers.push(of("share", class.share));
@@ -92,10 +92,10 @@ impl Setting {
         }
         Self {
             words: vec![
-                word("layout.kind", scenario.layout.name()),
+                word("layout.kind", site.layout.name()),
                 word("sensing.kind", sensing.kind.name()),
                 word("sensing.g", sensing.g.name()),
-                word("bs.battery_knowledge", scenario.bs.battery_knowledge.name()),
+                word("bs.battery_knowledge", site.bs.battery_knowledge.name()),
             ],
             numbers,
         }
@@ -162,12 +162,12 @@ pub struct Entry {
 }
 
 impl Entry {
-    /// The optimistic start for the devices and the ground of `scenario`: what an action brings at once is known,
+    /// The optimistic start for the devices of `site`: what an action brings at once is known,
     /// `optimism` times that for sensing; what it costs later is not. Every wake-up is worth a try.
-    pub fn optimistic(scenario: &Scenario, weights: &Weights, window: u32, optimism: f64) -> Self {
-        let (devices, surface) = (scenario.devices, scenario.area.surface());
-        let disc = std::f64::consts::PI * scenario.sensing.d_max * scenario.sensing.d_max;
-        let whole = optimism * weights.covering(devices, scenario.events.alpha, window) * disc / surface;
+    pub fn optimistic(site: &Site<'_>, weights: &Weights, window: u32, optimism: f64) -> Self {
+        let (devices, surface) = (site.devices, site.area.surface());
+        let disc = std::f64::consts::PI * site.sensing.d_max * site.sensing.d_max;
+        let whole = optimism * weights.covering(devices, site.alpha, window) * disc / surface;
         Self {
             devices,
             surface,
@@ -270,7 +270,7 @@ mod tests {
             .iter()
             .map(|set| Override::parse(set).expect("an override"))
             .collect();
-        Setting::of(&load("paper", &set).expect("a scenario"))
+        Setting::of(&Site::of(&load("paper", &set).expect("a scenario")))
     }
 
     #[test]
@@ -283,7 +283,7 @@ mod tests {
             let set = Override::parse("devices=250").expect("an override");
             let scenario = load("paper", &[set]).expect("a scenario");
             for optimism in [0.0, 0.5, 2.0] {
-                let entry = Entry::optimistic(&scenario, &weights, window, optimism);
+                let entry = Entry::optimistic(&Site::of(&scenario), &weights, window, optimism);
                 // A whole disc of 4 m radius on 20 m × 20 m, with α = 0.2.
                 let most = optimism * expected * std::f64::consts::PI * 16.0 / 400.0;
                 for battery in 0..BATTERIES {

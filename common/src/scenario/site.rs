@@ -1,0 +1,84 @@
+//! What a base station knows of its site before a run, by which a policy checks and completes its settings.
+
+use super::bs::BsSettings;
+use super::model::Scenario;
+use crate::energy::EnergyModel;
+use crate::geometry::{Area, Layout};
+use crate::sensing::Sensing;
+use crate::units::Energy;
+
+/// What is known of the devices of a class.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ClassKnowledge<'s> {
+    /// Its name.
+    pub name: &'s str,
+    /// Its share of the devices, `(0, 1]`.
+    pub share: f64,
+    /// Battery and costs.
+    pub energy: EnergyModel,
+    /// Its mean harvest in a TTI.
+    pub mean_harvest: Energy,
+}
+
+/// What a base station knows of its site: the part of a scenario that is no ground truth.
+///
+/// No policy can be set from the seed,
+/// ```compile_fail
+/// fn peek(site: &reveille_common::scenario::Site<'_>) -> u64 {
+///     site.seed
+/// }
+/// ```
+/// from the event process,
+/// ```compile_fail
+/// fn peek(site: &reveille_common::scenario::Site<'_>) -> f64 {
+///     site.events.alpha
+/// }
+/// ```
+/// or from what a class will harvest; this is what it can do:
+/// ```
+/// fn known(site: &reveille_common::scenario::Site<'_>) -> f64 {
+///     site.alpha + site.classes[0].mean_harvest.units()
+/// }
+/// ```
+#[derive(Clone, Debug)]
+pub struct Site<'s> {
+    /// Number of devices N, `1 ..= 1 000 000`.
+    pub devices: u32,
+    /// The served area ξ.
+    pub area: Area,
+    /// Where the devices stand.
+    pub layout: &'s Layout,
+    /// The sensing model.
+    pub sensing: &'s Sensing,
+    /// Probability α that an event starts in a TTI in which none is active, `(0, 1]`.
+    pub alpha: f64,
+    /// The settings of the base station.
+    pub bs: BsSettings,
+    /// The device classes, at least one.
+    pub classes: Vec<ClassKnowledge<'s>>,
+    /// How long events last, TTIs. No base station can know it. The one exception: `q-learning` takes from it the tables
+    /// that fit best, and its window where neither tables nor scenario give one.
+    pub event_duration: u64,
+}
+
+impl<'s> Site<'s> {
+    /// The site of `scenario`.
+    pub fn of(scenario: &'s Scenario) -> Self {
+        let classes = scenario.classes.iter().map(|class| ClassKnowledge {
+            name: &class.name,
+            share: class.share,
+            energy: class.energy,
+            mean_harvest: class.harvest.mean(scenario.tau),
+        });
+        Self {
+            devices: scenario.devices,
+            area: scenario.area,
+            layout: &scenario.layout,
+            sensing: &scenario.sensing,
+            alpha: scenario.events.alpha,
+            bs: scenario.bs,
+            classes: classes.collect(),
+            event_duration: scenario.events.duration,
+        }
+    }
+}
