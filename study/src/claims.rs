@@ -98,18 +98,13 @@ const fn doubted(claim: Claim, caveat: &'static str) -> Claim {
 }
 
 const CLOSEST: &str = "Under g = max no event gives more than its closest device reports, on a uniform layout of 250 \
-    devices \
-                       0.55 on the mean, and devices within reach do not add up.";
+    devices 0.55 on the mean, and devices within reach do not add up.";
 const WUR_FLOOR: &str = "A device that always listens spends E_WuR = 1/14 = 0.0714 units in every TTI, so 0.055 lies \
-    below \
-                         what the genie's sleepers alone spend.";
+    below what the genie's sleepers alone spend.";
 const REACH: &str = "Ten devices of d_max = 4 m at random places leave a quarter or so of 20 × 20 m out of everyone's \
-    reach: an \
-                     event there is lost whoever is woken.";
-const SPARING: &str = "Of the duty cycles of its grid, adjusted takes the one that spends least among those that \
-    reach I_min; \
-                       the paper states neither its grid nor the cycle it found, and its devices must sense more \
-                       often.";
+    reach: an event there is lost whoever is woken.";
+const SPARING: &str = "Of the duty cycles of its grid, adjusted takes the one that spends least among those that reach \
+    I_min; the paper states neither its grid nor the cycle it found, and its devices must sense more often.";
 const UNSEEN: &str = "A dozen or so devices sense at a time, which leaves part of the area unwatched in any one TTI.";
 
 /// All of them, by figure.

@@ -13,8 +13,8 @@ pub enum BusError {
     Endpoint(String, &'static str),
     /// The BS cannot listen.
     #[error(
-        "cannot listen on {0}: {1}. Is the port in use? Choose another with --listen, or tcp/127.0.0.1:0 for any free \
-            one"
+        "cannot listen on {0}: {1}. Is the port in use? Choose another with --listen, or \
+         tcp/127.0.0.1:0 for any free one"
     )]
     Listen(String, String),
     /// No BS answers.

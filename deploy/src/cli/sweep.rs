@@ -153,8 +153,7 @@ fn ci_metrics_help() -> String {
     let differences: Vec<&str> = differences.map(|metric| metric.name).collect();
     format!(
         "The metrics that --until-ci looks at, separated by commas, of: {names} [default: all that are defined, but \
-            for \
-         events and {}, whose mean may be 0]",
+         for events and {}, whose mean may be 0]",
         differences.join(", ")
     )
 }

@@ -58,8 +58,7 @@ pub enum SweepError {
     /// The journal cannot be written, for example because the disk is full.
     #[error(
         "{}: cannot be written: {error}; the runs in it, {kept} so far, are kept: free some space or mend the disk, \
-            then give the \
-         same command again to go on",
+         then give the same command again to go on",
         path.display()
     )]
     Journal {
@@ -75,9 +74,8 @@ pub enum SweepError {
     Table(#[from] TableError),
     /// The table of a sweep cannot be written, for example because the disk is full; its runs are safe.
     #[error(
-        "{error}; the runs, {kept} so far, are kept in {}: free some space or mend the disk, then give the same \
-            command again \
-         to go on",
+        "{error}; the runs, {kept} so far, are kept in {}: free some space or mend the disk, then give the \
+         same command again to go on",
         folder.display()
     )]
     Results {

@@ -41,8 +41,7 @@ pub enum TableError {
     /// A table of another version.
     #[error(
         "{}: is a result table of version {found}, written by reveille {by}; this reveille reads version \
-            {TABLE_VERSION}: \
-         use that one, or run the sweep again",
+         {TABLE_VERSION}: use that one, or run the sweep again",
         path.display()
     )]
     Version {

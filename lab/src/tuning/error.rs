@@ -35,8 +35,11 @@ pub enum TuningError {
         why: String,
     },
     /// The history belongs to another tuning.
-    #[error("{}: is the history of another tuning ({why}); give that one's options, another --out, or --force to \
-        begin anew", path.display())]
+    #[error(
+        "{}: is the history of another tuning ({why}); give that one's options, another --out, or --force \
+         to begin anew",
+        path.display()
+    )]
     Foreign {
         /// The file.
         path: PathBuf,

@@ -22,8 +22,7 @@ pub enum FigureError {
     /// Two tables disagree about a run.
     #[error(
         "scenario {scenario}: the tables hold two different outcomes (digests {first} and {second}) of one scenario; \
-            they come \
-         from versions of Reveille that do not agree, so make them again with one version"
+         they come from versions of Reveille that do not agree, so make them again with one version"
     )]
     Contradiction {
         /// The scenario's hash.
@@ -35,8 +34,8 @@ pub enum FigureError {
     },
     /// The run has no such event.
     #[error(
-        "event {event}: the run of {ttis} TTIs has {count} events, numbered from 0; give one of them, or a longer run \
-            with --ttis"
+        "event {event}: the run of {ttis} TTIs has {count} events, numbered from 0; give one of them, or \
+         a longer run with --ttis"
     )]
     NoEvent {
         /// The event asked for.

@@ -39,8 +39,8 @@ pub enum LearnedError {
     Foreign(String),
     /// Its form is another one.
     #[error(
-        "has version {0} of the form of learned tables, this program reads {VERSION}; train again: reveille train \
-            q-learning"
+        "has version {0} of the form of learned tables, this program reads {VERSION}; train again: \
+         reveille train q-learning"
     )]
     Version(u64),
     /// It was changed or cut short.

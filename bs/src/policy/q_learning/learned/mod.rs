@@ -231,8 +231,8 @@ impl Learned {
             .as_ref()
             .map_or_else(String::new, |from| format!(", begun from {from}"));
         format!(
-            "tables for N = {}, μ1 = {mu1}, μ2 = {mu2}, ζ = {zeta} and a window of {} TTIs, learned in {ttis} \
-                TTIs{before}",
+            "tables for N = {}, μ1 = {mu1}, μ2 = {mu2}, ζ = {zeta} and a window of {} TTIs, \
+             learned in {ttis} TTIs{before}",
             entry.devices, self.window
         )
     }
