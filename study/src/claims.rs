@@ -31,15 +31,15 @@ impl Sites {
 /// What a claim says of a metric's mean.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Relation {
-    /// It is about this.
+    /// The mean is about this value.
     About(f64),
-    /// It is between these.
+    /// The mean is between these values.
     Between(f64, f64),
-    /// It is less than this.
+    /// The mean is less than this value.
     Below(f64),
-    /// It is more than this.
+    /// The mean is more than this value.
     Above(f64),
-    /// It is this many times that of another policy.
+    /// The mean is this many times that of another policy.
     Times(f64, &'static str),
 }
 
@@ -61,7 +61,7 @@ impl Relation {
 pub struct Claim {
     /// The policy.
     pub policy: &'static str,
-    /// For which N.
+    /// The N for which the claim is made.
     pub sites: Sites,
     /// What it says.
     pub relation: Relation,
@@ -107,7 +107,7 @@ const SPARING: &str = "Of the duty cycles of its grid, adjusted takes the one th
     I_min; the paper states neither its grid nor the cycle it found, and its devices must sense more often.";
 const UNSEEN: &str = "A dozen or so devices sense at a time, which leaves part of the area unwatched in any one TTI.";
 
-/// All of them, by figure.
+/// All claims, by figure.
 pub const TOPICS: &[Topic] = &[
     Topic {
         metric: "info_per_event",

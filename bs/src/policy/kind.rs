@@ -48,7 +48,7 @@ impl Profile {
 
 /// A policy of this program.
 pub trait Registered: PolicyKind + Debug {
-    /// What it is like.
+    /// The properties of the policy that other parts of the program ask for.
     fn profile(&self) -> Profile;
 
     /// The policy with the settings of `choice`, which are its own, for a base station that knows `known`. `findings`

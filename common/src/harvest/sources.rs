@@ -15,7 +15,7 @@ pub(super) fn expected(p: f64, e_b: Energy) -> Energy {
 #[derive(Clone, Debug, Default)]
 pub struct Sources {
     pub(super) traces: Vec<Arc<Vec<Energy>>>,
-    /// By the bits of the probability of an arrival.
+    /// The tables, by the bits of the probability of an arrival.
     tables: Vec<(u64, Arc<GapTable>)>,
 }
 

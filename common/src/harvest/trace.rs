@@ -183,7 +183,7 @@ fn energies(numbers: &Columns<f64>, names: &[String], scale: f64) -> Result<Vec<
 /// Recorded energy, as a device needs it: one of the run's traces.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TraceSetup {
-    /// Which of the run's traces.
+    /// The number of the trace among the run's traces.
     pub trace: u32,
     /// TTIs that one row lasts, ≥ 1.
     pub ttis_per_row: u64,

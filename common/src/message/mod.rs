@@ -225,7 +225,7 @@ pub enum Addressee {
     Nobody,
     /// A device's: the receiver of a wake-up, the sender of a report.
     Device,
-    /// A host's.
+    /// A host's: the sender of an answer.
     Host,
 }
 

@@ -15,7 +15,7 @@ pub struct SweepArgs {
     /// An experiment file; see deploy/examples/experiment.toml. Options win over what it says.
     pub experiment: Option<PathBuf>,
 
-    /// Which runs.
+    /// The runs that the sweep makes.
     #[command(flatten)]
     pub grid: GridArgs,
 

@@ -52,7 +52,7 @@ pub enum SweepError {
     Folder {
         /// The folder.
         folder: PathBuf,
-        /// Why, and what to do.
+        /// What is wrong, and what to do.
         reason: String,
     },
     /// The journal cannot be written, for example because the disk is full.
@@ -91,7 +91,7 @@ pub enum SweepError {
     NoTable {
         /// The folder.
         folder: PathBuf,
-        /// Why, and what to do.
+        /// What is wrong, and what to do.
         reason: String,
     },
     /// Tables do not make up one sweep.
@@ -99,15 +99,15 @@ pub enum SweepError {
     Merge {
         /// The table that does not fit.
         path: PathBuf,
-        /// Why, and what to do.
+        /// What is wrong, and what to do.
         reason: String,
     },
     /// Threads cannot be started.
     #[error("--threads {threads}: {reason}")]
     Threads {
-        /// How many were asked for.
+        /// The number of threads that was asked for.
         threads: usize,
-        /// Why not.
+        /// Why they cannot be started.
         reason: String,
     },
 }

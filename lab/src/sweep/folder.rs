@@ -44,7 +44,7 @@ pub struct Sweep<'g> {
 pub struct Finished {
     /// The table.
     pub table: Table,
-    /// Where it was written.
+    /// The path of the table.
     pub path: PathBuf,
     /// How each cell ended.
     pub cells: Vec<CellEnd>,

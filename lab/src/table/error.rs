@@ -29,10 +29,10 @@ pub enum TableError {
     Encode {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// Why it cannot be encoded.
         reason: String,
     },
-    /// A file of somebody else.
+    /// The file is no table of Reveille.
     #[error("{}: is not a result table of Reveille; `reveille sweep` and `reveille merge` write those", path.display())]
     NotOurs {
         /// The file.
@@ -49,7 +49,7 @@ pub enum TableError {
         path: PathBuf,
         /// Its version.
         found: String,
-        /// Who wrote it.
+        /// The version of Reveille that wrote it.
         by: String,
     },
     /// The columns are not those of this version.

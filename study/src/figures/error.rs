@@ -68,9 +68,9 @@ pub enum FigureError {
     Crowd {
         /// Devices asked for.
         count: u32,
-        /// Which picture.
+        /// The picture.
         what: &'static str,
-        /// How many it can show.
+        /// The most that it can show.
         limit: u32,
         /// What to do.
         advice: &'static str,
@@ -97,11 +97,11 @@ pub enum FigureError {
     /// Too much for a picture of learning curves that can be read.
     #[error("{count} {what}: a picture of learning curves shows {limit} at the most")]
     Curves {
-        /// How many.
+        /// How many there are.
         count: usize,
-        /// Of what.
+        /// What is counted.
         what: &'static str,
-        /// How many it can show.
+        /// The most that it can show.
         limit: usize,
     },
 }

@@ -28,7 +28,7 @@ struct Line<'a> {
     /// What it is called; with what its condition changes, if there are several conditions.
     name: String,
     style: Style,
-    /// By rising N.
+    /// The points by rising N.
     points: Vec<(u32, Sample)>,
 }
 

@@ -99,7 +99,7 @@ pub struct QLearningSettings {
     /// Probability that a decision is made at random while the policy learns, in the first TTI and in the last, `[0,
     /// 1)`; in between it changes evenly.
     pub epsilon: (f64, f64),
-    /// How it learns.
+    /// How values are learned.
     pub schedule: Schedule,
     /// The tables at the start of the run.
     pub start: Arc<Entry>,

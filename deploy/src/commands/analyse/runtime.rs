@@ -28,7 +28,7 @@ struct Times {
     tti_s: f64,
     decision_s: f64,
     wake_ups: f64,
-    /// NaN where a plan holds for good.
+    /// Seconds for a decision on who senses; NaN where a plan holds for good.
     plan_s: f64,
 }
 

@@ -151,9 +151,9 @@ pub struct Entry {
     pub devices: u32,
     /// The area ξ of the training, m².
     pub surface: f64,
-    /// Who senses.
+    /// The table of who senses.
     pub duty: DutyTable,
-    /// Whom to wake, candidates by `P_4,2`.
+    /// The table of whom to wake, for candidates ranked by `P_4,2`.
     pub wake_p42: WakeTable,
     /// Whom to wake, candidates by the belief over the epicentre.
     pub wake_posterior: WakeTable,
