@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use crate::ids::Tti;
 use crate::rng::{GapTable, Geometric};
 use crate::units::Energy;
 
@@ -38,12 +37,5 @@ impl Sources {
             || Arc::new(GapTable::new(Geometric::new(p))),
             |(_, table)| Arc::clone(table),
         )
-    }
-}
-
-impl Tti {
-    /// One TTI earlier, except that never stays never.
-    pub(super) const fn saturating_sub_one(self) -> Self {
-        if self.0 == u64::MAX { self } else { Self(self.0 - 1) }
     }
 }
