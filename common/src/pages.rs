@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-/// Protects: the `table` between `<!-- NAME -->` and `<!-- /NAME -->` in `page` is what the code says. Writes it there if
-/// it is not.
+/// Protects: what stands between `<!-- NAME -->` and `<!-- /NAME -->` in `page` is the `table` that the code makes.
+/// Writes it there if it is not.
 pub fn assert_table(page: &str, name: &str, table: &str) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(page);
     let [above, below] = [format!("<!-- {name} -->\n"), format!("<!-- /{name} -->")];

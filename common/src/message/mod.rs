@@ -2,8 +2,8 @@
 //!
 //! Two planes: on the *air* plane travels what a real deployment would send over the radio, on the *emulation* plane
 //! what only the emulation needs. The table `messages!` below is the one list of kinds: the keys ([`crate::keys`]), the
-//! typed bus (`crate::bus`), `reveille inspect`, its help and its page, and the fuzz target read it. A new kind is a row
-//! of the table and a file with its payload.
+//! typed bus (`crate::bus`), `reveille inspect`, its help and its page, and the fuzz target read it. A new kind is a
+//! row of the table and a file with its payload.
 //!
 //! Not in the table: the copies for observers ([`TapBatch`]), which are no part of the run.
 

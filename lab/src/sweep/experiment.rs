@@ -74,7 +74,7 @@ impl Seeds {
 /// When a cell has enough runs: as soon as the 95 % interval of each of these metrics is narrow, looked at in the order
 /// of seeds after `min_seeds` runs, then after every quarter more (at least ten).
 ///
-/// A cell whose spread looks small by chance is stopped too soon, and repeated looks give chance more opportunities: the
+/// A cell whose spread looks small by chance is stopped too soon, and every look gives chance another opportunity:
 /// intervals of cells that were stopped early cover a little less than 95 %. A metric that is 0 in all runs is never
 /// narrow.
 #[derive(Clone, Debug, PartialEq)]
