@@ -34,7 +34,7 @@ use crate::station::Station;
 #[derive(Debug)]
 #[must_use = "the TTIs are open until their reports are gathered"]
 pub struct Granted {
-    /// The TTIs.
+    /// The TTIs that are granted.
     pub grant: Grant,
     /// What goes out on the air before them: a new plan, or the plan in force once more for synchronisation.
     pub update: Option<PlanUpdate>,
@@ -49,7 +49,7 @@ pub struct Waking {
 }
 
 impl Waking {
-    /// Whom to wake.
+    /// The device to wake.
     pub const fn device(&self) -> DeviceId {
         self.device
     }
@@ -82,7 +82,7 @@ impl Cycle {
         Self::with_world(prepared, World::new(&prepared.scenario, &prepared.deployment))
     }
 
-    /// The same in a world of the caller's, such as one with scripted events.
+    /// As [`Self::new`], in a world of the caller's, such as one with scripted events.
     pub fn with_world(prepared: &Prepared, world: World) -> Self {
         let known = prepared.knowledge();
         let mind = prepared.mind(&known);

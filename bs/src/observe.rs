@@ -48,14 +48,14 @@ pub enum Happening<'a> {
     WakeUp {
         /// The TTI.
         tti: Tti,
-        /// To whom.
+        /// The device that is woken.
         device: DeviceId,
     },
     /// What came of the last wake-up.
     Woken {
         /// The TTI.
         tti: Tti,
-        /// Who was to be woken.
+        /// The device that was to be woken.
         device: DeviceId,
         /// What came of it.
         outcome: &'a WakeOutcome,

@@ -18,7 +18,7 @@ pub struct Station {
     known: Knowledge,
     mind: Mind,
     plan: Plan,
-    /// For a policy that looks at batteries.
+    /// The battery levels as the BS knows them, for a policy that looks at batteries.
     levels: Option<Levels>,
     next_decision: Tti,
     /// Î of this TTI.
@@ -51,7 +51,7 @@ impl Station {
         self.information
     }
 
-    /// Who decides.
+    /// The mind of the policy, which decides.
     pub const fn mind(&self) -> &Mind {
         &self.mind
     }

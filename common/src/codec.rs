@@ -20,7 +20,7 @@ const CONFIG: bincode::config::Configuration<
 /// Why a payload is not a message.
 #[derive(Debug, thiserror::Error)]
 pub enum CodecError {
-    /// No byte at all.
+    /// The payload has no byte.
     #[error("the payload is empty")]
     Empty,
     /// Another version of Reveille sent it.

@@ -18,7 +18,7 @@ use crate::rng::{Geometric, Purpose, Stream};
 pub struct Stimulus {
     /// The event.
     pub event: EventId,
-    /// Where it is.
+    /// Its place.
     pub epicentre: Point,
 }
 
@@ -40,7 +40,7 @@ pub struct ScriptedEvent {
     pub start: Tti,
     /// TTIs that it lasts unless a report ends it, ≥ 1.
     pub duration: u64,
-    /// Where it is.
+    /// Its place.
     pub epicentre: Point,
 }
 

@@ -67,6 +67,12 @@ impl Tti {
     pub const fn saturating_add(self, n: u64) -> Self {
         Self(self.0.saturating_add(n))
     }
+
+    /// The TTI before this one, of which there must be one; [`Tti::NEVER`] stays as it is.
+    #[must_use]
+    pub(crate) const fn saturating_sub_one(self) -> Self {
+        if self.0 == u64::MAX { self } else { Self(self.0 - 1) }
+    }
 }
 
 impl Add<u64> for Tti {

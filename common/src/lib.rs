@@ -19,6 +19,8 @@ pub mod io;
 pub mod keys;
 pub mod logging;
 pub mod message;
+#[cfg(test)]
+mod pages;
 pub mod plan;
 pub mod rng;
 pub mod scenario;

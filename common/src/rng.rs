@@ -121,7 +121,7 @@ impl PolicyStreams {
     }
 }
 
-/// Without the seed.
+/// Shows nothing of the seed.
 impl std::fmt::Debug for PolicyStreams {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str("PolicyStreams")

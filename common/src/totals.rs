@@ -90,7 +90,7 @@ pub struct EventTally {
     pub information_pico: u64,
     /// Devices that entered S2 and could not transmit, and woken devices farther than `d_max` from the epicentre.
     pub wrong_activations: u64,
-    /// Energy that those spent or lost.
+    /// Energy that the wrong activations spent or lost.
     pub wasted: Energy,
 }
 
@@ -99,7 +99,7 @@ pub struct EventTally {
 pub struct EventTotals {
     /// Events that started in the measured part and ended before the run did.
     pub events: u64,
-    /// Those without a report.
+    /// Events that ended without a report.
     pub misdetected: u64,
     /// Reports.
     pub reports: u64,
@@ -146,7 +146,7 @@ impl Sub for EventTotals {
 pub struct ControlTotals {
     /// Messages put on the air plane; a broadcast is one.
     pub messages: u64,
-    /// Their payloads as encoded, in bytes.
+    /// Bytes of the messages' payloads as encoded.
     pub bytes: u64,
 }
 

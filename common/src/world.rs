@@ -58,7 +58,7 @@ impl World {
         )
     }
 
-    /// The same with the events of `process`.
+    /// As [`Self::new`], with the events of `process`.
     pub fn with_events(scenario: &Scenario, deployment: &Deployment, process: EventProcess) -> Self {
         let positions = deployment.positions();
         Self {
@@ -117,7 +117,7 @@ impl World {
         self.current.map(|current| current.event.stimulus)
     }
 
-    /// Who detects the event in the TTI that [`Self::play`] gave, battery permitting, in no order.
+    /// The devices that detect the event in the TTI that [`Self::play`] gave, battery permitting, in no order.
     pub fn detectors(&self) -> &[DeviceId] {
         &self.detectors
     }

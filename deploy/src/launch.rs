@@ -11,7 +11,7 @@ use rustix::process::{Pid, Signal};
 const LEAF_RUNTIME: &str =
     "(rx:(handover:app),acc:(handover:app),tx:(handover:app),net:(handover:app),app:(worker_threads:1))";
 
-/// How long children get to leave by themselves.
+/// How long child processes may take to leave by themselves.
 const LEAVE: Duration = Duration::from_secs(5);
 
 /// The device processes of a run.

@@ -109,14 +109,14 @@ pub struct Timing {
     pub host_pss_mb: f64,
 }
 
-/// Versions.
+/// What made the summary, and in which forms.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Versions {
-    /// Of reveille.
+    /// The version of Reveille.
     pub reveille: &'static str,
-    /// Of the wire form.
+    /// The version of the form of messages.
     pub wire: u8,
-    /// Of this file.
+    /// The version of the form of this file.
     pub summary: u32,
 }
 
@@ -197,7 +197,7 @@ impl RunFolder {
         Ok(folder)
     }
 
-    /// Where it is.
+    /// The path of the folder.
     pub fn path(&self) -> &Path {
         &self.path
     }

@@ -2,7 +2,8 @@
 //!
 //! The `adjusted` policy (Sec. V-A, P2) has each duty cycle of its grid judged by a pilot run of the same machines on
 //! the same deployment, with events and harvests of a seed of its own: what a BS knows from the positions and from
-//! historical data, not what is about to happen. All pairs see the same pilot events and harvests.
+//! historical data, not what is about to happen. Traces are the exception: a pilot run replays the recorded energy that
+//! the run itself will harvest. All pairs see the same pilot events and harvests.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};

@@ -50,7 +50,7 @@ impl Run {
         Self::with_world(prepared, world, options)
     }
 
-    /// The same in a world of the caller's, such as one with scripted events.
+    /// As [`Self::new`], in a world of the caller's, such as one with scripted events.
     pub fn with_world(prepared: &Prepared, world: World, options: Options) -> Self {
         let Prepared {
             scenario, deployment, ..

@@ -36,17 +36,17 @@ const LOOK: u64 = 200;
 /// Why a training could not be begun or finished.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainingError {
-    /// The scenario's policy is another.
+    /// The scenario has another policy than the one that is trained.
     #[error("policy.name = {0}: only q-learning is trained")]
     Policy(String),
     /// A value is out of its range.
     #[error("{what} = {value}: {allowed}")]
     Invalid {
-        /// Which.
+        /// The name of the value.
         what: &'static str,
-        /// What it is.
+        /// The value that was given.
         value: String,
-        /// What it may be.
+        /// What the value may be.
         allowed: &'static str,
     },
     /// There is a file already.
@@ -68,7 +68,7 @@ pub enum TrainingError {
     Checkpoint {
         /// The checkpoint.
         path: PathBuf,
-        /// Why not.
+        /// Why it cannot be used.
         error: LearnedError,
     },
     /// A file cannot be written.
@@ -82,9 +82,9 @@ pub enum TrainingError {
     /// Threads cannot be started.
     #[error("{threads} threads cannot be started: {reason}")]
     Threads {
-        /// How many.
+        /// The number of threads that was asked for.
         threads: usize,
-        /// Why not.
+        /// Why they cannot be started.
         reason: String,
     },
 }

@@ -31,15 +31,15 @@ impl Sites {
 /// What a claim says of a metric's mean.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Relation {
-    /// It is about this.
+    /// The mean is about this value.
     About(f64),
-    /// It is between these.
+    /// The mean is between these values.
     Between(f64, f64),
-    /// It is less than this.
+    /// The mean is less than this value.
     Below(f64),
-    /// It is more than this.
+    /// The mean is more than this value.
     Above(f64),
-    /// It is this many times that of another policy.
+    /// The mean is this many times that of another policy.
     Times(f64, &'static str),
 }
 
@@ -61,7 +61,7 @@ impl Relation {
 pub struct Claim {
     /// The policy.
     pub policy: &'static str,
-    /// For which N.
+    /// The N for which the claim is made.
     pub sites: Sites,
     /// What it says.
     pub relation: Relation,
@@ -98,21 +98,16 @@ const fn doubted(claim: Claim, caveat: &'static str) -> Claim {
 }
 
 const CLOSEST: &str = "Under g = max no event gives more than its closest device reports, on a uniform layout of 250 \
-    devices \
-                       0.55 on the mean, and devices within reach do not add up.";
+    devices 0.55 on the mean, and devices within reach do not add up.";
 const WUR_FLOOR: &str = "A device that always listens spends E_WuR = 1/14 = 0.0714 units in every TTI, so 0.055 lies \
-    below \
-                         what the genie's sleepers alone spend.";
+    below what the genie's sleepers alone spend.";
 const REACH: &str = "Ten devices of d_max = 4 m at random places leave a quarter or so of 20 × 20 m out of everyone's \
-    reach: an \
-                     event there is lost whoever is woken.";
-const SPARING: &str = "Of the duty cycles of its grid, adjusted takes the one that spends least among those that \
-    reach I_min; \
-                       the paper states neither its grid nor the cycle it found, and its devices must sense more \
-                       often.";
+    reach: an event there is lost whoever is woken.";
+const SPARING: &str = "Of the duty cycles of its grid, adjusted takes the one that spends least among those that reach \
+    I_min; the paper states neither its grid nor the cycle it found, and its devices must sense more often.";
 const UNSEEN: &str = "A dozen or so devices sense at a time, which leaves part of the area unwatched in any one TTI.";
 
-/// All of them, by figure.
+/// All claims, by figure.
 pub const TOPICS: &[Topic] = &[
     Topic {
         metric: "info_per_event",

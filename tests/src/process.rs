@@ -62,7 +62,7 @@ impl Folder {
         Self(path)
     }
 
-    /// Where it is.
+    /// The path of the folder.
     pub fn path(&self) -> &Path {
         &self.0
     }
@@ -329,7 +329,7 @@ impl Drop for Process {
 /// A process that has ended.
 #[derive(Debug)]
 pub struct Finished {
-    /// How.
+    /// How the process ended.
     pub status: ExitStatus,
     /// All of its standard output.
     pub stdout: String,

@@ -32,8 +32,8 @@ impl Candidates {
         })
     }
 
-    /// Begins an event with its first reports. Those who could have reported and did not count where a ranking makes
-    /// something of it.
+    /// Begins an event with its first reports. The ranking by the belief also learns from the devices that could have
+    /// reported and did not.
     pub fn start(&mut self, seen: &Observation<'_>, reports: &[Report]) {
         self.clear();
         for report in reports {

@@ -16,7 +16,7 @@ const NODES: f64 = 18.0;
 /// η times the step of the grid of bounds, unless that makes too many rows of d.
 const STEP_DECAY: f64 = 0.1;
 const MOST_ROWS: f64 = 100.0;
-/// What [`Correlation::p42`] may be wrong by.
+/// Upper bound on the error of [`Correlation::p42`].
 const QUADRATURE_ERROR: f64 = 1e-6;
 
 /// Beyond this η·`d_max` the peak of the integrand is so narrow that more points are needed.

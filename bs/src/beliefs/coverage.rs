@@ -119,7 +119,7 @@ impl Coverage {
         cells / self.raster.cells() as f64
     }
 
-    /// The same in whole parts, rounded down, for comparisons: cells, or with detection by chance 64ths of a cell.
+    /// The gain in whole parts, rounded down, for comparisons: cells, or with detection by chance 64ths of a cell.
     #[inline]
     pub fn parts(&self, j: usize) -> u32 {
         if self.is_added[j] {

@@ -151,7 +151,7 @@ enum Waiting {
 /// Candidates, and a probability that they do not exceed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Entry {
-    /// In 10⁻⁹.
+    /// The bound in units of 10⁻⁹.
     nano: u32,
     waiting: Waiting,
     number: u32,

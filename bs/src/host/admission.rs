@@ -9,7 +9,7 @@ pub struct Places {
     pub host: HostId,
     /// Its first device.
     pub first: DeviceId,
-    /// How many, one after another.
+    /// How many devices the host carries, numbered one after another.
     pub count: u32,
 }
 

@@ -113,7 +113,7 @@ impl Barrier {
         }
     }
 
-    /// Who carries which devices.
+    /// The roster: which host carries which devices.
     pub const fn roster(&mut self) -> &mut Roster {
         &mut self.roster
     }

@@ -23,7 +23,7 @@ pub struct Settings {
     pub lookahead: bool,
     /// The pace; a real-time pace grants one TTI at a time.
     pub pace: Pace,
-    /// When a host is lost.
+    /// What to do when a host is lost.
     pub on_loss: OnLoss,
     /// TTIs in a window of the per-window series.
     pub window: u64,
@@ -42,7 +42,7 @@ pub struct Progress {
     pub tti: AtomicU64,
     /// Counted events that have ended.
     pub events: AtomicU64,
-    /// Those without a report.
+    /// Counted events that have ended without a report.
     pub misdetected: AtomicU64,
     /// Mean battery over the last window, micro-units.
     pub mean_battery: AtomicU64,
@@ -59,9 +59,9 @@ pub struct Progress {
 pub struct Served {
     /// The outcome, whole or partial.
     pub outcome: Outcome,
-    /// From the call until all devices had joined.
+    /// The time from the call until all devices had joined.
     pub joining: Duration,
-    /// From the first grant to the last answer.
+    /// The time from the first grant to the last answer.
     pub running: Duration,
     /// Hosts that carried devices.
     pub hosts: usize,

@@ -39,7 +39,7 @@ pub enum BsError {
     NoAnswer {
         /// The TTI that was open.
         tti: Tti,
-        /// Who did not answer.
+        /// The hosts that did not answer.
         hosts: Vec<HostId>,
     },
     /// Stopped from outside before there was anything to sum up.

@@ -1,5 +1,5 @@
-//! Who carries which devices during the run, and what can be true of them: the check on everything that comes in over
-//! the bus, where a number may be anything.
+//! The hosts of a run and their devices, and what can be true of them. Every number that comes in over the bus is
+//! checked here, for it may be anything.
 
 use reveille_common::ids::{DeviceId, HostId};
 use reveille_common::message::{DeviceSetup, Failure, Report};

@@ -36,7 +36,7 @@ impl Profile {
 
 /// A policy of this program.
 pub trait Registered: PolicyKind + Debug {
-    /// Facts that others ask of it.
+    /// The properties of the policy that other parts of the program ask for.
     fn profile(&self) -> Profile;
 
     /// The pilot runs that it asks for with the settings of `choice`, which are its own.

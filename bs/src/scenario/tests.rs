@@ -250,9 +250,8 @@ fn unknown_fields_come_with_a_suggestion() {
         ),
         (
             "[events]\nalhpa = 0.1",
-            "unknown field `events.alhpa`; did you mean `alpha`?; set in my.toml, line 2; the fields there are \
-                `alpha`, \
-             `duration`",
+            "unknown field `events.alhpa`; did you mean `alpha`?; set in my.toml, line 2; the fields there \
+             are `alpha`, `duration`",
         ),
     ] {
         assert_eq!(from(text).expect_err(text).to_string(), message);

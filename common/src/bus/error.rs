@@ -13,26 +13,26 @@ pub enum BusError {
     Endpoint(String, &'static str),
     /// The BS cannot listen.
     #[error(
-        "cannot listen on {0}: {1}. Is the port in use? Choose another with --listen, or tcp/127.0.0.1:0 for any free \
-            one"
+        "cannot listen on {0}: {1}. Is the port in use? Choose another with --listen, or \
+         tcp/127.0.0.1:0 for any free one"
     )]
     Listen(String, String),
     /// No BS answers.
     #[error("no base station answers at {endpoint} within {patience:?}. Is it running, and is the address right?")]
     Connect {
-        /// Where.
+        /// The endpoint.
         endpoint: String,
-        /// How long it was tried.
+        /// How long the connection was tried.
         patience: Duration,
     },
     /// The BS is there, but does not answer for this run.
     #[error("nobody answers for run {run} at {endpoint}. {hint}")]
     NoRun {
-        /// Where.
+        /// The endpoint.
         endpoint: String,
         /// The run asked for.
         run: RunName,
-        /// Which runs there are.
+        /// The runs that there are.
         hint: String,
     },
     /// A reply that cannot be read.

@@ -42,7 +42,7 @@ pub struct Bus {
     tap: Option<Arc<Tap>>,
 }
 
-/// Undone when dropped.
+/// A declaration on the session, which is undone when this is dropped.
 pub struct Declared {
     _entity: Box<dyn std::any::Any + Send + Sync>,
 }
@@ -164,7 +164,7 @@ impl Bus {
         self.listen_for_bytes(key, Box::new(take))
     }
 
-    /// The same in bytes, apart so that zenoh's part of it is compiled here and once.
+    /// As [`Self::listen_on`], in bytes. It stands apart so that zenoh's generic code is compiled here and once.
     fn listen_for_bytes(&self, key: String, take: Box<Take>) -> Result<Declared, BusError> {
         let on_sample = move |sample: Sample| take(sample.key_expr().as_str(), &sample.payload().to_bytes());
         Ok(Declared::new(

@@ -34,7 +34,7 @@ impl Bus {
         self.serve_bytes(self.keys.of(Q::KIND), Box::new(reply))
     }
 
-    /// The same in bytes, apart so that zenoh's part of it is compiled here and once.
+    /// As [`Self::serve`], in bytes. It stands apart so that zenoh's generic code is compiled here and once.
     fn serve_bytes(&self, key: String, answer: Box<Answer>) -> Result<Declared, BusError> {
         let bus = self.clone();
         let on_query = move |query: Query| {

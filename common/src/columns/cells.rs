@@ -18,7 +18,7 @@ impl<T> Columns<T> {
         }
     }
 
-    /// Rows.
+    /// The number of rows.
     pub fn len(&self) -> usize {
         self.values.first().map_or(0, Vec::len)
     }

@@ -65,7 +65,7 @@ impl Range {
 }
 
 impl fmt::Display for Range {
-    /// "greater than 0 and at most 1".
+    /// For example "greater than 0 and at most 1".
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let from = if self.holds_least { "at least" } else { "greater than" };
         let to = if self.holds_most { "at most" } else { "less than" };
@@ -73,7 +73,7 @@ impl fmt::Display for Range {
     }
 }
 
-/// Long round numbers with an exponent.
+/// The number as text, with an exponent if it is long.
 fn short(x: f64) -> String {
     if x.abs() >= 1e9 {
         format!("{x:e}")
@@ -84,7 +84,7 @@ fn short(x: f64) -> String {
 
 /// Above 0, and not so large that squares and sums overflow.
 pub const POSITIVE: Range = Range::above(0.0, 1e6);
-/// 0 or more, likewise.
+/// 0 or more, and not so large that squares and sums overflow.
 pub const NOT_NEGATIVE: Range = Range::closed(0.0, 1e6);
 /// A share that may be 0 but not 1.
 pub const BELOW_ONE: Range = Range::below(0.0, 1.0);
@@ -173,7 +173,7 @@ pub enum Default {
     Is(Value<'static>),
     /// A value that follows from others, in words.
     Derived(&'static str),
-    /// Nothing: it has to be set wherever it counts.
+    /// Nothing: the field has to be set wherever it counts.
     None,
 }
 
@@ -232,19 +232,19 @@ impl Field {
         }
     }
 
-    /// The same with a unit.
+    /// This field with a unit.
     #[must_use]
     pub const fn unit(self, unit: &'static str) -> Self {
         Self { unit, ..self }
     }
 
-    /// The same with the place in the paper.
+    /// This field with its place in the paper.
     #[must_use]
     pub const fn source(self, source: &'static str) -> Self {
         Self { source, ..self }
     }
 
-    /// The same with a default that follows from other fields, in words.
+    /// This field with a default that follows from other fields, in words.
     #[must_use]
     pub const fn derived(self, words: &'static str) -> Self {
         Self {
@@ -253,7 +253,7 @@ impl Field {
         }
     }
 
-    /// The same without a default.
+    /// This field without a default.
     #[must_use]
     pub const fn required(self) -> Self {
         Self {
@@ -262,7 +262,7 @@ impl Field {
         }
     }
 
-    /// The same, but counting only where `field` has one of `values`.
+    /// This field, counting only where `field` has one of `values`.
     #[must_use]
     pub const fn only_with(self, field: &'static str, values: &'static [&'static str]) -> Self {
         Self {
@@ -271,7 +271,7 @@ impl Field {
         }
     }
 
-    /// The same, but as another way to say what the field `name` says.
+    /// This field as another way to say what the field `name` says.
     #[must_use]
     pub const fn instead_of(self, name: &'static str) -> Self {
         Self {
@@ -280,7 +280,7 @@ impl Field {
         }
     }
 
-    /// The same with its name and help; [`crate::declare!`] calls this.
+    /// This field with its name and help; [`crate::declare!`] calls this.
     #[must_use]
     pub const fn named(self, name: &'static str, help: &'static str) -> Self {
         Self { name, help, ..self }

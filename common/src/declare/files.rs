@@ -3,22 +3,22 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Why a file's bytes are not to be had.
+/// Why a file cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum FileError {
     /// The operating system refuses.
     #[error("cannot be read: {0}")]
     Io(#[from] io::Error),
-    /// It is a folder.
+    /// The path is that of a folder.
     #[error("is not a file")]
     Folder,
     /// It is a pipe or a device, which may never end.
     #[error("is not a file")]
     Special,
-    /// It is longer than asked for, in bytes.
+    /// The file is longer than was asked for.
     #[error("is larger than {most} bytes")]
     TooLong {
-        /// Its length.
+        /// Its length in bytes.
         length: u64,
         /// The most that was asked for.
         most: u64,
@@ -43,7 +43,7 @@ pub trait Files {
     fn absolute(&self, path: &Path) -> io::Result<PathBuf>;
 }
 
-/// No files at all.
+/// A disk without any file.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct NoFiles;
 

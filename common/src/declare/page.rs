@@ -49,7 +49,7 @@ impl Sink for Page {
 /// What a page shows beside the fields in force.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Detail {
-    /// Nothing.
+    /// Nothing else.
     InForce,
     /// Every other field, commented out.
     Everything,
@@ -61,7 +61,7 @@ impl Page {
         self.write(declaration, Detail::InForce)
     }
 
-    /// The same with every other field commented out, and what each may hold.
+    /// The fields in force and, commented out, every other field, with what each may hold.
     pub fn everything(&self, declaration: &Declaration) -> String {
         self.write(declaration, Detail::Everything)
     }
@@ -185,7 +185,7 @@ pub(super) fn in_toml(value: &Value<'_>) -> String {
     }
 }
 
-/// Exact decimal units.
+/// The energy in units, as an exact decimal number.
 fn units(energy: Energy) -> String {
     let (whole, rest) = (energy.micro() / MICRO_PER_UNIT, energy.micro() % MICRO_PER_UNIT);
     let digits = format!("{rest:06}");

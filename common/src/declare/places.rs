@@ -36,7 +36,7 @@ impl fmt::Display for Place {
 /// Where values were set, by path; items of the list are numbered there (`class.0.energy.e_max`).
 pub type Places = BTreeMap<String, Place>;
 
-/// Who speaks in a layer.
+/// Where the values of a layer come from.
 #[derive(Clone, Debug)]
 pub enum Origin {
     /// A preset.

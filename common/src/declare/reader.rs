@@ -20,7 +20,7 @@ use crate::units::Energy;
 /// Where the paths of files lead.
 #[derive(Clone, Copy)]
 pub struct Ground<'a> {
-    /// Opens them.
+    /// What opens the files.
     pub files: &'a dyn Files,
     /// The folder that the paths in the file are relative to; those of the command line are relative to the working
     /// directory.
@@ -79,7 +79,7 @@ impl<'a> Reader<'a> {
             .collect()
     }
 
-    /// The same item under the name by which the user knows it.
+    /// This item under the name by which the user knows it.
     #[must_use]
     pub fn known_as(self, name: &str) -> Self {
         let item = self.item.map(|(index, _)| (index, name.to_owned()));
@@ -330,7 +330,7 @@ impl<'a> Reader<'a> {
         absolute.map_err(|error| self.data(path, full, error.to_string()))
     }
 
-    /// Who opens files.
+    /// What opens the files that a scenario names.
     pub const fn files(&self) -> &'a dyn Files {
         self.ground.files
     }

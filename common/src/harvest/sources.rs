@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use crate::ids::Tti;
 use crate::rng::{GapTable, Geometric};
 use crate::units::Energy;
 
@@ -15,7 +14,7 @@ pub(super) fn expected(p: f64, e_b: Energy) -> Energy {
 #[derive(Clone, Debug, Default)]
 pub struct Sources {
     pub(super) traces: Vec<Arc<Vec<Energy>>>,
-    /// By the bits of the probability of an arrival.
+    /// The tables, by the bits of the probability of an arrival.
     tables: Vec<(u64, Arc<GapTable>)>,
 }
 
@@ -38,12 +37,5 @@ impl Sources {
             || Arc::new(GapTable::new(Geometric::new(p))),
             |(_, table)| Arc::clone(table),
         )
-    }
-}
-
-impl Tti {
-    /// One TTI earlier, except that never stays never.
-    pub(super) const fn saturating_sub_one(self) -> Self {
-        if self.0 == u64::MAX { self } else { Self(self.0 - 1) }
     }
 }

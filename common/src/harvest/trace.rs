@@ -83,9 +83,8 @@ impl Trace {
             (Some(column), None) => TraceColumns::Shared(column),
             (None, Some(columns)) => TraceColumns::PerDevice(columns),
             (Some(column), Some(_)) => {
-                let allowed = "cannot be set together with harvest.trace.columns: all devices share one column, or \
-                    each has \
-                               its own";
+                let allowed = "cannot be set together with harvest.trace.columns: all devices share one \
+                    column, or each has its own";
                 return Err(reader.refuse("harvest.trace.column", column, allowed));
             }
             (None, None) => return Err(reader.needed("harvest.trace.column (or harvest.trace.columns)", because)),
@@ -170,8 +169,8 @@ fn energies(numbers: &Columns<f64>, names: &[String], scale: f64) -> Result<Vec<
     let energy = |name: &str, (row, &number): (usize, &f64)| {
         Energy::from_units(number * scale).ok_or_else(|| {
             format!(
-                "{}, column `{name}`: {number} times the scale {scale} must be at least 0 and at most {MAX_UNITS} \
-                    units",
+                "{}, column `{name}`: {number} times the scale {scale} must be at least 0 and \
+                 at most {MAX_UNITS} units",
                 numbers.place(row)
             )
         })
@@ -184,7 +183,7 @@ fn energies(numbers: &Columns<f64>, names: &[String], scale: f64) -> Result<Vec<
 /// Recorded energy, as a device needs it: one of the run's traces.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TraceSetup {
-    /// Which of the run's traces.
+    /// The number of the trace among the run's traces.
     pub trace: u32,
     /// TTIs that one row lasts, ≥ 1.
     pub ttis_per_row: u64,

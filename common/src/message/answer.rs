@@ -52,7 +52,7 @@ pub enum Answer {
     Final {
         /// The host.
         host: HostId,
-        /// One for each device.
+        /// The ledger of each device.
         ledgers: Vec<(DeviceId, DeviceTotals)>,
     },
 }

@@ -26,14 +26,14 @@ pub struct Tick {
     pub plan: Tti,
 }
 
-/// Emulation, BS → all hosts.
+/// What the clock tells: on the emulation plane, from the BS to all hosts.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Clock {
     /// TTIs are granted.
     Grant(Tick),
     /// The run has ended before this TTI: hosts answer with their devices' ledgers and leave.
     Finish(Tti),
-    /// Everything has been received: hosts leave.
+    /// The BS has received everything: hosts leave.
     Dismiss,
     /// The run has failed, for the reason given: hosts leave.
     Fail(String),

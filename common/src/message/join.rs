@@ -12,7 +12,7 @@ use crate::ids::DeviceId;
 pub struct JoinRequest {
     /// The host's version of Reveille.
     pub version: String,
-    /// How many devices it offers to carry, ≥ 1.
+    /// How many devices the host offers to carry, ≥ 1.
     pub count: u32,
     /// A number that this host process drew for itself: a repeated request gets the same places.
     pub nonce: u64,
@@ -23,7 +23,7 @@ pub struct JoinRequest {
 pub enum JoinReply {
     /// The host's places.
     Welcome(Assignment),
-    /// Why not, in words.
+    /// The host is refused; the reason in words.
     Refused(String),
 }
 

@@ -2,8 +2,8 @@
 //!
 //! Two planes: on the *air* plane travels what a real deployment would send over the radio, on the *emulation* plane
 //! what only the emulation needs. The table `messages!` below is the one list of kinds: the keys ([`crate::keys`]), the
-//! typed bus (`crate::bus`), `reveille inspect`, its help, and the fuzz target read it. A new kind is a row of the
-//! table and a file with its payload.
+//! typed bus (`crate::bus`), `reveille inspect`, its help and its page, and the fuzz target read it. A new kind is a
+//! row of the table and a file with its payload.
 //!
 //! Not in the table: the copies for observers ([`TapBatch`]), which are no part of the run.
 
@@ -190,13 +190,23 @@ messages! {
     Clock "clock": Clock, Emu, (), "BS → all hosts",
         "The virtual clock: a grant of TTIs with what the world shows in them, or the end of the run.";
     Answer "answer": Answer, Emu, HostId, "host → BS",
-        "A host's answer to the clock or to a wake-up.";
+        "A host's answer to the clock or to a wake-up: how many reports precede it, who could not transmit, sums.";
     Join "join": JoinRequest => JoinReply, Emu, (), "host → BS",
         "A query: a host asks for places in the run.";
     Ready "ready": Ready => bool, Emu, (), "host → BS",
         "A query: a host is subscribed to everything and waits for the first TTI.";
     Control "control": ClockCommand => ClockStatus, Emu, (), "operator → BS",
         "A query: pause, step, resume, or where the clock is.";
+}
+
+/// The kinds of message as a table in Markdown, for the page on inspecting.
+pub fn markdown() -> String {
+    let row = |kind: &MessageKind| {
+        let (name, plane, direction, about) = (kind.name(), kind.plane().name(), kind.direction(), kind.about());
+        format!("| `{name}` | {plane} | {direction} | {about} |\n")
+    };
+    let rows: String = MessageKind::ALL.iter().map(row).collect();
+    format!("| kind | plane | direction | what |\n|---|---|---|---|\n{rows}")
 }
 
 /// The two planes on the bus.
@@ -225,7 +235,7 @@ pub enum Addressee {
     Nobody,
     /// A device's: the receiver of a wake-up, the sender of a report.
     Device,
-    /// A host's.
+    /// A host's: the sender of an answer.
     Host,
 }
 
@@ -297,7 +307,13 @@ pub trait Concerns {
 mod tests {
     use super::*;
     use crate::ids::Tti;
+    use crate::pages;
     use crate::units::Energy;
+
+    #[test]
+    fn the_page_on_inspecting_has_the_table_of_kinds() {
+        pages::assert_table("docs/inspecting.md", "kinds", &markdown());
+    }
 
     #[test]
     fn kinds_have_names_of_their_own_and_help() {

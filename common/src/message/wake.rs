@@ -31,11 +31,11 @@ impl fmt::Display for WakeUp {
 /// What came of a wake-up.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum WakeOutcome {
-    /// S4 → S2 → S3: it reported.
+    /// S4 → S2 → S3: the device reported.
     Reported(Report),
-    /// S4 → S2 → S4: it woke and could not pay E_Tx.
+    /// S4 → S2 → S4: the device woke and could not pay E_Tx.
     Failed(Failure),
-    /// Its wake-up radio had no power, or it was not asleep.
+    /// The device's wake-up radio had no power, or the device was not asleep.
     Unheard,
 }
 

@@ -54,7 +54,7 @@ pub struct Scenario {
 }
 
 impl PartialEq for Scenario {
-    /// Everything but the warnings.
+    /// Compares everything but the warnings.
     fn eq(&self, other: &Self) -> bool {
         let Self {
             preset,
@@ -213,7 +213,7 @@ impl PolicyChoice {
 }
 
 impl PartialEq for PolicyChoice {
-    /// The same policy, and every setting of the same value.
+    /// Whether both are the same policy with the same settings.
     fn eq(&self, other: &Self) -> bool {
         let values = |choice: &Self| {
             let mut page = Page::default();

@@ -13,7 +13,8 @@ impl Scenario {
         self.page().in_force(&declaration(&[self.policy.kind()]))
     }
 
-    /// The same with every field that does not count here commented out: those of other kinds and of other `policies`.
+    /// As [`Self::to_toml`], with every field that does not count here commented out: those of other kinds and of other
+    /// `policies`.
     #[must_use]
     pub fn to_full_toml(&self, policies: Policies<'_>) -> String {
         self.page().everything(&declaration(policies))

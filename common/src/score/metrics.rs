@@ -193,7 +193,7 @@ impl Metrics {
     }
 }
 
-/// The metrics as a table in Markdown, for the reference page.
+/// The metrics as a table in Markdown, for the page on results.
 pub fn markdown() -> String {
     let row = |metric: Metric| {
         let meaning = metric.meaning.replace('`', "");
@@ -205,25 +205,12 @@ pub fn markdown() -> String {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
     use super::*;
-
-    /// The reference page, and the comments around its table of metrics.
-    const PAGE: &str = "../docs/results.md";
-    const MARKS: [&str; 2] = ["<!-- metrics -->\n", "<!-- /metrics -->"];
+    use crate::pages;
 
     #[test]
-    fn the_reference_page_has_the_table_of_metrics() {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(PAGE);
-        let page = std::fs::read_to_string(&path).expect("the page");
-        let (before, rest) = page.split_once(MARKS[0]).expect("the mark above the table");
-        let (table, after) = rest.split_once(MARKS[1]).expect("the mark below the table");
-        if table != markdown() {
-            let page = [before, MARKS[0], &markdown(), MARKS[1], after].concat();
-            std::fs::write(&path, page).expect("writable");
-            panic!("docs/results.md was not current; it is now: commit it");
-        }
+    fn the_page_on_results_has_the_table_of_metrics() {
+        pages::assert_table("docs/results.md", "metrics", &markdown());
     }
 
     #[test]

@@ -11,7 +11,7 @@ use crate::units::Energy;
 pub struct EventRecord {
     /// Its number.
     pub event: EventId,
-    /// Where it was.
+    /// Its place.
     pub epicentre: Point,
     /// Its first TTI.
     pub start: Tti,
@@ -30,7 +30,7 @@ pub struct WindowRecord {
     pub first: Tti,
     /// The TTI after the last.
     pub end: Tti,
-    /// All devices.
+    /// The energy of all devices together.
     pub energy: DeviceTotals,
     /// Counted events that ended in the window.
     pub events: EventTotals,

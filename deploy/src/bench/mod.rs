@@ -9,7 +9,7 @@ use std::process::ExitCode;
 
 use crate::cli::BenchCommand;
 
-/// Measures.
+/// Runs the benchmark that `command` names.
 pub fn run(command: &BenchCommand) -> anyhow::Result<ExitCode> {
     match command {
         BenchCommand::Bus(args) => bus::run(args),

@@ -11,19 +11,21 @@ use reveille_bs::policy::registry;
 pub enum AnalyseCommand {
     /// Sec. IV: the transition probabilities P_m,n as printed, beside what is counted in runs.
     #[command(
-        after_help = "A frequency is the share of the visits of S_m whose next state is S_n, over all devices and \
-            measured \
-        TTIs.\n\nExamples:\n  reveille analyse transitions\n  reveille analyse transitions --policy random --devices \
-        250 \
-        --seeds 50"
+        after_help = "A frequency is the share of the visits of S_m whose next state is S_n, over all \
+            devices and measured TTIs.\n\n\
+            Examples:\n  \
+            reveille analyse transitions\n  \
+            reveille analyse transitions --policy random --devices 250 --seeds 50"
     )]
     Transitions(TransitionsArgs),
     /// Sec. III-B: the battery Markov chain and Eq. (8), beside the batteries of device machines.
     #[command(
-        after_help = "The energy source and the costs are the scenario's; the duty cycle is fixed.\n\nExamples:\n  \
-        reveille analyse battery\n  reveille analyse battery --duty 1/8 --e-b 5 --activation 0.02 --set \
-        harvest.lambda=0.05\n  \
-        reveille analyse battery --duty 1/8 --e-b 5 --activation 0 --csv levels.csv   (the distribution, bin by bin)"
+        after_help = "The energy source and the costs are the scenario's; the duty cycle is fixed.\n\n\
+            Examples:\n  \
+            reveille analyse battery\n  \
+            reveille analyse battery --duty 1/8 --e-b 5 --activation 0.02 --set harvest.lambda=0.05\n  \
+            reveille analyse battery --duty 1/8 --e-b 5 --activation 0 --csv levels.csv   \
+            (the distribution, bin by bin)"
     )]
     Battery(BatteryArgs),
     /// Sec. V-A: E(I_min) over deployments of each layout, beside p(√(ξ/2N)).
@@ -32,19 +34,21 @@ pub enum AnalyseCommand {
     /// Figs. 13 and 14: harvest and net energy against λ, closed form and measured.
     #[command(
         after_help = "Net energy is positive where the mean harvest exceeds a consumption: that of the scenario as it \
-            is \
-        (the paper's way, its Fig. 8), and what the policy would spend if no battery were ever short.\n\nExamples:\n  \
-        reveille analyse harvest --csv fig13.csv\n  reveille analyse harvest --devices 100 --policies random,adjusted"
+            is (the paper's way, its Fig. 8), and what the policy would spend if no battery were ever short.\n\n\
+            Examples:\n  \
+            reveille analyse harvest --csv fig13.csv\n  \
+            reveille analyse harvest --devices 100 --policies random,adjusted"
     )]
     Harvest(HarvestArgs),
     /// Sec. V-D: wall time of each policy against N, with a fitted exponent.
     #[command(
         after_help = "Set-up: the devices are put on the ground and the policy is configured (clusters, search), once \
-            per \
-        deployment; this is what the paper's complexities are about.\nRun: all that happens in a TTI, devices and BS.\n\
-        Decision: the BS's answer to an event, all its wake-ups included, without devices.\nThe area stays as it is, \
-        so \
-        density grows with N.\n\nExample:\n  reveille analyse runtime --devices 100,200,400,800 --policies knn"
+            per deployment; this is what the paper's complexities are about.\n\
+            Run: all that happens in a TTI, devices and BS.\n\
+            Decision: the BS's answer to an event, all its wake-ups included, without devices.\n\
+            The area stays as it is, so density grows with N.\n\n\
+            Example:\n  \
+            reveille analyse runtime --devices 100,200,400,800 --policies knn"
     )]
     Runtime(RuntimeArgs),
 }

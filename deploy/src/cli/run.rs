@@ -9,7 +9,7 @@ use reveille_common::keys::RunName;
 
 use super::parse::{one_policy, parse_duration, parse_pace};
 
-/// Which scenario.
+/// The options that choose the scenario.
 #[derive(Args, Clone, Debug)]
 pub struct ScenarioArgs {
     /// A preset's name (paper, paper-literal, quick) or a TOML file. See `reveille scenario show`.
@@ -41,7 +41,7 @@ pub struct ScenarioArgs {
     pub seed: Option<String>,
 }
 
-/// Where results go.
+/// The options that say where results go.
 #[derive(Args, Clone, Debug)]
 pub struct OutputArgs {
     /// The run folder, which must not hold a run yet [default: runs/POLICY-nN-sSEED, numbered if taken].

@@ -15,7 +15,7 @@ pub struct SweepArgs {
     /// An experiment file; see deploy/examples/experiment.toml. Options win over what it says.
     pub experiment: Option<PathBuf>,
 
-    /// Which runs.
+    /// The runs that the sweep makes.
     #[command(flatten)]
     pub grid: GridArgs,
 
@@ -153,8 +153,7 @@ fn ci_metrics_help() -> String {
     let differences: Vec<&str> = differences.map(|metric| metric.name).collect();
     format!(
         "The metrics that --until-ci looks at, separated by commas, of: {names} [default: all that are defined, but \
-            for \
-         events and {}, whose mean may be 0]",
+         for events and {}, whose mean may be 0]",
         differences.join(", ")
     )
 }

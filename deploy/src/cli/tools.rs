@@ -108,7 +108,7 @@ pub enum ClockAction {
     Pause,
     /// Go on for some TTIs, then stop. Returns at once, without --wait.
     Step {
-        /// How many.
+        /// How many TTIs to go on for.
         #[arg(default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
         ttis: u64,
         /// Return only when the clock has stopped there, or the run has ended. A run that fails or is interrupted

@@ -98,7 +98,7 @@ pub struct EpisodeArgs {
 }
 
 impl EpisodeArgs {
-    /// The same for the learner.
+    /// These options as the learner takes them.
     pub fn training(&self) -> anyhow::Result<Training> {
         let &[first, last] = &self.epsilon[..] else {
             bail!("--epsilon takes two shares, for example 0.1,0.03");

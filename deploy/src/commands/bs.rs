@@ -73,11 +73,11 @@ pub struct Station<'a> {
     pub run: &'a RunName,
     /// The scenario.
     pub scenario: &'a Scenario,
-    /// How it is driven.
+    /// How the run is driven.
     pub settings: Settings,
     /// How results are shown.
     pub output: &'a OutputArgs,
-    /// How far it has come.
+    /// How far the run has come.
     pub progress: Arc<Progress>,
     /// When the command was given.
     pub started: Instant,

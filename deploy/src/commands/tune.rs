@@ -178,8 +178,7 @@ fn command(args: &TuneArgs, [mu1, mu2]: Pair) -> String {
     let _ = write!(
         text,
         " --set policy.q-learning.mu1={mu1} --set policy.q-learning.mu2={mu2} --episodes {} --episode-ttis {} \
-            --epsilon {},{} \
-         --seed {} --out tuned.json",
+         --epsilon {},{} --seed {} --out tuned.json",
         how.episodes, how.episode_ttis, how.epsilon[0], how.epsilon[1], how.seed
     );
     text

@@ -263,8 +263,11 @@ impl Shared {
     fn on_plan(&self, update: &PlanUpdate) {
         let mut state = self.lock();
         if update.from != state.next {
-            tracing::debug!(from = %update.from, next = %state.next, "a plan for another TTI, one sent again as a \
-                rule");
+            tracing::debug!(
+                from = %update.from,
+                next = %state.next,
+                "a plan for another TTI, one sent again as a rule"
+            );
             return;
         }
         if !state.resting.is_empty() {
@@ -327,8 +330,11 @@ impl Shared {
             || tick.last >= self.end
             || state.plan_from != Some(tick.plan)
         {
-            tracing::debug!(?tick, next = %state.next, "cannot follow this grant; waiting for it to be sent again \
-                with its plan");
+            tracing::debug!(
+                ?tick,
+                next = %state.next,
+                "cannot follow this grant; waiting for it to be sent again with its plan"
+            );
             return;
         }
         state.next = tick.last.saturating_add(1);

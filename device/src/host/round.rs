@@ -39,15 +39,15 @@ struct Parts {
 
 /// What one device adds to the answer.
 pub enum Part {
-    /// It sent a report.
+    /// The device sent a report.
     Reported(Report),
-    /// It could not transmit.
+    /// The device could not transmit.
     Failed(Failure),
-    /// Its state and battery.
+    /// A device, its state and battery.
     View(DeviceId, DeviceView),
-    /// Its sums.
+    /// A device and its sums.
     Totals(DeviceId, DeviceTotals),
-    /// Nothing.
+    /// Nothing to tell.
     Nothing,
 }
 

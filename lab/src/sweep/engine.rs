@@ -23,7 +23,7 @@ pub trait SweepProgress: Sync {
     fn planned(&self, cell: usize, runs: u64);
     /// A thread begins a run of `cell`.
     fn started(&self, cell: usize);
-    /// The same thread has finished it.
+    /// The thread has finished that run.
     fn finished(&self, cell: usize);
     /// Whether to stop; runs under way are given up.
     fn stop(&self) -> bool;

@@ -52,14 +52,13 @@ pub enum SweepError {
     Folder {
         /// The folder.
         folder: PathBuf,
-        /// Why, and what to do.
+        /// What is wrong, and what to do.
         reason: String,
     },
     /// The journal cannot be written, for example because the disk is full.
     #[error(
         "{}: cannot be written: {error}; the runs in it, {kept} so far, are kept: free some space or mend the disk, \
-            then give the \
-         same command again to go on",
+         then give the same command again to go on",
         path.display()
     )]
     Journal {
@@ -75,9 +74,8 @@ pub enum SweepError {
     Table(#[from] TableError),
     /// The table of a sweep cannot be written, for example because the disk is full; its runs are safe.
     #[error(
-        "{error}; the runs, {kept} so far, are kept in {}: free some space or mend the disk, then give the same \
-            command again \
-         to go on",
+        "{error}; the runs, {kept} so far, are kept in {}: free some space or mend the disk, then give the \
+         same command again to go on",
         folder.display()
     )]
     Results {
@@ -93,7 +91,7 @@ pub enum SweepError {
     NoTable {
         /// The folder.
         folder: PathBuf,
-        /// Why, and what to do.
+        /// What is wrong, and what to do.
         reason: String,
     },
     /// Tables do not make up one sweep.
@@ -101,15 +99,15 @@ pub enum SweepError {
     Merge {
         /// The table that does not fit.
         path: PathBuf,
-        /// Why, and what to do.
+        /// What is wrong, and what to do.
         reason: String,
     },
     /// Threads cannot be started.
     #[error("--threads {threads}: {reason}")]
     Threads {
-        /// How many were asked for.
+        /// The number of threads that was asked for.
         threads: usize,
-        /// Why not.
+        /// Why they cannot be started.
         reason: String,
     },
 }

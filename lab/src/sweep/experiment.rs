@@ -22,7 +22,7 @@ pub struct Axis {
     pub path: String,
     /// Its values, at least one.
     pub values: Vec<Value>,
-    /// Who asks for it, for messages.
+    /// Where the axis was asked for, for messages.
     pub origin: String,
 }
 
@@ -50,9 +50,9 @@ impl Axis {
 /// The seeds of every cell: `first ..= first + count - 1`. All cells have the same (common random numbers).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Seeds {
-    /// The first.
+    /// The first seed.
     pub first: u64,
-    /// How many.
+    /// The number of seeds.
     pub count: u64,
 }
 
@@ -74,7 +74,7 @@ impl Seeds {
 /// When a cell has enough runs: as soon as the 95 % interval of each of these metrics is narrow, looked at in the order
 /// of seeds after `min_seeds` runs, then after every quarter more (at least ten).
 ///
-/// Who looks again and again and stops when it is narrow stops too often where the spread looks small by chance:
+/// A cell whose spread looks small by chance is stopped too soon, and every look gives chance another opportunity:
 /// intervals of cells that were stopped early cover a little less than 95 %. A metric that is 0 in all runs is never
 /// narrow.
 #[derive(Clone, Debug, PartialEq)]

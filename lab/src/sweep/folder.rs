@@ -44,7 +44,7 @@ pub struct Sweep<'g> {
 pub struct Finished {
     /// The table.
     pub table: Table,
-    /// Where it was written.
+    /// The path of the table.
     pub path: PathBuf,
     /// How each cell ended.
     pub cells: Vec<CellEnd>,
@@ -85,9 +85,8 @@ impl<'g> Sweep<'g> {
         let journal = Journal::open(&path, &identity(grid, shard), cells, seeds).map_err(refused)?;
         let unwritable = |error: std::io::Error| {
             refused(format!(
-                "cannot be written: {error}; its finished runs are kept: free some space or mend the permissions, \
-                    then give \
-                 the same command again"
+                "cannot be written: {error}; its finished runs are kept: free some space or mend the permissions, then \
+                 give the same command again"
             ))
         };
         if is_known {
@@ -265,8 +264,7 @@ pub fn table_in(folder: &Path) -> Result<PathBuf, SweepError> {
         let name = table.file_name().unwrap_or_default().to_string_lossy();
         return Err(refused(format!(
             "its {EXPERIMENT} asks for {asked} seeds a cell, but {name} holds {held}; give the command of its sweep \
-                again, or \
-             name the table itself"
+             again, or name the table itself"
         )));
     }
     Ok(table)

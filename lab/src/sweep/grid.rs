@@ -96,8 +96,7 @@ impl Grid {
             return Ok(());
         }
         let allowed = "cannot go with until_ci: no shard sees all runs of a cell, so none could tell when it has \
-            enough; \
-                       leave one of them out";
+            enough; leave one of them out";
         Err(SweepError::invalid("shard", shard, allowed))
     }
 
@@ -131,9 +130,8 @@ pub(super) fn check_size(experiment: &Experiment) -> Result<(), SweepError> {
     let runs = cells.saturating_mul(seeds);
     if runs > MOST_RUNS {
         let allowed = format!(
-            "{cells} cells × {seeds} seeds, but a sweep has at most {MOST_RUNS} runs; take fewer seeds (--seeds), or \
-                split \
-             the grid"
+            "{cells} cells × {seeds} seeds, but a sweep has at most {MOST_RUNS} runs; take fewer seeds \
+             (--seeds), or split the grid"
         );
         return Err(SweepError::invalid("runs", runs, allowed));
     }

@@ -7,7 +7,7 @@ use std::str::FromStr;
 /// share on: each share has some of every cell, and where a run falls does not depend on how many seeds there are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shard {
-    /// From 1.
+    /// The number of the share, from 1.
     index: u64,
     count: u64,
 }
@@ -19,12 +19,12 @@ impl Shard {
     /// The only share of an undivided sweep.
     pub const WHOLE: Self = Self { index: 1, count: 1 };
 
-    /// Which share it is, from 1.
+    /// The number of the share, from 1.
     pub const fn index(self) -> u64 {
         self.index
     }
 
-    /// How many there are.
+    /// The number of shares.
     pub const fn count(self) -> u64 {
         self.count
     }

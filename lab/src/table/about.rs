@@ -17,7 +17,7 @@ pub struct About {
 }
 
 impl About {
-    /// As key-value metadata, in a fixed order.
+    /// What is known about the table as pairs of key and value, in a fixed order.
     pub(super) fn pairs(&self) -> Vec<(&'static str, String)> {
         let mut pairs = vec![
             (keys::TABLE, TABLE_VERSION.to_string()),

@@ -7,7 +7,7 @@ use super::row::Row;
 /// A result table.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Table {
-    /// Where it comes from.
+    /// The origin of the runs.
     pub about: About,
     /// Its columns.
     pub schema: Schema,

@@ -29,10 +29,10 @@ pub enum TableError {
     Encode {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// Why it cannot be encoded.
         reason: String,
     },
-    /// A file of somebody else.
+    /// The file is no table of Reveille.
     #[error("{}: is not a result table of Reveille; `reveille sweep` and `reveille merge` write those", path.display())]
     NotOurs {
         /// The file.
@@ -41,8 +41,7 @@ pub enum TableError {
     /// A table of another version.
     #[error(
         "{}: is a result table of version {found}, written by reveille {by}; this reveille reads version \
-            {TABLE_VERSION}: \
-         use that one, or run the sweep again",
+         {TABLE_VERSION}: use that one, or run the sweep again",
         path.display()
     )]
     Version {
@@ -50,7 +49,7 @@ pub enum TableError {
         path: PathBuf,
         /// Its version.
         found: String,
-        /// Who wrote it.
+        /// The version of Reveille that wrote it.
         by: String,
     },
     /// The columns are not those of this version.

@@ -10,11 +10,11 @@ pub enum TuningError {
     /// A value is out of its range.
     #[error("{what} = {value}: {allowed}")]
     Invalid {
-        /// Which.
+        /// The name of the value.
         what: &'static str,
-        /// What it is.
+        /// The value that was given.
         value: String,
-        /// What it may be.
+        /// What the value may be.
         allowed: &'static str,
     },
     /// The tables of a pair cannot be trained.
@@ -23,7 +23,7 @@ pub enum TuningError {
     /// No evaluation run had an event that counts.
     #[error("none of the evaluation runs of {ttis} TTIs had an event that counts: longer ones do (--ttis)")]
     NoEvent {
-        /// Their length.
+        /// The length of the evaluation runs, TTIs.
         ttis: u64,
     },
     /// The file is no history.
@@ -35,8 +35,11 @@ pub enum TuningError {
         why: String,
     },
     /// The history belongs to another tuning.
-    #[error("{}: is the history of another tuning ({why}); give that one's options, another --out, or --force to \
-        begin anew", path.display())]
+    #[error(
+        "{}: is the history of another tuning ({why}); give that one's options, another --out, or --force \
+         to begin anew",
+        path.display()
+    )]
     Foreign {
         /// The file.
         path: PathBuf,
@@ -62,7 +65,7 @@ pub enum TuningError {
     /// The optimiser or the surrogate has failed.
     #[error("the {what} failed: {why}")]
     Model {
-        /// Which.
+        /// The part that failed.
         what: &'static str,
         /// What it said.
         why: String,

@@ -31,11 +31,11 @@ const MOST_DESIGN: usize = 1000;
 pub trait TuningProgress: Sync {
     /// The evaluation of a pair, the point `number` from 0, has begun.
     fn begun(&self, _number: usize, _weights: Pair) {}
-    /// An episode of its training has ended.
+    /// An episode of the pair's training has ended.
     fn episode(&self) {}
-    /// One of its runs has ended.
+    /// One of the pair's evaluation runs has ended.
     fn run(&self) {}
-    /// It has ended, and is in the history.
+    /// The evaluation has ended, and its point is in the history.
     fn point(&self, _point: &Point) {}
     /// Whether to stop; the point under way is lost.
     fn stop(&self) -> bool;
@@ -54,7 +54,7 @@ pub struct Plan {
     pub scenario: Scenario,
     /// Where weights are looked for.
     pub ranges: Ranges,
-    /// What is made large.
+    /// The objective that is maximised.
     pub objective: Objective,
     /// Pairs before the first that is chosen by the others, ≥ [`LEAST_DESIGN`].
     pub design: usize,
@@ -62,7 +62,7 @@ pub struct Plan {
     pub training: Training,
     /// Evaluation runs of each pair, ≥ 1.
     pub runs: u64,
-    /// Their length, TTIs.
+    /// The length of an evaluation run, TTIs.
     pub ttis: u64,
 }
 

@@ -22,13 +22,13 @@ const GRID: f64 = 0.14;
 /// A measured point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// Where.
+    /// Its place along x.
     pub x: f64,
-    /// Its mean.
+    /// Its place along y, a mean.
     pub y: f64,
     /// Half the width of its 95 % interval; NaN where there is none, as for a single run or a closed form.
     pub half: f64,
-    /// The same of x; NaN where x is given rather than measured.
+    /// Half the width of the interval of x; NaN where x is given rather than measured.
     pub across: f64,
 }
 
@@ -88,7 +88,7 @@ impl Stated {
 /// A mark for what the paper says.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mark {
-    /// Where.
+    /// Its place along x.
     pub x: f64,
     /// How far it stands beside that, points, so that marks at one place do not hide each other.
     pub aside: f64,
@@ -101,13 +101,13 @@ pub struct Mark {
 /// What the paper says of a policy for a range of x.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Span {
-    /// From here.
+    /// The least x.
     pub from: f64,
-    /// To here.
+    /// The largest x.
     pub to: f64,
     /// What it says.
     pub stated: Stated,
-    /// Whose it is.
+    /// The colour of the policy.
     pub paint: Paint,
 }
 

@@ -140,11 +140,9 @@ pub fn harvest_chart(condition: &Condition, points: &[Point]) -> Chart {
         x: axis(),
         y: Scale::Log { from: 0.01, to: 10.0 },
         caption: format!(
-            "Lines: closed form λ·exp(−λ)·E_B, Eq. (5). Points: {seeds} runs with N = {devices}, {ttis} TTIs, made \
-                for this picture \
-             under preset {}, 95 % intervals. Hollow, on the lines: the λ above which, as the paper has it, harvest \
-             exceeds \
-             consumption, N = 10 and 250. Bands: {}.{bands}",
+            "Lines: closed form λ·exp(−λ)·E_B, Eq. (5). Points: {seeds} runs with N = {devices}, {ttis} TTIs, made for \
+             this picture under preset {}, 95 % intervals. Hollow, on the lines: the λ above which, as the paper has \
+             it, harvest exceeds consumption, N = 10 and 250. Bands: {}.{bands}",
             condition.preset,
             condition.label()
         ),
@@ -217,8 +215,7 @@ pub fn net_chart(condition: &Condition, points: &[Point]) -> Option<Chart> {
         caption: format!(
             "Lines: closed form λ·exp(−λ)·E_B, Eq. (5), less what the policy spends with {NET_N} devices, preset {}: \
              {}; bands are their 95 % intervals. Points: harvests measured in {seeds} runs with N = {devices}, {ttis} \
-             TTIs, \
-             less the same. Hollow, at zero: where the paper says that it turns positive.",
+             TTIs, less the same. Hollow, at zero: where the paper says that it turns positive.",
             condition.label(),
             figures.join(", ")
         ),

@@ -22,8 +22,7 @@ pub enum FigureError {
     /// Two tables disagree about a run.
     #[error(
         "scenario {scenario}: the tables hold two different outcomes (digests {first} and {second}) of one scenario; \
-            they come \
-         from versions of Reveille that do not agree, so make them again with one version"
+         they come from versions of Reveille that do not agree, so make them again with one version"
     )]
     Contradiction {
         /// The scenario's hash.
@@ -35,8 +34,8 @@ pub enum FigureError {
     },
     /// The run has no such event.
     #[error(
-        "event {event}: the run of {ttis} TTIs has {count} events, numbered from 0; give one of them, or a longer run \
-            with --ttis"
+        "event {event}: the run of {ttis} TTIs has {count} events, numbered from 0; give one of them, or \
+         a longer run with --ttis"
     )]
     NoEvent {
         /// The event asked for.
@@ -69,9 +68,9 @@ pub enum FigureError {
     Crowd {
         /// Devices asked for.
         count: u32,
-        /// Which picture.
+        /// The picture.
         what: &'static str,
-        /// How many it can show.
+        /// The most that it can show.
         limit: u32,
         /// What to do.
         advice: &'static str,
@@ -98,11 +97,11 @@ pub enum FigureError {
     /// Too much for a picture of learning curves that can be read.
     #[error("{count} {what}: a picture of learning curves shows {limit} at the most")]
     Curves {
-        /// How many.
+        /// How many there are.
         count: usize,
-        /// Of what.
+        /// What is counted.
         what: &'static str,
-        /// How many it can show.
+        /// The most that it can show.
         limit: usize,
     },
 }

@@ -168,9 +168,8 @@ fn fit(text: &str, limit: f64) -> String {
 fn caption(sources: &[Source]) -> String {
     let mut text = String::from(
         "A point is an episode on a deployment of its own: its mean reward, and information per event, while the \
-         policy also tried things out. Episodes rank wake-ups by posterior and by p42 in turn. Every panel has its \
-         own axis, \
-         which need not start at zero.",
+         policy also tried things out. Episodes rank wake-ups by posterior and by p42 in turn. Every panel has its own \
+         axis, which need not start at zero.",
     );
     let is_one_setting = sources.windows(2).all(|pair| pair[0].1.setting == pair[1].1.setting);
     for (file, learned) in sources {

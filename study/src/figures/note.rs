@@ -8,9 +8,9 @@ use super::style::MARKER;
 /// Words beside a point.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Note {
-    /// Where.
+    /// The x of the point.
     pub x: f64,
-    /// Where.
+    /// The y of the point.
     pub y: f64,
     /// What it says.
     pub text: String,

@@ -28,7 +28,7 @@ struct Line<'a> {
     /// What it is called; with what its condition changes, if there are several conditions.
     name: String,
     style: Style,
-    /// By rising N.
+    /// The points by rising N.
     points: Vec<(u32, Sample)>,
 }
 
@@ -223,8 +223,7 @@ fn caption(condition: &Condition, conditions: &[&Condition], mut stated: Vec<u32
     let (least, most) = (counts().map(|c| c.0).min(), counts().map(|c| c.1).max());
     let mut text = format!(
         "Preset {what}; {} of {} TTIs a point, means with their 95 % intervals in both directions. Lines join rising \
-            N, which \
-         stands beside some points. Up and to the left is better.",
+         N, which stands beside some points. Up and to the left is better.",
         runs_in_words((least.unwrap_or(0), most.unwrap_or(0))),
         condition.ttis
     );

@@ -144,15 +144,14 @@ pub fn duty_scene(learned: &Learned, entry: &Entry) -> Scene {
     let title = format!("What sensing is worth with N = {}: Q(s, 1) − Q(s, 0)", entry.devices);
     let map = duty_map(learned, entry);
     let text = format!(
-        "A cell is a state s of a device: its battery, and how much of the area it would newly cover. The number is \
-            what it \
-         gains if it senses in the next TTI (δ = 1) rather than sleeps, in units of N r(k). Within the bold line the \
-         policy lets it sense, those with most to gain first: there the advantage is positive once it is made never \
-         to fall with \
-         the area, and the battery is enough to sense and report. Colours follow the root of the number. {}{}",
+        "A cell is a state s of a device: its battery, and how much of the area it would newly cover. The number \
+         is what it gains if it senses in the next TTI (δ = 1) rather than sleeps, in units of N r(k). Within the \
+         bold line the policy lets it sense, those with most to gain first: there the advantage is positive once \
+         it is made never to fall with the area, and the battery is enough to sense and report. Colours follow the \
+         root of the number. {}{}",
         if map.count(Known::Half) > 0 {
-            "Where one action was never tried, it is worth its start, what it brings at once, so read such a number \
-                as a guess. "
+            "Where one action was never tried, it is worth its start, what it brings at once, so read \
+             such a number as a guess. "
         } else {
             ""
         },
@@ -250,9 +249,8 @@ pub(super) fn trained(learned: &Learned, place: &str) -> String {
     let (weights, schedule, training) = (learned.weights, &learned.schedule, &learned.training);
     let (first, last) = training.epsilon;
     format!(
-        "Learned by {} for μ1 = {}, μ2 = {}, ζ = {} and a window of {} TTIs, in {} episodes of {} TTIs {place}, ε \
-            from {first} \
-         to {last}, learning rate max((n + 4)^−{}, {}), optimism {}, seed {}{}.",
+        "Learned by {} for μ1 = {}, μ2 = {}, ζ = {} and a window of {} TTIs, in {} episodes of {} TTIs {place}, ε from \
+         {first} to {last}, learning rate max((n + 4)^−{}, {}), optimism {}, seed {}{}.",
         learned.made_by,
         weights.mu1,
         weights.mu2,
@@ -367,14 +365,11 @@ pub fn wake_scene(learned: &Learned, entry: &Entry, ranking: WakeUpRanking) -> S
     let (table, name) = (wake_table(entry, ranking), ranking.name());
     let title = format!("What a wake-up is worth with N = {}, ranking {name}: Q", entry.devices);
     let text = format!(
-        "A cell is what the BS knows of an event: the score of the best device that it could wake (rows, as a share \
-            of Ψ), \
-         the information that it has (columns), and the reports so far (panels). The number is what waking is worth, \
-         in units of \
-         N r*(k), where stopping is worth 0. Within the bold line the policy does not wake: there the number is not \
-         positive once it is made never to fall with \
-         the score. Cells that were never visited keep the optimistic start. Colours follow the root of the \
-         number, the same in all panels. {}",
+        "A cell is what the BS knows of an event: the score of the best device that it could wake (rows, as a share of \
+         Ψ), the information that it has (columns), and the reports so far (panels). The number is what waking is \
+         worth, in units of N r*(k), where stopping is worth 0. Within the bold line the policy does not wake: there \
+         the number is not positive once it is made never to fall with the score. Cells that were never visited keep \
+         the optimistic start. Colours follow the root of the number, the same in all panels. {}",
         learned_on(learned, entry)
     );
     let (mut scene, top) = begun(title, text.clone());

@@ -13,7 +13,7 @@ use reveille_lab::table::{About, Hash, Row, Table};
 /// A table and its name.
 #[derive(Clone, Debug)]
 pub struct Source {
-    /// Where it was read from.
+    /// The name of the file that the table was read from.
     pub name: String,
     /// What it says about its origin.
     pub about: About,

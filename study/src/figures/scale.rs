@@ -12,7 +12,7 @@ pub enum Scale {
         /// The value at the end, > `from`.
         to: f64,
     },
-    /// By their logarithm.
+    /// Values are spread by their logarithm.
     Log {
         /// The value at the start, > 0.
         from: f64,

@@ -23,7 +23,7 @@ pub enum Paint {
 /// How a line is drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stroke {
-    /// With what.
+    /// The paint that it is drawn with.
     pub paint: Paint,
     /// Opacity, `(0, 1]`.
     pub opacity: f64,
@@ -94,7 +94,7 @@ pub struct Text {
     pub anchor: Anchor,
     /// Whether it reads from bottom to top.
     pub upwards: bool,
-    /// With what.
+    /// The paint that it is drawn with.
     pub paint: Paint,
 }
 

@@ -355,9 +355,8 @@ fn caption(scenario: &Scenario, timeline: &Timeline) -> String {
     let unseen = timeline.events.iter().filter(|e| e.tally.reports == 0).count();
     format!(
         "Battery at the end of each TTI and states S1 (idle: sensing), S2 (active), S3 (transmission), S4 (sleep). A \
-            device that \
-         reports goes through S2 and S3 within its TTI. {} events, {unseen} of them reported by nobody. Preset {}, \
-         seed {}, K = {}.",
+         device that reports goes through S2 and S3 within its TTI. {} events, {unseen} of them reported by nobody. \
+         Preset {}, seed {}, K = {}.",
         timeline.events.len(),
         scenario.preset,
         scenario.seed,

@@ -67,10 +67,8 @@ fn caption(history: &History) -> String {
     });
     format!(
         "The objective, {}, is to be large. Colours and lines are the mean of a Gaussian process through the pairs \
-            that were tried, \
-         which are numbered in order; it is sure of itself only near them.{} For each pair tables were trained ({}) \
-         and measured \
-         ({}), all with the same seeds. Ranking {}, preset {}, seed {}.",
+         that were tried, which are numbered in order; it is sure of itself only near them.{} For each pair tables \
+         were trained ({}) and measured ({}), all with the same seeds. Ranking {}, preset {}, seed {}.",
         says("objective").split_once(": ").map_or("", |(_, words)| words),
         best.unwrap_or_default(),
         says("training"),

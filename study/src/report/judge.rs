@@ -36,7 +36,7 @@ pub enum Verdict {
 }
 
 impl Verdict {
-    /// All of them, the best first.
+    /// All verdicts, the best first.
     pub const ALL: [Self; 4] = [
         Self::Reproduced,
         Self::OrderReproduced,
@@ -44,7 +44,7 @@ impl Verdict {
         Self::NotRun,
     ];
 
-    /// In words.
+    /// The verdict in words.
     pub const fn words(self) -> &'static str {
         match self {
             Self::Reproduced => "reproduced",

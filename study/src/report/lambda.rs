@@ -60,8 +60,7 @@ fn ours(stated: &Stated, is_most: bool, end: StatedEnd, column: &Column<'_>) -> 
     let Some(tau) = condition.scenario.as_ref().and_then(tau_of_eq5) else {
         return none(
             "Not comparable: the claim is about Eq. (5), and the energy source of these runs is another, or their \
-                table does not \
-             tell it."
+             table does not tell it."
                 .to_owned(),
         );
     };
@@ -125,8 +124,7 @@ fn judge((e_b, tau): (f64, f64), end: StatedEnd, spent: &Estimate) -> Ours {
             firm: low.is_none(),
             why: format!(
                 "{policy} spends {} units, and under Eq. (5) no λ brings more than E_B/e = {}. The paper's values fit \
-                    a harvest \
-                 of about λ·E_B, which λ·exp(-λ)·E_B is for small λ only.",
+                 a harvest of about λ·E_B, which λ·exp(-λ)·E_B is for small λ only.",
                 number(spent.mean),
                 number(most)
             ),

@@ -31,7 +31,7 @@ pub struct Line {
     pub about: String,
     /// The policy.
     pub policy: String,
-    /// For which N.
+    /// The N for which the claim is made.
     pub sites: String,
     /// What the paper says.
     pub paper: String,

@@ -6,15 +6,12 @@ use super::judge::Verdict;
 use super::{Line, Report};
 
 /// What stands at the head of the report, for both of its forms.
-pub(super) const RULE: &str = "A claim is reproduced if our mean is within 20 % of the stated value, of the nearer \
-    end of a \
-    stated range or of a stated ratio, or meets a stated bound; a claim for several N must hold at each that was run. \
-    A stated 0 is \
-    met by less than 1 % of the largest of the other policies. Its order is reproduced if, failing that, the policy \
-    stands to \
-    every other with a stated figure or ratio as in the paper. A verdict marked ? would differ for some value in our \
-    95 % \
-    interval, which for not one miss in Σ events ends at 300 / Σ events %. No definition was changed to meet a claim.";
+pub(super) const RULE: &str = "A claim is reproduced if our mean is within 20 % of the stated value, of the nearer end \
+    of a stated range or of a stated ratio, or meets a stated bound; a claim for several N must hold at each that was \
+    run. A stated 0 is met by less than 1 % of the largest of the other policies. Its order is reproduced if, failing \
+    that, the policy stands to every other with a stated figure or ratio as in the paper. A verdict marked ? would \
+    differ for some value in our 95 % interval, which for not one miss in Σ events ends at 300 / Σ events %. No \
+    definition was changed to meet a claim.";
 
 /// The whole report.
 pub fn markdown(report: &Report<'_>, figures: &[(String, String)], command: &str) -> String {
@@ -148,8 +145,8 @@ pub(super) fn origins(report: &Report<'_>) -> Vec<String> {
             &about.version
         };
         lines.push(format!(
-            "{}: {} runs by Reveille {version}{shard}; SHA-256 of the experiment's scenarios {}; of the runs' digests \
-                in order {}.",
+            "{}: {} runs by Reveille {version}{shard}; SHA-256 of the experiment's scenarios {}; of the \
+             runs' digests in order {}.",
             source.name, source.rows, about.grid, source.digests
         ));
     }

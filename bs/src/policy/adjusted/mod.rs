@@ -109,8 +109,8 @@ impl PolicyKind for AdjustedKind {
     }
 
     fn about(&self) -> &'static str {
-        "One duty cycle for all devices, found by exhaustive search in pilot runs; wakes any device, most correlated \
-            first."
+        "One duty cycle for all devices, found by exhaustive search in pilot runs; wakes any \
+         device, most correlated first."
     }
 
     fn section(&self) -> Option<&'static Section> {

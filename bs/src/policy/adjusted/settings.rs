@@ -15,8 +15,9 @@ declare! {
         /// Values of t_on to search. At least one is not longer than one of `t_drx`.
         t_on: Vec<u32> = wholes(1, DutyCycle::LONGEST, MOST_CYCLES, &[1, 2]).unit("TTIs").source("Sec. V-A"),
         /// Values of t_DRX to search.
-        t_drx: Vec<u32> = wholes(1, DutyCycle::LONGEST, MOST_CYCLES, &[2, 4, 8, 16, 32]).unit("TTIs").source("Sec. \
-            V-A"),
+        t_drx: Vec<u32> = wholes(1, DutyCycle::LONGEST, MOST_CYCLES, &[2, 4, 8, 16, 32])
+            .unit("TTIs")
+            .source("Sec. V-A"),
         /// Length of the pilot run that judges a pair; its first quarter is left out.
         pilot_ttis: u64 = whole(4, MAX_TTIS, 2000).unit("TTIs"),
     }

@@ -124,8 +124,8 @@ impl PolicyKind for KnnKind {
     }
 
     fn about(&self) -> &'static str {
-        "Clusters by location, one member of each sensing in turn; wakes members of the reporters' clusters \
-            (Algorithm 1)."
+        "Clusters by location, one member of each sensing in turn; wakes members of the reporters' \
+         clusters (Algorithm 1)."
     }
 
     fn section(&self) -> Option<&'static Section> {

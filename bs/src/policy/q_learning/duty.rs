@@ -18,7 +18,7 @@ use crate::beliefs::coverage::Coverage;
 pub struct Terms {
     /// μ1 and ζ.
     pub weights: Weights,
-    /// How it learns.
+    /// How values are learned.
     pub schedule: Schedule,
     /// Probability α that an event starts in a TTI.
     pub alpha: f64,
@@ -57,7 +57,7 @@ pub struct Duty {
 /// All shares of one decision.
 #[derive(Clone, Debug, Default)]
 struct Decision {
-    /// By device.
+    /// The share of each device.
     shares: Vec<Share>,
     /// By device, the share of the area that counts as covered by it.
     credits: Vec<f64>,
@@ -172,7 +172,7 @@ impl Duty {
         let mut shares: Vec<Share> = self.batteries.iter().zip(levels).map(of).collect();
         let mut is_free: Vec<bool> = self.batteries.iter().map(|&battery| battery >= 2).collect();
         let mut chosen = Vec::new();
-        // Those who roll the dice first, so that what they cover counts for the others.
+        // Devices that decide at random come first, so that what they cover counts for the others.
         for (j, is_free) in is_free.iter_mut().enumerate() {
             if stream.unit() < epsilon && *is_free {
                 *is_free = false;

@@ -237,8 +237,8 @@ impl PolicyKind for QLearningKind {
     }
 
     fn about(&self) -> &'static str {
-        "Chooses who senses, from battery and newly covered area, and whom to wake, from expected gain, with trained \
-            tables."
+        "Chooses who senses, from battery and newly covered area, and whom to wake, from expected \
+         gain, with trained tables."
     }
 
     fn section(&self) -> Option<&'static Section> {

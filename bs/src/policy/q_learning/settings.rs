@@ -37,11 +37,13 @@ declare! {
         /// Where the tables come from; a file is one that `reveille train` wrote.
         table: Option<String> = source(TABLES, "shipped"),
         /// Weight μ1 of misdetections in the reward. Unless the policy learns, that of the tables.
-        mu1: Option<f64> = number(NOT_NEGATIVE, DEFAULT.mu1).derived("that of the tables, or 14").source("Sec. V-B, \
-            0.5 to 20"),
+        mu1: Option<f64> = number(NOT_NEGATIVE, DEFAULT.mu1)
+            .derived("that of the tables, or 14")
+            .source("Sec. V-B, 0.5 to 20"),
         /// Weight μ2 of information in the reward of a wake-up. Unless the policy learns, that of the tables.
-        mu2: Option<f64> = number(NOT_NEGATIVE, DEFAULT.mu2).derived("that of the tables, or 1.6").source("Sec. V-B, \
-            1 to 5"),
+        mu2: Option<f64> = number(NOT_NEGATIVE, DEFAULT.mu2)
+            .derived("that of the tables, or 1.6")
+            .source("Sec. V-B, 1 to 5"),
         /// Discount ζ of the duty cycling. Unless the policy learns, that of the tables.
         zeta: Option<f64> = number(DISCOUNT, DEFAULT.zeta).derived("that of the tables, or 0.95").source("Sec. V-B"),
         /// Time within which the area is to be covered once; with 1 it is to be covered in every TTI. Unless the policy
@@ -97,7 +99,7 @@ pub struct QLearningSettings {
     /// Probability that a decision is made at random while the policy learns, in the first TTI and in the last, `[0,
     /// 1)`; in between it changes evenly.
     pub epsilon: (f64, f64),
-    /// How it learns.
+    /// How values are learned.
     pub schedule: Schedule,
     /// The tables at the start of the run.
     pub start: Arc<Entry>,
@@ -154,8 +156,7 @@ impl PolicySettings for QLearningSettings {
         }
         vec![format!(
             "the tables of q-learning were learned on another setting ({}); for tables of its own: reveille train \
-                q-learning \
-             --out FILE, with the same --scenario and --set",
+             q-learning --out FILE, with the same --scenario and --set",
             self.foreign.join("; ")
         )]
     }
@@ -219,8 +220,7 @@ fn terms(
         Some(known) if (known - value).abs() > 1e-9 && !fields.learn => {
             let allowed = format!(
                 "must be {known}, for which its table was learned, unless policy.q-learning.learn = true; for a table \
-                    of your own: \
-                 reveille train q-learning --set policy.q-learning.{name}={value} --out FILE"
+                 of your own: reveille train q-learning --set policy.q-learning.{name}={value} --out FILE"
             );
             Err(reader.refuse(&format!("policy.q-learning.{name}"), value, allowed))
         }
@@ -272,8 +272,7 @@ fn entry(reader: &Reader<'_>, name: &str, tables: &Learned, site: &Site<'_>) -> 
         let (least, most) = tables.range(surface);
         let allowed = format!(
             "serves {least} to {most} devices on {surface} m², not {n}; train for yours: reveille train q-learning \
-                --devices {n} \
-             --out FILE, with the same --scenario and --set",
+             --devices {n} --out FILE, with the same --scenario and --set",
             n = site.devices
         );
         reader.refuse("policy.q-learning.table", name, allowed)

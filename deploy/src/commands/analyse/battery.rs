@@ -193,9 +193,8 @@ fn notes(found: &Found, bin: f64) -> Vec<String> {
     if let Some((study, first)) = found.first() {
         let per_unit = first.lattice.per_unit;
         notes.push(format!(
-            "The chain counts in 1/{per_unit} of a unit; E_WuR is {} micro-units in the machines and {} such quanta \
-                in the chain. \
-             Levels of both go to the nearest quantum, then into bins [0, {bin}), [{bin}, {}), … of units.",
+            "The chain counts in 1/{per_unit} of a unit; E_WuR is {} micro-units in the machines and {} such quanta in \
+             the chain. Levels of both go to the nearest quantum, then into bins [0, {bin}), [{bin}, {}), … of units.",
             study.model.e_wur.micro(),
             first.lattice.e_wur,
             2.0 * bin
@@ -205,24 +204,20 @@ fn notes(found: &Found, bin: f64) -> Vec<String> {
     if let Some(example) = above.first() {
         notes.push(format!(
             "Eq. (8) as printed is not a probability: {example} ({} rows above 1). Its terms belong to different \
-                numbers of \
-             trials, so the sum is Pr(E+1 successes within M+1 trials)/P and tends to 1/P.",
+             numbers of trials, so the sum is Pr(E+1 successes within M+1 trials)/P and tends to 1/P.",
             above.len()
         ));
     }
     if let Some(example) = found.iter().find_map(|one| falls_with_harvest(one, found)) {
         notes.push(format!(
             "Eq. (8) as printed falls where more energy comes: {example}. A larger E_B makes M = ⌈E_max/E_λ⌉ smaller, \
-                while B and \
-             E count units; and P, the chance to spend, is its chance of success."
+             while B and E count units; and P, the chance to spend, is its chance of success."
         ));
     }
     notes.push(
         "eq8_sum_by_beta is the incomplete beta form that the printed sum has, I_P(E+1, M−E+1)/P. The one that the \
-            paper names, \
-         β_{1−P}(E+1, E_max+1), lies in [0, 1] but is another function: it is 1 at P = 0 whatever the harvest, which \
-         it does not \
-         contain."
+         paper names, β_{1−P}(E+1, E_max+1), lies in [0, 1] but is another function: it is 1 at P = 0 whatever the \
+         harvest, which it does not contain."
             .to_owned(),
     );
     notes
@@ -258,8 +253,7 @@ fn falls_with_harvest((study, found): &(Study, Comparison), all: &Found) -> Opti
             .map(|(a, b)| {
                 format!(
                     "for E = {} units and P = {} from {:.2e} with E_B = {} to {:.2e} with E_B = {}, where the chain \
-                        rises from \
-                     {:.3} to {:.3}",
+                     rises from {:.3} to {:.3}",
                     a.threshold,
                     study.activation,
                     a.eq8.sum,

@@ -170,16 +170,13 @@ fn notes(points: &[Point]) -> Vec<String> {
             points.len()
         ),
         "A run's own net (harvested less spent, at the same λ) cannot stay below 0: a device spends no more than it \
-            has. It is the \
-         overflow of full batteries, and what is left of the initial charge. The paper's net is the harvest less a \
-         consumption \
-         that does not depend on λ, and so is net_positive_from/to."
+         has. It is the overflow of full batteries, and what is left of the initial charge. The paper's net is the \
+         harvest less a consumption that does not depend on λ, and so is net_positive_from/to."
             .to_owned(),
-        "`as in the scenario`: what the policy spends with the scenario's own λ and E_B, as in Fig. 8. `never short`: \
-            what it would \
-         spend with full batteries. Under Eq. (5) no λ brings more than E_B/e a TTI, and beyond λ = 1/τ more λ brings \
-         less; under \
-         exp(-λ) the harvest only falls with λ, so the statement `positive above λ` cannot be meant that way."
+        "`as in the scenario`: what the policy spends with the scenario's own λ and E_B, as in Fig. 8. `never \
+         short`: what it would spend with full batteries. Under Eq. (5) no λ brings more than E_B/e a TTI, and \
+         beyond λ = 1/τ more λ brings less; under exp(-λ) the harvest only falls with λ, so the statement `positive \
+         above λ` cannot be meant that way."
             .to_owned(),
     ]
 }

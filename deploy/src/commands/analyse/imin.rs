@@ -61,8 +61,7 @@ pub fn run(args: &IminArgs) -> anyhow::Result<ExitCode> {
         }],
         notes: vec![
             "p(√(ξ/2N)) is the value of a square grid; that of a random layout is governed by its largest hole and \
-                lies below. \
-             grid and hex do not depend on the seed."
+             lies below. grid and hex do not depend on the seed."
                 .to_owned(),
         ],
     };

@@ -28,7 +28,7 @@ struct Times {
     tti_s: f64,
     decision_s: f64,
     wake_ups: f64,
-    /// NaN where a plan holds for good.
+    /// Seconds for a decision on who senses; NaN where a plan holds for good.
     plan_s: f64,
 }
 
@@ -77,12 +77,10 @@ pub fn run(args: &RuntimeArgs) -> anyhow::Result<ExitCode> {
         ],
         notes: vec![
             "adjusted searches one (t_on, t_DRX) for all devices, so its set-up is ϱ pilot runs and not the ϱ^N of a \
-                search that \
-             gives each device its own. knn finds neighbours by a k-d tree, not by all N(N−1)/2 distances."
+             search that gives each device its own. knn finds neighbours by a k-d tree, not by all N(N−1)/2 distances."
                 .to_owned(),
             "q-learning decides in every TTI who senses (plan); a decision is what follows a report, with all \
-                wake-ups. The plans of \
-             the others hold for good."
+             wake-ups. The plans of the others hold for good."
                 .to_owned(),
             "The area is fixed, so density grows with N, and with it the devices that a report concerns.".to_owned(),
         ],

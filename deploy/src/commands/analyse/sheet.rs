@@ -17,11 +17,11 @@ const WIDTH: usize = 118;
 /// One value of a table.
 #[derive(Clone, Debug)]
 pub enum Cell {
-    /// Words.
+    /// A text.
     Text(String),
     /// A whole number.
     Whole(u64),
-    /// Any other; NaN for one that is not defined.
+    /// Any other number; NaN for one that is not defined.
     Number(f64),
 }
 
@@ -56,7 +56,7 @@ impl From<f64> for Cell {
 }
 
 impl Cell {
-    /// For people: four significant digits or so.
+    /// The value as people read it, with four significant digits or so.
     fn shown(&self) -> String {
         match self {
             Self::Text(text) => text.clone(),
@@ -67,7 +67,7 @@ impl Cell {
         }
     }
 
-    /// For machines: in full, empty where not defined.
+    /// The value as machines read it: in full, and empty where it is not defined.
     fn exact(&self) -> String {
         match self {
             Self::Text(text) => text.clone(),

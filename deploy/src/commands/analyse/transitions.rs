@@ -74,17 +74,13 @@ fn row(t: &Transition) -> Vec<Cell> {
 
 fn notes(found: &Transitions) -> Vec<String> {
     let mut notes = vec![
-        "A measured frequency is the share of the visits of S_m whose next state is S_n, over all devices and \
-            measured TTIs, \
-         with or without an event. Wilson's interval takes visits for independent; the half-width is Student's t \
-         between runs \
-         and is the one to trust."
+        "A measured frequency is the share of the visits of S_m whose next state is S_n, over all devices and measured \
+         TTIs, with or without an event. Wilson's interval takes visits for independent; the half-width is Student's t \
+         between runs and is the one to trust."
             .to_owned(),
         "The printed forms condition otherwise: P_4,1 = t_on/t_DRX is the share of all TTIs that are spent in S1, not \
-            of those \
-         in S4 that S1 follows (by_duty_cycle is the latter); P_1,2 = α p(d), averaged over the area, is for the TTI \
-         in which an \
-         event starts; P_4,2 takes for granted that the closest device has just reported."
+         of those in S4 that S1 follows (by_duty_cycle is the latter); P_1,2 = α p(d), averaged over the area, is for \
+         the TTI in which an event starts; P_4,2 takes for granted that the closest device has just reported."
             .to_owned(),
     ];
     for t in found.transitions.iter().filter(|t| t.improper > 0) {

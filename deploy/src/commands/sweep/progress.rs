@@ -29,7 +29,7 @@ pub struct Progress {
     drawn: Mutex<Instant>,
 }
 
-/// One cell.
+/// How far the runs of one cell are.
 struct Tally {
     /// Device-TTIs of a run.
     cost: u64,

@@ -28,15 +28,15 @@ pub struct Report<'r> {
     pub grid: &'r Grid,
     /// What came out.
     pub finished: &'r Finished,
-    /// Where.
+    /// The folder of the sweep.
     pub folder: &'r Path,
     /// Runs that were there before.
     pub found: usize,
-    /// How long the others took.
+    /// How long the other runs took.
     pub seconds: f64,
-    /// Their device-TTIs.
+    /// The device-TTIs of the other runs.
     pub device_ttis: u64,
-    /// On how many threads.
+    /// The number of threads.
     pub threads: usize,
 }
 
@@ -125,7 +125,7 @@ impl Report<'_> {
         self.wide().into_iter().map(line).collect()
     }
 
-    /// The same for machines.
+    /// The report as JSON.
     ///
     /// # Errors
     /// Never in practice.

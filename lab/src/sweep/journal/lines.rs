@@ -86,15 +86,13 @@ pub(super) fn foreign(line: &[u8]) -> String {
     match form {
         Some(FORM) => {
             "holds the runs of another experiment, shard or version of reveille (see experiment.toml there); \
-             give the same command again to go on with it, with the same first seed and at least as many seeds, or \
-             choose \
-             another folder"
+             give the same command again to go on with it, with the same first seed and at least as many seeds, \
+             or choose another folder"
                 .to_owned()
         }
         Some(form) if form.bytes().all(|byte| byte.is_ascii_digit()) => format!(
             "holds a runs.journal of form {form}, but this version of reveille goes on with form {FORM} alone; go on \
-                with \
-             the version that began the sweep, or choose another folder"
+             with the version that began the sweep, or choose another folder"
         ),
         Some(_) | None => {
             "holds a runs.journal that is none, or one with a damaged first line; choose another folder".to_owned()

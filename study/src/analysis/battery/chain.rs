@@ -237,7 +237,7 @@ mod tests {
         }
     }
 
-    /// The same by solving (P − 1) π = 0, Σ π = 1 for the chain of levels at the start of a cycle.
+    /// The steady state found by solving (P − 1) π = 0, Σ π = 1 for the chain of levels at the start of a cycle.
     #[test]
     fn a_dense_solver_agrees() {
         let lattice = lattice(84, 14, 1, 40, 35);

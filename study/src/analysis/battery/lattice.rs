@@ -41,8 +41,7 @@ impl Lattice {
             let value = energies.map(|e| e.units().to_string()).join(", ");
             let allowed = format!(
                 "E_max, E_idle, E_WuR, E_Tx and E_B must be multiples of a common quantum of 1/n unit, n up to \
-                    {FINEST}, for \
-                 the battery to have few enough levels; round them, for example to hundredths of a unit"
+                 {FINEST}, for the battery to have few enough levels; round them, for example to hundredths of a unit"
             );
             return Err(AnalysisError::invalid("energies (units)", &value, allowed));
         };
@@ -50,8 +49,7 @@ impl Lattice {
         if e_max >= MOST_LEVELS {
             let allowed = format!(
                 "with {per_unit} quanta a unit the battery has {} levels, and {MOST_LEVELS} are the most that the \
-                    chain \
-                 takes; use a smaller battery or coarser costs",
+                 chain takes; use a smaller battery or coarser costs",
                 e_max + 1
             );
             return Err(AnalysisError::invalid("energy.e_max", &model.e_max.units(), allowed));

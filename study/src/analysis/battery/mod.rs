@@ -58,11 +58,11 @@ pub struct Study {
 pub struct Availability {
     /// E, units.
     pub threshold: f64,
-    /// By the chain.
+    /// The value of the chain.
     pub chain: f64,
-    /// By device machines; the interval is between devices.
+    /// The value that device machines show; the interval is between devices.
     pub measured: Estimate,
-    /// By Eq. (8).
+    /// The values of Eq. (8).
     pub eq8: Eq8,
 }
 

@@ -61,7 +61,7 @@ impl Path {
         let (first, through_active) = match state {
             DeviceState::Idle | DeviceState::Sleep { powered: true } => (started, None),
             DeviceState::Transmission => (started, Some(S3)),
-            // Whoever could not pay for δ has spent less than its cost; otherwise it was the transmission that failed.
+            // A device that could not pay for δ has spent less than its cost; otherwise the transmission failed.
             DeviceState::Sleep { powered: false } if spent < cost => (S4, None),
             DeviceState::Sleep { powered: false } => (started, Some(S4)),
             DeviceState::Active => unreachable!("S2 is left within the TTI"),

@@ -30,7 +30,7 @@ use reveille_lab::stats::Estimate;
 /// The quantile of the normal law for a 95 % interval.
 const Z: f64 = 1.959_963_984_540_054;
 
-/// One P_m,n.
+/// One transition probability P_m,n.
 #[derive(Clone, Copy, Debug)]
 pub struct Transition {
     /// m.
@@ -58,7 +58,7 @@ pub struct Transition {
 /// The P_m,n of a scenario.
 #[derive(Clone, Debug)]
 pub struct Transitions {
-    /// In the order of [`PAIRS`].
+    /// The transitions in the order of [`PAIRS`].
     pub transitions: Vec<Transition>,
     /// Devices of all deployments together.
     pub devices: usize,

@@ -34,16 +34,16 @@ pub enum LearnedError {
     /// The file cannot be read.
     #[error("cannot be read: {0}; name a file that reveille train q-learning wrote, or \"shipped\"")]
     Read(#[from] std::io::Error),
-    /// It is none of ours.
+    /// The file does not hold learned tables of Reveille.
     #[error("is not a file of learned tables: {0}; name one that reveille train q-learning wrote")]
     Foreign(String),
-    /// Its form is another one.
+    /// The file has another version of the form.
     #[error(
-        "has version {0} of the form of learned tables, this program reads {VERSION}; train again: reveille train \
-            q-learning"
+        "has version {0} of the form of learned tables, this program reads {VERSION}; train again: \
+         reveille train q-learning"
     )]
     Version(u64),
-    /// It was changed or cut short.
+    /// The file was changed or cut short.
     #[error("is damaged: {0}; take a copy or train again: reveille train q-learning")]
     Damaged(String),
 }

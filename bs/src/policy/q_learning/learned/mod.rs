@@ -151,9 +151,9 @@ pub struct Entry {
     pub devices: u32,
     /// The area ξ of the training, m².
     pub surface: f64,
-    /// Who senses.
+    /// The table of who senses.
     pub duty: DutyTable,
-    /// Whom to wake, candidates by `P_4,2`.
+    /// The table of whom to wake, for candidates ranked by `P_4,2`.
     pub wake_p42: WakeTable,
     /// Whom to wake, candidates by the belief over the epicentre.
     pub wake_posterior: WakeTable,
@@ -231,8 +231,8 @@ impl Learned {
             .as_ref()
             .map_or_else(String::new, |from| format!(", begun from {from}"));
         format!(
-            "tables for N = {}, μ1 = {mu1}, μ2 = {mu2}, ζ = {zeta} and a window of {} TTIs, learned in {ttis} \
-                TTIs{before}",
+            "tables for N = {}, μ1 = {mu1}, μ2 = {mu2}, ζ = {zeta} and a window of {} TTIs, \
+             learned in {ttis} TTIs{before}",
             entry.devices, self.window
         )
     }

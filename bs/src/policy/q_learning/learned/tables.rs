@@ -166,7 +166,7 @@ impl DutyTable {
         &self.q[(battery * AREAS + area) * 2 + usize::from(delta)]
     }
 
-    /// The same, to be changed.
+    /// As [`Self::at`], for writing.
     pub fn at_mut(&mut self, battery: usize, area: usize, delta: bool) -> &mut Cell {
         &mut self.q[(battery * AREAS + area) * 2 + usize::from(delta)]
     }
@@ -244,7 +244,7 @@ pub struct WakeTable {
 }
 
 impl WakeTable {
-    /// Everything worth `value`.
+    /// A table in which every value is `value`.
     pub fn optimistic(value: f64) -> Self {
         Self {
             q: vec![Cell::new(value); SCORES * INFORMATIONS * REPORTS],
@@ -256,7 +256,7 @@ impl WakeTable {
         &self.q[(score * INFORMATIONS + information) * REPORTS + reports]
     }
 
-    /// The same, to be changed.
+    /// As [`Self::at`], for writing.
     pub fn at_mut(&mut self, [score, information, reports]: [usize; 3]) -> &mut Cell {
         &mut self.q[(score * INFORMATIONS + information) * REPORTS + reports]
     }
