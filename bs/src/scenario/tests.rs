@@ -118,6 +118,12 @@ fn messages_name_field_value_range_and_line() {
             "line 1",
         ),
         ("devices = \"ten\"", "devices = \"ten\": must be", "line 1"),
+        ("[devices]\nn = 3", "devices = {…}: must be", "line 1"),
+        (
+            "[class.a]\nshare = 1",
+            "class = {…}: must be a list: write [[class]] for each item",
+            "line 1",
+        ),
         ("ttis = 0", "ttis = 0:", "line 1"),
         (
             "warm_up = 1",
@@ -242,6 +248,16 @@ fn class_messages_name_the_class() {
 
 #[test]
 fn unknown_fields_come_with_a_suggestion() {
+    let settings = from("[policy.random]\nx = 1\n").expect_err("it has none").to_string();
+    assert!(
+        settings.starts_with("unknown field `policy.random`; `random` has no fields of its own; set in my.toml"),
+        "{settings}"
+    );
+    let folder = load(&env!("CARGO_MANIFEST_DIR"), &[]).expect_err("a folder");
+    assert!(
+        std::error::Error::source(&folder).is_none(),
+        "said once, in the message"
+    );
     for (text, message) in [
         (
             "[bs]\nsync = 5",

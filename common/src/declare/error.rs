@@ -24,7 +24,6 @@ pub enum ScenarioError {
         /// The scenario file.
         path: PathBuf,
         /// What the operating system said.
-        #[source]
         error: io::Error,
     },
     /// The text is not TOML.

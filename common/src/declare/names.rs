@@ -61,7 +61,10 @@ impl Check<'_, '_> {
     /// The list of items.
     fn list(&self, value: &Spanned<DeValue<'_>>, shown: &str) -> Result<(), ScenarioError> {
         let DeValue::Array(items) = value.get_ref() else {
-            return Err(self.invalid(shown.to_owned(), &Wrong::of(value, "must be a list".to_owned())));
+            return Err(self.invalid(
+                shown.to_owned(),
+                &Wrong::of(value, format!("must be a list: write [[{shown}]] for each item")),
+            ));
         };
         for (index, item) in items.iter().enumerate() {
             let name = item.get_ref().get("name").and_then(|name| name.get_ref().as_str());
@@ -87,9 +90,15 @@ impl Check<'_, '_> {
             .filter(|known| known.rsplit('.').next() == Some(name))
             .collect();
         let candidates = elsewhere.iter().map(String::as_str).chain(valid.iter().copied());
+        let is_registered = self.declaration.registered.iter().any(|word| word.name == name);
+        let hint = if is_registered {
+            format!("; `{name}` has no fields of its own")
+        } else {
+            did_you_mean(name, candidates)
+        };
         ScenarioError::UnknownField {
             field: shown,
-            hint: did_you_mean(name, candidates),
+            hint,
             valid: listed(valid.iter().copied()),
             place: self.layer.origin.place(offset),
         }
@@ -97,9 +106,15 @@ impl Check<'_, '_> {
 
     fn invalid(&self, field: String, wrong: &Wrong) -> ScenarioError {
         let written = self.layer.text.get(wrong.span.clone()).map_or("", str::trim);
+        // Of a table under a heading of its own, the text is the heading.
+        let value = if wrong.is_table {
+            "{…}".to_owned()
+        } else {
+            shortened(written)
+        };
         ScenarioError::Invalid {
             field,
-            value: shortened(written),
+            value,
             allowed: wrong.allowed.clone(),
             place: self.layer.origin.place(wrong.span.start),
         }
@@ -109,6 +124,7 @@ impl Check<'_, '_> {
 /// A value of the wrong type.
 struct Wrong {
     span: Range<usize>,
+    is_table: bool,
     allowed: String,
 }
 
@@ -116,6 +132,7 @@ impl Wrong {
     fn of(value: &Spanned<DeValue<'_>>, allowed: String) -> Self {
         Self {
             span: value.span(),
+            is_table: value.get_ref().is_table(),
             allowed,
         }
     }
