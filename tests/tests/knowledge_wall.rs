@@ -2,6 +2,7 @@
 //! plan and no wake-up. The genie aside, which is told of events.
 
 use reveille_bs::observe::{Happening, Observer};
+use reveille_bs::policy::registry;
 use reveille_bs::prepared::Prepared;
 use reveille_bs::scenario::{Override, load};
 use reveille_common::event::{EventProcess, ScriptedEvent};
@@ -90,36 +91,43 @@ fn is_unseen(prepared: &Prepared, transcript: &Transcript, epicentre: Point, sta
     })
 }
 
-/// Every policy but the genie, with settings under which it knows most.
-fn policies() -> Vec<Prepared> {
-    let tables = "policy.q-learning.table=nothing";
-    vec![
-        prepared("random", &[]),
-        prepared("knn", &[]),
-        prepared("knn", &["bs.ranking=posterior", "sensing.kind=probabilistic"]),
-        prepared(
-            "adjusted",
+/// The settings to try `policy` with, each a list; its defaults where nothing is said here.
+fn settings(policy: &str) -> Vec<&'static [&'static str]> {
+    match policy {
+        "knn" => vec![&[], &["bs.ranking=posterior", "sensing.kind=probabilistic"]],
+        // Shorter pilot runs.
+        "adjusted" => vec![
             &["policy.adjusted.t_drx=[4,8]", "policy.adjusted.pilot_ttis=400"],
-        ),
-        prepared(
-            "adjusted",
             &[
                 "policy.adjusted.t_drx=[8]",
                 "policy.adjusted.pilot_ttis=400",
                 "bs.ranking=posterior",
             ],
-        ),
-        prepared("q-learning", &[]),
-        prepared("q-learning", &["bs.ranking=posterior", "bs.battery_knowledge=reported"]),
-        prepared(
-            "q-learning",
-            &[tables, "policy.q-learning.learn=true", "policy.q-learning.epsilon=0.1"],
-        ),
-        prepared(
-            "q-learning",
-            &[tables, "policy.q-learning.learn=true", "bs.battery_knowledge=reported"],
-        ),
-    ]
+        ],
+        "q-learning" => vec![
+            &[],
+            &["bs.ranking=posterior", "bs.battery_knowledge=reported"],
+            &[
+                "policy.q-learning.table=nothing",
+                "policy.q-learning.learn=true",
+                "policy.q-learning.epsilon=0.1",
+            ],
+            &[
+                "policy.q-learning.table=nothing",
+                "policy.q-learning.learn=true",
+                "bs.battery_knowledge=reported",
+            ],
+        ],
+        _ => vec![&[]],
+    }
+}
+
+/// Every policy of the registry but the genie, which is told of events.
+fn policies() -> Vec<Prepared> {
+    let names = registry::names().filter(|name| *name != "genie");
+    names
+        .flat_map(|name| settings(name).into_iter().map(move |set| prepared(name, set)))
+        .collect()
 }
 
 #[test]
