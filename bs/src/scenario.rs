@@ -1,29 +1,23 @@
-//! Scenarios with the policies of this program: [`reveille_common::scenario`] with the registry and the disk wired in.
+//! Scenarios with the policies of this program: [`reveille_common::scenario`] with the registry wired in.
 
-use std::path::Path;
-
-use reveille_common::io::Disk;
+use reveille_common::declare::Files;
 pub use reveille_common::scenario::*;
 
 use crate::policy::registry;
 
+mod disk;
 #[cfg(test)]
 mod tests;
 
-/// Loads the scenario `source`, a preset's name or the path of a scenario file, with `overrides` on top.
+pub use disk::{load, parse};
+
+/// Loads the scenario `source`, a preset's name or the path of a scenario file, with `overrides` on top; `files` opens
+/// what it names.
 ///
 /// # Errors
 /// As [`reveille_common::scenario::load`].
-pub fn load(source: &str, overrides: &[Override]) -> Result<Scenario, ScenarioError> {
-    reveille_common::scenario::load(source, overrides, &registry::kinds(), &Disk)
-}
-
-/// The scenario of the TOML `text`, as [`reveille_common::scenario::parse`] reads it.
-///
-/// # Errors
-/// As there.
-pub fn parse(text: &str, origin: &str, base_dir: &Path, overrides: &[Override]) -> Result<Scenario, ScenarioError> {
-    reveille_common::scenario::parse(text, origin, base_dir, overrides, &registry::kinds(), &Disk)
+pub fn load_with(source: &str, overrides: &[Override], files: &dyn Files) -> Result<Scenario, ScenarioError> {
+    reveille_common::scenario::load(source, overrides, &registry::kinds(), files)
 }
 
 /// What may be said in a scenario file, for the schema, the reference and help.

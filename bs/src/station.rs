@@ -10,8 +10,7 @@ use reveille_common::units::Energy;
 use crate::beliefs::levels::Levels;
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
-use crate::policy::genie::closest::Genie;
-use crate::policy::mind::Mind;
+use crate::policy::mind::{Bound, Mind};
 
 /// The base station of one run.
 pub struct Station {
@@ -57,7 +56,7 @@ impl Station {
     }
 
     /// The plan in force, and the genie, which is told of events.
-    pub const fn commands(&mut self) -> (&Plan, Option<&mut Genie>) {
+    pub fn commands(&mut self) -> (&Plan, Option<&mut dyn Bound>) {
         (&self.plan, self.mind.genie())
     }
 

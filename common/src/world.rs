@@ -82,7 +82,7 @@ impl World {
         mut k: Tti,
         horizon: Tti,
         plan: &Plan,
-        mut oracle: Option<&mut impl Oracle>,
+        mut oracle: Option<&mut (impl Oracle + ?Sized)>,
         turns: &mut Vec<Turn>,
     ) -> Option<Tti> {
         self.detectors.clear();
@@ -158,7 +158,7 @@ impl World {
         reaction
     }
 
-    fn start(&mut self, oracle: Option<&mut impl Oracle>) -> ActiveEvent {
+    fn start(&mut self, oracle: Option<&mut (impl Oracle + ?Sized)>) -> ActiveEvent {
         let event = self.process.start();
         let Stimulus { event: id, epicentre } = event.stimulus;
         let Self {

@@ -99,7 +99,10 @@ impl PolicyKind for PatrolKind {
 
 impl Registered for PatrolKind {
     fn profile(&self) -> Profile {
-        Profile::plain(6)
+        Profile {
+            wakes: true,
+            ..Profile::plain(6)
+        }
     }
 
     fn build(&self, choice: &PolicyChoice, _: &Knowledge, _: Option<&Opaque>) -> Mind {

@@ -187,7 +187,7 @@ impl Toy {
             seed: 0,
         };
         let mut trainer = Trainer::new(&self.scenario, &[N as u32], &training).expect("a training");
-        assert!(trainer.train(1, None, &()).expect("no file"));
+        assert!(trainer.train(1, &|_| Ok(()), &()).expect("no file"));
         trainer.learned().entries.swap_remove(0)
     }
 

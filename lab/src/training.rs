@@ -16,13 +16,13 @@ use reveille_bs::policy::q_learning::learned::{
 };
 use reveille_bs::policy::q_learning::settings::QLearningSettings;
 use reveille_bs::prepared::Prepared;
-use reveille_common::io::Disk;
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::scenario::{Scenario, Site, WakeUpRanking};
 use reveille_common::units::Energy;
 
-use crate::io::replace;
 use crate::run::{Options, Run, StopWhen};
+
+mod io;
 
 /// The version that made a file, as files name it.
 pub(crate) const MADE_BY: &str = concat!("reveille ", env!("CARGO_PKG_VERSION"));
@@ -210,18 +210,11 @@ impl Trainer {
         }
     }
 
-    /// Goes on from the checkpoint at `path`, if there is one. Says whether there was.
+    /// Goes on from the tables of a checkpoint.
     ///
     /// # Errors
-    /// It is damaged or of another training.
-    pub fn resume(&mut self, path: &Path) -> Result<bool, TrainingError> {
-        if !path.exists() {
-            return Ok(false);
-        }
-        let found = Learned::read(&Disk, path).map_err(|error| TrainingError::Checkpoint {
-            path: path.to_owned(),
-            error,
-        })?;
+    /// They are of another training; what differs.
+    pub fn go_on(&mut self, found: Learned) -> Result<(), String> {
         let mine = self.learned();
         let ns = |learned: &Learned| learned.entries.iter().map(|e| e.devices).collect::<Vec<_>>();
         let mut why = mine.setting.differences(&found.setting);
@@ -249,27 +242,24 @@ impl Trainer {
                 .map(|(_, why)| (*why).to_owned()),
         );
         if !why.is_empty() {
-            return Err(TrainingError::OtherCheckpoint {
-                path: path.to_owned(),
-                why: why.join(", "),
-            });
+            return Err(why.join(", "));
         }
         for (own, found) in self.entries.iter_mut().zip(found.entries) {
             let surface = own.surface;
             *own = Entry { surface, ..found };
         }
-        Ok(true)
+        Ok(())
     }
 
-    /// Trains to the end on `threads` threads, and keeps what is done in the file `checkpoint`, if one is named. Says
-    /// whether it got there: the observer may have stopped it.
+    /// Trains to the end on `threads` threads. After each episode `keep` is handed the tables as they are, by one
+    /// thread at a time. Says whether it got there: the observer may have stopped it.
     ///
     /// # Errors
-    /// The checkpoint cannot be written, or threads cannot be started.
+    /// Those of `keep`, or threads cannot be started.
     pub fn train(
         &mut self,
         threads: usize,
-        checkpoint: Option<&Path>,
+        keep: &(impl Fn(&Learned) -> Result<(), TrainingError> + Sync),
         observer: &impl TrainingProgress,
     ) -> Result<bool, TrainingError> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
@@ -284,14 +274,10 @@ impl Trainer {
             training,
             entries,
         } = self;
-        let keep = |index: usize, entry: &Entry| {
-            let Some(path) = checkpoint else { return Ok(()) };
+        let keep_with = |index: usize, entry: &Entry| {
             let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
             kept.entries[index] = entry.clone();
-            replace(path, kept.to_json().as_bytes()).map_err(|error| TrainingError::Write {
-                path: path.to_owned(),
-                error,
-            })
+            keep(&kept)
         };
         // The longest first, so that no thread is left alone with it at the end.
         let mut work: Vec<(usize, &mut Entry)> = entries.iter_mut().enumerate().collect();
@@ -304,7 +290,7 @@ impl Trainer {
                             return Ok(false);
                         };
                         **entry = next;
-                        keep(*index, entry)?;
+                        keep_with(*index, entry)?;
                         observer.episode(entry.devices, entry.curve.last().expect("the episode's"));
                     }
                     Ok(true)

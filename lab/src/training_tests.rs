@@ -32,7 +32,7 @@ fn training(episodes: u64, ttis: u64) -> Training {
 fn trained(scenario: &Scenario, devices: u32, episodes: u64, ttis: u64) -> Entry {
     let mut trainer = Trainer::new(scenario, &[devices], &training(episodes, ttis)).expect("a training");
     assert!(
-        trainer.train(1, None, &()).expect("no file is written"),
+        trainer.train(1, &|_| Ok(()), &()).expect("no file is written"),
         "nobody stops it"
     );
     trainer.learned().entries.swap_remove(0)
@@ -203,14 +203,14 @@ fn a_training_goes_on_from_any_checkpoint_as_if_nothing_had_been() {
         let new = || Trainer::new(&scenario, &[5, 9], &how).expect("a training");
         let mut whole = new();
         assert!(!whole.resume(&path).expect("none"));
-        assert!(whole.train(2, None, &()).expect("no file"));
+        assert!(whole.train(2, &|_| Ok(()), &()).expect("no file"));
         let stop = AtEpisode(std::sync::atomic::AtomicU64::new(stream.below(6)));
         let mut cut = new();
-        assert!(!cut.train(1, Some(&path), &stop).expect("a file") || !path.exists());
+        assert!(!cut.train_keeping(1, &path, &stop).expect("a file") || !path.exists());
         let mut rest = new();
         let resumed = rest.resume(&path).expect("a checkpoint of this training");
         assert_eq!(resumed, rest.episodes_left() < 6);
-        assert!(rest.train(1, Some(&path), &()).expect("a file"));
+        assert!(rest.train_keeping(1, &path, &()).expect("a file"));
         assert!(rest.learned().to_json() == whole.learned().to_json());
         std::fs::remove_file(&path).expect("the checkpoint");
     }

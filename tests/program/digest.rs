@@ -3,6 +3,7 @@
 
 use std::fmt::Write as _;
 
+use reveille_bs::policy::registry::{self, POLICIES};
 use reveille_tests::process::{Folder, PATIENCE, Process, free_endpoint, unique_run, wait_until};
 
 /// Thirty devices and as many TTIs as show reports, failures and wake-ups.
@@ -21,17 +22,33 @@ const WAYS: [&str; 9] = [
     "up -P 30",
 ];
 
+/// Four of them, for what is a variation of a policy that all are tried with.
+const FEW_WAYS: [&str; 4] = ["run", "up -P 0", "up -P 4", "up -P 3 --no-lookahead --window 7"];
+
+/// Settings under which a policy takes other paths, beside the ranking of wake-ups.
+const FURTHER: [(&str, &str); 3] = [
+    (
+        "q-learning",
+        "--set bs.battery_knowledge=reported --set bs.ranking=posterior",
+    ),
+    ("q-learning", "--set bs.battery_knowledge=reported"),
+    (
+        "q-learning",
+        "--set policy.q-learning.learn=true --set policy.q-learning.table=nothing",
+    ),
+];
+
 fn digest(args: &str) -> String {
     Folder::new().summary(args).digest().to_owned()
 }
 
-/// Every way to drive one policy on one preset.
-fn every_way_agrees(preset: &str, policy: &str) {
+/// The digest that all `ways` to drive one policy on one preset agree on.
+fn agreed(preset: &str, policy: &str, ways: &[&str]) -> String {
     let scenario = format!("-s {preset} -p {policy} {SMALL}");
     let folder = Folder::new();
     let mut seen = String::new();
     let mut digests = Vec::new();
-    for way in WAYS {
+    for way in ways {
         let summary = folder.summary(&format!("{way} {scenario}"));
         assert!(
             summary.number("totals.events.events") > 0,
@@ -42,100 +59,68 @@ fn every_way_agrees(preset: &str, policy: &str) {
     }
     digests.dedup();
     assert_eq!(digests.len(), 1, "{scenario}\n{seen}");
-    for other in ["--seed 2", "--set harvest.lambda=0.11", "--set events.alpha=0.21"] {
-        let changed = folder.summary(&format!("run {scenario} {other}"));
-        assert_ne!(changed.digest(), digests[0], "{scenario} {other}");
+    digests.remove(0)
+}
+
+/// All ways agree on the policies whose places in the registry leave `remainder` on division by 2, and other scenarios
+/// have other digests.
+fn all_ways_agree_on_half(remainder: usize) {
+    for policy in registry::names().skip(remainder).step_by(2) {
+        let expected = agreed("paper", policy, &WAYS);
+        for other in ["--seed 2", "--set harvest.lambda=0.11", "--set events.alpha=0.21"] {
+            let changed = digest(&format!("run -s paper -p {policy} {SMALL} {other}"));
+            assert_ne!(changed, expected, "{policy} {other}");
+        }
     }
 }
 
 #[test]
-fn knn_on_paper() {
-    every_way_agrees("paper", "knn");
+fn all_ways_agree_on_paper() {
+    all_ways_agree_on_half(0);
+}
+
+// A test of its own: two threads do half each.
+#[test]
+fn all_ways_agree_on_paper_too() {
+    all_ways_agree_on_half(1);
 }
 
 #[test]
-fn adjusted_on_paper() {
-    every_way_agrees("paper", "adjusted");
-}
-
-#[test]
-fn adjusted_on_paper_literal() {
-    every_way_agrees("paper-literal", "adjusted");
-}
-
-#[test]
-fn random_on_paper() {
-    every_way_agrees("paper", "random");
-}
-
-#[test]
-fn genie_on_paper() {
-    every_way_agrees("paper", "genie");
-}
-
-#[test]
-fn knn_on_paper_literal() {
-    every_way_agrees("paper-literal", "knn");
-}
-
-#[test]
-fn random_on_paper_literal() {
-    every_way_agrees("paper-literal", "random");
-}
-
-#[test]
-fn genie_on_paper_literal() {
-    every_way_agrees("paper-literal", "genie");
-}
-
-/// Ways to know batteries and to rank candidates; q-learning decides in every TTI.
-fn every_way_agrees_on_q_learning(preset: &str, ways: &[(&str, &str)]) {
-    for (knowledge, ranking) in ways {
-        let fields = format!("--set bs.battery_knowledge={knowledge} --set bs.ranking={ranking}");
-        every_way_agrees(preset, &format!("q-learning {fields}"));
+fn ways_agree_on_paper_literal() {
+    for policy in registry::names() {
+        agreed("paper-literal", policy, &FEW_WAYS);
     }
 }
 
 #[test]
-fn q_learning_on_paper() {
-    let ways = [
-        ("oracle", "p42"),
-        ("oracle", "posterior"),
-        ("reported", "p42"),
-        ("reported", "posterior"),
-    ];
-    every_way_agrees_on_q_learning("paper", &ways);
+fn ways_agree_on_the_other_ranking() {
+    for policy in POLICIES.iter().filter(|policy| policy.profile().wakes) {
+        agreed(
+            "paper",
+            &format!("{} --set bs.ranking=posterior", policy.name()),
+            &FEW_WAYS,
+        );
+    }
 }
 
 #[test]
-fn q_learning_on_paper_literal() {
-    every_way_agrees_on_q_learning("paper-literal", &[("oracle", "posterior"), ("reported", "p42")]);
-}
-
-#[test]
-fn learning_on_paper() {
-    let learning = "q-learning --set policy.q-learning.learn=true --set policy.q-learning.table=nothing";
-    every_way_agrees("paper", learning);
-}
-
-#[test]
-fn rankings_agree_for_policies_that_wake() {
-    for policy in ["knn", "adjusted"] {
-        every_way_agrees("paper", &format!("{policy} --set bs.ranking=posterior"));
+fn ways_agree_on_further_settings() {
+    for (policy, settings) in FURTHER {
+        assert!(registry::named(policy).is_some(), "FURTHER names {policy}");
+        agreed("paper", &format!("{policy} {settings}"), &FEW_WAYS);
     }
 }
 
 #[test]
 fn policies_and_presets_differ() {
-    let mut digests: Vec<String> = ["paper", "paper-literal"]
-        .into_iter()
-        .flat_map(|preset| {
-            ["knn", "random", "genie"].map(|policy| digest(&format!("run -s {preset} -p {policy} {SMALL}")))
-        })
-        .collect();
+    let each = |preset: &'static str| {
+        registry::names().map(move |policy| digest(&format!("run -s {preset} -p {policy} {SMALL}")))
+    };
+    let mut digests: Vec<String> = ["paper", "paper-literal"].into_iter().flat_map(each).collect();
+    let count = digests.len();
     digests.sort();
     digests.dedup();
-    assert_eq!(digests.len(), 6);
+    assert_eq!(digests.len(), count);
 }
 
 /// A base station and two device processes, each started by itself; `counts` are in the order in which they join.

@@ -7,15 +7,34 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// The pages at the top, those in docs/, and the read-me of the containers.
+/// The pages at the top, and all in and below the folders that hold pages.
 fn pages() -> Vec<PathBuf> {
+    let mut pages = pages_in(&root(), false);
+    for folder in ["docs", "deploy", "tests"] {
+        pages.extend(pages_in(&root().join(folder), true));
+    }
+    for folder in [
+        "docs",
+        "deploy/docker",
+        "deploy/examples",
+        "deploy/scenarios",
+        "tests/fuzz",
+    ] {
+        let is_in = |page: &PathBuf| page.parent() == Some(&root().join(folder));
+        assert!(pages.iter().any(is_in), "no page of {folder} was found");
+    }
+    pages
+}
+
+/// The pages in `folder`; with `deep` those below it too, but for what is built.
+fn pages_in(folder: &Path, deep: bool) -> Vec<PathBuf> {
     let mut pages = Vec::new();
-    for folder in ["", "docs", "deploy/docker", "tests/fuzz"] {
-        for entry in fs::read_dir(root().join(folder)).expect("a folder") {
-            let path = entry.expect("an entry").path();
-            if path.extension().is_some_and(|e| e == "md") {
-                pages.push(path);
-            }
+    for entry in fs::read_dir(folder).expect("a folder") {
+        let path = entry.expect("an entry").path();
+        if deep && path.is_dir() && !path.ends_with("target") {
+            pages.extend(pages_in(&path, deep));
+        } else if path.extension().is_some_and(|e| e == "md") {
+            pages.push(path);
         }
     }
     pages.sort();

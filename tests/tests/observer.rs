@@ -7,6 +7,8 @@ use std::time::Duration;
 use reveille_bs::host::clock::Pace;
 use reveille_bs::host::{OnLoss, Progress, Settings, dismiss, serve};
 use reveille_bs::observe::{Happening, Observer};
+use reveille_bs::policy::kind::Registered;
+use reveille_bs::policy::registry::POLICIES;
 use reveille_bs::prepared::Prepared;
 use reveille_bs::scenario::{Override, load};
 use reveille_common::bus::Bus;
@@ -91,45 +93,52 @@ async fn over_the_bus(prepared: &Prepared, lookahead: bool, hosts: u32) -> Vec<S
     record.lines
 }
 
+/// `policy` with short pilot runs, for one that makes them.
+fn settings(policy: &dyn Registered, others: &[&str]) -> Prepared {
+    let name = format!("policy.name={}", policy.name());
+    let mut set = vec![name.as_str()];
+    if policy.name() == "adjusted" {
+        set.push("policy.adjusted.pilot_ttis=200");
+    }
+    set.extend(others);
+    prepared(&set)
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn memory_and_bus_show_the_same() {
     // Batteries run low, so that wake-ups fail and go unheard.
-    let poor = ["harvest.lambda=0.02", "energy.initial=25", "events.alpha=0.4"];
-    let cases: [(&[&str], bool); 4] = [
-        (&["policy.name=knn", "devices=40", "ttis=300"], true),
-        (&["policy.name=knn", "devices=40", "ttis=300"], false),
-        (&["policy.name=q-learning", "devices=40", "ttis=200"], true),
-        (&["policy.name=genie", "devices=20", "ttis=300"], true),
+    let poor = [
+        "devices=40",
+        "ttis=200",
+        "harvest.lambda=0.02",
+        "energy.initial=25",
+        "events.alpha=0.4",
     ];
-    for (set, lookahead) in cases {
-        let set: Vec<&str> = set.iter().chain(&poor).copied().collect();
-        let prepared = prepared(&set);
+    let looking_ahead = POLICIES.iter().map(|policy| (*policy, true));
+    let plain = POLICIES.iter().take(1).map(|policy| (*policy, false));
+    for (policy, lookahead) in looking_ahead.chain(plain) {
+        let name = policy.name();
+        let prepared = settings(policy, &poor);
         let memory = in_memory(&prepared, lookahead);
         let bus = over_the_bus(&prepared, lookahead, 3).await;
         for (line, (expected, found)) in memory.iter().zip(&bus).enumerate() {
-            assert_eq!(expected, found, "{set:?}: the {line}th happening");
+            assert_eq!(expected, found, "{name}: the {line}th happening");
         }
-        assert_eq!(memory.len(), bus.len(), "{set:?}");
+        assert_eq!(memory.len(), bus.len(), "{name}");
         let count = |kind: &str| memory.iter().filter(|line| line.starts_with(kind)).count();
-        for kind in [
-            "Plan",
-            "Granted",
-            "EventStarted",
-            "WakeUp",
-            "Woken",
-            "EventEnded",
-            "Closed",
-            "States",
-        ] {
-            assert!(count(kind) > 0, "{set:?}: no {kind}");
+        for kind in ["Plan", "Granted", "EventStarted", "EventEnded", "Closed", "States"] {
+            assert!(count(kind) > 0, "{name}: no {kind}");
+        }
+        for kind in ["WakeUp", "Woken"] {
+            assert_eq!(count(kind) > 0, policy.profile().wakes, "{name}: {kind}");
         }
     }
 }
 
 #[test]
 fn an_observer_changes_nothing() {
-    for policy in ["knn", "q-learning", "random"] {
-        let prepared = prepared(&[&format!("policy.name={policy}"), "devices=30", "ttis=800"]);
+    for policy in POLICIES {
+        let prepared = settings(*policy, &["devices=30", "ttis=800"]);
         let plain = Run::new(&prepared, Options::default()).finish(&mut ());
         let mut both = (Record::default(), Record::default());
         let seen = Run::new(&prepared, Options::default()).finish(&mut both);

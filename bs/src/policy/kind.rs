@@ -14,6 +14,8 @@ use crate::knowledge::Knowledge;
 pub struct Profile {
     /// Whether it can learn, so that it has tables to train.
     pub learns: bool,
+    /// Whether it wakes devices.
+    pub wakes: bool,
     /// Whether it is told where events are: a bound on what others reach, that no base station could run.
     pub is_bound: bool,
     /// Its place in the palette of figures.
@@ -23,10 +25,11 @@ pub struct Profile {
 }
 
 impl Profile {
-    /// A policy that a base station could run and that does not learn. `series` is its place in the palette.
+    /// A policy that only follows a plan. `series` is its place in the palette.
     pub const fn plain(series: usize) -> Self {
         Self {
             learns: false,
+            wakes: false,
             is_bound: false,
             series,
             runtime: "–",

@@ -1,18 +1,27 @@
 //! Who decides for a base station: a policy, or the genie.
 
-use reveille_common::ids::Tti;
+use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::plan::Plan;
+use reveille_common::world::Oracle;
 
 use super::contract::{Opaque, Policy};
-use super::genie::closest::Genie;
 use crate::observation::Observation;
+
+/// What no base station could run, since it is told where events are: a bound on what policies reach.
+pub trait Bound: Oracle + Send {
+    /// δ for the whole run.
+    fn plan(&self) -> Plan;
+
+    /// Whom to wake in this TTI, or nobody else.
+    fn next_wake_up(&mut self) -> Option<DeviceId>;
+}
 
 /// Who decides for a base station. Ground truth reaches the genie alone, by construction.
 pub enum Mind {
     /// Any policy that could run in a real BS.
     Policy(Box<dyn Policy>),
-    /// The upper bound.
-    Genie(Genie),
+    /// An upper bound.
+    Genie(Box<dyn Bound>),
 }
 
 impl Mind {
@@ -22,10 +31,10 @@ impl Mind {
     }
 
     /// The genie, if it is one.
-    pub const fn genie(&mut self) -> Option<&mut Genie> {
+    pub fn genie(&mut self) -> Option<&mut dyn Bound> {
         match self {
             Self::Policy(_) => None,
-            Self::Genie(genie) => Some(genie),
+            Self::Genie(genie) => Some(&mut **genie),
         }
     }
 

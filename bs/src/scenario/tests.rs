@@ -1,10 +1,12 @@
 //! Whole scenarios: presets, precedence, messages, and the way there and back.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use proptest::prelude::*;
 
 use super::*;
+use reveille_common::declare::{Form, listed};
 use reveille_common::geometry::Layout;
 use reveille_common::harvest::Mpp;
 use reveille_common::sensing::DetectionKind;
@@ -294,7 +296,10 @@ fn overrides_are_checked_like_files() {
         ("area={widht=3}", "unknown field `area.widht`; did you mean `width`?"),
         (
             "policy.name=nkn",
-            "policy.name = nkn: must be one of `knn`, `adjusted`, `q-learning`, `random`, `genie`; did you mean `knn`?",
+            &format!(
+                "policy.name = nkn: must be one of {}; did you mean `knn`?",
+                listed(registry::names())
+            ),
         ),
         ("ttis=1.5", "ttis = 1.5: must be a whole number"),
         (
@@ -457,18 +462,33 @@ fn schema_and_full_page_have_every_field() {
 fn words_of_the_fuzz_dictionary_are_those_of_the_declaration() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/fuzz/scenario.dict");
     let dictionary = std::fs::read_to_string(path).expect("the dictionary");
+    let tail = "# Syntax and values, which no declaration has.\n";
+    let (head, _) = dictionary.split_once(tail).expect("a tail");
+    let held: Vec<&str> = head.lines().filter(|line| !line.starts_with('#')).collect();
+
     let declaration = declaration();
-    let names = declaration
-        .paths()
-        .map(|path| path.rsplit('.').next().unwrap_or(&path).to_owned());
-    let policies = registry::names().map(str::to_owned);
-    let presets = PRESETS.iter().map(|preset| preset.name.to_owned());
-    for word in names.chain(policies).chain(presets) {
-        assert!(
-            dictionary.contains(&format!("\"{word}\"\n")),
-            "tests/fuzz/scenario.dict lacks \"{word}\""
-        );
+    let mut words: BTreeSet<&str> = declaration.registered.iter().map(|policy| policy.name).collect();
+    words.extend(declaration.presets.iter().map(|preset| preset.name));
+    words.extend(declaration.sections.iter().flat_map(|section| section.path.split('.')));
+    words.insert(declaration.list.name());
+    let own = std::iter::once(&declaration.list.section);
+    for field in declaration
+        .sections
+        .iter()
+        .chain(own)
+        .flat_map(|section| section.fields)
+    {
+        words.insert(field.name);
+        if let Form::Choice(alternatives) | Form::Source(alternatives) = field.form {
+            words.extend(alternatives.iter().map(|alternative| alternative.name));
+        }
     }
+    let expected: Vec<String> = words
+        .into_iter()
+        .filter(|word| !word.is_empty())
+        .map(|word| format!("\"{word}\""))
+        .collect();
+    assert_eq!(held, expected, "words of tests/fuzz/scenario.dict, in their order");
 }
 
 #[test]

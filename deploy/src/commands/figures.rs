@@ -140,7 +140,7 @@ pub fn read(paths: &[PathBuf]) -> anyhow::Result<Results> {
         Ok((path.display().to_string(), Table::read(&path)?))
     };
     let tables = paths.iter().map(read).collect::<Result<Vec<_>, _>>()?;
-    Ok(Results::new(&tables)?)
+    Ok(Results::new(&tables, &Disk)?)
 }
 
 fn draw_deployment(args: &DeploymentArgs) -> anyhow::Result<ExitCode> {

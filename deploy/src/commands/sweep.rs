@@ -12,6 +12,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::bail;
+use reveille_common::io::Disk;
 use reveille_lab::sweep::{Grid, Shard, Sweep, hash, seeds_in};
 
 use crate::cli::SweepArgs;
@@ -26,7 +27,7 @@ const GRACE: Duration = Duration::from_secs(1);
 
 /// Runs a sweep, or goes on with it.
 pub fn run(args: &SweepArgs) -> anyhow::Result<ExitCode> {
-    let mut grid = Grid::new(grid::experiment(args)?)?;
+    let mut grid = Grid::new(grid::experiment(args)?, &Disk)?;
     let shard = args.shard.unwrap_or(Shard::WHOLE);
     grid.check_shard(shard)?;
     let folder = folder(args, &mut grid, shard);

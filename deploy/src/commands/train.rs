@@ -58,7 +58,7 @@ fn q_learning(args: &TrainArgs) -> anyhow::Result<ExitCode> {
         stop,
     };
     let started = crate::wall::now();
-    let complete = trainer.train(threads, Some(&kept), &shown)?;
+    let complete = trainer.train_keeping(threads, &kept, &shown)?;
     shown.bar.finish_and_clear();
     if !complete {
         bail!(Interrupted(kept));

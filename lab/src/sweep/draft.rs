@@ -9,10 +9,6 @@ use toml::{Table, Value};
 
 use super::error::SweepError;
 use super::experiment::{Axis, Experiment, Seeds, UntilCi, is_metric};
-use crate::io::read_short;
-
-/// Bytes of the longest experiment that is read.
-const LONGEST: u64 = 1 << 20;
 
 /// The TOML form of an experiment.
 #[derive(Debug, Default, Deserialize)]
@@ -69,22 +65,10 @@ pub struct Draft {
 }
 
 impl Draft {
-    /// Reads the experiment file at `path`.
-    ///
-    /// # Errors
-    /// It cannot be read, is no TOML, or has unknown fields or values of wrong types; the message names file and line.
-    pub fn load(path: &Path) -> Result<Self, SweepError> {
-        let text = read_short(path, LONGEST).map_err(|error| SweepError::Read {
-            path: path.to_owned(),
-            error,
-        })?;
-        Self::parse(&text, &path.to_string_lossy(), path.parent().unwrap_or(Path::new("")))
-    }
-
     /// The experiment in the TOML `text`. `name` names it in messages; its scenario file is relative to `base_dir`.
     ///
     /// # Errors
-    /// As [`Draft::load`].
+    /// It is no TOML, or has unknown fields or values of wrong types; the message names file and line.
     pub fn parse(text: &str, name: &str, base_dir: &Path) -> Result<Self, SweepError> {
         let raw: Raw = toml::from_str(text).map_err(|error| {
             let before = error.span().map_or(0, |span| span.start.min(text.len()));

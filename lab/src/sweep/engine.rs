@@ -7,7 +7,7 @@ use reveille_common::score::Metrics;
 
 use super::error::SweepError;
 use super::grid::Grid;
-use super::journal::{Entry, Job, Journal};
+use super::journal::{Entry, Job, Keeper};
 use super::shard::Shard;
 use crate::preparation::Workshop;
 use crate::run::{Options, Run, StopWhen};
@@ -47,7 +47,7 @@ pub fn run(
     grid: &Grid,
     shard: Shard,
     threads: usize,
-    journal: &mut Journal,
+    journal: &mut impl Keeper,
     observer: &impl SweepProgress,
 ) -> Result<Option<Vec<CellEnd>>, SweepError> {
     let pool = rayon::ThreadPoolBuilder::new()
@@ -106,7 +106,7 @@ fn wave(
     shard: Shard,
     Hands { pool, workshop }: &Hands,
     open: &[(usize, u64)],
-    journal: &mut Journal,
+    journal: &mut impl Keeper,
     observer: &impl SweepProgress,
 ) -> Result<bool, SweepError> {
     let mut missing: Vec<Job> = Vec::new();
@@ -189,7 +189,7 @@ impl Look {
     }
 
     /// Decides whether the cell has enough runs; all up to the look at hand are there.
-    fn decide(&mut self, grid: &Grid, cell: usize, journal: &Journal) {
+    fn decide(&mut self, grid: &Grid, cell: usize, journal: &impl Keeper) {
         let Some(until) = &grid.experiment.until_ci else {
             self.is_done = true;
             return;

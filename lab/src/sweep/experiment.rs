@@ -3,12 +3,12 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
+use reveille_common::declare::{FileError, Files, LONGEST_TEXT};
 use reveille_common::scenario::PRESETS;
 use reveille_common::score::Metrics;
 use toml::{Table, Value};
 
 use super::error::SweepError;
-use crate::io::read_text;
 
 /// The most seeds of a cell.
 const MOST_SEEDS: u64 = 10_000_000;
@@ -152,17 +152,22 @@ impl Experiment {
     }
 
     /// The text of the scenario file, for a folder of its own: files that it names stand there with their full paths.
-    /// `None` for a preset.
+    /// `None` for a preset. `files` opens it.
     ///
     /// # Errors
     /// The file cannot be read any more.
-    pub(super) fn scenario_text(&self) -> io::Result<Option<String>> {
+    pub(super) fn scenario_text(&self, files: &dyn Files) -> io::Result<Option<String>> {
         if self.is_preset() {
             return Ok(None);
         }
         let path = PathBuf::from(self.source());
-        let mut table: Table = toml::from_str(&read_text(&path)?).map_err(io::Error::other)?;
-        let folder = std::path::absolute(path.parent().unwrap_or(Path::new("")).join("."))?;
+        let bytes = files.read(&path, LONGEST_TEXT).map_err(|error| match error {
+            FileError::Io(error) => error,
+            FileError::Folder | FileError::Special | FileError::TooLong { .. } => io::Error::other(error),
+        })?;
+        let text = String::from_utf8(bytes).map_err(io::Error::other)?;
+        let mut table: Table = toml::from_str(&text).map_err(io::Error::other)?;
+        let folder = files.absolute(&path.parent().unwrap_or(Path::new("")).join("."))?;
         table.iter_mut().for_each(|(name, value)| place(name, value, &folder));
         Ok(Some(table.to_string()))
     }

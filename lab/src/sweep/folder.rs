@@ -14,12 +14,14 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use reveille_common::io::Disk;
+
 use super::draft::Draft;
 use super::engine::{CellEnd, SweepProgress, run};
 use super::error::SweepError;
 use super::experiment::Experiment;
 use super::grid::Grid;
-use super::journal::{Job, Journal};
+use super::journal::{Job, Journal, Keeper as _};
 use super::shard::Shard;
 use crate::io::{read, replace, with_names};
 use crate::table::{About, Format, Row, Table, TableError};
@@ -200,7 +202,7 @@ impl<'g> Sweep<'g> {
 /// Writes the experiment into its folder, so that it can be run again from there alone.
 fn describe(grid: &Grid, folder: &Path) -> std::io::Result<()> {
     let mut text = grid.experiment.to_toml();
-    if let Some(scenario) = grid.experiment.scenario_text()? {
+    if let Some(scenario) = grid.experiment.scenario_text(&Disk)? {
         describe_in(&folder.join(SCENARIO), &scenario)?;
         text = format!("scenario_copy = \"{SCENARIO}\"\n{text}");
     }

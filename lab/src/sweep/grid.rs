@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use reveille_bs::policy::registry::{POLICIES, pilots};
-use reveille_bs::scenario::{Override, Scenario, ScenarioError, load};
+use reveille_bs::scenario::{Override, Scenario, ScenarioError, load_with};
+use reveille_common::declare::Files;
 use sha2::{Digest as _, Sha256};
 use toml::Value as Toml;
 
@@ -57,12 +58,12 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// The grid of `experiment`. Every scenario is checked.
+    /// The grid of `experiment`. Every scenario is checked; `files` opens what they name.
     ///
     /// # Errors
     /// A value stands in a list twice, the grid is too large, or a cell's scenario cannot be used; the message names
     /// the field.
-    pub fn new(experiment: Experiment) -> Result<Self, SweepError> {
+    pub fn new(experiment: Experiment, files: &dyn Files) -> Result<Self, SweepError> {
         check_size(&experiment)?;
         let columns: Vec<(String, Vec<Value>)> = experiment.axes.iter().map(column).collect::<Result<_, _>>()?;
         let schema = Schema {
@@ -75,10 +76,9 @@ impl Grid {
                 .collect(),
         };
         let base = base_overrides(&experiment)?;
-        let source = experiment.source();
         let mut cells = Vec::new();
         for number in 0..experiment.cell_count() {
-            cells.push(cell(&experiment, &columns, &base, &source, number)?);
+            cells.push(cell(&experiment, &columns, &base, number, files)?);
         }
         Ok(Self {
             experiment,
@@ -183,8 +183,8 @@ fn cell(
     experiment: &Experiment,
     columns: &[(String, Vec<Value>)],
     base: &[Override],
-    source: &str,
     number: u64,
+    files: &dyn Files,
 ) -> Result<Cell, SweepError> {
     let mut rest = usize::try_from(number).unwrap_or(usize::MAX);
     let mut at = vec![0; experiment.axes.len()];
@@ -212,7 +212,7 @@ fn cell(
     };
     let seed = experiment.seeds.first.to_string();
     overrides.push(Override::flag("--first-seed", "seed", &seed).map_err(|error| refused(&label, error))?);
-    let scenario = load(source, &overrides).map_err(|error| refused(&label, error))?;
+    let scenario = load_with(&experiment.source(), &overrides, files).map_err(|error| refused(&label, error))?;
     Ok(Cell {
         label,
         swept: Arc::from(swept),

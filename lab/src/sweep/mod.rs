@@ -12,6 +12,7 @@ mod error;
 mod experiment;
 mod folder;
 mod grid;
+mod io;
 mod journal;
 mod merge;
 mod shard;

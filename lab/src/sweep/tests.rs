@@ -4,6 +4,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use reveille_common::io::Disk;
+
 use super::*;
 use crate::preparation;
 use crate::stats;
@@ -52,7 +54,7 @@ fn draft(text: &str) -> Result<Draft, SweepError> {
 }
 
 fn grid(text: &str) -> Result<Grid, SweepError> {
-    Grid::new(draft(text)?.finish()?)
+    Grid::new(draft(text)?.finish()?, &Disk)
 }
 
 const SMALL: &str = r#"

@@ -15,6 +15,7 @@ pub mod bayes;
 mod error;
 mod evaluation;
 mod history;
+mod io;
 mod objective;
 mod plan;
 mod proposer;

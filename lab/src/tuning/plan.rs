@@ -191,7 +191,7 @@ impl Plan {
             ..self.scenario.clone()
         };
         let mut trainer = Trainer::new(&with(settings.clone()), &[self.scenario.devices], &self.training)?;
-        if !trainer.train(1, None, &Episodes(observer))? {
+        if !trainer.train(1, &|_| Ok(()), &Episodes(observer))? {
             return Ok(None);
         }
         let entry = trainer.learned().entries.swap_remove(0);

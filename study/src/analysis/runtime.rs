@@ -17,7 +17,6 @@ use reveille_common::plan::Plan;
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::scenario::{PolicyChoice, Scenario};
 use reveille_common::units::Energy;
-use reveille_common::world::Oracle;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::AnalysisError;

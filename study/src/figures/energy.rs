@@ -7,7 +7,8 @@
 use std::fmt::Write as _;
 
 use reveille_bs::policy::registry;
-use reveille_bs::scenario::{Scenario, load};
+use reveille_bs::scenario::{Scenario, load_with};
+use reveille_common::declare::NoFiles;
 use reveille_common::units::Energy;
 
 use super::chart::{Chart, Interval, Mark, Sample, Series, Stated};
@@ -43,7 +44,7 @@ const MEASURED: (u32, u64, u64) = (20, 2000, 8);
 /// None for a preset.
 pub fn harvests(name: &str) -> Result<Vec<Point>, AnalysisError> {
     let (devices, ttis, seeds) = MEASURED;
-    let Ok(preset) = load(name, &[]) else {
+    let Ok(preset) = load_with(name, &[], &NoFiles) else {
         return Ok(Vec::new());
     };
     let scenario = Scenario {

@@ -2,7 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use reveille_bs::scenario::{Override, Scenario, load};
+use reveille_bs::scenario::{Override, Scenario, load_with};
+use reveille_common::declare::Files;
 use sha2::{Digest as _, Sha256};
 
 use super::error::FigureError;
@@ -52,11 +53,11 @@ pub struct Results {
 }
 
 impl Results {
-    /// Puts `tables` together. A run that several of them hold counts once.
+    /// Puts `tables` together. A run that several of them hold counts once. `files` opens what their scenarios name.
     ///
     /// # Errors
     /// No runs at all, or two outcomes of one run.
-    pub fn new(tables: &[(String, Table)]) -> Result<Self, FigureError> {
+    pub fn new(tables: &[(String, Table)], files: &dyn Files) -> Result<Self, FigureError> {
         let mut results = Self {
             sources: Vec::new(),
             conditions: Vec::new(),
@@ -68,7 +69,7 @@ impl Results {
                 rows: table.rows.len(),
                 digests: digests(table),
             });
-            results.add(name, table)?;
+            results.add(name, table, files)?;
         }
         if results.conditions.is_empty() {
             let names: Vec<&str> = tables.iter().map(|(name, _)| name.as_str()).collect();
@@ -79,7 +80,7 @@ impl Results {
         Ok(results)
     }
 
-    fn add(&mut self, name: &str, table: &Table) -> Result<(), FigureError> {
+    fn add(&mut self, name: &str, table: &Table, files: &dyn Files) -> Result<(), FigureError> {
         let cells = cells(table);
         let swept_of = |cell: &Cell<'_>| {
             let fields = table.schema.swept.iter().map(|(path, _)| path.clone());
@@ -89,7 +90,8 @@ impl Results {
         };
         let set = changes_of(&table.about.experiment);
         // A change may concern one policy alone; a table's policies stay together all the same.
-        let scenario = |cell: &Cell<'_>, set: &[(String, String)]| scenario_of(cell.rows[0], &swept_of(cell), set);
+        let scenario =
+            |cell: &Cell<'_>, set: &[(String, String)]| scenario_of(cell.rows[0], &swept_of(cell), set, files);
         let is_preset = cells.iter().all(|cell| scenario(cell, &[]).is_some());
         let is_known = cells.iter().all(|cell| scenario(cell, &set).is_some());
         let changes = if is_known && !is_preset { set } else { Vec::new() };
@@ -147,7 +149,7 @@ fn changes_of(text: &str) -> Vec<(String, String)> {
 }
 
 /// The scenario of `row`, if it is its preset with nothing changed but what the columns of the table and `set` say.
-fn scenario_of(row: &Row, swept: &[(String, String)], set: &[(String, String)]) -> Option<Scenario> {
+fn scenario_of(row: &Row, swept: &[(String, String)], set: &[(String, String)], files: &dyn Files) -> Option<Scenario> {
     let set = set.iter().chain(swept).map(|(path, value)| format!("{path}={value}"));
     let columns = [
         format!("policy.name={}", row.policy),
@@ -156,7 +158,7 @@ fn scenario_of(row: &Row, swept: &[(String, String)], set: &[(String, String)]) 
         format!("seed={}", row.seed),
     ];
     let overrides: Result<Vec<Override>, _> = set.chain(columns).map(|text| Override::parse(&text)).collect();
-    let scenario = load(&row.preset, &overrides.ok()?).ok()?;
+    let scenario = load_with(&row.preset, &overrides.ok()?, files).ok()?;
     (scenario.hash() == row.scenario_hash.0).then_some(scenario)
 }
 

@@ -1,6 +1,7 @@
 //! Whole pictures: that they are there, whole, legible and the same each time.
 
 use reveille_bs::scenario::{Override, Scenario, load};
+use reveille_common::declare::NoFiles;
 
 use super::results::{Results, fixtures};
 use super::scene::{Item, Scene};
@@ -28,7 +29,7 @@ fn scenario(overrides: &[&str]) -> Scenario {
 }
 
 fn results(metric: &str) -> Results {
-    Results::new(&[fixtures::table("paper", metric, &RUNS)]).expect("runs")
+    Results::new(&[fixtures::table("paper", metric, &RUNS)], &NoFiles).expect("runs")
 }
 
 /// What every picture must be.
@@ -102,7 +103,7 @@ fn every_figure_of_the_paper_is_drawn() {
 #[test]
 fn a_metric_that_no_run_has_gives_no_figure() {
     let table = fixtures::table("paper", "info_per_event", &[("knn", 10, &[f64::NAN; 2])]);
-    let results = Results::new(&[table]).expect("runs");
+    let results = Results::new(&[table], &NoFiles).expect("runs");
     assert!(study::FIGURES[0].draw(&results.conditions[0]).is_none());
     assert!(study::FIGURES[1].draw(&results.conditions[0]).is_some());
 }
@@ -148,7 +149,7 @@ fn what_the_paper_states_for_several_n_is_hatched() {
         ("energy", None),
     ] {
         let figure = study::FIGURES.into_iter().find(|f| f.name == name).expect("a figure");
-        let results = Results::new(&[fixtures::table("paper", figure.metric, &runs)]).expect("runs");
+        let results = Results::new(&[fixtures::table("paper", figure.metric, &runs)], &NoFiles).expect("runs");
         let chart = figure.draw(&results.conditions[0]).expect("a figure").chart;
         let spans: Vec<_> = chart.spans.iter().map(|s| (s.from, s.to, s.stated.values())).collect();
         assert_eq!(spans, expected.into_iter().collect::<Vec<_>>(), "{name}");
@@ -182,7 +183,7 @@ fn harvest_and_net_are_drawn() {
         ("adjusted", 100, &[0.3, 0.31]),
         ("adjusted", 10, &[0.2]),
     ]);
-    let results = Results::new(&[fixtures::table("paper", "energy_per_device_tti", &runs)]).expect("runs");
+    let results = Results::new(&[fixtures::table("paper", "energy_per_device_tti", &runs)], &NoFiles).expect("runs");
     let condition = &results.conditions[0];
     let points = energy::harvests("paper").expect("harvests");
     assert_eq!(points.len(), 27);
@@ -235,7 +236,7 @@ fn harvest_and_net_are_drawn() {
 }
 
 fn results_of(runs: &[(&str, u32, &[f64])]) -> Results {
-    Results::new(&[fixtures::table("paper", "energy_per_device_tti", runs)]).expect("runs")
+    Results::new(&[fixtures::table("paper", "energy_per_device_tti", runs)], &NoFiles).expect("runs")
 }
 
 #[test]
@@ -277,11 +278,14 @@ fn an_event_that_nobody_reported_can_be_drawn() {
 fn tables_are_put_together_by_what_was_run() {
     let (name, table) = fixtures::table("paper", "mean_battery", &RUNS[..2]);
     let (_, other) = fixtures::table("paper", "mean_battery", &RUNS[2..4]);
-    let both = Results::new(&[
-        (name.clone(), table.clone()),
-        (name.clone(), other),
-        (name.clone(), table.clone()),
-    ]);
+    let both = Results::new(
+        &[
+            (name.clone(), table.clone()),
+            (name.clone(), other),
+            (name.clone(), table.clone()),
+        ],
+        &NoFiles,
+    );
     let both = both.expect("runs");
     assert_eq!(both.conditions.len(), 1);
     assert_eq!(both.conditions[0].policies(), ["knn", "random"]);
@@ -297,7 +301,11 @@ fn tables_are_put_together_by_what_was_run() {
         .rows
         .iter_mut()
         .for_each(|row| row.scenario_hash = Hash([9; 32]));
-    let apart = Results::new(&[(name.clone(), table.clone()), ("mine.parquet".to_owned(), changed)]).expect("runs");
+    let apart = Results::new(
+        &[(name.clone(), table.clone()), ("mine.parquet".to_owned(), changed)],
+        &NoFiles,
+    )
+    .expect("runs");
     assert_eq!(
         apart.conditions.len(),
         2,
@@ -308,14 +316,14 @@ fn tables_are_put_together_by_what_was_run() {
 
     let mut false_one = table.clone();
     false_one.rows[0].digest = Hash([7; 32]);
-    let refused = Results::new(&[(name.clone(), table.clone()), (name.clone(), false_one)]);
+    let refused = Results::new(&[(name.clone(), table.clone()), (name.clone(), false_one)], &NoFiles);
     assert!(matches!(refused, Err(FigureError::Contradiction { .. })), "{refused:?}");
 
     let empty = Table {
         rows: Vec::new(),
         ..table
     };
-    let refused = Results::new(&[(name, empty)]).expect_err("nothing to draw");
+    let refused = Results::new(&[(name, empty)], &NoFiles).expect_err("nothing to draw");
     assert!(refused.to_string().contains("paper.parquet: no rows"), "{refused}");
 }
 
@@ -330,7 +338,7 @@ fn settings_of_tables_of_one_name_have_names_of_their_own() {
     };
     let names = ["a/results.parquet", "b/results.parquet", "c/b/results.parquet"];
     let tables: Vec<(String, Table)> = (1..).zip(names).map(|(i, name)| (name.to_owned(), table(i))).collect();
-    let labels = Results::new(&tables).expect("runs").file_labels();
+    let labels = Results::new(&tables, &NoFiles).expect("runs").file_labels();
     assert_eq!(labels, ["paper-a-results", "paper-b-results", "paper-b-results-2"]);
 }
 
@@ -346,7 +354,7 @@ fn what_the_experiment_sets_is_named_by_field_and_value() {
     let (name, mut table) = fixtures::table("paper", "mean_battery", &[("knn", 10, &[1.0])]);
     table.rows[0].scenario_hash = Hash(set.hash());
     table.about.experiment = "scenario = \"paper\"\n\n[set]\n\"events.alpha\" = 0.3\n".to_owned();
-    let results = Results::new(&[(name, table)]).expect("runs");
+    let results = Results::new(&[(name, table)], &NoFiles).expect("runs");
     let condition = &results.conditions[0];
     assert_eq!(condition.label(), "paper, events.alpha = 0.3");
     assert!(!condition.is_plain() && condition.scenario.as_ref() == Some(&set));

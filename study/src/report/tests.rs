@@ -1,6 +1,7 @@
 //! The report on small tables.
 
 use reveille_bs::scenario::{Override, load};
+use reveille_common::declare::NoFiles;
 use reveille_common::score::Metrics;
 
 use super::judge::Verdict;
@@ -17,7 +18,7 @@ fn results() -> Results {
         ("random", 250, &[0.25, 0.26]),
         ("genie", 250, &[0.0901, 0.09]),
     ];
-    Results::new(&[fixtures::table("paper", "energy_per_device_tti", &runs)]).expect("runs")
+    Results::new(&[fixtures::table("paper", "energy_per_device_tti", &runs)], &NoFiles).expect("runs")
 }
 
 fn line<'l>(report: &'l Report<'_>, source: &str, policy: &str, sites: &str) -> &'l Line {
@@ -93,7 +94,7 @@ fn a_preset_is_shown_by_the_table_that_covers_most_claims() {
         row.scenario_hash = reveille_lab::table::Hash(load("paper", &overrides).expect("a scenario").hash());
     }
     let tables = [("long.parquet".to_owned(), long), (name, wide)];
-    let results = Results::new(&tables).expect("runs");
+    let results = Results::new(&tables, &NoFiles).expect("runs");
     let report = Report::new(&results);
     assert_eq!(report.columns[0].condition.map(|s| s.ttis), Some(2000));
     assert_eq!(report.columns[2].label, "paper, K = 90000");
@@ -137,7 +138,7 @@ fn the_lambda_of_a_consumption_solves_the_closed_form() {
 fn what_the_paper_says_of_q_learning_is_judged_by_its_runs() {
     let runs: [(&str, u32, &[f64]); 2] = [("q-learning", 250, &[0.23, 0.24]), ("q-learning", 10, &[0.6, 0.62])];
     let table = fixtures::table("paper", "energy_per_device_tti", &runs);
-    let results = Results::new(std::slice::from_ref(&table)).expect("runs");
+    let results = Results::new(std::slice::from_ref(&table), &NoFiles).expect("runs");
     let report = Report::new(&results);
     let built = |line: &&Line| line.policy.starts_with("q-learning");
     for line in report.lines.iter().filter(built) {
@@ -161,7 +162,7 @@ fn what_the_paper_says_of_q_learning_is_judged_by_its_runs() {
 fn a_policy_at_the_other_end_than_in_the_paper_is_judged_all_the_same() {
     let runs: [(&str, u32, &[f64]); 2] = [("adjusted", 100, &[0.13, 0.14]), ("random", 100, &[0.38, 0.39])];
     let table = fixtures::table("paper", "energy_per_device_tti", &runs);
-    let results = Results::new(std::slice::from_ref(&table)).expect("runs");
+    let results = Results::new(std::slice::from_ref(&table), &NoFiles).expect("runs");
     let report = Report::new(&results);
     let adjusted = line(&report, "Fig. 14", "adjusted, spends most", "N = 100");
     // 0.135 = λ·exp(-λ) at 0.1594 (exp(-0.1594) = 0.8527).
@@ -197,7 +198,7 @@ fn lambda_is_not_compared_where_devices_do_not_harvest_by_eq_5() {
     table.rows[0].scenario_hash = reveille_lab::table::Hash(other.hash());
     for (experiment, column) in [("[set]\n\"harvest.kind\" = \"exp-minus-lambda\"\n", 2), ("", 2)] {
         table.about.experiment = experiment.to_owned();
-        let results = Results::new(&[(name.clone(), table.clone())]).expect("runs");
+        let results = Results::new(&[(name.clone(), table.clone())], &NoFiles).expect("runs");
         let report = Report::new(&results);
         let ours = &line(&report, "Fig. 14", "random, spends least", "N = 100").ours[column];
         assert!(
@@ -274,7 +275,7 @@ fn not_one_miss_is_bounded_by_the_rule_of_three() {
         "misdetection_pct",
         &[("knn", 250, &[0.0, 0.0]), ("genie", 250, &[0.0, 1.0])],
     );
-    let results = Results::new(&[table]).expect("runs");
+    let results = Results::new(&[table], &NoFiles).expect("runs");
     let report = Report::new(&results);
     let knn = &line(&report, "Fig. 9", "knn", "N = 250").ours[0];
     // 300 / 600 = 0.5 %, far above the stated 0.01 %.
@@ -289,7 +290,8 @@ fn not_one_miss_is_bounded_by_the_rule_of_three() {
 fn almost_nothing_beside_others_is_zero() {
     for (genie, expected) in [(0.03, Verdict::Reproduced), (0.05, Verdict::NotReproduced)] {
         let runs: [(&str, u32, &[f64]); 2] = [("genie", 50, &[genie; 2]), ("knn", 50, &[4.0; 2])];
-        let results = Results::new(&[fixtures::table("paper", "wasted_energy_per_event", &runs)]).expect("runs");
+        let results =
+            Results::new(&[fixtures::table("paper", "wasted_energy_per_event", &runs)], &NoFiles).expect("runs");
         let report = Report::new(&results);
         assert_eq!(line(&report, "Fig. 12b", "genie", "all N").ours[0].verdict, expected);
     }
@@ -309,7 +311,7 @@ fn reasons_are_those_that_the_runs_show() {
     for row in &mut table.1.rows {
         row.metrics[low] = if &*row.policy == "knn" { 80.0 } else { 3.0 };
     }
-    let results = Results::new(&[table]).expect("runs");
+    let results = Results::new(&[table], &NoFiles).expect("runs");
     let report = Report::new(&results);
     let why = |policy: &str| line(&report, "Fig. 8", policy, "N = 10").ours[0].why.clone();
     assert!(
@@ -328,7 +330,7 @@ fn reasons_are_those_that_the_runs_show() {
 #[test]
 fn outside_a_range_and_within_the_tolerance_is_said() {
     let runs: [(&str, u32, &[f64]); 1] = [("knn", 10, &[0.4, 0.4])];
-    let results = Results::new(&[fixtures::table("paper", "energy_per_device_tti", &runs)]).expect("runs");
+    let results = Results::new(&[fixtures::table("paper", "energy_per_device_tti", &runs)], &NoFiles).expect("runs");
     let report = Report::new(&results);
     let knn = &line(&report, "Fig. 8", "knn", "N = 10").ours[0];
     assert!(knn.verdict == Verdict::Reproduced && knn.why.contains("Outside the stated range, within 20 %"));
@@ -337,7 +339,7 @@ fn outside_a_range_and_within_the_tolerance_is_said() {
 #[test]
 fn what_is_said_of_one_n_counts_before_what_is_said_of_many() {
     let runs: [(&str, u32, &[f64]); 2] = [("knn", 10, &[5.0, 5.0]), ("adjusted", 10, &[20.0, 20.0])];
-    let results = Results::new(&[fixtures::table("paper", "misdetection_pct", &runs)]).expect("runs");
+    let results = Results::new(&[fixtures::table("paper", "misdetection_pct", &runs)], &NoFiles).expect("runs");
     let report = Report::new(&results);
     // 58 % against 33 %, whatever "above 2 %" for all N under 200 leaves open.
     let adjusted = &line(&report, "Fig. 9", "adjusted", "N = 10").ours[0];

@@ -1,9 +1,8 @@
 //! What is known of why a claim is not met, in sentences.
 
-use reveille_bs::scenario::{Override, load};
+use reveille_bs::policy::registry;
 
 use super::judge::{Judgement, Verdict};
-use super::lines::PRESETS;
 use super::words::{distance, number};
 use crate::claims::{Claim, Relation, Topic};
 use crate::figures::results::Condition;
@@ -103,15 +102,9 @@ fn known(topic: &Topic, claim: &Claim, judgement: &Judgement, condition: &Condit
 
 /// Why there are no runs of `policy`.
 pub(super) fn not_run(policy: &str) -> String {
-    if is_built(policy) {
+    if registry::named(policy).is_some() {
         "The tables hold no such runs.".to_owned()
     } else {
         format!("The policy {policy} is not built yet.")
     }
-}
-
-/// Whether this version of Reveille has the policy.
-fn is_built(policy: &str) -> bool {
-    let policy = Override::parse(&format!("policy.name={policy}"));
-    policy.and_then(|policy| load(PRESETS[0], &[policy])).is_ok()
 }

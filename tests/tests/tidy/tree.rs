@@ -5,6 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use proc_macro2::{TokenStream, TokenTree};
+use syn::punctuated::Punctuated;
 use syn::visit::{self, Visit};
 
 /// The crates, each after all that it may use.
@@ -43,9 +44,14 @@ pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// All Rust files of the workspace but those of the fuzz targets, in the order of their names.
+/// All Rust files of the tree, in the order of their names: also those that are no part of the workspace.
 pub fn sources() -> Vec<Source> {
     let mut found = Vec::new();
+    for folder in ["docs/patrol", "tests/fuzz/fuzz_targets"] {
+        let before = found.len();
+        collect(&root().join(folder), folder, &mut found);
+        assert!(found.len() > before, "{folder} holds no source");
+    }
     for member in CRATES {
         for folder in ["src", "tests", "program"] {
             collect(
@@ -111,12 +117,19 @@ pub struct Module {
     globs: Vec<Vec<String>>,
     /// Every path named in it.
     pub mentions: BTreeSet<Mention>,
+    /// Methods that it calls without an argument.
+    pub calls: BTreeSet<String>,
     /// Types of its `static` items, as written; `thread_local` for that macro.
     pub statics: Vec<String>,
 }
 
-/// The modules of one crate by their paths, `[]` for its root.
-pub struct Crate(pub BTreeMap<Vec<String>, Module>);
+/// A crate of the workspace.
+pub struct Crate {
+    /// Its folder.
+    pub member: String,
+    /// Its modules by their paths, `[]` for its root.
+    pub modules: BTreeMap<Vec<String>, Module>,
+}
 
 /// What a path leads to.
 enum Target {
@@ -127,7 +140,7 @@ enum Target {
 impl Crate {
     /// Reads the modules of `member`.
     pub fn read(member: &str, sources: &[Source]) -> Self {
-        let mut modules = BTreeMap::new();
+        let (mut modules, mut for_tests) = (BTreeMap::new(), Vec::new());
         let prefix = format!("{member}/src/");
         for source in sources.iter().filter(|source| !source.is_test()) {
             let Some(inner) = source.name.strip_prefix(&prefix) else {
@@ -142,22 +155,26 @@ impl Crate {
                 file: &source.name,
                 path,
                 modules: &mut modules,
+                for_tests: &mut for_tests,
             };
             reader.module();
             reader.visit_file(&file);
         }
         assert!(modules.contains_key(&Vec::new()), "{member} has a root");
-        let mut tree = Self(modules);
+        let is_for_tests = |path: &Vec<String>| for_tests.iter().any(|module| path.starts_with(module));
+        modules.retain(|path, _| !is_for_tests(path));
+        let member = member.to_owned();
+        let mut tree = Self { member, modules };
         tree.know_children();
         tree
     }
 
     /// Only modules of non-test files count as children.
     fn know_children(&mut self) {
-        let paths: Vec<Vec<String>> = self.0.keys().cloned().collect();
+        let paths: Vec<Vec<String>> = self.modules.keys().cloned().collect();
         for path in paths {
             if let Some((name, above)) = path.split_last()
-                && let Some(parent) = self.0.get_mut(above)
+                && let Some(parent) = self.modules.get_mut(above)
             {
                 parent.children.insert(name.clone());
             }
@@ -170,10 +187,10 @@ impl Crate {
     /// declare, and what they take through it is counted as taken from where it is declared.
     pub fn uses(&self) -> BTreeMap<String, BTreeMap<String, String>> {
         let mut uses: BTreeMap<String, BTreeMap<String, String>> = BTreeMap::new();
-        for (path, module) in &self.0 {
+        for (path, module) in &self.modules {
             let found = uses.entry(module.file.clone()).or_default();
             for mention in &module.mentions {
-                if mention.role == Role::HandedOn && self.is_below(path, &mention.words) {
+                if self.hands_on(path, mention) {
                     continue;
                 }
                 if let Some(file) = self.file_of(path, &mention.words)
@@ -186,18 +203,37 @@ impl Crate {
         uses
     }
 
-    fn is_below(&self, path: &[String], words: &[String]) -> bool {
-        let first = words.iter().find(|&word| word != "self");
-        first.is_some_and(|first| self.0[path].children.contains(first))
+    /// Whether `mention` in the module at `path` is a `pub use` of something below it.
+    pub fn hands_on(&self, path: &[String], mention: &Mention) -> bool {
+        let first = mention.words.iter().find(|&word| word != "self");
+        let is_below = first.is_some_and(|first| self.modules[path].children.contains(first));
+        mention.role == Role::HandedOn && is_below
+    }
+
+    /// `words` in the module at `path`, with what an import stands for in the place of its name: `std::path::absolute`
+    /// for `path::absolute`.
+    pub fn written_out(&self, path: &[String], words: &[String]) -> Vec<String> {
+        match self.modules[path].imports.get(&words[0]) {
+            Some(import) => import.iter().chain(&words[1..]).cloned().collect(),
+            None => words.to_vec(),
+        }
+    }
+
+    /// The file that declares what `words` mean at the root of the crate.
+    pub fn file_at(&self, words: &[String]) -> Option<String> {
+        match self.walk(Vec::new(), words, 0)? {
+            Target::Module(path) => Some(self.modules[&path].file.clone()),
+            Target::Item(file) => Some(file),
+        }
     }
 
     /// The file that declares what `words` mean in the module at `path`; `None` for what is not of this crate.
-    fn file_of(&self, path: &[String], words: &[String]) -> Option<String> {
-        if words.len() == 1 && !self.0[path].imports.contains_key(&words[0]) {
+    pub fn file_of(&self, path: &[String], words: &[String]) -> Option<String> {
+        if words.len() == 1 && !self.modules[path].imports.contains_key(&words[0]) {
             return None; // A variable, or an item of the module itself.
         }
         match self.resolve(path, words, 0)? {
-            Target::Module(path) => Some(self.0[&path].file.clone()),
+            Target::Module(path) => Some(self.modules[&path].file.clone()),
             Target::Item(file) => Some(file),
         }
     }
@@ -206,6 +242,7 @@ impl Crate {
         let (first, rest) = words.split_first()?;
         match first.as_str() {
             "crate" => self.walk(Vec::new(), rest, depth),
+            name if name.strip_prefix("reveille_") == Some(&self.member) => self.walk(Vec::new(), rest, depth),
             "self" => self.walk(path.to_vec(), rest, depth),
             "super" => {
                 let above = &path[..path.len().checked_sub(1)?];
@@ -216,7 +253,7 @@ impl Crate {
                 }
             }
             name => {
-                let module = &self.0[path];
+                let module = &self.modules[path];
                 let is_known = module.children.contains(name) || module.imports.contains_key(name);
                 is_known.then(|| self.walk(path.to_vec(), words, depth))?
             }
@@ -224,7 +261,7 @@ impl Crate {
     }
 
     fn walk(&self, at: Vec<String>, words: &[String], depth: u32) -> Option<Target> {
-        let module = self.0.get(&at)?;
+        let module = self.modules.get(&at)?;
         let Some((first, rest)) = words.split_first() else {
             return Some(Target::Module(at));
         };
@@ -244,13 +281,13 @@ impl Crate {
         }
         for glob in &module.globs {
             if let Some(Target::Module(path)) = self.resolve(&at, glob, depth + 1)
-                && self.0[&path].items.contains(first)
+                && self.modules[&path].items.contains(first)
             {
-                return Some(Target::Item(self.0[&path].file.clone()));
+                return Some(Target::Item(self.modules[&path].file.clone()));
             }
         }
         let is_macro = |other: &&Module| at.is_empty() && other.macros.contains(first);
-        let declares = self.0.values().find(is_macro).unwrap_or(module);
+        let declares = self.modules.values().find(is_macro).unwrap_or(module);
         Some(Target::Item(declares.file.clone()))
     }
 }
@@ -259,6 +296,8 @@ struct Reader<'a> {
     file: &'a str,
     path: Vec<String>,
     modules: &'a mut BTreeMap<Vec<String>, Module>,
+    /// Modules with files of their own that are for tests alone.
+    for_tests: &'a mut Vec<Vec<String>>,
 }
 
 impl Reader<'_> {
@@ -378,6 +417,11 @@ fn declared(item: &syn::Item) -> Option<String> {
 impl<'ast> Visit<'ast> for Reader<'_> {
     fn visit_item(&mut self, item: &'ast syn::Item) {
         if is_for_tests(attributes(item)) {
+            if let syn::Item::Mod(module) = item {
+                let mut path = self.path.clone();
+                path.push(module.ident.to_string());
+                self.for_tests.push(path);
+            }
             return;
         }
         if let syn::Item::Macro(syn::ItemMacro { ident: Some(name), .. }) = item {
@@ -425,6 +469,13 @@ impl<'ast> Visit<'ast> for Reader<'_> {
         visit::visit_path(self, path);
     }
 
+    fn visit_expr_method_call(&mut self, call: &'ast syn::ExprMethodCall) {
+        if call.args.is_empty() {
+            self.module().calls.insert(call.method.to_string());
+        }
+        visit::visit_expr_method_call(self, call);
+    }
+
     fn visit_macro(&mut self, call: &'ast syn::Macro) {
         if call
             .path
@@ -435,12 +486,29 @@ impl<'ast> Visit<'ast> for Reader<'_> {
             self.module().statics.push("thread_local".to_owned());
         }
         self.tokens(call.tokens.clone());
+        if let Ok(arguments) = call.parse_body_with(Punctuated::<syn::Expr, syn::Token![,]>::parse_terminated) {
+            for argument in &arguments {
+                Calls(self.module()).visit_expr(argument);
+            }
+        }
         visit::visit_macro(self, call);
     }
 
     // `pub(crate)` and attributes name no code.
     fn visit_visibility(&mut self, _: &'ast syn::Visibility) {}
     fn visit_attribute(&mut self, _: &'ast syn::Attribute) {}
+}
+
+/// Reads the calls of methods in the arguments of a macro.
+struct Calls<'a>(&'a mut Module);
+
+impl<'ast> Visit<'ast> for Calls<'_> {
+    fn visit_expr_method_call(&mut self, call: &'ast syn::ExprMethodCall) {
+        if call.args.is_empty() {
+            self.0.calls.insert(call.method.to_string());
+        }
+        visit::visit_expr_method_call(self, call);
+    }
 }
 
 /// All names in a type.

@@ -126,6 +126,7 @@ impl Registered for AdjustedKind {
     fn profile(&self) -> Profile {
         Profile {
             runtime: "O(ϱ^N)",
+            wakes: true,
             ..Profile::plain(1)
         }
     }

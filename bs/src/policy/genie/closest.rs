@@ -7,6 +7,7 @@ use reveille_common::plan::Plan;
 use reveille_common::world::Oracle;
 
 use crate::knowledge::Knowledge;
+use crate::policy::mind::Bound;
 
 /// The `genie` policy: the only one that is told an epicentre.
 pub struct Genie {
@@ -29,16 +30,6 @@ impl Genie {
         }
     }
 
-    /// Everyone sleeps.
-    pub fn plan(&self) -> Plan {
-        Plan::from_bits((0..self.devices).map(|_| false))
-    }
-
-    /// Whom to wake in this TTI, once.
-    pub const fn next_wake_up(&mut self) -> Option<DeviceId> {
-        self.chosen.take()
-    }
-
     /// The device closest to `epicentre`, unless it is farther than d_max. Ties go to the lower id.
     fn closest(&self, epicentre: Point) -> Option<DeviceId> {
         let mut best: Option<(f64, usize)> = None;
@@ -48,6 +39,17 @@ impl Genie {
             }
         });
         best.map(|(_, j)| DeviceId(j as u32))
+    }
+}
+
+impl Bound for Genie {
+    /// Everyone sleeps.
+    fn plan(&self) -> Plan {
+        Plan::from_bits((0..self.devices).map(|_| false))
+    }
+
+    fn next_wake_up(&mut self) -> Option<DeviceId> {
+        self.chosen.take()
     }
 }
 

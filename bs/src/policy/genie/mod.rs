@@ -35,11 +35,12 @@ impl Registered for GenieKind {
     fn profile(&self) -> Profile {
         Profile {
             is_bound: true,
+            wakes: true,
             ..Profile::plain(5)
         }
     }
 
     fn build(&self, _: &PolicyChoice, known: &Knowledge, _: Option<&Opaque>) -> Mind {
-        Mind::Genie(Genie::new(known))
+        Mind::Genie(Box::new(Genie::new(known)))
     }
 }

@@ -141,6 +141,7 @@ impl Registered for KnnKind {
     fn profile(&self) -> Profile {
         Profile {
             runtime: "O(N(N-1)/2)",
+            wakes: true,
             ..Profile::plain(0)
         }
     }

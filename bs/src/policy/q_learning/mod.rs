@@ -255,6 +255,7 @@ impl Registered for QLearningKind {
         Profile {
             learns: true,
             runtime: "O(N²)",
+            wakes: true,
             ..Profile::plain(3)
         }
     }

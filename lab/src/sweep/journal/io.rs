@@ -5,6 +5,7 @@ use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, BufRead, BufReader, BufWriter, Read as _, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+use super::keeper::Keeper;
 use super::lines::{Entry, Head, Job, LONGEST_HEAD, fewer, foreign, line, name_of, parse};
 use crate::sweep::error::SweepError;
 
@@ -154,21 +155,26 @@ impl Journal {
         Ok(length as u64)
     }
 
-    /// The finished runs.
-    pub fn runs(&self) -> &BTreeMap<Job, Entry> {
-        &self.runs
-    }
-
     /// Lines that were torn or garbled when the journal was opened, and have been taken out of it.
     pub fn dropped(&self) -> usize {
         self.dropped
     }
 
-    /// Adds a finished run that took `device_ttis`.
-    ///
-    /// # Errors
-    /// It cannot be written; the runs before it are kept.
-    pub fn add(&mut self, job: Job, entry: Entry, device_ttis: u64) -> Result<(), SweepError> {
+    fn failed(&self, error: io::Error) -> SweepError {
+        SweepError::Journal {
+            path: self.path.clone(),
+            kept: self.runs.len(),
+            error,
+        }
+    }
+}
+
+impl Keeper for Journal {
+    fn runs(&self) -> &BTreeMap<Job, Entry> {
+        &self.runs
+    }
+
+    fn add(&mut self, job: Job, entry: Entry, device_ttis: u64) -> Result<(), SweepError> {
         let line = line(job, &entry);
         if let Err(error) = self.file.write_all(line.as_bytes()) {
             // Another thread may find room again: its line must not follow half of this one.
@@ -185,21 +191,9 @@ impl Journal {
         Ok(())
     }
 
-    /// Brings everything to the disk.
-    ///
-    /// # Errors
-    /// It cannot.
-    pub fn sync(&mut self) -> Result<(), SweepError> {
+    fn sync(&mut self) -> Result<(), SweepError> {
         (self.unsynced_lines, self.unsynced_device_ttis) = (0, 0);
         self.file.sync_data().map_err(|error| self.failed(error))
-    }
-
-    fn failed(&self, error: io::Error) -> SweepError {
-        SweepError::Journal {
-            path: self.path.clone(),
-            kept: self.runs.len(),
-            error,
-        }
     }
 }
 

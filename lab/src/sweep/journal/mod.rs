@@ -9,7 +9,9 @@
 //! takes the journal's place at one stroke, and all runs with it.
 
 mod io;
+mod keeper;
 mod lines;
 
 pub use io::Journal;
+pub use keeper::Keeper;
 pub use lines::{Entry, Job};

@@ -3,6 +3,7 @@
 use reveille_bs::policy::q_learning::learned::{
     BATTERIES, CurvePoint, Entry, Learned, Schedule, Setting, Training, Weights,
 };
+use reveille_common::declare::NoFiles;
 use reveille_common::scenario::{Site, WakeUpRanking};
 
 use super::super::heat::Known;
@@ -198,7 +199,7 @@ fn information_is_drawn_against_energy_with_intervals_in_both_directions() {
         ("q-learning", 50, &[f64::NAN]),
         ("dt", 10, &[f64::NAN]),
     ];
-    let results = Results::new(&[fixtures::table("paper", "info_per_event", &runs)]).expect("runs");
+    let results = Results::new(&[fixtures::table("paper", "info_per_event", &runs)], &NoFiles).expect("runs");
     let condition = &results.conditions[0];
     let chart = pareto::chart(&[condition]).expect("a picture");
     check("pareto", &chart.scene());
@@ -225,14 +226,14 @@ fn information_is_drawn_against_energy_with_intervals_in_both_directions() {
     let csv = pareto::csv(&[condition]);
     assert_eq!(csv.lines().count(), 4);
     let none = fixtures::table("paper", "info_per_event", &[("knn", 10, &[f64::NAN])]);
-    assert!(pareto::chart(&[&Results::new(&[none]).expect("runs").conditions[0]]).is_none());
+    assert!(pareto::chart(&[&Results::new(&[none], &NoFiles).expect("runs").conditions[0]]).is_none());
 }
 
 #[test]
 fn each_setting_has_its_own_pareto_picture() {
     let (name, table) = fixtures::table("paper", "info_per_event", &[("knn", 10, &[0.1, 0.2])]);
     let (other, literal) = fixtures::table("paper-literal", "info_per_event", &[("knn", 10, &[0.3, 0.2])]);
-    let results = Results::new(&[(name, table), (other, literal)]).expect("runs");
+    let results = Results::new(&[(name, table), (other, literal)], &NoFiles).expect("runs");
     let captions = results
         .conditions
         .iter()
@@ -268,7 +269,7 @@ fn settings_drawn_together_have_a_line_for_each_policy_and_shared_runs_once() {
     }
     let literal = fixtures::table("paper-literal", "info_per_event", &[("knn", 10, &[0.3])]);
     let tables = [("a".to_owned(), plain), ("b".to_owned(), uniform), literal];
-    let results = Results::new(&tables).expect("runs");
+    let results = Results::new(&tables, &NoFiles).expect("runs");
     let groups = results.together();
     let labels: Vec<(&str, usize)> = groups.iter().map(|(label, all)| (label.as_str(), all.len())).collect();
     assert_eq!(labels, [("paper-together", 2), ("paper-literal-together", 1)]);

@@ -1,3 +1,5 @@
+use reveille_common::declare::NoFiles;
+
 use super::*;
 use crate::claims::Sites::{At, Under};
 use crate::figures::results::{Results, fixtures};
@@ -22,7 +24,7 @@ fn verdict(claims: &'static [Claim], runs: &[(&str, u32, &[f64])]) -> (Verdict, 
         remark: "",
         claims,
     };
-    let results = Results::new(&[fixtures::table("paper", METRIC, runs)]).expect("runs");
+    let results = Results::new(&[fixtures::table("paper", METRIC, runs)], &NoFiles).expect("runs");
     let judgement = judge(&topic, &claims[0], &results.conditions[0]);
     (judgement.verdict, judgement.firm)
 }
@@ -261,7 +263,7 @@ fn a_claim_for_many_n_must_hold_at_each() {
 #[test]
 fn policies_that_were_not_run_are_said_so() {
     let absent = claim("dt", Relation::About(1.0));
-    let results = Results::new(&[fixtures::table("paper", METRIC, &[("knn", 250, &[1.0])])]).expect("runs");
+    let results = Results::new(&[fixtures::table("paper", METRIC, &[("knn", 250, &[1.0])])], &NoFiles).expect("runs");
     let topic = Topic {
         metric: METRIC,
         about: "",
