@@ -52,7 +52,8 @@ pub struct DeviceKnowledge {
 /// use reveille_common::rng::PolicyPurpose;
 ///
 /// fn known(known: &reveille_bs::knowledge::Knowledge) -> f64 {
-///     known.alpha + known.devices[0].mean_harvest.units() + known.streams.unit_for_pair(PolicyPurpose::Exploration, 0, 0)
+///     let draw = known.streams.unit_for_pair(PolicyPurpose::Exploration, 0, 0);
+///     known.alpha + known.devices[0].mean_harvest.units() + draw
 /// }
 /// ```
 #[derive(Clone, Debug)]

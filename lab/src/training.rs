@@ -17,7 +17,7 @@ use reveille_bs::policy::q_learning::learned::{
 use reveille_bs::policy::q_learning::settings::QLearningSettings;
 use reveille_bs::prepared::Prepared;
 use reveille_common::rng::{Purpose, Stream};
-use reveille_common::scenario::{Scenario, Site, WakeUpRanking};
+use reveille_common::scenario::{Scenario, WakeUpRanking};
 use reveille_common::units::Energy;
 
 use crate::run::{Options, Run, StopWhen};
@@ -166,7 +166,7 @@ impl Trainer {
                 ..scenario.clone()
             };
             let mut entry = Entry::optimistic(
-                &Site::of(&one),
+                &one.site(),
                 &settings.weights,
                 settings.window,
                 settings.schedule.optimism,
@@ -205,7 +205,7 @@ impl Trainer {
             begun_from: None,
             schedule: self.settings.schedule,
             training: self.training.clone(),
-            setting: Setting::of(&Site::of(&self.scenario)),
+            setting: Setting::of(&self.scenario.site()),
             entries: self.entries.clone(),
         }
     }
@@ -391,7 +391,7 @@ pub fn learned_in(scenario: &Scenario, outcome: &Outcome) -> Option<Learned> {
             epsilon: settings.epsilon,
             seed: scenario.seed,
         },
-        setting: Setting::of(&Site::of(scenario)),
+        setting: Setting::of(&scenario.site()),
         entries: vec![entry],
     })
 }

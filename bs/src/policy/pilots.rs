@@ -14,7 +14,7 @@ pub trait Pilots {
     /// What the policy is built with in each pilot run, at least one, in the order of the search.
     fn candidates(&self) -> Vec<Opaque>;
 
-    /// What the policy is to be built with, for a base station that knows `known`. `pilots` are the metrics of the pilot
-    /// runs, in the order of the candidates.
+    /// What the policy is to be built with, for a base station that knows `known`. `pilots` are the metrics of the
+    /// pilot runs, in the order of the candidates.
     fn judge(&self, known: &Knowledge, pilots: &[Metrics]) -> Opaque;
 }

@@ -10,7 +10,7 @@ use super::bs::BsSettings;
 use super::classes::DeviceClass;
 use super::policy::PolicySettings;
 use super::run::{PolicyName, Run};
-use super::site::Site;
+use super::site::{ClassKnowledge, Site};
 use crate::declare::{Fingerprint, Page, Reader, ScenarioError, Section, Sink};
 use crate::event::settings::Events;
 use crate::geometry::{Area, Layout};
@@ -96,6 +96,26 @@ impl Scenario {
     /// The first TTI that counts in the metrics.
     pub fn warm_up_end(&self) -> Tti {
         Tti((self.ttis as f64 * self.warm_up).floor() as u64)
+    }
+
+    /// What a base station knows of its site.
+    pub fn site(&self) -> Site<'_> {
+        let classes = self.classes.iter().map(|class| ClassKnowledge {
+            name: &class.name,
+            share: class.share,
+            energy: class.energy,
+            mean_harvest: class.harvest.mean(self.tau),
+        });
+        Site {
+            devices: self.devices,
+            area: self.area,
+            layout: &self.layout,
+            sensing: &self.sensing,
+            alpha: self.events.alpha,
+            bs: self.bs,
+            classes: classes.collect(),
+            event_duration: self.events.duration,
+        }
     }
 
     /// Hands every field in force to `sink`, in the order of declaration; the preset's name is left out, for it decides

@@ -8,7 +8,6 @@ use super::classes::{DeviceClass, check_shares};
 use super::model::{Policies, PolicyChoice, Scenario};
 use super::policy::NoSettings;
 use super::run::{PolicyName, Run};
-use super::site::Site;
 use crate::declare::{Declaration, Ground, Merged, Reader, ScenarioError};
 use crate::event::settings::Events;
 use crate::geometry::{Area, Layout};
@@ -59,7 +58,7 @@ pub(super) fn settle(
         policy: PolicyChoice::new(kind, Arc::new(NoSettings)),
         warnings: Vec::new(),
     };
-    scenario.policy = PolicyChoice::new(kind, kind.settle(&reader.of_policy(kind.name()), &Site::of(&scenario))?);
+    scenario.policy = PolicyChoice::new(kind, kind.settle(&reader.of_policy(kind.name()), &scenario.site())?);
     bounded(reader, &scenario)?;
     scenario.warnings = warnings.take();
     Ok(scenario)

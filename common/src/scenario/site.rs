@@ -1,7 +1,6 @@
 //! What a base station knows of its site before a run, by which a policy checks and completes its settings.
 
 use super::bs::BsSettings;
-use super::model::Scenario;
 use crate::energy::EnergyModel;
 use crate::geometry::{Area, Layout};
 use crate::sensing::Sensing;
@@ -56,29 +55,7 @@ pub struct Site<'s> {
     pub bs: BsSettings,
     /// The device classes, at least one.
     pub classes: Vec<ClassKnowledge<'s>>,
-    /// How long events last, TTIs. No base station can know it. The one exception: `q-learning` takes from it the tables
-    /// that fit best, and its window where neither tables nor scenario give one.
+    /// How long events last, TTIs. No base station can know it. The one exception: `q-learning` takes from it the
+    /// tables that fit best, and its window where neither tables nor scenario give one.
     pub event_duration: u64,
-}
-
-impl<'s> Site<'s> {
-    /// The site of `scenario`.
-    pub fn of(scenario: &'s Scenario) -> Self {
-        let classes = scenario.classes.iter().map(|class| ClassKnowledge {
-            name: &class.name,
-            share: class.share,
-            energy: class.energy,
-            mean_harvest: class.harvest.mean(scenario.tau),
-        });
-        Self {
-            devices: scenario.devices,
-            area: scenario.area,
-            layout: &scenario.layout,
-            sensing: &scenario.sensing,
-            alpha: scenario.events.alpha,
-            bs: scenario.bs,
-            classes: classes.collect(),
-            event_duration: scenario.events.duration,
-        }
-    }
 }

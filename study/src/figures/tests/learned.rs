@@ -4,7 +4,7 @@ use reveille_bs::policy::q_learning::learned::{
     BATTERIES, CurvePoint, Entry, Learned, Schedule, Setting, Training, Weights,
 };
 use reveille_common::declare::NoFiles;
-use reveille_common::scenario::{Site, WakeUpRanking};
+use reveille_common::scenario::WakeUpRanking;
 
 use super::super::heat::Known;
 use super::super::{learning, pareto, q_table};
@@ -12,7 +12,7 @@ use super::{FigureError, Results, check, fixtures, scenario};
 
 /// The start of a training with `n` devices.
 fn untrained(n: u32, weights: &Weights) -> Entry {
-    Entry::optimistic(&Site::of(&scenario(&[&format!("devices={n}")])), weights, 4, 1.0)
+    Entry::optimistic(&scenario(&[&format!("devices={n}")]).site(), weights, 4, 1.0)
 }
 
 /// Tables for each of `sizes` with a curve of `episodes` points, of which some cells were learned.
@@ -58,7 +58,7 @@ fn learned(sizes: &[u32], episodes: u64) -> Learned {
             epsilon: (0.1, 0.03),
             seed: 1,
         },
-        setting: Setting::of(&Site::of(&scenario(&[]))),
+        setting: Setting::of(&scenario(&[]).site()),
         entries: sizes.iter().map(entry).collect(),
     }
 }

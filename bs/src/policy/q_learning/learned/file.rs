@@ -288,8 +288,6 @@ fn sha256(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use reveille_common::scenario::Site;
-
     use super::*;
     use crate::scenario::{Override, load};
 
@@ -305,12 +303,7 @@ mod tests {
         };
         let entry = |n: u32| {
             let devices = Override::parse(&format!("devices={n}")).expect("an override");
-            Entry::optimistic(
-                &Site::of(&load("paper", &[devices]).expect("a scenario")),
-                &weights,
-                4,
-                1.0,
-            )
+            Entry::optimistic(&load("paper", &[devices]).expect("a scenario").site(), &weights, 4, 1.0)
         };
         let mut entries: Vec<Entry> = [10, 50].map(entry).to_vec();
         entries[0]
@@ -425,9 +418,7 @@ mod tests {
             let set = set.map(|set| Override::parse(&format!("policy.{set}")).expect("an override"));
             let mut scenario = load(preset, &set).expect("a preset");
             assert!(
-                Setting::of(&Site::of(&scenario))
-                    .differences(&tables.setting)
-                    .is_empty(),
+                Setting::of(&scenario.site()).differences(&tables.setting).is_empty(),
                 "{preset}"
             );
             scenario.devices = tables.entries[0].devices;

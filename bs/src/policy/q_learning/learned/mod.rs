@@ -270,7 +270,7 @@ mod tests {
             .iter()
             .map(|set| Override::parse(set).expect("an override"))
             .collect();
-        Setting::of(&Site::of(&load("paper", &set).expect("a scenario")))
+        Setting::of(&load("paper", &set).expect("a scenario").site())
     }
 
     #[test]
@@ -283,7 +283,7 @@ mod tests {
             let set = Override::parse("devices=250").expect("an override");
             let scenario = load("paper", &[set]).expect("a scenario");
             for optimism in [0.0, 0.5, 2.0] {
-                let entry = Entry::optimistic(&Site::of(&scenario), &weights, window, optimism);
+                let entry = Entry::optimistic(&scenario.site(), &weights, window, optimism);
                 // A whole disc of 4 m radius on 20 m × 20 m, with α = 0.2.
                 let most = optimism * expected * std::f64::consts::PI * 16.0 / 400.0;
                 for battery in 0..BATTERIES {
