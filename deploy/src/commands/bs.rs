@@ -19,7 +19,7 @@ use super::conclusion::{conclude, window};
 use super::resolution::resolve;
 use super::run::Interrupted;
 use crate::cli::{BsArgs, DriveArgs, OutputArgs};
-use crate::display::Bar;
+use crate::display::{Bar, note};
 use crate::results::{RunFolder, Summary, Timing};
 use crate::{interrupt, local};
 
@@ -34,7 +34,7 @@ pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     let folder = RunFolder::create(&args.output, &scenario)?;
     let settings = settings(&args.drive, window(&args.output, &scenario), args.join_timeout);
     if !args.output.quiet {
-        eprintln!(
+        note!(
             "waiting for {} devices: reveille device --connect {} --run {} --count …",
             scenario.devices,
             reachable(bus.endpoint()),

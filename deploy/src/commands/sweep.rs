@@ -15,7 +15,7 @@ use anyhow::bail;
 use reveille_lab::sweep::{Grid, Shard, Sweep, hash, seeds_in};
 
 use crate::cli::SweepArgs;
-use crate::display;
+use crate::display::{self, note};
 use progress::Progress;
 use report::Report;
 
@@ -89,7 +89,7 @@ async fn insist(stop: Arc<AtomicBool>, progress: Arc<Progress>, found: usize, fo
     tokio::time::sleep(GRACE).await;
     progress.finish();
     let done = found + progress.runs();
-    eprintln!("reveille: {}", Interrupted { done, folder });
+    note!("reveille: {}", Interrupted { done, folder });
     crate::exit::Exit::Interrupted.now();
 }
 
@@ -129,7 +129,7 @@ fn announce(args: &SweepArgs, sweep: &Sweep<'_>, folder: &Path) {
         );
     }
     if sweep.found() > 0 && !args.quiet {
-        eprintln!("{} found in {folder}", display::count(sweep.found(), "finished run"));
+        note!("{} found in {folder}", display::count(sweep.found(), "finished run"));
     }
 }
 
