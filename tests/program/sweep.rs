@@ -307,8 +307,17 @@ fn what_cannot_be_run_is_refused_before_the_first_run() {
     let folder = Folder::new();
     folder.write("typo.toml", "devices = [10]\npolicees = [\"knn\"]\n");
     folder.write("empty.toml", "devices = []\n");
+    folder.write("scenario.toml", "devices = 10\n[sensing]\nd_max = 5\n");
     for (args, parts) in [
         ("typo.toml", &["typo.toml, line 2", "unknown field `policees`"][..]),
+        (
+            "scenario.toml",
+            &[
+                "scenario.toml, line 2",
+                "unknown field `sensing`",
+                "--scenario scenario.toml",
+            ],
+        ),
         ("empty.toml", &["devices = []", "no runs"]),
         ("none.toml", &["none.toml", "cannot be read"]),
         ("--grid harvest.lambda=", &["harvest.lambda = []", "no runs"]),
