@@ -159,7 +159,8 @@ fn folder(args: &SweepArgs, grid: &mut Grid, shard: Shard) -> PathBuf {
             // What was killed while it raised the seeds may have left an experiment of fewer.
             *seeds = held.max(*seeds);
         }
-        if args.out.is_none() && *seeds >= held {
+        if args.out.is_none() {
+            // With fewer seeds it is refused there.
             return own;
         }
     }
