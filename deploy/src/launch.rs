@@ -28,14 +28,15 @@ impl Children {
     /// # Errors
     /// If a process cannot be started.
     pub fn start(devices: u32, processes: u32, endpoint: &str, run: &str, log: &[String]) -> anyhow::Result<Self> {
+        // In one argument, so that no name is taken for an option.
+        let run = format!("--run={run}");
         Self::spawn(shares(devices, processes).map(|count| {
             let (count, parent) = (count.to_string(), std::process::id().to_string());
             [
                 "device",
                 "--connect",
                 endpoint,
-                "--run",
-                run,
+                &run,
                 "--count",
                 &count,
                 "--parent",

@@ -179,6 +179,7 @@ fn wrong_usage_is_code_2() {
         ("up --run a/b", "--run"),
         ("up --window 0", "--window"),
         ("up --force", "--out"),
+        ("up --run=-x", "the first of them no '-'"),
         ("device --connect tcp/127.0.0.1:1", "--run"),
         ("device --connect tcp/127.0.0.1:1 --run x --count 0", "--count"),
         ("inspect tail --kind gossip", "--kind"),
