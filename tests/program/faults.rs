@@ -65,7 +65,10 @@ fn a_killed_device_process_of_up_is_noticed() {
         ["FAILED", "events.csv", "scenario.toml", "windows.csv"]
     );
     let why = std::fs::read_to_string(folder.join("out/FAILED")).expect("readable");
-    assert!(why.contains("lost host"), "{why}");
+    for said in [&why, &end.stderr] {
+        let pid = format!("with pid {} ended with signal: 9 (SIGKILL): lost host ", hosts[2]);
+        assert!(said.contains(&pid) && !said.contains("--on-loss"), "{said}");
+    }
 }
 
 /// A base station with two device processes, past its first TTIs.
