@@ -197,8 +197,16 @@ async fn set_up(scenario: &Scenario, progress: &Progress) -> anyhow::Result<Prep
     }
 }
 
-fn prepare(run: &RunName, bus: &Bus) -> anyhow::Result<(local::Registered, Arc<AtomicBool>)> {
-    Ok((local::register(run, bus.endpoint())?, interrupt::watch()?))
+fn prepare(run: &RunName, bus: &Bus) -> anyhow::Result<(Option<local::Registered>, Arc<AtomicBool>)> {
+    let registered = local::register(run, bus.endpoint());
+    if let Err(error) = &registered {
+        tracing::warn!(
+            "{error:#}: `clock` and `inspect` will not find this run by themselves; give them --run {run} and \
+             --connect {}, or let XDG_RUNTIME_DIR name a folder of your own",
+            bus.endpoint()
+        );
+    }
+    Ok((registered.ok(), interrupt::watch()?))
 }
 
 fn timing(served: &Served, preparing: Duration) -> Timing {
