@@ -177,6 +177,7 @@ fn wrong_usage_is_code_2() {
         ("up --pace soon", "--pace"),
         ("up --pace 0ms", "--pace"),
         ("up --run a/b", "--run"),
+        ("up --pace -1ms", "a time above 0"),
         ("up --window 0", "--window"),
         ("up --force", "--out"),
         ("up --run=-x", "the first of them no '-'"),
