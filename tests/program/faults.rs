@@ -147,8 +147,7 @@ fn a_device_process_that_cannot_come_back_is_not_waited_for() {
     let end = up.finish();
     assert_eq!(end.code(), Some(1), "{end}");
     for part in [
-        "device process 3",
-        &format!("pid {}", hosts[3]),
+        &format!("device process with pid {}", hosts[3]),
         "signal: 9",
         "lost host",
     ] {
