@@ -13,21 +13,22 @@ use std::str::FromStr;
 use crate::ids::HostId;
 use crate::message::{Address, MessageKind, Payload};
 
-/// A run's name on the bus: 1 to 64 letters, digits, `-` and `_`.
+/// A run's name on the bus: 1 to 64 letters, digits, `-` and `_`, and no `-` to begin with, as options have it.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct RunName(String);
 
 /// A text that is not a run name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("run name {0:?}: must be 1 to 64 letters, digits, '-' or '_'")]
+#[error("run name {0:?}: must be 1 to 64 letters, digits, '-' or '_', the first of them no '-'")]
 pub struct RunNameError(String);
 
 impl FromStr for RunName {
     type Err = RunNameError;
 
     fn from_str(s: &str) -> Result<Self, Self::Err> {
-        let fits =
-            (1..=64).contains(&s.len()) && s.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_');
+        let fits = !s.starts_with('-')
+            && (1..=64).contains(&s.len())
+            && s.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_');
         if fits {
             Ok(Self(s.to_owned()))
         } else {
@@ -132,7 +133,7 @@ mod tests {
 
     #[test]
     fn run_names_cannot_break_out_of_their_key() {
-        for bad in ["", "a/b", "*", "a b", "é", &"x".repeat(65), "a$"] {
+        for bad in ["", "a/b", "*", "a b", "é", &"x".repeat(65), "a$", "-x"] {
             assert!(bad.parse::<RunName>().is_err(), "{bad:?}");
         }
         assert!("Run-7_b".parse::<RunName>().is_ok());

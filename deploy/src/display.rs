@@ -30,6 +30,16 @@ pub fn out(text: &str) -> anyhow::Result<()> {
     }
 }
 
+/// Writes a line to standard error, as `eprintln!` does. That it cannot be written is no error: nobody reads it, and
+/// the exit code tells how the command ended.
+macro_rules! note {
+    ($($said:tt)*) => {{
+        use std::io::Write as _;
+        let _unread = writeln!(std::io::stderr(), $($said)*).is_err();
+    }};
+}
+pub(crate) use note;
+
 /// `1 run`, `2 runs`.
 pub fn count(number: usize, noun: &str) -> String {
     let plural = if number == 1 { "" } else { "s" };
@@ -45,7 +55,9 @@ pub struct LogWriter;
 
 impl io::Write for LogWriter {
     fn write(&mut self, line: &[u8]) -> io::Result<usize> {
-        BARS.suspend(|| io::stderr().write(line))
+        // An error would be told on standard error, which panics when that is what cannot be written.
+        let _unread = BARS.suspend(|| io::stderr().write_all(line)).is_err();
+        Ok(line.len())
     }
 
     fn flush(&mut self) -> io::Result<()> {

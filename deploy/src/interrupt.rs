@@ -24,7 +24,7 @@ pub fn watch() -> std::io::Result<Arc<AtomicBool>> {
             if set.swap(true, Ordering::Relaxed) {
                 crate::exit::Exit::Interrupted.now();
             }
-            tracing::warn!("ending the run after this TTI; once more to end at once");
+            tracing::warn!("ending as soon as what there is can be kept; once more to end at once");
         }
     });
     Ok(flag)

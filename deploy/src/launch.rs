@@ -16,7 +16,7 @@ const LEAVE: Duration = Duration::from_secs(5);
 
 /// The device processes of a run.
 pub struct Children {
-    running: Vec<(usize, Child)>,
+    running: Vec<Child>,
 }
 
 impl Children {
@@ -28,14 +28,15 @@ impl Children {
     /// # Errors
     /// If a process cannot be started.
     pub fn start(devices: u32, processes: u32, endpoint: &str, run: &str, log: &[String]) -> anyhow::Result<Self> {
+        // In one argument, so that no name is taken for an option.
+        let run = format!("--run={run}");
         Self::spawn(shares(devices, processes).map(|count| {
             let (count, parent) = (count.to_string(), std::process::id().to_string());
             [
                 "device",
                 "--connect",
                 endpoint,
-                "--run",
-                run,
+                &run,
                 "--count",
                 &count,
                 "--parent",
@@ -65,24 +66,24 @@ impl Children {
                 .process_group(0)
                 .spawn()
                 .with_context(|| format!("cannot start process {number}"))?;
-            children.running.push((number, child));
+            children.running.push(child);
         }
         Ok(children)
     }
 
     /// The processes' ids.
     pub fn pids(&self) -> Vec<u32> {
-        self.running.iter().map(|(_, child)| child.id()).collect()
+        self.running.iter().map(Child::id).collect()
     }
 
     /// Looks for a process that has ended with an error.
     pub fn failed(&mut self) -> Option<String> {
-        for (number, child) in &mut self.running {
+        for child in &mut self.running {
             if let Ok(Some(status)) = child.try_wait()
                 && !status.success()
             {
                 return Some(format!(
-                    "device process {number} (pid {}) ended with {status}",
+                    "the device process with pid {} ended with {status}",
                     child.id()
                 ));
             }
@@ -95,7 +96,7 @@ impl Children {
         let started = crate::wall::now();
         while started.elapsed() < LEAVE {
             self.running
-                .retain_mut(|(_, child)| !matches!(child.try_wait(), Ok(Some(_))));
+                .retain_mut(|child| !matches!(child.try_wait(), Ok(Some(_))));
             if self.running.is_empty() {
                 return;
             }
@@ -110,7 +111,7 @@ impl Children {
 
 impl Drop for Children {
     fn drop(&mut self) {
-        for (_, child) in &mut self.running {
+        for child in &mut self.running {
             // Already gone is as good.
             let _gone = child.kill().is_err();
             let _reaped = child.wait().is_err();

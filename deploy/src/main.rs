@@ -1,5 +1,10 @@
 //! `reveille`: the command line of the emulator.
 
+#![deny(
+    clippy::print_stderr,
+    reason = "`eprintln!` panics where nobody reads standard error any more; `note!` does not"
+)]
+
 mod bench;
 mod cli;
 mod commands;
@@ -17,6 +22,7 @@ use std::process::ExitCode;
 use clap::Parser;
 
 use cli::{Cli, Command};
+use display::note;
 use wall::runtime;
 
 fn main() -> ExitCode {
@@ -25,7 +31,7 @@ fn main() -> ExitCode {
     match run(cli) {
         Ok(code) => code,
         Err(error) => {
-            eprintln!("reveille: {error:#}");
+            note!("reveille: {error:#}");
             ending::of(&error).into()
         }
     }
@@ -60,6 +66,6 @@ fn tune(args: &cli::TuneArgs) -> anyhow::Result<ExitCode> {
 #[cfg(not(feature = "tune"))]
 #[expect(clippy::unnecessary_wraps, reason = "as with the feature")]
 fn tune(_: &cli::TuneArgs) -> anyhow::Result<ExitCode> {
-    eprintln!("reveille: this build has no optimiser; build one with `cargo run --release --features tune -- tune …`");
+    note!("reveille: this build has no optimiser; build one with `cargo run --release --features tune -- tune …`");
     Ok(exit::Exit::Usage.into())
 }

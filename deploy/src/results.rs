@@ -212,7 +212,7 @@ impl RunFolder {
                 '-'
             }
         };
-        let name: String = name.chars().map(fits).take(64).collect();
+        let name: String = name.chars().map(fits).skip_while(|&c| c == '-').take(64).collect();
         if name.is_empty() { "run".to_owned() } else { name }
     }
 

@@ -4,8 +4,9 @@
 use std::fs;
 use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt;
+use std::process::Stdio;
 
-use reveille_tests::process::{Finished, Folder, Summary, assert_refused, free_endpoint, unique_run};
+use reveille_tests::process::{Finished, Folder, Process, Summary, assert_refused, free_endpoint, unique_run};
 use rustix::process::Signal;
 
 /// Nothing in the folder but what the test put there.
@@ -176,7 +177,9 @@ fn wrong_usage_is_code_2() {
     for (args, part) in [
         ("up --pace soon", "--pace"),
         ("up --pace 0ms", "--pace"),
+        ("up --pace -1ms", "a time above 0"),
         ("up --run a/b", "--run"),
+        ("up --run=-x", "the first of them no '-'"),
         ("up --window 0", "--window"),
         ("up --force", "--out"),
         ("device --connect tcp/127.0.0.1:1", "--run"),
@@ -378,4 +381,45 @@ fn the_clock_cannot_be_run_to_the_past_or_beyond_the_end() {
     }
     assert_refused(&folder.run(&format!("clock --run {run} step 0")), 2, &["1.."]);
     folder.clock(&run, "resume");
+}
+
+#[test]
+fn a_run_folder_of_any_name_does() {
+    let folder = Folder::new();
+    for out in [".hidden", "./-x", "äpfel", "…"] {
+        let end = folder.run(&format!("up -q -n 5 -k 50 -P 1 --out {out}"));
+        assert!(end.is_success(), "{out}: {end}");
+    }
+}
+
+#[test]
+fn a_run_that_cannot_be_noted_on_this_machine_goes_on() {
+    let folder = Folder::new();
+    let mut up = folder.command("up -q -n 5 -k 50 -P 1 --out out");
+    let end = Process::start(up.env("XDG_RUNTIME_DIR", "/proc/1/nope")).finish();
+    assert!(end.is_success(), "{end}");
+    for part in ["/proc/1/nope/reveille", "XDG_RUNTIME_DIR", "clock"] {
+        assert!(end.stderr.contains(part), "no {part:?}: {end}");
+    }
+}
+
+#[test]
+fn an_error_that_nobody_reads_is_still_an_error() {
+    let folder = Folder::new();
+    // Said by the command itself, and by the log, whose warning comes first.
+    folder.write("spots.csv", "x,y\n1,1\n2,2\n");
+    for (args, code) in [
+        ("run -s nosuch", 1),
+        ("run -n 1 -k 9 --set layout.kind=file --set layout.file=spots.csv -q", 0),
+    ] {
+        let (reader, writer) = std::io::pipe().expect("a pipe");
+        drop(reader);
+        let end = folder
+            .command(args)
+            .stdout(Stdio::null())
+            .stderr(writer)
+            .status()
+            .expect("the program starts");
+        assert_eq!(end.code(), Some(code), "{args}");
+    }
 }

@@ -64,6 +64,26 @@ fn subcommands(folder: &Folder, args: &str) -> BTreeSet<String> {
 }
 
 #[test]
+fn runs_of_the_pages_do_not_meet_in_a_folder() {
+    let mut seen = BTreeSet::new();
+    for page in pages() {
+        let text = fs::read_to_string(&page).expect("a page");
+        for line in text.lines().filter_map(|line| line.strip_prefix("$ reveille ")) {
+            let words: Vec<&str> = line.split_whitespace().collect();
+            let out = words.windows(2).find(|pair| pair[0] == "--out").map(|pair| pair[1]);
+            if let (true, Some(out)) = (["run", "up", "bs"].contains(&words[0]), out) {
+                assert!(
+                    seen.insert(out.to_owned()),
+                    "{}: {line}: {out} holds a run already",
+                    page.display()
+                );
+            }
+        }
+    }
+    assert!(seen.len() > 1, "{seen:?}");
+}
+
+#[test]
 fn every_subcommand_that_is_named_exists() {
     let folder = Folder::new();
     let known = subcommands(&folder, "");

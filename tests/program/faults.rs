@@ -65,7 +65,10 @@ fn a_killed_device_process_of_up_is_noticed() {
         ["FAILED", "events.csv", "scenario.toml", "windows.csv"]
     );
     let why = std::fs::read_to_string(folder.join("out/FAILED")).expect("readable");
-    assert!(why.contains("lost host"), "{why}");
+    for said in [&why, &end.stderr] {
+        let pid = format!("with pid {} ended with signal: 9 (SIGKILL): lost host ", hosts[2]);
+        assert!(said.contains(&pid) && !said.contains("--on-loss"), "{said}");
+    }
 }
 
 /// A base station with two device processes, past its first TTIs.
@@ -144,8 +147,7 @@ fn a_device_process_that_cannot_come_back_is_not_waited_for() {
     let end = up.finish();
     assert_eq!(end.code(), Some(1), "{end}");
     for part in [
-        "device process 3",
-        &format!("pid {}", hosts[3]),
+        &format!("device process with pid {}", hosts[3]),
         "signal: 9",
         "lost host",
     ] {

@@ -73,6 +73,14 @@ fn threads_shards_and_both_together_give_the_same_bytes() {
         let onto = folder.run(&format!("merge s1 s2 s3 --out {out}"));
         assert_refused(&onto, 1, &[out, "is one of the tables to merge"]);
     }
+    folder.write("taken.csv", "precious");
+    let taken = folder.run("merge s1 s2 s3 --out taken.csv");
+    assert_refused(&taken, 1, &["taken.csv: is there already", "--force"]);
+    let scenario = folder.run("merge s1 s2 s3 --force --out my.toml");
+    assert_refused(&scenario, 1, &["--out my.toml", ".parquet or .csv"]);
+    assert!(!folder.join("my.toml").exists() && folder.bytes("taken.csv") == b"precious");
+    assert!(folder.run("merge s1 s2 s3 --force --out taken.csv").is_success());
+    assert!(folder.bytes("taken.csv").starts_with(b"scenario_hash"));
     let again = folder.run("merge s1 s1 --out twice.parquet");
     assert_refused(&again, 1, &["s1/results.parquet", "again"]);
 }
@@ -282,13 +290,13 @@ fn a_table_of_another_version_is_not_merged() {
     let table = swept(&folder, "--devices 5 --ttis 50 --seeds 4 --shard 1/2", "p1");
     folder.write("p2.parquet", "not a table");
     assert_refused(
-        &folder.run("merge p1 p2.parquet --out m"),
+        &folder.run("merge p1 p2.parquet --out m.parquet"),
         1,
         &["p2.parquet", "cut off or corrupt"],
     );
     fs::write(folder.join("p2.parquet"), &table[..table.len() - 9]).expect("written");
     assert_refused(
-        &folder.run("merge p1 p2.parquet --out m"),
+        &folder.run("merge p1 p2.parquet --out m.parquet"),
         1,
         &["p2.parquet", "cut off or corrupt"],
     );
@@ -299,8 +307,17 @@ fn what_cannot_be_run_is_refused_before_the_first_run() {
     let folder = Folder::new();
     folder.write("typo.toml", "devices = [10]\npolicees = [\"knn\"]\n");
     folder.write("empty.toml", "devices = []\n");
+    folder.write("scenario.toml", "devices = 10\n[sensing]\nd_max = 5\n");
     for (args, parts) in [
         ("typo.toml", &["typo.toml, line 2", "unknown field `policees`"][..]),
+        (
+            "scenario.toml",
+            &[
+                "scenario.toml, line 2",
+                "unknown field `sensing`",
+                "--scenario scenario.toml",
+            ],
+        ),
         ("empty.toml", &["devices = []", "no runs"]),
         ("none.toml", &["none.toml", "cannot be read"]),
         ("--grid harvest.lambda=", &["harvest.lambda = []", "no runs"]),

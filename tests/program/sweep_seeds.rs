@@ -55,17 +55,17 @@ fn a_quick_look_needs_no_name_and_can_be_gone_on_with() {
     assert!(long != short && (runs, found) == (2, 0), "{long}, {short}");
     let again = swept_by_default(&folder, &format!("{args} --seeds 2"));
     assert_eq!(again, (2, 2, short.clone()));
-    // By its own experiment file it goes on where it is; with fewer seeds it is a quick look again.
+    // By its own experiment file it goes on where it is; its seeds cannot be lowered.
     let more = swept_by_default(&folder, &format!("{short}/experiment.toml --seeds 4"));
     assert_eq!(more, (4, 2, short.clone()));
-    let (runs, _, place) = swept_by_default(&folder, &format!("{short}/experiment.toml --seeds 3"));
-    assert!(runs == 3 && place != short, "{place}");
+    let fewer = folder.run(&format!("sweep {short}/experiment.toml --seeds 3"));
+    assert_refused(&fewer, 1, &[&short, "4 seeds a cell"]);
     let (_, found, place) = swept_by_default(&folder, &format!("{short}/experiment.toml --ttis 60"));
     assert!(
         found == 0 && place != short,
         "another experiment has a folder of its own: {place}"
     );
-    assert_eq!(folder.list("runs").len(), 4);
+    assert_eq!(folder.list("runs").len(), 3);
 }
 
 #[test]

@@ -484,7 +484,7 @@ pub fn hosts_of(run: &str) -> Vec<u32> {
 fn carries(pid: u32, run: &str) -> bool {
     let line = fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
     let args: Vec<&[u8]> = line.split(|&byte| byte == 0).collect();
-    args.get(1) == Some(&&b"device"[..]) && args.windows(2).any(|pair| pair == [b"--run", run.as_bytes()])
+    args.get(1) == Some(&&b"device"[..]) && args.contains(&format!("--run={run}").as_bytes())
 }
 
 /// A run name that no other test uses.

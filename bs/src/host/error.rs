@@ -22,7 +22,8 @@ pub enum BsError {
     /// A host is gone.
     #[error(
         "lost host {host} with devices {first} to {last} at TTI {tti}: its process ended, froze for longer than the \
-            lease, or the link broke. The run cannot go on without it (--on-loss wait holds the clock until it is back)"
+            lease, or the link broke. The run cannot go on without it (--on-loss wait holds the clock for one that \
+            froze or whose link broke)"
     )]
     HostLost {
         /// The host.

@@ -133,6 +133,7 @@ mod tests {
             ("x,y\n\n1,2\n\n3,oops\n", "line 5, column `y`: \"oops\""),
             ("x,y\n1,2\n3\n", "line 3 is broken"),
             ("x,y\n1,nan\n", "line 2, column `y`"),
+            ("x,y,x\n1,2,3\n", "has more than one column `x`"),
         ] {
             let reason = values(text, &["x", "y"]).expect_err(text);
             assert!(reason.contains(part), "{reason}");

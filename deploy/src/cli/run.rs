@@ -83,7 +83,7 @@ pub struct RunArgs {
 #[derive(Args, Clone, Debug)]
 pub struct DriveArgs {
     /// `max`, or the real time that a TTI takes, for example 10ms.
-    #[arg(long, default_value = "max", value_parser = parse_pace)]
+    #[arg(long, default_value = "max", value_parser = parse_pace, allow_hyphen_values = true)]
     pub pace: reveille_bs::host::clock::Pace,
 
     /// Grant every TTI by itself: the same run, more messages. A real-time --pace does so anyway.

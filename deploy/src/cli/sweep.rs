@@ -119,9 +119,13 @@ pub struct MergeArgs {
     #[arg(required = true, value_name = "SHARD")]
     pub shards: Vec<PathBuf>,
 
-    /// The merged table; .csv for CSV, anything else is Parquet.
+    /// The merged table, .parquet or .csv.
     #[arg(long, short)]
     pub out: PathBuf,
+
+    /// Replace that file if it is there.
+    #[arg(long)]
+    pub force: bool,
 
     /// Merge although shards are missing; the table says which are in it.
     #[arg(long)]

@@ -5,9 +5,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context as _, bail};
+use anyhow::{Context as _, anyhow, bail};
 use reveille_bs::host::clock::Pace;
-use reveille_bs::host::{self, Progress, Served, Settings};
+use reveille_bs::host::{self, BsError, Progress, Served, Settings};
 use reveille_bs::prepared::Prepared;
 use reveille_common::bus::Bus;
 use reveille_common::keys::RunName;
@@ -19,7 +19,7 @@ use super::conclusion::{conclude, window};
 use super::resolution::resolve;
 use super::run::Interrupted;
 use crate::cli::{BsArgs, DriveArgs, OutputArgs};
-use crate::display::Bar;
+use crate::display::{Bar, note};
 use crate::results::{RunFolder, Summary, Timing};
 use crate::{interrupt, local};
 
@@ -34,7 +34,7 @@ pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     let folder = RunFolder::create(&args.output, &scenario)?;
     let settings = settings(&args.drive, window(&args.output, &scenario), args.join_timeout);
     if !args.output.quiet {
-        eprintln!(
+        note!(
             "waiting for {} devices: reveille device --connect {} --run {} --count …",
             scenario.devices,
             reachable(bus.endpoint()),
@@ -54,6 +54,7 @@ pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
         },
         folder,
         |_| {},
+        async || None,
     )
     .await
 }
@@ -98,11 +99,13 @@ pub fn settings(drive: &DriveArgs, window: u64, join_patience: Option<Duration>)
     }
 }
 
-/// Serves the run, writes the results, dismisses the hosts. `look` is called with the timing before anyone leaves.
+/// Serves the run, writes the results, dismisses the hosts. `look` is called with the timing before anyone leaves;
+/// `cause` is asked after a failure whether a device process is behind it.
 pub async fn serve(
     station: &Station<'_>,
     mut folder: RunFolder,
     look: impl FnOnce(&mut Timing),
+    cause: impl AsyncFnOnce() -> Option<String>,
 ) -> anyhow::Result<ExitCode> {
     let Station {
         bus,
@@ -150,8 +153,8 @@ pub async fn serve(
                 .and_then(|()| conclude(output, &summary, &path))
         }
         Err(error) => {
-            let error = match progress.cause.get() {
-                Some(why) => anyhow::anyhow!("{why}: {error}"),
+            let error = match cause().await {
+                Some(why) => because(&why, &error),
                 None => error,
             };
             folder.fail(&error);
@@ -160,6 +163,17 @@ pub async fn serve(
     };
     host::dismiss(bus, ended.as_ref().err().map(|error| format!("{error:#}")))?;
     ended
+}
+
+/// `error`, which came about as `why` says. A process that has ended neither comes back nor was frozen.
+fn because(why: &str, error: &anyhow::Error) -> anyhow::Error {
+    if let Some(BsError::HostLost { host, first, last, tti }) = error.downcast_ref() {
+        anyhow!(
+            "{why}: lost host {host} with devices {first} to {last} at TTI {tti}, and the run cannot go on without it"
+        )
+    } else {
+        anyhow!("{why}: {error:#}")
+    }
 }
 
 /// Finds out on another thread what the run needs, which takes a while with a million devices or a search before it;
@@ -183,8 +197,16 @@ async fn set_up(scenario: &Scenario, progress: &Progress) -> anyhow::Result<Prep
     }
 }
 
-fn prepare(run: &RunName, bus: &Bus) -> anyhow::Result<(local::Registered, Arc<AtomicBool>)> {
-    Ok((local::register(run, bus.endpoint())?, interrupt::watch()?))
+fn prepare(run: &RunName, bus: &Bus) -> anyhow::Result<(Option<local::Registered>, Arc<AtomicBool>)> {
+    let registered = local::register(run, bus.endpoint());
+    if let Err(error) = &registered {
+        tracing::warn!(
+            "{error:#}: `clock` and `inspect` will not find this run by themselves; give them --run {run} and \
+             --connect {}, or let XDG_RUNTIME_DIR name a folder of your own",
+            bus.endpoint()
+        );
+    }
+    Ok((registered.ok(), interrupt::watch()?))
 }
 
 fn timing(served: &Served, preparing: Duration) -> Timing {

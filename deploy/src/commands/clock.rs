@@ -9,8 +9,9 @@ use reveille_common::message::{ClockCommand, ClockStatus};
 use tokio::sync::Notify;
 
 use crate::cli::ClockArgs;
+use crate::display::{self, note};
 use crate::exit::Exit;
-use crate::{display, local};
+use crate::local;
 
 const PATIENCE: Duration = Duration::from_secs(5);
 /// Time between two looks at a clock that is waited for.
@@ -70,7 +71,7 @@ async fn reach(bus: &Bus, ended: &Notify, first: ClockStatus, patience: Duration
             return Ok(status.to_string());
         }
         if !status.lost.is_empty() && !is_told {
-            eprintln!("{status}");
+            note!("{status}");
             is_told = true;
         }
         let reply = tokio::select! {

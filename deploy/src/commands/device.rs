@@ -6,6 +6,7 @@ use reveille_common::bus::Bus;
 use reveille_device::host::{self, HostError};
 
 use crate::cli::DeviceArgs;
+use crate::display::note;
 use crate::exit::Exit;
 use crate::launch;
 
@@ -19,7 +20,7 @@ pub async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
     let is_alone = args.parent.is_none();
     let say = |host, first, last| {
         if is_alone {
-            eprintln!("joined run {} as host {host} with devices {first} to {last}", args.run);
+            note!("joined run {} as host {host} with devices {first} to {last}", args.run);
         }
     };
     let work = async {

@@ -21,7 +21,7 @@ use crate::cli::{
     DeploymentArgs, FiguresArgs, FiguresCommand, FormatArg, LearningArgs, PictureArgs, QTableArgs, RankingArg,
     TimelineArgs,
 };
-use crate::display;
+use crate::display::{self, note};
 
 /// Draws what is asked for.
 pub fn run(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
@@ -42,7 +42,7 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
         for figure in &chosen {
             let name = format!("{}-{label}", figure.name);
             let Some(drawing) = figure.draw(condition) else {
-                eprintln!(
+                note!(
                     "{}: not drawn, no run of {} has a value of {}",
                     figure.name,
                     condition.label(),
@@ -51,7 +51,7 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
                 continue;
             };
             for policy in &drawing.undefined {
-                eprintln!(
+                note!(
                     "{name}: without {policy}, none of whose runs has a value of {}",
                     figure.metric
                 );
@@ -87,7 +87,7 @@ fn draw_pareto(args: &FiguresArgs, label: &str, conditions: &[&Condition]) -> an
     }
     let name = format!("{}-{label}", pareto::NAME);
     let Some(chart) = pareto::chart(conditions) else {
-        eprintln!("{name}: not drawn, no run has both information per event and energy");
+        note!("{name}: not drawn, no run has both information per event and energy");
         return Ok(());
     };
     write(&args.pictures, &name, &chart.scene())?;
@@ -118,16 +118,15 @@ fn draw_energy(args: &FiguresArgs, label: &str, condition: &Condition) -> anyhow
         )?;
     }
     if let (true, name) = net {
-        match energy::net_chart(condition, &points) {
-            Some(chart) => {
-                write(&args.pictures, &name, &chart.scene())?;
-                save(
-                    &args.pictures.out,
-                    &format!("{name}.csv"),
-                    energy::net_csv(&chart).as_bytes(),
-                )?;
-            }
-            None => eprintln!("{name}: not drawn, it needs runs of adjusted and random with 100 devices"),
+        if let Some(chart) = energy::net_chart(condition, &points) {
+            write(&args.pictures, &name, &chart.scene())?;
+            save(
+                &args.pictures.out,
+                &format!("{name}.csv"),
+                energy::net_csv(&chart).as_bytes(),
+            )?;
+        } else {
+            note!("{name}: not drawn, it needs runs of adjusted and random with 100 devices");
         }
     }
     Ok(())

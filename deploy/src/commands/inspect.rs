@@ -12,6 +12,7 @@ use reveille_common::message::{Addressee, ClockCommand, Message, Plane, TapBatch
 use serde_json::json;
 
 use crate::cli::{InspectCommand, TailArgs};
+use crate::display::note;
 use crate::exit::Exit;
 use crate::local;
 
@@ -58,7 +59,7 @@ async fn tail(args: &TailArgs) -> anyhow::Result<ExitCode> {
         }
     }
     let Follower { printed, left_out, .. } = follower;
-    eprintln!("{printed} messages shown, {left_out} left out because this could not keep up");
+    note!("{printed} messages shown, {left_out} left out because this could not keep up");
     bus.close().await;
     Ok(Exit::Done.into())
 }
@@ -94,7 +95,7 @@ async fn greet(args: &TailArgs, bus: &Bus) -> anyhow::Result<()> {
             devices.saturating_sub(1)
         );
     }
-    eprintln!("connected to run {run}: {status}");
+    note!("connected to run {run}: {status}");
     Ok(())
 }
 

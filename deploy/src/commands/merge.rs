@@ -1,5 +1,6 @@
 //! `reveille merge`: one table of the tables of shards.
 
+use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::{anyhow, bail};
@@ -12,6 +13,7 @@ use crate::display;
 
 /// Merges tables.
 pub fn run(args: &MergeArgs) -> anyhow::Result<ExitCode> {
+    let format = format(&args.out)?;
     let mut tables = Vec::with_capacity(args.shards.len());
     for given in &args.shards {
         let path = table_of(given).map_err(|error| anyhow!("{error}; --partial merges shards without the others"))?;
@@ -25,7 +27,10 @@ pub fn run(args: &MergeArgs) -> anyhow::Result<ExitCode> {
         tables.push((path, table));
     }
     let table = merge(tables, args.partial)?;
-    table.write(&args.out, Format::of(&args.out))?;
+    if args.out.exists() && !args.force {
+        bail!("{}: is there already; --force replaces it", args.out.display());
+    }
+    table.write(&args.out, format)?;
     let part = match &table.about.shard {
         Some(shards) => format!(", of shards {shards} alone"),
         None => String::new(),
@@ -33,4 +38,13 @@ pub fn run(args: &MergeArgs) -> anyhow::Result<ExitCode> {
     let runs = display::count(table.rows.len(), "run");
     display::out(&format!("{runs} in {}{part}\n", args.out.display()))?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// The form of the table that `out` names.
+fn format(out: &Path) -> anyhow::Result<Format> {
+    let ending = out.extension().unwrap_or_default();
+    let format = [Format::Parquet, Format::Csv]
+        .into_iter()
+        .find(|format| ending.eq_ignore_ascii_case(format.ending()));
+    format.ok_or_else(|| anyhow!("--out {}: the file must end in .parquet or .csv", out.display()))
 }

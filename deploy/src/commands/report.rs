@@ -11,6 +11,7 @@ use reveille_study::report::{Column, Report};
 
 use super::figures::{read, save};
 use crate::cli::ReportArgs;
+use crate::display::note;
 
 /// Judges the claims and writes the report.
 pub fn run(args: &ReportArgs) -> anyhow::Result<ExitCode> {
@@ -21,7 +22,7 @@ pub fn run(args: &ReportArgs) -> anyhow::Result<ExitCode> {
     for (number, column) in (1..).zip(&report.columns) {
         let Column { label, condition } = column;
         let Some(condition) = condition else {
-            eprintln!("report: no table of preset {label}, its claims are marked as not run");
+            note!("report: no table of preset {label}, its claims are marked as not run");
             continue;
         };
         for (name, scene) in scenes(condition)? {

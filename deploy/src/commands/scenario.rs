@@ -8,7 +8,7 @@ use reveille_bs::policy::registry;
 use reveille_bs::scenario::{Override, PRESETS, Preset, Scenario, load, reference, schema};
 
 use crate::cli::ScenarioCommand;
-use crate::display;
+use crate::display::{self, note};
 
 /// Shows or checks scenarios.
 pub fn run(command: &ScenarioCommand) -> anyhow::Result<ExitCode> {
@@ -51,7 +51,7 @@ fn check(sources: &[String], overrides: &[Override]) -> anyhow::Result<ExitCode>
                 ))?;
             }
             Err(error) => {
-                eprintln!("{source}: {error}");
+                note!("{source}: {error}");
                 code = crate::exit::Exit::Failed.into();
             }
         }
@@ -62,7 +62,7 @@ fn check(sources: &[String], overrides: &[Override]) -> anyhow::Result<ExitCode>
 /// Says what the scenario warns of.
 fn warn(source: &str, scenario: &Scenario) {
     for warning in &scenario.warnings {
-        eprintln!("{source}: warning: {warning}");
+        note!("{source}: warning: {warning}");
     }
 }
 

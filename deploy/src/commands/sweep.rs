@@ -16,7 +16,7 @@ use reveille_common::io::Disk;
 use reveille_lab::sweep::{Grid, Shard, Sweep, hash, seeds_in};
 
 use crate::cli::SweepArgs;
-use crate::display;
+use crate::display::{self, note};
 use progress::Progress;
 use report::Report;
 
@@ -90,7 +90,7 @@ async fn insist(stop: Arc<AtomicBool>, progress: Arc<Progress>, found: usize, fo
     tokio::time::sleep(GRACE).await;
     progress.finish();
     let done = found + progress.runs();
-    eprintln!("reveille: {}", Interrupted { done, folder });
+    note!("reveille: {}", Interrupted { done, folder });
     crate::exit::Exit::Interrupted.now();
 }
 
@@ -130,7 +130,7 @@ fn announce(args: &SweepArgs, sweep: &Sweep<'_>, folder: &Path) {
         );
     }
     if sweep.found() > 0 && !args.quiet {
-        eprintln!("{} found in {folder}", display::count(sweep.found(), "finished run"));
+        note!("{} found in {folder}", display::count(sweep.found(), "finished run"));
     }
 }
 
@@ -160,7 +160,8 @@ fn folder(args: &SweepArgs, grid: &mut Grid, shard: Shard) -> PathBuf {
             // What was killed while it raised the seeds may have left an experiment of fewer.
             *seeds = held.max(*seeds);
         }
-        if args.out.is_none() && *seeds >= held {
+        if args.out.is_none() {
+            // With fewer seeds it is refused there.
             return own;
         }
     }

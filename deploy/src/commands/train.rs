@@ -13,7 +13,7 @@ use reveille_lab::training::{Trainer, TrainingError, TrainingProgress, checkpoin
 
 use super::resolution::resolve;
 use crate::cli::{TrainArgs, TrainCommand};
-use crate::display;
+use crate::display::{self, note};
 
 /// Trains what is asked for.
 pub fn run(command: &TrainCommand) -> anyhow::Result<ExitCode> {
@@ -40,7 +40,7 @@ fn q_learning(args: &TrainArgs) -> anyhow::Result<ExitCode> {
     }
     let kept = checkpoint(&args.out);
     if trainer.resume(&kept)? && !args.quiet {
-        eprintln!(
+        note!(
             "{} episodes left, going on from {}",
             trainer.episodes_left(),
             kept.display()
@@ -64,7 +64,7 @@ fn q_learning(args: &TrainArgs) -> anyhow::Result<ExitCode> {
         bail!(Interrupted(kept));
     }
     if args.out.exists() && !args.force {
-        eprintln!("what was learned is kept in {}", kept.display());
+        note!("what was learned is kept in {}", kept.display());
         bail!(TrainingError::Taken(args.out.clone()));
     }
     let learned = trainer.learned();
@@ -89,7 +89,7 @@ fn q_learning(args: &TrainArgs) -> anyhow::Result<ExitCode> {
                 ))?;
             }
         }
-        eprintln!("trained in {:.1} s", started.elapsed().as_secs_f64());
+        note!("trained in {:.1} s", started.elapsed().as_secs_f64());
     }
     display::out(&format!("{}\n", args.out.display()))?;
     Ok(ExitCode::SUCCESS)

@@ -19,7 +19,7 @@ use serde_json::json;
 
 use super::resolution::resolve;
 use crate::cli::{FormatArg, ObjectiveArg, TuneArgs};
-use crate::display;
+use crate::display::{self, note};
 
 /// Points in the closing table.
 const SHOWN: usize = 5;
@@ -57,7 +57,7 @@ pub fn run(args: &TuneArgs) -> anyhow::Result<ExitCode> {
     shown.bar.finish_and_clear();
     let history = tuner.history();
     if !ended? {
-        eprintln!(
+        note!(
             "reveille: interrupted; the {} are kept in {}: give the same command again to go on",
             display::count(history.points.len(), "finished point"),
             args.out.display()
@@ -72,7 +72,7 @@ pub fn run(args: &TuneArgs) -> anyhow::Result<ExitCode> {
         display::out(&format!("mu1={mu1} mu2={mu2}\n"))?;
     } else {
         display::out(&summary(args, history, &pictures)?)?;
-        eprintln!("tuned in {:.1} s", started.elapsed().as_secs_f64());
+        note!("tuned in {:.1} s", started.elapsed().as_secs_f64());
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -113,7 +113,7 @@ fn announce(args: &TuneArgs, tuner: &Tuner) {
         tracing::warn!("{file} ended in half a line, which is left out");
     }
     if found > 0 && !args.quiet {
-        eprintln!(
+        note!(
             "{} found in {file}, {} left",
             display::count(found, "finished point"),
             tuner.left(args.iterations)

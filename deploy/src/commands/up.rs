@@ -75,7 +75,7 @@ async fn attend(processes: u32, station: &Station<'_>, folder: RunFolder, log: &
     if processes == 0 {
         let own = station.bus.untapped();
         let carried = tokio::spawn(async move { host::carry(&own, devices, 0, JOIN, |_, _, _| {}).await });
-        let code = serve(station, folder, |_| {}).await;
+        let code = serve(station, folder, |_| {}, async || None).await;
         if code.as_ref().is_err_and(anyhow::Error::is::<Interrupted>) {
             // They wait to join a run that there will not be.
             carried.abort();
@@ -98,37 +98,41 @@ async fn attend(processes: u32, station: &Station<'_>, folder: RunFolder, log: &
     let pids = children.pids();
     let children = Arc::new(std::sync::Mutex::new(Some(children)));
     let guard = tokio::spawn(watch(Arc::clone(&children), Arc::clone(&station.progress)));
-    let code = serve(station, folder, |timing| measure(&pids, timing)).await;
+    let cause = async || cause(&children, &station.progress).await;
+    let code = serve(station, folder, |timing| measure(&pids, timing), cause).await;
     guard.abort();
-    let mut failed = guard.await.ok().flatten();
-    if let Some(mut children) = children.lock().ok().and_then(|mut slot| slot.take()) {
-        if code.is_ok() {
-            children.wait();
-        } else {
-            failed = failed.or_else(|| children.failed());
+    let _watched = guard.await.is_err();
+    let children = children.lock().ok().and_then(|mut slot| slot.take());
+    if let (Ok(_), Some(children)) = (&code, children) {
+        children.wait();
+    }
+    code
+}
+
+/// How a device process has ended, if one has: its connection is gone a moment before it is.
+async fn cause(children: &std::sync::Mutex<Option<Children>>, progress: &Progress) -> Option<String> {
+    for _ in 0..10 {
+        let failed = || children.lock().ok()?.as_mut()?.failed();
+        if let Some(why) = progress.cause.get().cloned().or_else(failed) {
+            return Some(why);
         }
+        tokio::time::sleep(Duration::from_millis(10)).await;
     }
-    match (code, failed) {
-        // A process that ended by itself is no interruption, even if that is how the base station was told.
-        (Err(error), Some(why)) if !error.to_string().starts_with(&why) => Err(anyhow::anyhow!("{why}: {error:#}")),
-        (code, _) => code,
-    }
+    None
 }
 
 /// Looks after the device processes: one that has ended can neither join nor come back, so the run is not held for it.
-async fn watch(children: Arc<std::sync::Mutex<Option<Children>>>, progress: Arc<Progress>) -> Option<String> {
+async fn watch(children: Arc<std::sync::Mutex<Option<Children>>>, progress: Arc<Progress>) {
     loop {
         let failed = children
             .lock()
             .ok()
             .and_then(|mut slot| slot.as_mut().and_then(Children::failed));
-        if failed.is_some() {
-            if let Some(why) = &failed {
-                // The first cause is the one that counts.
-                let _told_before = progress.cause.set(why.clone()).is_err();
-            }
+        if let Some(why) = failed {
+            // The first cause is the one that counts.
+            let _told_before = progress.cause.set(why).is_err();
             progress.stop.store(true, Ordering::Relaxed);
-            return failed;
+            return;
         }
         tokio::time::sleep(Duration::from_millis(100)).await;
     }

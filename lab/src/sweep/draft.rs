@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use reveille_bs::scenario::declaration;
 use reveille_common::score::Metrics;
 use serde::Deserialize;
 use toml::{Table, Value};
@@ -37,6 +38,24 @@ struct Raw {
 enum RawSeeds {
     Count(u64),
     Range { first: u64, count: u64 },
+}
+
+/// What to add to `message` about the file `name`: what to do with it, if the field that experiments lack is one of
+/// scenarios.
+fn hint(message: &str, name: &str) -> String {
+    let unknown = message.strip_prefix("unknown field `");
+    let Some((field, _)) = unknown.and_then(|rest| rest.split_once('`')) else {
+        return String::new();
+    };
+    let is_of_scenarios = |path: String| path.split('.').next() == Some(field);
+    if declaration().paths().any(is_of_scenarios) {
+        format!(
+            ". This is a field of scenarios: `reveille sweep --scenario {name}` sweeps a scenario file, and an \
+             experiment names one as `scenario = \"FILE\"` and sets fields under [set]"
+        )
+    } else {
+        String::new()
+    }
 }
 
 /// An experiment in the making. What is not given keeps the value of the draft below, then the default.
@@ -75,7 +94,7 @@ impl Draft {
             SweepError::Syntax {
                 name: name.to_owned(),
                 line: text.get(..before).unwrap_or(text).matches('\n').count() + 1,
-                reason: error.message().to_owned(),
+                reason: format!("{}{}", error.message(), hint(error.message(), name)),
             }
         })?;
         let mut draft = Self {
