@@ -33,6 +33,7 @@ use crate::station::Station;
 /// A grant that is out. [`Cycle::gathered`] takes it back.
 #[derive(Debug)]
 #[must_use = "the TTIs are open until their reports are gathered"]
+#[non_exhaustive]
 pub struct Granted {
     /// The TTIs that are granted.
     pub grant: Grant,

@@ -68,14 +68,14 @@ impl Raster {
 #[derive(Clone, Debug)]
 pub struct Coverage {
     raster: Raster,
-    kind: Kind,
+    cover: Cover,
     /// A device counts once: for one event it detects always or never.
     is_added: Vec<bool>,
     added: Vec<u32>,
 }
 
 #[derive(Clone, Debug)]
-enum Kind {
+enum Cover {
     Range(Bits),
     Chance(Shares),
 }
@@ -84,13 +84,13 @@ impl Coverage {
     /// The coverage by devices at `positions`, none of them added yet.
     pub fn new(positions: &[Point], area: Area, sensing: &Sensing) -> Self {
         let raster = Raster::new(area, sensing.d_max);
-        let kind = match sensing.kind {
-            DetectionKind::Range => Kind::Range(Bits::new(&raster, positions, sensing.d_max)),
-            DetectionKind::Probabilistic => Kind::Chance(Shares::new(&raster, positions, sensing)),
+        let cover = match sensing.kind {
+            DetectionKind::Range => Cover::Range(Bits::new(&raster, positions, sensing.d_max)),
+            DetectionKind::Probabilistic => Cover::Chance(Shares::new(&raster, positions, sensing)),
         };
         Self {
             raster,
-            kind,
+            cover,
             is_added: vec![false; positions.len()],
             added: Vec::new(),
         }
@@ -98,9 +98,9 @@ impl Coverage {
 
     /// Forgets all devices.
     pub fn clear(&mut self) {
-        match &mut self.kind {
-            Kind::Range(bits) => bits.covered.fill(0),
-            Kind::Chance(shares) => shares.missed.fill(1.0),
+        match &mut self.cover {
+            Cover::Range(bits) => bits.covered.fill(0),
+            Cover::Chance(shares) => shares.missed.fill(1.0),
         }
         for j in self.added.drain(..) {
             self.is_added[j as usize] = false;
@@ -112,9 +112,9 @@ impl Coverage {
         if self.is_added[j] {
             return 0.0;
         }
-        let cells = match &self.kind {
-            Kind::Range(bits) => f64::from(bits.gain(j)),
-            Kind::Chance(shares) => shares.gain(j),
+        let cells = match &self.cover {
+            Cover::Range(bits) => f64::from(bits.gain(j)),
+            Cover::Chance(shares) => shares.gain(j),
         };
         cells / self.raster.cells() as f64
     }
@@ -125,9 +125,9 @@ impl Coverage {
         if self.is_added[j] {
             return 0;
         }
-        match &self.kind {
-            Kind::Range(bits) => bits.gain(j),
-            Kind::Chance(shares) => (shares.gain(j) * f64::from(PARTS)) as u32,
+        match &self.cover {
+            Cover::Range(bits) => bits.gain(j),
+            Cover::Chance(shares) => (shares.gain(j) * f64::from(PARTS)) as u32,
         }
     }
 
@@ -135,12 +135,12 @@ impl Coverage {
     pub fn most_parts(&self) -> (u32, f64) {
         let devices = 0..self.is_added.len();
         let cells = self.raster.cells() as f64;
-        match &self.kind {
-            Kind::Range(bits) => {
+        match &self.cover {
+            Cover::Range(bits) => {
                 let own = |j: usize| bits.rows(j).iter().map(|row| row.bits.count_ones()).sum();
                 (devices.map(own).max().unwrap_or(0), cells)
             }
-            Kind::Chance(shares) => {
+            Cover::Chance(shares) => {
                 let own = |j: usize| shares.cells(j);
                 (devices.map(own).max().unwrap_or(0) * PARTS, cells * f64::from(PARTS))
             }
@@ -153,20 +153,20 @@ impl Coverage {
             return;
         }
         self.added.push(j as u32);
-        match &mut self.kind {
-            Kind::Range(bits) => bits.add(j),
-            Kind::Chance(shares) => shares.add(j),
+        match &mut self.cover {
+            Cover::Range(bits) => bits.add(j),
+            Cover::Chance(shares) => shares.add(j),
         }
     }
 
     /// The share of the area, `[0, 1]`, that is not covered.
     pub fn uncovered(&self) -> f64 {
-        let cells = match &self.kind {
-            Kind::Range(bits) => {
+        let cells = match &self.cover {
+            Cover::Range(bits) => {
                 let covered: u32 = bits.covered.iter().map(|word| word.count_ones()).sum();
                 self.raster.cells() as f64 - f64::from(covered)
             }
-            Kind::Chance(shares) => shares.missed.iter().sum(),
+            Cover::Chance(shares) => shares.missed.iter().sum(),
         };
         cells / self.raster.cells() as f64
     }
@@ -400,7 +400,7 @@ mod tests {
             (0..8).for_each(|j| coverage.add(j));
             let mut stream = Stream::new(1, Purpose::Epicentre, 0);
             let (draws, mut reached, mut counted) = (40_000, 0, 0);
-            let Kind::Range(bits) = &coverage.kind else {
+            let Cover::Range(bits) = &coverage.cover else {
                 panic!("range")
             };
             for _ in 0..draws {

@@ -43,7 +43,7 @@ pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     }
     let progress = Arc::new(Progress::default());
     serve(
-        &Station {
+        &Service {
             bus: &bus,
             run: &args.run,
             scenario: &scenario,
@@ -67,7 +67,7 @@ fn reachable(endpoint: &str) -> String {
 }
 
 /// A base station about to serve.
-pub struct Station<'a> {
+pub struct Service<'a> {
     /// Its session.
     pub bus: &'a Bus,
     /// The run's name.
@@ -102,12 +102,12 @@ pub fn settings(drive: &DriveArgs, window: u64, join_patience: Option<Duration>)
 /// Serves the run, writes the results, dismisses the hosts. `look` is called with the timing before anyone leaves;
 /// `cause` is asked after a failure whether a device process is behind it.
 pub async fn serve(
-    station: &Station<'_>,
+    service: &Service<'_>,
     mut folder: RunFolder,
     look: impl FnOnce(&mut Timing),
     cause: impl AsyncFnOnce() -> Option<String>,
 ) -> anyhow::Result<ExitCode> {
-    let Station {
+    let Service {
         bus,
         run,
         scenario,
@@ -115,7 +115,7 @@ pub async fn serve(
         output,
         progress,
         started,
-    } = station;
+    } = service;
     let (_registered, stop) = match prepare(run, bus) {
         Ok(prepared) => prepared,
         Err(error) => {

@@ -11,7 +11,7 @@ use reveille_common::bus::{self, Bus};
 use reveille_common::keys::RunName;
 use reveille_device::host::{self, HostError};
 
-use super::bs::{Station, serve, settings};
+use super::bs::{Service, serve, settings};
 use super::conclusion::window;
 use super::resolution::resolve;
 use super::run::Interrupted;
@@ -42,7 +42,7 @@ pub async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
     let folder = RunFolder::create(&args.output, &scenario)?;
     match listen(args, &endpoint, &folder).await {
         Ok((bus, run)) => {
-            let station = Station {
+            let service = Service {
                 settings: settings(&args.drive, window(&args.output, &scenario), Some(JOIN)),
                 bus: &bus,
                 run: &run,
@@ -51,7 +51,7 @@ pub async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
                 progress: Arc::default(),
                 started,
             };
-            attend(processes, &station, folder, log).await
+            attend(processes, &service, folder, log).await
         }
         Err(error) => {
             folder.fail(&error);
@@ -70,12 +70,12 @@ async fn listen(args: &UpArgs, endpoint: &str, folder: &RunFolder) -> anyhow::Re
 }
 
 /// Serves the run to devices in this process or in `processes` others.
-async fn attend(processes: u32, station: &Station<'_>, folder: RunFolder, log: &[String]) -> anyhow::Result<ExitCode> {
-    let devices = station.scenario.devices;
+async fn attend(processes: u32, service: &Service<'_>, folder: RunFolder, log: &[String]) -> anyhow::Result<ExitCode> {
+    let devices = service.scenario.devices;
     if processes == 0 {
-        let own = station.bus.untapped();
+        let own = service.bus.untapped();
         let carried = tokio::spawn(async move { host::carry(&own, devices, 0, JOIN, |_, _, _| {}).await });
-        let code = serve(station, folder, |_| {}, async || None).await;
+        let code = serve(service, folder, |_| {}, async || None).await;
         if code.as_ref().is_err_and(anyhow::Error::is::<Interrupted>) {
             // They wait to join a run that there will not be.
             carried.abort();
@@ -87,7 +87,7 @@ async fn attend(processes: u32, station: &Station<'_>, folder: RunFolder, log: &
             Err(error) => Err(error.into()),
         };
     }
-    let (endpoint, run) = (station.bus.endpoint(), station.run.to_string());
+    let (endpoint, run) = (service.bus.endpoint(), service.run.to_string());
     let children = match Children::start(devices, processes, endpoint, &run, log) {
         Ok(children) => children,
         Err(error) => {
@@ -97,9 +97,9 @@ async fn attend(processes: u32, station: &Station<'_>, folder: RunFolder, log: &
     };
     let pids = children.pids();
     let children = Arc::new(std::sync::Mutex::new(Some(children)));
-    let guard = tokio::spawn(watch(Arc::clone(&children), Arc::clone(&station.progress)));
-    let cause = async || cause(&children, &station.progress).await;
-    let code = serve(station, folder, |timing| measure(&pids, timing), cause).await;
+    let guard = tokio::spawn(watch(Arc::clone(&children), Arc::clone(&service.progress)));
+    let cause = async || cause(&children, &service.progress).await;
+    let code = serve(service, folder, |timing| measure(&pids, timing), cause).await;
     guard.abort();
     let _watched = guard.await.is_err();
     let children = children.lock().ok().and_then(|mut slot| slot.take());

@@ -263,7 +263,7 @@ fn a_tti_does_not_end_before_it_has_begun() {
 
 /// What happens to a device in a TTI.
 #[derive(Clone, Debug)]
-enum Happening {
+enum Incident {
     /// Nothing that it is told of.
     Quiet,
     /// It is caught up with.
@@ -274,13 +274,13 @@ enum Happening {
     Woken { distance: f64 },
 }
 
-fn happening() -> impl Strategy<Value = Happening> {
+fn happening() -> impl Strategy<Value = Incident> {
     let distance = || prop_oneof![Just(NEAR), Just(FAR)];
     prop_oneof![
-        6 => Just(Happening::Quiet),
-        1 => Just(Happening::Settled),
-        1 => (distance(), any::<bool>()).prop_map(|(distance, is_woken)| Happening::Event { distance, is_woken }),
-        1 => distance().prop_map(|distance| Happening::Woken { distance }),
+        6 => Just(Incident::Quiet),
+        1 => Just(Incident::Settled),
+        1 => (distance(), any::<bool>()).prop_map(|(distance, is_woken)| Incident::Event { distance, is_woken }),
+        1 => distance().prop_map(|distance| Incident::Woken { distance }),
     ]
 }
 
@@ -415,21 +415,21 @@ proptest! {
                 machine.set_duty(Tti(k), duty);
             }
             let delta = (k + u64::from(duty.offset)) % u64::from(duty.t_drx) < u64::from(duty.t_on);
-            if matches!(happening, Happening::Settled) {
+            if matches!(happening, Incident::Settled) {
                 machine.settle(Tti(k));
                 prop_assert_eq!(machine.totals(), plain.totals(), "before TTI {}", k);
             }
             plain.starts(rows[k as usize % rows.len()], delta);
-            if let Happening::Event { distance, .. } = *happening {
+            if let Incident::Event { distance, .. } = *happening {
                 let is_sensed = plain.state == DeviceState::Idle && distance <= 4.0;
                 let expected = is_sensed.then(|| plain.transmits());
                 prop_assert_eq!(of_sensed(&machine.sense(Tti(k), &event(distance), &world)), expected, "TTI {}", k);
             }
-            if let Happening::Woken { distance } | Happening::Event { distance, is_woken: true } = *happening {
+            if let Incident::Woken { distance } | Incident::Event { distance, is_woken: true } = *happening {
                 let expected = (plain.state == ASLEEP).then(|| plain.transmits());
                 prop_assert_eq!(of_woken(&machine.wake(Tti(k), &event(distance), &world)), expected, "TTI {}", k);
             }
-            if matches!(happening, Happening::Event { .. } | Happening::Woken { .. }) {
+            if matches!(happening, Incident::Event { .. } | Incident::Woken { .. }) {
                 prop_assert_eq!((machine.state(), machine.battery()), (plain.state, micro(plain.level)), "TTI {}", k);
             }
             plain.ends();

@@ -49,7 +49,7 @@ use crate::beliefs::candidates::Candidates;
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
 use crate::policy::q_learning::duty::{Duty, Terms};
-use crate::policy::q_learning::wake::{State, Wake};
+use crate::policy::q_learning::wake::{Wake, WakeState};
 
 /// The `q-learning` policy.
 pub struct QLearning {
@@ -116,7 +116,7 @@ impl QLearning {
     }
 
     /// The next candidate that can afford a report, with its state.
-    fn candidate(&mut self, seen: &Observation<'_>) -> Option<(DeviceId, State)> {
+    fn candidate(&mut self, seen: &Observation<'_>) -> Option<(DeviceId, WakeState)> {
         let needed = &self.needed;
         let can_report = |device: DeviceId| seen.batteries[device.index()] >= needed[device.index()];
         let (device, score) = self.candidates.next(seen, can_report)?;

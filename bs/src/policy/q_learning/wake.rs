@@ -5,7 +5,7 @@ use super::learned::{
 };
 
 /// What a wake-up is decided in: buckets of the candidate's score, of Î, and the reports so far.
-pub type State = [usize; 3];
+pub type WakeState = [usize; 3];
 
 /// The wake-ups of a deployment.
 #[derive(Clone, Debug)]
@@ -18,9 +18,9 @@ pub struct Wake {
     worth: f64,
     psi: f64,
     /// The wake-up that waits for its answer: its state, and Î before.
-    open: Option<(State, f64)>,
+    open: Option<(WakeState, f64)>,
     /// The last wake-up that was answered, with its reward, until it is known whether another follows.
-    answered: Option<(State, f64)>,
+    answered: Option<(WakeState, f64)>,
 }
 
 impl Wake {
@@ -44,7 +44,7 @@ impl Wake {
     }
 
     /// The state of a candidate with `score`, in units of information like `information`, after `reports` reports.
-    pub fn state(&self, score: f64, information: f64, reports: usize) -> State {
+    pub fn state(&self, score: f64, information: f64, reports: usize) -> WakeState {
         [
             score_bucket(score / self.psi),
             information_bucket(information / self.psi),
@@ -53,16 +53,16 @@ impl Wake {
     }
 
     /// Whether waking is worth more than stopping, which is worth 0.
-    pub fn is_worth_it(&self, state: State) -> bool {
+    pub fn is_worth_it(&self, state: WakeState) -> bool {
         self.worth_of(state) > 0.0
     }
 
-    fn worth_of(&self, [score, information, reports]: State) -> f64 {
+    fn worth_of(&self, [score, information, reports]: WakeState) -> f64 {
         self.worths[information][reports][score]
     }
 
     /// The candidate of `state` is woken, at `information`.
-    pub fn wake(&mut self, state: State, information: f64) {
+    pub fn wake(&mut self, state: WakeState, information: f64) {
         self.open = Some((state, information));
     }
 
@@ -77,7 +77,7 @@ impl Wake {
     }
 
     /// Learns from the last answer. `next` is the state that it led to, or `None` where nobody is left to be woken.
-    pub fn learn(&mut self, next: Option<State>) {
+    pub fn learn(&mut self, next: Option<WakeState>) {
         let Some((state, reward)) = self.answered.take() else {
             return;
         };
