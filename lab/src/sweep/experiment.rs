@@ -3,7 +3,8 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use reveille_common::declare::{FileError, Files, LONGEST_TEXT};
+use reveille_bs::scenario::declaration;
+use reveille_common::declare::{Declaration, FileError, Files, Form, LONGEST_TEXT, dotted};
 use reveille_common::scenario::PRESETS;
 use reveille_common::score::Metrics;
 use toml::{Table, Value};
@@ -166,10 +167,11 @@ impl Experiment {
             FileError::Folder | FileError::Special | FileError::TooLong { .. } => io::Error::other(error),
         })?;
         let text = String::from_utf8(bytes).map_err(io::Error::other)?;
-        let mut table: Table = toml::from_str(&text).map_err(io::Error::other)?;
+        let table: Table = toml::from_str(&text).map_err(io::Error::other)?;
         let folder = files.absolute(&path.parent().unwrap_or(Path::new("")).join("."))?;
-        table.iter_mut().for_each(|(name, value)| place(name, value, &folder));
-        Ok(Some(table.to_string()))
+        let mut placed = Value::Table(table);
+        place(&declaration(), "", &mut placed, &folder);
+        Ok(Some(placed.as_table().map(Table::to_string).unwrap_or_default()))
     }
 
     /// Cells of the grid: the product of the axes' lengths.
@@ -226,27 +228,69 @@ impl Experiment {
     }
 }
 
-/// Whether the field `name` with this `value` names a file.
-fn is_path(name: &str, value: &str) -> bool {
-    match name {
-        "file" => !value.is_empty(),
-        "table" => !matches!(value, "" | "shipped" | "nothing"),
-        _ => false,
+/// Whether the field at `path` with this `value` names a file.
+fn is_file(fields: &Declaration, path: &str, value: &str) -> bool {
+    let field = fields
+        .field_at(path)
+        .or_else(|| fields.field_at(path.strip_prefix("class.")?));
+    match field.map(|(_, field)| &field.form) {
+        Some(Form::File) => !value.is_empty(),
+        Some(Form::Source(words)) => !value.is_empty() && words.iter().all(|word| word.name != value),
+        Some(_) | None => false,
     }
 }
 
-/// Puts `folder` in front of the relative files in the field `name`.
-fn place(name: &str, value: &mut Value, folder: &Path) {
+/// Puts `folder` in front of the relative files in the field or table at `path`.
+fn place(fields: &Declaration, path: &str, value: &mut Value, folder: &Path) {
     match value {
-        Value::String(file) if is_path(name, file) => {
+        Value::String(file) if is_file(fields, path, file) => {
             *file = folder.join(&*file).to_string_lossy().into_owned();
         }
-        Value::Table(inner) => inner.iter_mut().for_each(|(name, value)| place(name, value, folder)),
-        Value::Array(values) => values.iter_mut().for_each(|value| place("", value, folder)),
+        Value::Table(inner) => {
+            for (name, value) in inner {
+                place(fields, &dotted(path, name), value, folder);
+            }
+        }
+        // The items of a list of tables; the values of an axis stay as they are.
+        Value::Array(items) => {
+            let tables = items.iter_mut().filter(|item| item.is_table());
+            tables.for_each(|item| place(fields, path, item, folder));
+        }
         Value::String(_) | Value::Integer(_) | Value::Float(_) | Value::Boolean(_) | Value::Datetime(_) => {}
     }
 }
 
 fn quoted(path: &str) -> String {
     Value::String(path.to_owned()).to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_field_that_names_a_file_is_placed_and_no_other() {
+        let text = r#"
+            layout = { kind = "file", file = "points.csv" }
+            policy = { name = "q-learning", q-learning = { table = "own.json" } }
+            [[class]]
+            name = "file"
+            harvest = { kind = "trace", trace = { file = "sun.csv" } }
+            [[class]]
+            name = "table"
+        "#;
+        let mut value = Value::Table(text.parse().expect("TOML"));
+        place(&declaration(), "", &mut value, Path::new("there"));
+        assert_eq!(value["layout"]["file"].as_str(), Some("there/points.csv"));
+        assert_eq!(value["layout"]["kind"].as_str(), Some("file"));
+        assert_eq!(value["policy"]["q-learning"]["table"].as_str(), Some("there/own.json"));
+        assert_eq!(
+            value["class"][0]["harvest"]["trace"]["file"].as_str(),
+            Some("there/sun.csv")
+        );
+        assert_eq!(value["class"][0]["name"].as_str(), Some("file"));
+        let mut word = Value::Table("policy.q-learning.table = \"shipped\"".parse().expect("TOML"));
+        place(&declaration(), "", &mut word, Path::new("there"));
+        assert_eq!(word["policy"]["q-learning"]["table"].as_str(), Some("shipped"));
+    }
 }

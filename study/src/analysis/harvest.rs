@@ -5,7 +5,7 @@
 //! own harvest less its own spending ([`Point::net`]) is the overflow of full batteries and what the initial charge
 //! adds or takes, never a lasting deficit. [`demand`] is what a policy would spend if no battery were ever short.
 
-use reveille_common::harvest::{Arrivals, eq5_probability};
+use reveille_common::harvest::{Arrivals, HarvestKind};
 use reveille_common::scenario::{Harvest, Scenario};
 use reveille_common::units::Energy;
 
@@ -32,20 +32,20 @@ impl Reading {
     /// Both.
     pub const ALL: [Self; 2] = [Self::Eq5, Self::ExpMinusLambda];
 
+    /// The kind of harvest that reads λ so.
+    pub fn kind(self) -> HarvestKind {
+        self.source(0.0, Energy::ZERO).kind()
+    }
+
     /// Its name, as in `harvest.kind` of a scenario.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Eq5 => "eq5",
-            Self::ExpMinusLambda => "exp-minus-lambda",
-        }
+    pub fn name(self) -> &'static str {
+        self.kind().name()
     }
 
     /// The probability of an arrival in a TTI of duration `tau`, `[0, 1]`.
     pub fn probability(self, lambda: f64, tau: f64) -> f64 {
-        match self {
-            Self::Eq5 => eq5_probability(lambda, tau),
-            Self::ExpMinusLambda => libm::exp(-lambda),
-        }
+        let independent = self.source(lambda, Energy::ZERO).independent_probability(tau);
+        independent.expect("its arrivals do not depend on each other")
     }
 
     /// The energy source that it means.

@@ -97,7 +97,7 @@ fn only_class(scenario: &Scenario) -> anyhow::Result<&DeviceClass> {
 fn source(harvest: &Harvest) -> anyhow::Result<(Reading, f64)> {
     let reading = Reading::ALL
         .into_iter()
-        .find(|reading| reading.name() == harvest.kind().name());
+        .find(|reading| reading.kind() == harvest.kind());
     let Some((reading, arrivals)) = reading.zip(harvest.arrivals()) else {
         bail!(
             "the chain needs arrivals that do not depend on each other; use --set harvest.kind=eq5 or exp-minus-lambda"
