@@ -1,7 +1,7 @@
 //! All sections of a configuration together.
 
 use super::choice::Alternative;
-use super::field::{Field, Section};
+use super::field::{Field, Form, Section};
 
 /// A list of tables (`[[class]]`), each of which may override the fields of some sections.
 #[derive(Clone, Copy, Debug)]
@@ -107,6 +107,22 @@ impl Declaration {
             return self.list.section.field(name).map(|field| (self.list.section, field));
         }
         self.field(Scope::Top, section, name)
+    }
+
+    /// The words that a field of this form may hold; none if it holds something else.
+    pub fn words(&self, form: &Form) -> &[Alternative] {
+        match form {
+            Form::Choice(words) | Form::Source(words) => words,
+            Form::Registered => &self.registered,
+            Form::Whole { .. }
+            | Form::Number(_)
+            | Form::Energy { .. }
+            | Form::Switch
+            | Form::Text
+            | Form::File
+            | Form::Wholes { .. }
+            | Form::Texts => &[],
+        }
     }
 
     /// The headers in the order of files, each once.

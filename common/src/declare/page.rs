@@ -138,18 +138,7 @@ fn comment(field: &Field, condition: Option<Condition>, all: &Declaration, is_in
     if !field.unit.is_empty() {
         parts.push(field.unit.to_owned());
     }
-    let words = match field.form {
-        Form::Choice(words) | Form::Source(words) => words,
-        Form::Registered => all.registered.as_slice(),
-        Form::Whole { .. }
-        | Form::Number(_)
-        | Form::Energy { .. }
-        | Form::Switch
-        | Form::Text
-        | Form::File
-        | Form::Wholes { .. }
-        | Form::Texts => &[],
-    };
+    let words = all.words(&field.form);
     if !words.is_empty() {
         let mut words: Vec<String> = words.iter().map(|word| format!("\"{}\"", word.name)).collect();
         if matches!(field.form, Form::Source(_)) {

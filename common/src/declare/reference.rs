@@ -4,7 +4,6 @@ use std::fmt::Write as _;
 
 use toml::de::{DeTable, DeValue};
 
-use super::choice::Alternative;
 use super::declaration::Declaration;
 use super::dotted;
 use super::field::{Default, Field, Form, Section};
@@ -83,18 +82,7 @@ fn write_sections(page: &mut String, declaration: &Declaration, title: &str, sec
         let _ = writeln!(page, "| {} |", cells.join(" | "));
     }
     for (_, field) in fields() {
-        let words: &[Alternative] = match field.form {
-            Form::Choice(words) | Form::Source(words) => words,
-            Form::Registered => &declaration.registered,
-            Form::Whole { .. }
-            | Form::Number(_)
-            | Form::Energy { .. }
-            | Form::Switch
-            | Form::Text
-            | Form::File
-            | Form::Wholes { .. }
-            | Form::Texts => &[],
-        };
+        let words = declaration.words(&field.form);
         if !words.is_empty() {
             let _ = writeln!(page, "\nValues of `{}`:\n", field.name);
             for word in words {

@@ -22,16 +22,14 @@ use super::contract::{Opaque, Policy};
 use super::kind::{Profile, Registered, own};
 use super::mind::Mind;
 use super::pilots::Pilots;
-use crate::beliefs::candidates::Candidates;
-use crate::beliefs::ranking::i_min;
+use crate::beliefs::aim::Aim;
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
 
 /// The `adjusted` policy.
 pub struct Adjusted {
     choice: DutyChoice,
-    i_min: f64,
-    candidates: Candidates,
+    aim: Aim,
 }
 
 impl Adjusted {
@@ -39,8 +37,7 @@ impl Adjusted {
     pub fn new(known: &Knowledge, choice: DutyChoice) -> Self {
         Self {
             choice,
-            i_min: i_min(&known.positions(), known.area, &known.sensing),
-            candidates: Candidates::new(known),
+            aim: Aim::new(known),
         }
     }
 }
@@ -61,23 +58,15 @@ impl Policy for Adjusted {
     }
 
     fn reported(&mut self, seen: &Observation<'_>, reports: &[Report]) {
-        if seen.information < self.i_min {
-            self.candidates.start(seen, reports);
-        }
+        self.aim.start(seen, reports);
     }
 
     fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId> {
-        if seen.information >= self.i_min {
-            None
-        } else {
-            self.candidates.next(seen, |_| true).map(|(device, _)| device)
-        }
+        self.aim.next(seen, |_| true)
     }
 
     fn answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
-        if let Some(report) = report.filter(|_| seen.information < self.i_min) {
-            self.candidates.add(seen, report);
-        }
+        self.aim.answered(seen, report);
     }
 
     fn facts(&self) -> Vec<(&'static str, f64)> {
@@ -91,7 +80,7 @@ impl Policy for Adjusted {
         vec![
             ("t_on", f64::from(t_on)),
             ("t_drx", f64::from(t_drx)),
-            ("i_min", self.i_min),
+            ("i_min", self.aim.i_min()),
             ("reaches_i_min", f64::from(u8::from(reaches_i_min))),
             ("searched_pairs", f64::from(pairs)),
             ("searched_device_ttis", device_ttis as f64),

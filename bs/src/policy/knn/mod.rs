@@ -16,18 +16,15 @@ use self::settings::KnnSettings;
 use super::contract::{Opaque, Policy};
 use super::kind::{Profile, Registered, own};
 use super::mind::Mind;
-use crate::beliefs::candidates::Candidates;
+use crate::beliefs::aim::Aim;
 use crate::beliefs::clusters::Clusters;
-use crate::beliefs::ranking::i_min;
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
 
 /// The `knn` policy.
 pub struct Knn {
     clusters: Clusters,
-    /// The information I_min that wake-ups aim for (Sec. V-A, Eq. (E_Info3)).
-    i_min: f64,
-    candidates: Candidates,
+    aim: Aim,
     /// The clusters of this event's first reporters; whoever is woken later belongs to one of them.
     asked: Vec<u32>,
 }
@@ -39,8 +36,7 @@ impl Knn {
         let start = known.streams.stream(PolicyPurpose::Clusters, 0);
         Self {
             clusters: Clusters::form(&positions, known.area, d_max, settings.voting(), start),
-            i_min: i_min(&positions, known.area, &known.sensing),
-            candidates: Candidates::new(known),
+            aim: Aim::new(known),
             asked: Vec::new(),
         }
     }
@@ -71,7 +67,7 @@ impl Policy for Knn {
     }
 
     fn reported(&mut self, seen: &Observation<'_>, reports: &[Report]) {
-        if seen.information >= self.i_min {
+        if !self.aim.start(seen, reports) {
             return;
         }
         self.asked.clear();
@@ -81,36 +77,23 @@ impl Policy for Knn {
                 self.asked.push(cluster);
             }
         }
-        self.candidates.start(seen, reports);
     }
 
     fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId> {
-        if seen.information >= self.i_min {
-            None
-        } else {
-            let Self {
-                clusters,
-                candidates,
-                asked,
-                ..
-            } = self;
-            let is_asked = |device: DeviceId| asked.contains(&clusters.of[device.index()]);
-            candidates.next(seen, is_asked).map(|(device, _)| device)
-        }
+        let Self { clusters, aim, asked } = self;
+        aim.next(seen, |device| asked.contains(&clusters.of[device.index()]))
     }
 
     fn facts(&self) -> Vec<(&'static str, f64)> {
         vec![
             ("clusters_formed", self.clusters.formed as f64),
             ("clusters_after_splitting", self.clusters.members.len() as f64),
-            ("i_min", self.i_min),
+            ("i_min", self.aim.i_min()),
         ]
     }
 
     fn answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
-        if let Some(report) = report.filter(|_| seen.information < self.i_min) {
-            self.candidates.add(seen, report);
-        }
+        self.aim.answered(seen, report);
     }
 }
 

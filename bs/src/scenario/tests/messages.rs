@@ -1,0 +1,308 @@
+//! Messages of refused scenarios, and warnings: field, value, what is allowed, and the place.
+
+use std::path::Path;
+
+use reveille_common::declare::listed;
+use reveille_common::geometry::Layout;
+
+use super::*;
+
+#[test]
+fn messages_name_field_value_range_and_line() {
+    let diagonal = from("\n\n[sensing]\nd_max = 50\n").expect_err("too far").to_string();
+    assert_eq!(
+        diagonal,
+        "sensing.d_max = 50: must be greater than 0 and at most 28.28 (the area's diagonal in metres); set in my.toml, \
+         line 4"
+    );
+    for (text, start, end) in [
+        ("devices = 0", "devices = 0: must be at least 1", "line 1"),
+        ("devices = 2_000_000", "devices = 2000000: must be", "line 1"),
+        (
+            "devices = -3",
+            "devices = -3: must be a whole number that is not negative",
+            "line 1",
+        ),
+        ("devices = \"ten\"", "devices = \"ten\": must be", "line 1"),
+        ("ttis = 0", "ttis = 0:", "line 1"),
+        (
+            "warm_up = 1",
+            "warm_up = 1: must be at least 0 and less than 1",
+            "line 1",
+        ),
+        ("tau = 0", "tau = 0: must be greater than 0", "line 1"),
+        ("tau = nan", "tau = NaN: must be greater than 0", "line 1"),
+        ("[area]\nwidth = -1", "area.width = -1:", "line 2"),
+        ("[sensing]\neta = 0", "sensing.eta = 0:", "line 2"),
+        (
+            "[sensing]\neta = 200",
+            "sensing.eta = 200: must be at most 175",
+            "line 2",
+        ),
+        ("[sensing]\npsi = -1", "sensing.psi = -1:", "line 2"),
+        (
+            "[sensing]\nkind = \"rang\"",
+            "sensing.kind = \"rang\": must be one of `range`, `probabilistic`; did you mean `range`?",
+            "line 2",
+        ),
+        ("[energy]\ne_max = 0", "energy.e_max = 0:", "line 2"),
+        (
+            "[energy]\ne_tx = 101",
+            "energy.e_tx = 101: must be at most 100 units (energy.e_max), or it can never",
+            "line 2",
+        ),
+        (
+            "[energy]\ne_idle = -1",
+            "energy.e_idle = -1: must be at least 0 and at most 10000 units",
+            "line 2",
+        ),
+        ("[energy]\ninitial = 100.5", "energy.initial = 100.5:", "line 2"),
+        (
+            "[events]\nalpha = 0",
+            "events.alpha = 0: must be greater than 0 and at most 1",
+            "line 2",
+        ),
+        ("[events]\nduration = 0", "events.duration = 0:", "line 2"),
+        ("[harvest]\nlambda = inf", "harvest.lambda = inf:", "line 2"),
+        (
+            "[harvest]\nkind = \"mpp\"\nlambda = 0",
+            "harvest.lambda = 0: must be greater than 0",
+            "line 3",
+        ),
+        ("[bs]\nsync_interval = 0", "bs.sync_interval = 0:", "line 2"),
+        ("[policy.knn]\nneighbours = 0", "policy.knn.neighbours = 0:", "line 2"),
+        (
+            "preset = \"papr\"",
+            "preset = papr: must be one of `paper`, `paper-literal`, `quick`; did you mean `paper`?",
+            "line 1",
+        ),
+        (
+            "[harvest]\nkind = \"trace\"",
+            "harvest.trace.file: required because of harvest.kind, set in my.toml, line 2",
+            "",
+        ),
+        (
+            "layout.kind = \"file\"",
+            "layout.file: required because of layout.kind, set in my.toml, line 1",
+            "",
+        ),
+        (
+            "devices = 1_000_000\nttis = 1_000_000_000",
+            "ttis = 1000000000: must be at most 184467",
+            "line 2",
+        ),
+        ("seed = = 1", "my.toml, line 1: not valid TOML", ""),
+    ] {
+        let message = from(text).expect_err(text).to_string();
+        assert!(message.starts_with(start), "{text}: {message}");
+        assert!(message.contains(end), "{text}: {message}");
+        assert!(!message.contains('\n'), "one paragraph: {message}");
+    }
+}
+
+#[test]
+fn class_messages_name_the_class() {
+    let two = |extra: &str| format!("[[class]]\nname = \"a\"\nshare = 0.5\n[[class]]\nname = \"b\"\n{extra}\n");
+    for (text, part) in [
+        (
+            two("share = 0.4"),
+            "class = shares 0.5 + 0.4: the shares of all classes must add up to 1, not to 0.9",
+        ),
+        (
+            two(""),
+            "class.b.share: required because of class.b.name, set in my.toml, line 5",
+        ),
+        (
+            two("share = 0.5\nenergy.e_tx = 200"),
+            "class.b.energy.e_tx = 200: must be at most 100 units",
+        ),
+        (
+            two("share = 0.5\nenergy.e_max = 5"),
+            "energy.e_tx = 10: must be at most 5 units (class.b.energy.e_max)",
+        ),
+        (
+            two("share = 0.5\nenergy.e_tx = \"x\""),
+            "class.b.energy.e_tx = \"x\": must be a number; set in my.toml, line 7",
+        ),
+        (
+            two("share = 0.5\nenergy.etx = 2"),
+            "unknown field `class.b.energy.etx`; did you mean `e",
+        ),
+        (
+            "[[class]]\nname = \"a\"\nshare = 0.5\n[[class]]\nname = \"a\"\nshare = 0.5".to_owned(),
+            "class.a.name = a: must differ",
+        ),
+        (
+            "[[class]]\nname = \"\"\nshare = 1".to_owned(),
+            "class.1.name = \"\": must be",
+        ),
+        (
+            "\n[[class]]\nshare = 1".to_owned(),
+            "class.1.name: required for every class (set in my.toml, line 2)",
+        ),
+    ] {
+        let message = from(&text).expect_err(&text).to_string();
+        assert!(message.contains(part), "{message}");
+    }
+}
+
+#[test]
+fn tables_in_the_wrong_place_are_explained() {
+    let message = |text: &str| from(text).expect_err("it must not be").to_string();
+    let number = message("[devices]\nn = 3");
+    assert!(number.starts_with("devices = {…}: must be"), "{number}");
+    let list = message("[class.a]\nshare = 1");
+    let expected = "class = {…}: must be a list: write [[class]] for each item";
+    assert!(list.starts_with(expected), "{list}");
+}
+
+#[test]
+fn unknown_fields_come_with_a_suggestion() {
+    let settings = from("[policy.random]\nx = 1\n").expect_err("it has none").to_string();
+    assert!(
+        settings.starts_with("unknown field `policy.random`; `random` has no fields of its own; set in my.toml"),
+        "{settings}"
+    );
+    let folder = load(env!("CARGO_MANIFEST_DIR"), &[]).expect_err("a folder");
+    assert!(
+        std::error::Error::source(&folder).is_none(),
+        "said once, in the message"
+    );
+    for (text, message) in [
+        (
+            "[bs]\nsync = 5",
+            "unknown field `bs.sync`; set in my.toml, line 2; the fields there are `sync_interval`, `ranking`, \
+             `battery_knowledge`",
+        ),
+        (
+            "[events]\nalhpa = 0.1",
+            "unknown field `events.alhpa`; did you mean `alpha`?; set in my.toml, line 2; the fields there \
+             are `alpha`, `duration`",
+        ),
+    ] {
+        assert_eq!(from(text).expect_err(text).to_string(), message);
+    }
+    let top = from("seed = 1\nd_max = 3").expect_err("wrong section").to_string();
+    assert!(
+        top.starts_with("unknown field `d_max`; did you mean `sensing.d_max`?; set in my.toml, line 2"),
+        "{top}"
+    );
+}
+
+#[test]
+fn overrides_are_checked_like_files() {
+    for (text, part) in [
+        (
+            "sensing.d_max=50",
+            "(the area's diagonal in metres); set by --set sensing.d_max=50",
+        ),
+        (
+            "sensing.dmax=5",
+            "unknown field `sensing.dmax`; did you mean `d_max`?; set by --set sensing.dmax=5",
+        ),
+        ("sense.d_max=5", "unknown field `sense`"),
+        ("area={widht=3}", "unknown field `area.widht`; did you mean `width`?"),
+        (
+            "policy.name=nkn",
+            &format!(
+                "policy.name = nkn: must be one of {}; did you mean `knn`?",
+                listed(registry::names())
+            ),
+        ),
+        ("ttis=1.5", "ttis = 1.5: must be a whole number"),
+        (
+            "class.x.share=1",
+            "class = x: must be the name of a class; there are (none); set by --set",
+        ),
+    ] {
+        let message = load("paper", &set(&[text])).expect_err(text).to_string();
+        assert!(message.contains(part), "{message}");
+    }
+    let flag = Override::flag("--devices", "devices", "0").expect("well-formed");
+    let message = load("paper", &[flag]).expect_err("no devices").to_string();
+    assert!(message.ends_with("; set by --devices"), "{message}");
+    let unknown = load("qiuck", &[]).expect_err("no such file").to_string();
+    assert!(unknown.contains("did you mean `quick`?"), "{unknown}");
+}
+
+#[test]
+fn data_files_are_checked_row_by_row() {
+    let files = [
+        ("p.csv", "x,y\n1,2\n3,4\n"),
+        ("out.csv", "x,y\n1,2\n30,4\n"),
+        ("t.csv", "hour,w\n0,1\n1,-2\n"),
+        ("empty.csv", "hour,w\n"),
+        ("t.parquet", "PAR1"),
+    ];
+    let folder = folder("rows", &files);
+    let layout = |file: &str| format!("devices = 2\n[layout]\nkind = \"file\"\nfile = \"{file}\"\n");
+    let trace = |file: &str, column: &str| {
+        format!("[harvest]\nkind = \"trace\"\ntrace.file = \"{file}\"\ntrace.column = \"{column}\"\n")
+    };
+    for (text, part) in [
+        (
+            layout("p.csv").replace('2', "3"),
+            "p.csv\": has 2 points, too few for 3 devices; set in my.toml, line 4",
+        ),
+        (
+            layout("out.csv"),
+            "line 3: the point (30, 4) lies outside the area of 20 by 20 metres",
+        ),
+        (layout("none.csv"), "none.csv\": cannot be read: No such file"),
+        (layout("t.csv"), "has no column `x`; its columns are `hour`, `w`"),
+        (
+            trace("t.csv", "v"),
+            "has no column `v`; its columns are `hour`, `w`; set in my.toml, line 3",
+        ),
+        (trace("t.csv", "w"), "line 3, column `w`: -2 times"),
+        (trace("empty.csv", "w"), "has no rows"),
+        (trace("t.parquet", "w"), "arquet"),
+        (trace("", "w"), "harvest.trace.file = \"\": must be the path"),
+        (
+            trace("t.csv", "w") + "trace.columns = [\"w\"]",
+            "cannot be set together with",
+        ),
+    ] {
+        let message = parse(&text, "my.toml", &folder, &[]).expect_err(&text).to_string();
+        assert!(message.contains(part), "{message}");
+    }
+    let placed = parse(&layout("p.csv"), "my.toml", &folder, &[]).expect("valid");
+    assert!(matches!(&placed.layout, Layout::File(file) if file.points.len() == 2));
+    assert_eq!(from(&placed.to_toml()).expect("valid"), placed);
+    std::fs::remove_dir_all(folder).expect("its own folder");
+}
+
+#[test]
+fn what_has_no_effect_is_warned_of() {
+    let classes = "[[class]]\nname = \"a\"\nshare = 0.5\nharvest.lambda = 0.3\n\
+                   [[class]]\nname = \"b\"\nshare = 0.5\nharvest.lambda = 0.2\n";
+    let lambda = set(&["harvest.lambda=0.7"]);
+    let silent = parse(classes, "t", Path::new(""), &lambda).expect("valid").warnings;
+    assert_eq!(silent.len(), 1, "{silent:?}");
+    assert!(
+        silent[0].starts_with("harvest.lambda = 0.7 has no effect on any class"),
+        "{silent:?}"
+    );
+    assert!(silent[0].ends_with("set by --set harvest.lambda=0.7"), "{silent:?}");
+    let one = classes.replace("harvest.lambda = 0.2\n", "");
+    assert!(
+        parse(&one, "t", Path::new(""), &lambda)
+            .expect("valid")
+            .warnings
+            .is_empty()
+    );
+    let scale = load("paper", &set(&["harvest.trace.scale=2"])).expect("valid").warnings;
+    assert!(
+        scale[0].contains("has an effect only with harvest.kind = \"trace\""),
+        "{scale:?}"
+    );
+    let solar = examples().join("solar.toml");
+    let solar = load(solar.to_str().expect("UTF-8"), &lambda).expect("valid").warnings;
+    assert!(
+        solar[0].starts_with("harvest.lambda = 0.7 has an effect only with"),
+        "{solar:?}"
+    );
+    for preset in PRESETS {
+        assert!(load(preset.name, &[]).expect("a preset").warnings.is_empty());
+    }
+}

@@ -1,0 +1,206 @@
+//! Whole scenarios: presets, precedence, classes, and what decides the hash.
+
+mod hostile;
+mod messages;
+mod pages;
+
+use std::path::{Path, PathBuf};
+
+use super::*;
+use reveille_common::geometry::Layout;
+use reveille_common::harvest::Mpp;
+use reveille_common::sensing::DetectionKind;
+use reveille_common::units::Energy;
+
+fn set(texts: &[&str]) -> Vec<Override> {
+    texts
+        .iter()
+        .map(|text| Override::parse(text).expect("well-formed"))
+        .collect()
+}
+
+fn from(text: &str) -> Result<Scenario, ScenarioError> {
+    parse(text, "my.toml", Path::new("/nonexistent"), &[])
+}
+
+fn examples() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../deploy/scenarios")
+}
+
+/// A folder of its own for the data files of one test.
+fn folder(name: &str, files: &[(&str, &str)]) -> PathBuf {
+    let folder = std::env::temp_dir().join(format!("reveille-scenario-{}-{name}", std::process::id()));
+    std::fs::create_dir_all(&folder).expect("a folder");
+    for (file, text) in files {
+        std::fs::write(folder.join(file), text).expect("a file");
+    }
+    folder
+}
+
+#[test]
+fn the_paper_preset_is_table_ii() {
+    let scenario = load("paper", &[]).expect("a preset");
+    let energy = scenario.classes[0].energy;
+    assert_eq!(energy.e_wur, Energy::from_micro(71_429));
+    assert_eq!(energy.initial, Energy::from_micro(50_000_000));
+    assert_eq!((scenario.devices, scenario.ttis, scenario.seed), (50, 10_000, 1));
+    assert_eq!(scenario.layout, Layout::JitteredGrid);
+    assert_eq!(
+        scenario.events,
+        Events {
+            alpha: 0.2,
+            duration: 4
+        }
+    );
+    assert_eq!(scenario.classes[0].name, "default");
+}
+
+#[test]
+fn every_preset_loads_under_its_name() {
+    for Preset { name, .. } in PRESETS {
+        assert_eq!(load(name, &[]).expect(name).preset, *name);
+    }
+    let literal = load("paper-literal", &[]).expect("a preset");
+    assert_eq!(literal.sensing.kind, DetectionKind::Probabilistic);
+    assert_eq!((literal.layout, literal.devices), (Layout::Uniform, 50));
+}
+
+#[test]
+fn later_layers_win() {
+    let text = "preset = \"quick\"\nseed = 7\n[sensing]\nd_max = 5\n";
+    let scenario = parse(
+        text,
+        "my.toml",
+        Path::new(""),
+        &set(&["sensing.d_max=6", "sensing.d_max=6.5"]),
+    );
+    let scenario = scenario.expect("valid");
+    assert_eq!((scenario.devices, scenario.seed), (20, 7));
+    assert!((scenario.sensing.d_max - 6.5).abs() < f64::EPSILON);
+    assert_eq!(load("paper", &set(&["preset=quick"])).expect("valid").devices, 20);
+}
+
+#[test]
+fn a_class_inherits_field_by_field() {
+    let text = "[energy]\ne_idle = 2\n[[class]]\nname = \"a\"\nshare = 0.25\n[class.energy]\ne_tx = 3\n\
+                [[class]]\nname = \"b\"\nshare = 0.75\n[class.harvest]\nkind = \"mpp\"\n";
+    let scenario = parse(
+        text,
+        "t",
+        Path::new(""),
+        &set(&["class.b.energy.e_max=80", "energy.e_wur=0.5"]),
+    );
+    let classes = scenario.expect("valid").classes;
+    let both = |field: fn(&EnergyModel) -> Energy| [0, 1].map(|i: usize| field(&classes[i].energy).micro());
+    assert_eq!(both(|energy| energy.e_tx), [3_000_000, 10_000_000]);
+    assert_eq!(both(|energy| energy.e_max), [100_000_000, 80_000_000]);
+    assert_eq!(both(|energy| energy.initial), [50_000_000, 40_000_000]);
+    assert_eq!(both(|energy| energy.e_wur), [500_000, 500_000]);
+    let Harvest::Mpp(Mpp { lambda, off_mean, .. }) = classes[1].harvest else {
+        panic!("{:?}", classes[1].harvest);
+    };
+    let on_share = (1.0 / lambda) / (1.0 / lambda + off_mean);
+    assert!((on_share - 0.1 * libm::exp(-0.1)).abs() < 1e-12, "{on_share}");
+}
+
+#[test]
+fn the_examples_load_and_come_back() {
+    for name in ["solar.toml", "two-classes.toml"] {
+        let path = examples().join(name);
+        let scenario = load(path.to_str().expect("UTF-8"), &[]).expect(name);
+        let again = from(&scenario.to_toml()).expect(name);
+        assert_eq!(scenario, again, "{}", scenario.to_toml());
+        assert_eq!(scenario.hash(), again.hash());
+    }
+    let solar = load(examples().join("solar.toml").to_str().expect("UTF-8"), &[]).expect("valid");
+    let Harvest::Trace(trace) = &solar.classes[0].harvest else {
+        panic!("{:?}", solar.classes[0].harvest);
+    };
+    assert_eq!((trace.values.len(), trace.values[0].len()), (1, 14 * 24));
+}
+
+#[test]
+fn an_override_replaces_the_shared_column() {
+    let path = examples().join("solar.toml");
+    let columns = set(&[
+        "harvest.trace.columns=[\"hour\", \"ghi_w_m2\"]",
+        "harvest.trace.scale=0.001",
+    ]);
+    let scenario = load(path.to_str().expect("UTF-8"), &columns).expect("valid");
+    let Harvest::Trace(trace) = &scenario.classes[0].harvest else {
+        panic!("{:?}", scenario.classes[0].harvest);
+    };
+    assert_eq!(trace.values.len(), 2);
+    assert_eq!(from(&scenario.to_toml()).expect("valid"), scenario);
+}
+
+#[test]
+fn the_hash_follows_what_decides_a_run_and_nothing_else() {
+    let hash = |overrides: &[&str]| load("paper", &set(overrides)).expect("valid").hash_hex();
+    let quick = load("quick", &set(&["devices=50", "ttis=10000"])).expect("valid");
+    assert_eq!(hash(&[]), quick.hash_hex());
+    for changed in [
+        "seed=2",
+        "energy.e_wur=0.071428",
+        "policy.name=random",
+        "harvest.lambda=0.2",
+        "layout.kind=hex",
+        "tau=2",
+    ] {
+        assert_ne!(hash(&[]), hash(&[changed]), "{changed}");
+    }
+    let folder = folder(
+        "hash",
+        &[("a.csv", "w\n1\n2\n"), ("b.csv", "w\n1\n2\n"), ("c.csv", "w\n1\n3\n")],
+    );
+    let traced = |file: &str| {
+        let text = format!("[harvest]\nkind = \"trace\"\ntrace = {{ file = \"{file}\", column = \"w\" }}");
+        parse(&text, "my.toml", &folder, &[]).expect("valid").hash()
+    };
+    assert_eq!(traced("a.csv"), traced("b.csv"));
+    assert_ne!(traced("a.csv"), traced("c.csv"));
+    std::fs::remove_dir_all(&folder).expect("its own folder");
+}
+
+#[test]
+fn a_layout_file_may_say_the_class_of_each_device() {
+    let good = "x,y,class\n1,2,weak\n3,4,strong\n5,6,weak\n";
+    let files = [
+        ("good.csv", good),
+        ("bad.csv", "x,y,class\n1,2,weak\n3,4,stron\n"),
+        ("plain.csv", "x,y\n1,2\n3,4\n"),
+    ];
+    let folder = folder("classes", &files);
+    let text = |file: &str, share: &str| {
+        format!(
+            "devices = 2\nlayout.kind = \"file\"\nlayout.file = \"{file}\"\n[[class]]\nname = \"strong\"\n{share}\n\
+             [[class]]\nname = \"weak\"\n{share}\n"
+        )
+    };
+    let load = |file: &str, share: &str| parse(&text(file, share), "my.toml", &folder, &[]);
+    let placed = load("good.csv", "").expect("valid");
+    assert_eq!(assign_classes(&placed), [1, 0]);
+    assert!((placed.classes[0].share - 0.5).abs() < 1e-12);
+    assert_eq!(placed.warnings.len(), 1, "{:?}", placed.warnings);
+    assert!(placed.warnings[0].contains("good.csv has 3 positions; the first 2 are used"));
+    assert_eq!(from(&placed.to_toml()).expect("valid"), placed);
+    let shared = load("good.csv", "share = 0.5").expect("valid");
+    assert!(
+        shared
+            .warnings
+            .iter()
+            .any(|w| w.starts_with("class.share has no effect"))
+    );
+    assert_eq!(shared.hash(), placed.hash());
+    let unknown = load("bad.csv", "").expect_err("no such class").to_string();
+    assert!(
+        unknown.contains("line 3, column `class`: \"stron\" is no class") && unknown.contains("did you mean `strong`?"),
+        "{unknown}"
+    );
+    let missing = load("plain.csv", "").expect_err("no shares").to_string();
+    assert!(
+        missing.contains("class.strong.share: required because of class.strong.name"),
+        "{missing}"
+    );
+    std::fs::remove_dir_all(&folder).expect("its own folder");
+}

@@ -1,0 +1,76 @@
+//! What is generated from the declarations: the reference page, the schema, the whole file, the fuzz dictionary.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use reveille_common::declare::Form;
+
+use super::*;
+
+#[test]
+fn the_reference_page_is_current() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/scenario.md");
+    let page = std::fs::read_to_string(path).expect("the page");
+    assert!(
+        page == reference(),
+        "docs/scenario.md is not what the declarations say: reveille scenario reference --out docs/scenario.md"
+    );
+}
+
+#[test]
+fn schema_and_full_page_have_every_field() {
+    let schema: serde_json::Value = serde_json::from_str(&schema()).expect("JSON");
+    let page = load("paper", &[]).expect("a preset").to_full_toml(&registry::kinds());
+    for path in declaration().paths() {
+        let pointer = path
+            .split('.')
+            .fold(String::new(), |at, name| format!("{at}/properties/{name}"));
+        assert!(schema.pointer(&pointer).is_some(), "{path}");
+        let name = path.rsplit('.').next().expect("a name");
+        let has_it = |line: &str| line.trim_start_matches("# ").starts_with(&format!("{name} = "));
+        assert!(page.lines().any(has_it), "{path}");
+    }
+    assert_eq!(
+        from(&page).expect("what is shown loads"),
+        load("paper", &[]).expect("a preset")
+    );
+    let lambda = schema
+        .pointer("/properties/harvest/properties/lambda")
+        .expect("a field");
+    assert_eq!(lambda["minimum"], 0.0);
+    assert_eq!(schema["properties"]["sensing"]["additionalProperties"], false);
+    assert_eq!(schema["properties"]["devices"]["default"], 50);
+}
+
+#[test]
+fn words_of_the_fuzz_dictionary_are_those_of_the_declaration() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/fuzz/scenario.dict");
+    let dictionary = std::fs::read_to_string(path).expect("the dictionary");
+    let tail = "# Syntax and values, which no declaration has.\n";
+    let (head, _) = dictionary.split_once(tail).expect("a tail");
+    let held: Vec<&str> = head.lines().filter(|line| !line.starts_with('#')).collect();
+
+    let declaration = declaration();
+    let mut words: BTreeSet<&str> = declaration.registered.iter().map(|policy| policy.name).collect();
+    words.extend(declaration.presets.iter().map(|preset| preset.name));
+    words.extend(declaration.sections.iter().flat_map(|section| section.path.split('.')));
+    words.insert(declaration.list.name());
+    let own = std::iter::once(&declaration.list.section);
+    for field in declaration
+        .sections
+        .iter()
+        .chain(own)
+        .flat_map(|section| section.fields)
+    {
+        words.insert(field.name);
+        if let Form::Choice(alternatives) | Form::Source(alternatives) = field.form {
+            words.extend(alternatives.iter().map(|alternative| alternative.name));
+        }
+    }
+    let expected: Vec<String> = words
+        .into_iter()
+        .filter(|word| !word.is_empty())
+        .map(|word| format!("\"{word}\""))
+        .collect();
+    assert_eq!(held, expected, "words of tests/fuzz/scenario.dict, in their order");
+}
