@@ -20,7 +20,7 @@ use reveille_common::message::{Failure, PlanUpdate, Report, WakeOutcome, WakeUp}
 use reveille_common::plan::Plan;
 use reveille_common::scenario::Scenario;
 use reveille_common::score::{Final, Score};
-use reveille_common::totals::{DeviceTotals, EventTotals};
+use reveille_common::totals::{EventTotals, Ledger};
 use reveille_common::units::Energy;
 use reveille_common::world::{Turn, World};
 
@@ -221,24 +221,25 @@ impl Cycle {
         self.station.mind().groups()
     }
 
-    /// The run's outcome. `ledgers` are the devices' totals in the order of ids, `at_warm_up` their sum at the end of
-    /// the warm-up (`None` if the run did not get there).
+    /// The run's outcome. `ledgers` are the devices' books in the order of ids.
     ///
     /// # Panics
     /// If the last grant is still open.
-    pub fn finish(self, ledgers: &[DeviceTotals], at_warm_up: Option<DeviceTotals>) -> Outcome {
+    pub fn finish(self, ledgers: &[Ledger]) -> Outcome {
         assert!(!self.is_open, "TTI {} is still open", self.next);
         let Final {
             digest,
             metrics,
             totals,
-        } = self.score.finish(&self.scenario, self.next, ledgers, at_warm_up);
+            devices,
+        } = self.score.finish(self.scenario.events.alpha, self.next, ledgers);
         Outcome {
             facts: self.station.mind().facts(),
             learned: self.station.mind().learned(),
             digest,
             metrics,
             totals,
+            devices,
             ttis_done: self.next.0,
             complete: self.next.0 == self.scenario.ttis,
         }

@@ -1,7 +1,6 @@
 //! What a run came to.
 
-use reveille_common::score::Digest;
-use reveille_common::score::Metrics;
+use reveille_common::score::{DeviceRecord, Digest, Metrics};
 use reveille_common::totals::Totals;
 
 use crate::policy::contract::Opaque;
@@ -15,6 +14,8 @@ pub struct Outcome {
     pub metrics: Metrics,
     /// The exact totals behind them.
     pub totals: Totals,
+    /// Each device, in the order of ids.
+    pub devices: Vec<DeviceRecord>,
     /// Figures of the deployment that the policy found out, by name.
     pub facts: Vec<(&'static str, f64)>,
     /// What the run has taught a policy that learns in it.

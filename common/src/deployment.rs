@@ -68,6 +68,7 @@ impl Deployment {
             host,
             seed: scenario.seed,
             ttis: scenario.ttis,
+            measured_from: scenario.warm_up_end(),
             sensing: scenario.sensing.clone(),
             devices,
             traces,

@@ -9,7 +9,48 @@ use crate::units::Energy;
 /// Parts of one unit of information in the totals.
 pub const PICO_PER_INFORMATION: f64 = 1e12;
 
-/// The ledger of one device, or its sum over several: since the start of the run, up to the end of some TTI.
+/// Energy taken out of a battery, by the state that it was spent in (Eq. (4)). What a failed action drained is in the
+/// state that failed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Spent {
+    /// In S1: E_idle.
+    pub sensing: Energy,
+    /// In S4: E_WuR.
+    pub sleep: Energy,
+    /// From S2 to S3: E_Tx.
+    pub report: Energy,
+}
+
+impl Spent {
+    /// All of it.
+    pub fn total(&self) -> Energy {
+        self.sensing + self.sleep + self.report
+    }
+}
+
+impl Add for Spent {
+    type Output = Self;
+    fn add(self, other: Self) -> Self {
+        Self {
+            sensing: self.sensing + other.sensing,
+            sleep: self.sleep + other.sleep,
+            report: self.report + other.report,
+        }
+    }
+}
+
+impl Sub for Spent {
+    type Output = Self;
+    fn sub(self, before: Self) -> Self {
+        Self {
+            sensing: self.sensing - before.sensing,
+            sleep: self.sleep - before.sleep,
+            report: self.report - before.report,
+        }
+    }
+}
+
+/// The sums of one device, or of several: since the start of the run, up to the end of some TTI.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DeviceTotals {
     /// Battery at the start.
@@ -17,7 +58,7 @@ pub struct DeviceTotals {
     /// Energy that arrived, overflow included.
     pub harvested: Energy,
     /// Energy taken out of the battery, what failed actions drained included.
-    pub spent: Energy,
+    pub spent: Spent,
     /// Harvest that did not fit in the battery.
     pub overflow: Energy,
     /// Battery now. Always `initial + harvested - spent - overflow`.
@@ -26,13 +67,20 @@ pub struct DeviceTotals {
     pub battery_sum: u128,
     /// Device-TTIs that ended with less than E_Tx in the battery.
     pub low_ttis: u64,
+    /// Device-TTIs with δ = 1.
+    pub sensing_ttis: u64,
+    /// Those of them in which the battery could not pay E_idle.
+    pub failed_ttis: u64,
+    /// Device-TTIs with δ = 0 in which the battery could not pay E_WuR: the wake-up radio was deaf.
+    pub dark_ttis: u64,
 }
 
 impl DeviceTotals {
-    /// Whether the ledger closes.
+    /// Whether what went in is what came out and what is left.
     pub fn closes(&self) -> bool {
-        let into = u128::from(self.initial.micro()) + u128::from(self.harvested.micro());
-        into == u128::from(self.spent.micro()) + u128::from(self.overflow.micro()) + u128::from(self.battery.micro())
+        let sum = |parts: &[Energy]| parts.iter().map(|part| u128::from(part.micro())).sum::<u128>();
+        let Spent { sensing, sleep, report } = self.spent;
+        sum(&[self.initial, self.harvested]) == sum(&[sensing, sleep, report, self.overflow, self.battery])
     }
 }
 
@@ -47,6 +95,9 @@ impl Add for DeviceTotals {
             battery: self.battery + other.battery,
             battery_sum: self.battery_sum + other.battery_sum,
             low_ttis: self.low_ttis + other.low_ttis,
+            sensing_ttis: self.sensing_ttis + other.sensing_ttis,
+            failed_ttis: self.failed_ttis + other.failed_ttis,
+            dark_ttis: self.dark_ttis + other.dark_ttis,
         }
     }
 }
@@ -65,7 +116,7 @@ impl std::iter::Sum for DeviceTotals {
 
 impl Sub for DeviceTotals {
     type Output = Self;
-    /// What was added between an earlier state `before` and this one: the ledger of the TTIs between.
+    /// What was added between an earlier state `before` and this one: the sums of the TTIs between.
     fn sub(self, before: Self) -> Self {
         Self {
             initial: before.battery,
@@ -75,7 +126,51 @@ impl Sub for DeviceTotals {
             battery: self.battery,
             battery_sum: self.battery_sum - before.battery_sum,
             low_ttis: self.low_ttis - before.low_ttis,
+            sensing_ttis: self.sensing_ttis - before.sensing_ttis,
+            failed_ttis: self.failed_ttis - before.failed_ttis,
+            dark_ttis: self.dark_ttis - before.dark_ttis,
         }
+    }
+}
+
+/// The books of one device at the end of a run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Ledger {
+    /// The sums of the whole run.
+    pub whole: DeviceTotals,
+    /// Those of the measured TTIs alone; nothing if the run ended in the warm-up.
+    pub measured: DeviceTotals,
+    /// The most measured TTIs one after another in which the battery could pay for nothing: δ = 1 that failed, or a
+    /// wake-up radio without power.
+    pub longest_outage: u64,
+}
+
+impl Ledger {
+    /// Whether both sums close and the measured part can be one of the whole.
+    pub fn is_sound(&self) -> bool {
+        let Self {
+            whole,
+            measured,
+            longest_outage,
+        } = self;
+        let within = |part: &DeviceTotals| {
+            part.harvested <= whole.harvested
+                && part.overflow <= whole.overflow
+                && part.spent.sensing <= whole.spent.sensing
+                && part.spent.sleep <= whole.spent.sleep
+                && part.spent.report <= whole.spent.report
+                && part.battery_sum <= whole.battery_sum
+                && part.low_ttis <= whole.low_ttis
+                && part.sensing_ttis <= whole.sensing_ttis
+                && part.failed_ttis <= part.sensing_ttis.min(whole.failed_ttis)
+                && part.dark_ttis <= whole.dark_ttis
+        };
+        let outages = u128::from(measured.failed_ttis) + u128::from(measured.dark_ttis);
+        whole.closes()
+            && measured.closes()
+            && within(whole)
+            && within(measured)
+            && u128::from(*longest_outage) <= outages
     }
 }
 
@@ -101,6 +196,8 @@ pub struct EventTotals {
     pub events: u64,
     /// Events that ended without a report.
     pub misdetected: u64,
+    /// TTIs from the start of an event to its first report, summed over the events that were reported.
+    pub delay_ttis: u64,
     /// Reports.
     pub reports: u64,
     /// Wake-ups.
@@ -114,10 +211,11 @@ pub struct EventTotals {
 }
 
 impl EventTotals {
-    /// Counts one ended event.
-    pub fn count(&mut self, event: &EventTally) {
+    /// Counts one ended event, which came to this and whose first report took `delay` TTIs, if there was one.
+    pub fn count(&mut self, event: &EventTally, delay: Option<u64>) {
         self.events += 1;
-        self.misdetected += u64::from(event.reports == 0);
+        self.misdetected += u64::from(delay.is_none());
+        self.delay_ttis += delay.unwrap_or(0);
         self.reports += event.reports;
         self.wake_ups += event.wake_ups;
         self.information_pico += u128::from(event.information_pico);
@@ -132,6 +230,7 @@ impl Sub for EventTotals {
         Self {
             events: self.events - before.events,
             misdetected: self.misdetected - before.misdetected,
+            delay_ttis: self.delay_ttis - before.delay_ttis,
             reports: self.reports - before.reports,
             wake_ups: self.wake_ups - before.wake_ups,
             information_pico: self.information_pico - before.information_pico,
@@ -141,13 +240,43 @@ impl Sub for EventTotals {
     }
 }
 
-/// The control channel: δ, wake-ups and synchronisation, BS → devices.
+/// What went over the air in one direction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct ControlTotals {
+pub struct Traffic {
     /// Messages put on the air plane; a broadcast is one.
     pub messages: u64,
     /// Bytes of the messages' payloads as encoded.
     pub bytes: u64,
+}
+
+impl Traffic {
+    /// One more message, `bytes` long.
+    pub const fn count(&mut self, bytes: u64) {
+        self.messages += 1;
+        self.bytes += bytes;
+    }
+}
+
+/// How evenly the devices share what they go through in the measured part.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Spread {
+    /// Σ over devices of the square of the energy spent, micro-units².
+    pub spent_squares: u128,
+    /// The most TTIs that one device ended with less than E_Tx.
+    pub worst_low_ttis: u64,
+}
+
+impl Spread {
+    /// The spread over devices with these sums.
+    pub fn of<'a>(devices: impl IntoIterator<Item = &'a DeviceTotals>) -> Self {
+        devices.into_iter().fold(Self::default(), |so_far, device| {
+            let spent = u128::from(device.spent.total().micro());
+            Self {
+                spent_squares: so_far.spent_squares.saturating_add(spent * spent),
+                worst_low_ttis: so_far.worst_low_ttis.max(device.low_ttis),
+            }
+        })
+    }
 }
 
 /// The exact totals of the measured part of a run. Every metric follows from them and the scenario.
@@ -159,8 +288,89 @@ pub struct Totals {
     pub ttis: u64,
     /// Events.
     pub events: EventTotals,
-    /// The control channel.
-    pub control: ControlTotals,
-    /// Ledgers of all devices.
+    /// The least number of TTIs within which 95 % of the reported events were reported; 0 if none was.
+    pub delay_p95_ttis: u64,
+    /// The control channel: δ, wake-ups and synchronisation, BS → devices.
+    pub control: Traffic,
+    /// Reports, devices → BS, of measured TTIs.
+    pub uplink: Traffic,
+    /// Sums over all devices.
     pub energy: DeviceTotals,
+    /// How they differ.
+    pub spread: Spread,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ledger() -> Ledger {
+        let micro = Energy::from_micro;
+        let whole = DeviceTotals {
+            initial: micro(100),
+            harvested: micro(40),
+            spent: Spent {
+                sensing: micro(30),
+                sleep: micro(20),
+                report: micro(10),
+            },
+            overflow: micro(5),
+            battery: micro(75),
+            battery_sum: 900,
+            low_ttis: 3,
+            sensing_ttis: 12,
+            failed_ttis: 2,
+            dark_ttis: 4,
+        };
+        let at_warm_up = DeviceTotals {
+            initial: micro(100),
+            spent: Spent {
+                sensing: micro(10),
+                ..Spent::default()
+            },
+            battery: micro(90),
+            battery_sum: 90,
+            sensing_ttis: 1,
+            ..DeviceTotals::default()
+        };
+        Ledger {
+            whole,
+            measured: whole - at_warm_up,
+            longest_outage: 6,
+        }
+    }
+
+    #[test]
+    fn a_ledger_closes_by_state_and_its_parts_fit() {
+        let good = ledger();
+        assert!(good.is_sound());
+        assert_eq!(good.measured.spent.total(), Energy::from_micro(50));
+        let breaks: [fn(&mut Ledger); 6] = [
+            |ledger| ledger.whole.spent.sleep += Energy::from_micro(1),
+            |ledger| ledger.measured.spent.report += Energy::from_micro(1),
+            |ledger| ledger.measured.low_ttis = 4,
+            |ledger| ledger.measured.failed_ttis = 12,
+            |ledger| ledger.longest_outage = 7,
+            |ledger| ledger.whole.harvested = Energy::from_micro(u64::MAX),
+        ];
+        for (number, spoil) in breaks.into_iter().enumerate() {
+            let mut bad = good;
+            spoil(&mut bad);
+            assert!(!bad.is_sound(), "{number}");
+        }
+    }
+
+    #[test]
+    fn the_spread_is_that_of_the_devices() {
+        let device = |spent: u64, low_ttis| DeviceTotals {
+            spent: Spent {
+                report: Energy::from_micro(spent),
+                ..Spent::default()
+            },
+            low_ttis,
+            ..DeviceTotals::default()
+        };
+        let spread = Spread::of(&[device(3, 1), device(4, 9), device(0, 2)]);
+        assert_eq!((spread.spent_squares, spread.worst_low_ttis), (25, 9));
+    }
 }

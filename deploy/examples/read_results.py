@@ -5,16 +5,16 @@ import polars as pl
 
 runs = pl.read_parquet(sys.argv[1] if len(sys.argv) > 1 else "study/results.parquet")
 # Columns in front of the metrics: what tells cells apart (scenario_hash holds the seed as well), swept fields included.
-metrics = runs.columns[runs.columns.index("info_per_event") : -1]
+metrics = runs.columns[runs.columns.index("info_p1") : -1]
 cell = [name for name in runs.columns if name not in [*metrics, "scenario_hash", "seed", "digest"]]
-print(runs.select(*cell, "seed", "info_per_event", "misdetection_pct"))
+print(runs.select(*cell, "seed", "info_p1", "misdetection_pct"))
 
 # %% Mean and standard error of every metric by cell. Undefined metrics (no events) are null and left out.
 values = pl.col(metrics)
 cells = runs.group_by(cell, maintain_order=True).agg(
     values.mean(), (values.std() / values.count().sqrt()).name.suffix("_se"), runs=pl.len()
 )
-print(cells.select(*cell, "runs", "info_per_event", "info_per_event_se"))
+print(cells.select(*cell, "runs", "info_p1", "info_p1_se"))
 
 # %% All cells have the same seeds: compare policies run by run, which takes the deployments' spread out.
 policies = runs["policy"].unique(maintain_order=True).to_list()

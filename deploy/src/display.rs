@@ -11,9 +11,10 @@ use comfy_table::{CellAlignment, Table};
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use reveille_bs::host::Progress;
 use reveille_common::scenario::Scenario;
+use reveille_common::score::{Group, Metrics};
 use reveille_common::units::MICRO_PER_UNIT;
 
-use crate::results::Summary;
+use crate::summary::{Class, Summary};
 
 /// Writes `text` to standard output. Nobody reading it any more is no error: whatever it told of has happened.
 ///
@@ -172,23 +173,14 @@ fn update(bar: &ProgressBar, progress: &Progress, devices: u32, was_running: boo
 
 /// The closing table.
 pub fn table(summary: &Summary<'_>) -> String {
-    let mut table = Table::new();
-    table
-        .load_style(UTF8_FULL_CONDENSED)
-        .set_header(["metric", "value", "unit"]);
-    for (name, value, unit) in summary.metrics.rows() {
-        table.add_row([name.to_owned(), number(value), unit.to_owned()]);
-    }
-    if let Some(column) = table.column_mut(1) {
-        column.set_cell_alignment(CellAlignment::Right);
-    }
     let mut lines = vec![
         format!(
             "{} · {} devices · {} of {} TTIs · preset {} · seed {}",
             summary.policy, summary.n, summary.ttis_done, summary.ttis, summary.preset, summary.seed
         ),
-        table.to_string(),
+        metrics(summary),
     ];
+    lines.extend(classes(&summary.classes));
     lines.extend(facts(summary));
     lines.push(timing(summary));
     if summary.timing.late_ttis > 0 {
@@ -204,6 +196,64 @@ pub fn table(summary: &Summary<'_>) -> String {
     }
     lines.push(format!("digest {}\n", summary.digest));
     lines.join("\n")
+}
+
+/// The metrics, group by group.
+fn metrics(summary: &Summary<'_>) -> String {
+    let mut table = Table::new();
+    table
+        .load_style(UTF8_FULL_CONDENSED)
+        .set_header(["metric", "value", "unit"]);
+    let rows = summary.metrics.rows();
+    for group in Group::ALL {
+        table.add_row([group.title().to_uppercase(), String::new(), String::new()]);
+        for (metric, (name, value, unit)) in Metrics::ALL.iter().zip(rows) {
+            if metric.group == group {
+                table.add_row([format!("  {name}"), number(value), unit.to_owned()]);
+            }
+        }
+    }
+    if let Some(column) = table.column_mut(1) {
+        column.set_cell_alignment(CellAlignment::Right);
+    }
+    table.to_string()
+}
+
+/// The device classes side by side, where there are several.
+fn classes(classes: &[Class<'_>]) -> Option<String> {
+    if classes.is_empty() {
+        return None;
+    }
+    let mut table = Table::new();
+    let names = classes
+        .iter()
+        .map(|class| format!("{} ({} devices)", class.name, class.n));
+    table
+        .load_style(UTF8_FULL_CONDENSED)
+        .set_header(std::iter::once("by class".to_owned()).chain(names));
+    for metric in Metrics::ALL.iter().filter(|metric| metric.group.is_by_device()) {
+        let values = classes.iter().map(|class| {
+            class
+                .metrics
+                .get(metric.name)
+                .map_or_else(String::new, |value| number(*value))
+        });
+        table.add_row(std::iter::once(metric.name.to_owned()).chain(values));
+    }
+    let acts: [(&str, fn(&Class<'_>) -> u64); 4] = [
+        ("reports", |class| class.acts.reports),
+        ("wake_ups", |class| class.acts.wake_ups),
+        ("wake_ups_heard", |class| class.acts.heard),
+        ("wrong_activations", |class| class.acts.wrong_activations),
+    ];
+    for (name, of) in acts {
+        let values = classes.iter().map(|class| of(class).to_string());
+        table.add_row(std::iter::once(name.to_owned()).chain(values));
+    }
+    for column in table.column_iter_mut().skip(1) {
+        column.set_cell_alignment(CellAlignment::Right);
+    }
+    Some(table.to_string())
 }
 
 /// What the policy found out, if anything.

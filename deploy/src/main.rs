@@ -15,6 +15,8 @@ mod interrupt;
 mod launch;
 mod local;
 mod results;
+mod series;
+mod summary;
 mod wall;
 
 use std::process::ExitCode;

@@ -5,12 +5,12 @@
 //! | `scenario.toml` | the resolved scenario |
 //! | `events.csv` | a row per event |
 //! | `windows.csv` | a row per window of TTIs |
+//! | `devices.csv` | a row per device |
 //! | `learned.json` | the tables of a policy that has learned in the run |
 //! | `summary.json` | metrics, digest, timing, versions |
 //! | `RUNNING` | there while the run goes; left behind, the run was killed |
 //! | `FAILED` | why a run ended without a summary |
 
-use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
@@ -19,140 +19,27 @@ use anyhow::{Context, bail};
 use reveille_bs::observe::{Happening, Observer};
 use reveille_bs::outcome::Outcome;
 use reveille_common::scenario::Scenario;
-use reveille_common::score::Digest;
-use reveille_common::score::Metrics;
-use reveille_common::score::{EventRecord, WindowRecord};
-use reveille_common::totals::{PICO_PER_INFORMATION, Totals};
+use reveille_common::score::WindowRecord;
 use reveille_lab::io::replace;
 use reveille_lab::training::learned_in;
-use serde::Serialize;
 
 use crate::cli::OutputArgs;
+use crate::series;
+use crate::summary::Summary;
 
 const RUNNING: &str = "RUNNING";
 const FAILED: &str = "FAILED";
 const SCENARIO: &str = "scenario.toml";
 const SUMMARY: &str = "summary.json";
 const LEARNED: &str = "learned.json";
+const DEVICES: &str = "devices.csv";
 /// What a run that was killed while it wrote may have left.
-const PARTS: [&str; 3] = ["scenario.toml.part", "summary.json.part", "learned.json.part"];
-
-/// Metrics of all devices that `windows.csv` has for each window.
-const WINDOW_METRICS: [&str; 5] = [
-    "mean_battery",
-    "low_energy_pct",
-    "energy_per_device_tti",
-    "harvested_per_device_tti",
-    "overflow_per_device_tti",
+const PARTS: [&str; 4] = [
+    "scenario.toml.part",
+    "summary.json.part",
+    "learned.json.part",
+    "devices.csv.part",
 ];
-
-/// The form of `summary.json`; raised when a field changes its meaning.
-const SUMMARY_VERSION: u32 = 1;
-
-/// `summary.json`.
-#[derive(Debug, Serialize)]
-pub struct Summary<'a> {
-    /// The run's fingerprint.
-    pub digest: Digest,
-    /// Whether the run was `complete` or `interrupted`.
-    pub status: &'static str,
-    /// The policy's name.
-    pub policy: &'static str,
-    /// Number of devices N.
-    pub n: u32,
-    /// Length of the run K in TTIs.
-    pub ttis: u64,
-    /// TTIs that were run.
-    pub ttis_done: u64,
-    /// The seed.
-    pub seed: u64,
-    /// The preset that the scenario starts from.
-    pub preset: &'a str,
-    /// What the policy found out about the deployment, such as the number of clusters.
-    pub policy_facts: BTreeMap<&'static str, f64>,
-    /// SHA-256 of the resolved scenario.
-    pub scenario_hash: String,
-    /// The metrics; those per event are null where no event was counted.
-    pub metrics: Metrics,
-    /// The exact totals behind them; energies in micro-units.
-    pub totals: Totals,
-    /// How long things took; the only part that differs between two runs of a scenario.
-    pub timing: Timing,
-    /// Versions of what wrote this.
-    pub versions: Versions,
-}
-
-/// How long things took.
-#[derive(Clone, Copy, Debug, Default, Serialize)]
-pub struct Timing {
-    /// Seconds until all devices had joined.
-    pub ready_s: f64,
-    /// Seconds from the first TTI to the last ledger.
-    pub run_s: f64,
-    /// TTIs per second over that time.
-    pub ttis_per_s: f64,
-    /// Processes that carried devices (1 where the base station's own did), or 0 for a run in memory.
-    pub hosts: usize,
-    /// Barriers over all hosts; fewer than TTIs where lookahead joined them.
-    pub grants: u64,
-    /// TTIs that began late under a real-time pace.
-    pub late_ttis: u64,
-    /// The largest delay, milliseconds.
-    pub max_late_ms: f64,
-    /// Payloads on the bus that were no messages and were dropped.
-    pub malformed: u64,
-    /// Messages on the bus that nobody waited for, or that could not be true, and were dropped.
-    pub strays: u64,
-    /// Mean resident memory of a device process in MB, 0 where there is none.
-    pub host_rss_mb: f64,
-    /// Mean proportional memory of a device process in MB (shared pages split), 0 where there is none.
-    pub host_pss_mb: f64,
-}
-
-/// What made the summary, and in which forms.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct Versions {
-    /// The version of Reveille.
-    pub reveille: &'static str,
-    /// The version of the form of messages.
-    pub wire: u8,
-    /// The version of the form of this file.
-    pub summary: u32,
-}
-
-impl<'a> Summary<'a> {
-    /// The summary of a run of `scenario`.
-    pub fn new(scenario: &'a Scenario, outcome: &Outcome, timing: Timing) -> Self {
-        Self {
-            digest: outcome.digest,
-            status: if outcome.complete { "complete" } else { "interrupted" },
-            policy: scenario.policy.name(),
-            n: scenario.devices,
-            ttis: scenario.ttis,
-            ttis_done: outcome.ttis_done,
-            seed: scenario.seed,
-            preset: &scenario.preset,
-            policy_facts: outcome.facts.iter().copied().collect(),
-            scenario_hash: scenario.hash_hex(),
-            metrics: outcome.metrics,
-            totals: outcome.totals,
-            timing,
-            versions: Versions {
-                reveille: env!("CARGO_PKG_VERSION"),
-                wire: reveille_common::codec::WIRE_VERSION,
-                summary: SUMMARY_VERSION,
-            },
-        }
-    }
-
-    /// The summary as JSON text.
-    ///
-    /// # Errors
-    /// Never in practice.
-    pub fn to_json(&self) -> anyhow::Result<String> {
-        Ok(serde_json::to_string_pretty(self)? + "\n")
-    }
-}
 
 /// A run folder that is being filled.
 pub struct RunFolder {
@@ -160,7 +47,6 @@ pub struct RunFolder {
     events: csv::Writer<BufWriter<File>>,
     windows: csv::Writer<BufWriter<File>>,
     devices: u32,
-    alpha: f64,
     error: Option<csv::Error>,
     is_closed: bool,
 }
@@ -188,12 +74,12 @@ impl RunFolder {
             events: open("events.csv").with_context(cannot)?,
             windows: open("windows.csv").with_context(cannot)?,
             devices: scenario.devices,
-            alpha: scenario.events.alpha,
             error: None,
             is_closed: false,
             path,
         };
-        folder.headers()?;
+        folder.events.write_record(series::EVENTS)?;
+        folder.windows.write_record(series::window_columns())?;
         Ok(folder)
     }
 
@@ -216,17 +102,18 @@ impl RunFolder {
         if name.is_empty() { "run".to_owned() } else { name }
     }
 
-    /// Writes the summary and takes the running mark away.
+    /// Writes the devices and the summary, and takes the running mark away.
     ///
     /// # Errors
     /// If something cannot be written.
-    pub fn finish(mut self, summary: &Summary<'_>) -> anyhow::Result<()> {
+    pub fn finish(mut self, scenario: &Scenario, outcome: &Outcome, summary: &Summary<'_>) -> anyhow::Result<()> {
         let cannot = || format!("cannot write in the run folder {}", self.path.display());
         if let Some(error) = self.error.take() {
             return Err(error).with_context(cannot);
         }
         self.events.flush().with_context(cannot)?;
         self.windows.flush().with_context(cannot)?;
+        self.write_devices(scenario, outcome).with_context(cannot)?;
         replace(&self.path.join(SUMMARY), summary.to_json()?.as_bytes()).with_context(cannot)?;
         fs::remove_file(self.path.join(RUNNING)).with_context(cannot)?;
         self.is_closed = true;
@@ -240,6 +127,16 @@ impl RunFolder {
         };
         replace(&self.path.join(LEARNED), learned.to_json().as_bytes())
             .with_context(|| format!("cannot write in the run folder {}", self.path.display()))
+    }
+
+    fn write_devices(&self, scenario: &Scenario, outcome: &Outcome) -> anyhow::Result<()> {
+        let mut rows = csv::Writer::from_writer(Vec::new());
+        rows.write_record(series::DEVICES)?;
+        for device in &outcome.devices {
+            rows.write_record(series::device(scenario, device))?;
+        }
+        let rows = rows.into_inner().context("a table in memory")?;
+        Ok(replace(&self.path.join(DEVICES), &rows)?)
     }
 
     /// Marks the run as failed.
@@ -256,67 +153,6 @@ impl RunFolder {
         let _ = fs::remove_file(self.path.join(RUNNING));
         self.is_closed = true;
     }
-
-    fn headers(&mut self) -> anyhow::Result<()> {
-        self.events.write_record([
-            "event",
-            "start_tti",
-            "last_tti",
-            "x_m",
-            "y_m",
-            "counted",
-            "reports",
-            "wake_ups",
-            "information",
-            "wrong_activations",
-            "wasted_units",
-        ])?;
-        let sums = ["events", "misdetected", "information", "wake_ups", "wrong_activations"];
-        let columns = ["first_tti", "end_tti"].into_iter().chain(WINDOW_METRICS).chain(sums);
-        self.windows.write_record(columns)?;
-        Ok(())
-    }
-
-    fn write_event(&mut self, event: &EventRecord) -> Result<(), csv::Error> {
-        let tally = event.tally;
-        self.events.write_record([
-            event.event.0.to_string(),
-            event.start.to_string(),
-            event.last.to_string(),
-            event.epicentre.x.to_string(),
-            event.epicentre.y.to_string(),
-            u8::from(event.counted).to_string(),
-            tally.reports.to_string(),
-            tally.wake_ups.to_string(),
-            (tally.information_pico as f64 / PICO_PER_INFORMATION).to_string(),
-            tally.wrong_activations.to_string(),
-            tally.wasted.units().to_string(),
-        ])
-    }
-
-    fn write_window(&mut self, window: &WindowRecord) -> Result<(), csv::Error> {
-        let totals = window.events;
-        let metrics = Metrics::of(
-            self.alpha,
-            &Totals {
-                devices: u64::from(self.devices),
-                ttis: window.end - window.first,
-                events: totals,
-                energy: window.energy,
-                ..Totals::default()
-            },
-        );
-        let times = [window.first, window.end].map(|tti| tti.to_string());
-        let means = WINDOW_METRICS.map(|name| metrics.value(name).unwrap_or(f64::NAN).to_string());
-        let sums = [
-            totals.events.to_string(),
-            totals.misdetected.to_string(),
-            (totals.information_pico as f64 / PICO_PER_INFORMATION).to_string(),
-            totals.wake_ups.to_string(),
-            totals.wrong_activations.to_string(),
-        ];
-        self.windows.write_record(times.into_iter().chain(means).chain(sums))
-    }
 }
 
 impl Drop for RunFolder {
@@ -330,13 +166,13 @@ impl Drop for RunFolder {
 impl Observer for RunFolder {
     fn see(&mut self, happening: &Happening<'_>) {
         if let (Happening::EventEnded(event), None) = (happening, &self.error) {
-            self.error = self.write_event(event).err();
+            self.error = self.events.write_record(series::event(event)).err();
         }
     }
 
     fn window(&mut self, window: &WindowRecord) -> bool {
         if window.end > window.first && self.error.is_none() {
-            self.error = self.write_window(window).err();
+            self.error = self.windows.write_record(series::window(self.devices, window)).err();
         }
         self.error.is_none()
     }
@@ -359,7 +195,16 @@ fn clear(path: &Path, force: bool) -> anyhow::Result<()> {
         };
         bail!("--out {}: the folder is not empty; {hint}", path.display());
     }
-    let files = [SUMMARY, LEARNED, RUNNING, FAILED, SCENARIO, "events.csv", "windows.csv"];
+    let files = [
+        SUMMARY,
+        LEARNED,
+        RUNNING,
+        FAILED,
+        SCENARIO,
+        DEVICES,
+        "events.csv",
+        "windows.csv",
+    ];
     for name in files.into_iter().chain(PARTS) {
         let file = path.join(name);
         if file.exists() {

@@ -1,16 +1,15 @@
-//! The battery and its ledger.
+//! The battery: what goes in, what comes out, and what does not fit.
 
 use reveille_common::scenario::EnergyModel;
-use reveille_common::totals::DeviceTotals;
 use reveille_common::units::Energy;
 
-/// A battery of capacity E_max that never holds less than nothing, with the account of all that went in and out.
+/// A battery of capacity E_max that never holds less than nothing, with the account of all that came in. What goes out
+/// is in the books of who took it.
 #[derive(Clone, Debug)]
 pub struct Battery {
     level: Energy,
     capacity: Energy,
     harvested: Energy,
-    spent: Energy,
     overflow: Energy,
     initial: Energy,
 }
@@ -23,7 +22,6 @@ impl Battery {
             level: model.initial,
             capacity: model.e_max,
             harvested: Energy::ZERO,
-            spent: Energy::ZERO,
             overflow: Energy::ZERO,
             initial: model.initial,
         }
@@ -46,7 +44,6 @@ impl Battery {
     #[inline]
     pub fn spend(&mut self, cost: Energy) {
         self.level -= cost;
-        self.spent += cost;
     }
 
     /// Pays `cost` for an action.
@@ -56,21 +53,22 @@ impl Battery {
     pub fn pay(&mut self, cost: Energy) -> Result<(), Energy> {
         let paid = cost.min(self.level);
         self.level -= paid;
-        self.spent += paid;
         if paid == cost { Ok(()) } else { Err(paid) }
     }
 
-    /// The ledger, without the per-TTI sums.
-    pub fn ledger(&self) -> DeviceTotals {
-        DeviceTotals {
-            initial: self.initial,
-            harvested: self.harvested,
-            spent: self.spent,
-            overflow: self.overflow,
-            battery: self.level,
-            battery_sum: 0,
-            low_ttis: 0,
-        }
+    /// The level at the start of the run.
+    pub const fn initial(&self) -> Energy {
+        self.initial
+    }
+
+    /// All that was harvested, overflow included.
+    pub const fn harvested(&self) -> Energy {
+        self.harvested
+    }
+
+    /// Harvest that did not fit.
+    pub const fn overflow(&self) -> Energy {
+        self.overflow
     }
 }
 

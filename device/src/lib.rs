@@ -2,5 +2,6 @@
 //! that carries many of them in one process.
 
 pub mod battery;
+pub mod books;
 pub mod host;
 pub mod machine;

@@ -29,10 +29,11 @@ use reveille_common::plan::DutyCycle;
 use reveille_common::scenario::EnergyModel;
 use reveille_common::sensing::Sensing;
 use reveille_common::state::{DeviceState, DeviceView};
-use reveille_common::totals::DeviceTotals;
+use reveille_common::totals::{DeviceTotals, Ledger};
 use reveille_common::units::Energy;
 
 use crate::battery::Battery;
+use crate::books::Books;
 
 /// TTIs that are caught up with at a time: levels of up to 10¹⁰ micro-units, summed over that many, fit in 64 bits.
 const LONGEST_SPAN: u64 = 1 << 13;
@@ -57,13 +58,23 @@ pub struct Physics {
     pub sensing: Sensing,
     /// What the energy sources share.
     pub sources: Sources,
+    /// The first measured TTI: what happens before it is warm-up.
+    pub measured_from: Tti,
 }
 
 impl Physics {
-    /// The physics of `devices`, with the streams of `seed`. `traces` are recorded energy per TTI by row.
-    pub fn new(seed: u64, sensing: Sensing, devices: &[DeviceSetup], traces: Vec<Arc<Vec<Energy>>>) -> Self {
+    /// The physics of `devices`, with the streams of `seed`, measured from TTI `measured_from` on. `traces` are
+    /// recorded energy per TTI by row.
+    pub fn new(
+        seed: u64,
+        measured_from: Tti,
+        sensing: Sensing,
+        devices: &[DeviceSetup],
+        traces: Vec<Arc<Vec<Energy>>>,
+    ) -> Self {
         Self {
             seed,
+            measured_from,
             sensing,
             sources: Sources::new(devices.iter().map(|d| &d.harvest), traces),
         }
@@ -84,8 +95,7 @@ pub struct Machine {
     next: Tti,
     /// Whether TTI `next - 1` still waits for its end, when the battery is accounted.
     open: bool,
-    battery_sum: u128,
-    low_ttis: u64,
+    books: Books,
 }
 
 impl Machine {
@@ -101,8 +111,7 @@ impl Machine {
             state: DeviceState::Sleep { powered: true },
             next: Tti::ZERO,
             open: false,
-            battery_sum: 0,
-            low_ttis: 0,
+            books: Books::new(physics.measured_from),
         }
     }
 
@@ -148,6 +157,15 @@ impl Machine {
             self.id,
             self.next
         );
+        if self.next <= self.books.measured_from() && self.books.measured_from() <= k {
+            self.catch_up(self.books.measured_from());
+            let so_far = self.totals();
+            self.books.begin_measuring(so_far);
+        }
+        self.catch_up(k);
+    }
+
+    fn catch_up(&mut self, k: Tti) {
         self.end_open();
         let mut phase = self.duty.phase(self.next);
         while self.next < k {
@@ -170,7 +188,9 @@ impl Machine {
         }
         let on = self.duty.is_on(k);
         let cost = if on { self.costs.e_idle } else { self.costs.e_wur };
-        self.state = match (self.battery.pay(cost), on) {
+        let paid = self.battery.pay(cost);
+        self.books.duty(on, paid);
+        self.state = match (paid, on) {
             (Ok(()), true) => DeviceState::Idle,
             (Ok(()), false) => DeviceState::Sleep { powered: true },
             (Err(_), _) => DeviceState::Sleep { powered: false },
@@ -213,19 +233,22 @@ impl Machine {
         }
     }
 
-    /// The device's totals over all TTIs that have ended.
+    /// The device's sums over all TTIs that have ended.
     pub fn totals(&self) -> DeviceTotals {
-        DeviceTotals {
-            battery_sum: self.battery_sum,
-            low_ttis: self.low_ttis,
-            ..self.battery.ledger()
-        }
+        self.books.totals(self.next, &self.costs, &self.battery)
+    }
+
+    /// The device's books over all TTIs that have ended.
+    pub fn ledger(&self) -> Ledger {
+        self.books.ledger(self.totals())
     }
 
     /// S2, and from there to S3 with a report or to S4.
     fn transmit(&mut self, k: Tti, d: f64, physics: &Physics) -> Result<Report, Failure> {
         self.state = DeviceState::Active;
-        match self.battery.pay(self.costs.e_tx) {
+        let paid = self.battery.pay(self.costs.e_tx);
+        self.books.transmission(paid);
+        match paid {
             Ok(()) => {
                 self.state = DeviceState::Transmission;
                 let information = physics.sensing.information(d);
@@ -250,14 +273,8 @@ impl Machine {
     fn end_open(&mut self) {
         if self.open {
             self.open = false;
-            self.account(self.battery.level(), 1);
+            self.books.ends(self.battery.level(), self.costs.e_tx, 1);
         }
-    }
-
-    /// `n` ends of TTIs at which the battery held `level`.
-    fn account(&mut self, level: Energy, n: u64) {
-        self.battery_sum += u128::from(level.micro()) * u128::from(n);
-        self.low_ttis += if level < self.costs.e_tx { n } else { 0 };
     }
 
     /// `n` whole TTIs from `self.next` on, the first at `phase` of the duty cycle, without a harvest, event or wake-up.
@@ -281,8 +298,8 @@ impl Machine {
         // enough for 64 bits.
         let off_remaining = n * (n + 1) / 2 - on_remaining;
         let lowered = e_idle.times(on_remaining) + e_wur.times(off_remaining);
-        self.battery_sum += u128::from(level.times(n).micro() - lowered.micro());
-        self.low_ttis += if after_first < e_tx { n } else { 0 };
+        self.books
+            .span(on, level.times(n) - lowered, if after_first < e_tx { n } else { 0 });
         self.battery.spend(cost);
         self.next = self.next + n;
         phase_after
@@ -290,17 +307,22 @@ impl Machine {
 
     /// The same, one TTI at a time: for spans in which the battery runs out or falls below E_Tx.
     fn quiet_step_by_step(&mut self, n: u64) {
-        let EnergyModel { e_idle, e_wur, .. } = self.costs;
+        let EnergyModel {
+            e_idle, e_wur, e_tx, ..
+        } = self.costs;
         for done in 0..n {
             if self.battery.level() == Energy::ZERO && e_idle > Energy::ZERO && e_wur > Energy::ZERO {
-                self.account(Energy::ZERO, n - done);
-                self.next = self.next + (n - done);
+                let rest = n - done;
+                let (on, ..) = self.duty.span(self.duty.phase(self.next), rest as u32);
+                self.books.outage(on, rest - on);
+                self.books.ends(Energy::ZERO, e_tx, rest);
+                self.next = self.next + rest;
                 return;
             }
-            let cost = if self.duty.is_on(self.next) { e_idle } else { e_wur };
-            // A failed action has emptied the battery, which is all that is left of it at the end of a quiet TTI.
-            let _failed = self.battery.pay(cost).is_err();
-            self.account(self.battery.level(), 1);
+            let on = self.duty.is_on(self.next);
+            let paid = self.battery.pay(if on { e_idle } else { e_wur });
+            self.books.duty(on, paid);
+            self.books.ends(self.battery.level(), e_tx, 1);
             self.next = self.next + 1;
         }
     }

@@ -9,7 +9,7 @@ use reveille_common::ids::Tti;
 use reveille_common::message::{Failure, Report};
 use reveille_common::score::{Accounts, WindowRecord};
 use reveille_common::state::DeviceView;
-use reveille_common::totals::DeviceTotals;
+use reveille_common::totals::Ledger;
 use reveille_common::world::World;
 use reveille_device::machine::{Machine, Physics, Sensed};
 
@@ -57,6 +57,7 @@ impl Run {
         } = prepared;
         let physics = Physics::new(
             scenario.seed,
+            scenario.warm_up_end(),
             scenario.sensing.clone(),
             &deployment.devices,
             deployment.traces.clone(),
@@ -69,7 +70,7 @@ impl Run {
                 .iter()
                 .map(|setup| Machine::new(setup, &physics))
                 .collect(),
-            accounts: Accounts::new(deployment, boundaries.warm_up_end()),
+            accounts: Accounts::new(deployment),
             physics,
             boundaries,
             options,
@@ -109,8 +110,12 @@ impl Run {
             }
         }
         let end = self.cycle.next_tti();
-        let ledgers: Vec<DeviceTotals> = self.machines.iter_mut().map(|machine| settled(machine, end)).collect();
-        self.cycle.finish(&ledgers, self.accounts.at_warm_up())
+        let ledgers: Vec<Ledger> = self
+            .machines
+            .iter_mut()
+            .map(|machine| settled(machine, end).ledger())
+            .collect();
+        self.cycle.finish(&ledgers)
     }
 
     /// One grant of the clock: all its TTIs, with the reports and wake-ups of the last.
@@ -171,16 +176,19 @@ impl Run {
     }
 
     fn reach(&mut self, k: Tti, observer: &mut impl Observer) -> bool {
-        let energy = self.machines.iter_mut().map(|machine| settled(machine, k)).sum();
-        let warm_up_end = self.boundaries.warm_up_end();
-        let window = self.accounts.reach(k, warm_up_end, energy, *self.cycle.event_totals());
+        let energy = self
+            .machines
+            .iter_mut()
+            .map(|machine| settled(machine, k).totals())
+            .sum();
+        let window = self.accounts.reach(k, energy, *self.cycle.event_totals());
         observer.window(&window)
     }
 }
 
-fn settled(machine: &mut Machine, k: Tti) -> DeviceTotals {
+fn settled(machine: &mut Machine, k: Tti) -> &Machine {
     machine.settle(k);
-    machine.totals()
+    machine
 }
 
 /// An observer that stops a run when this says so, looking at the end of each window.

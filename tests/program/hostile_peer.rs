@@ -12,7 +12,7 @@ use reveille_common::message::{
     Answer, Clock, Failure, JoinReply, JoinRequest, MessageKind, PlanUpdate, Report, Tick, WakeUp,
 };
 use reveille_common::plan::{DutyCycle, Plan};
-use reveille_common::totals::DeviceTotals;
+use reveille_common::totals::{DeviceTotals, Ledger};
 use reveille_common::units::Energy;
 use reveille_tests::process::{Folder, PATIENCE, Summary, ask, free_endpoint, unique_run};
 
@@ -158,7 +158,7 @@ fn forgeries(keys: &Keys, tti: u64) -> Vec<(String, Vec<u8>)> {
         totals: Some(DeviceTotals::default()),
         views: None,
     };
-    let ledgers = vec![(DeviceId(0), DeviceTotals::default())];
+    let ledgers = vec![(DeviceId(0), Ledger::default())];
     let last = Answer::Final {
         host: HostId(0),
         ledgers,

@@ -6,7 +6,7 @@ use reveille_common::ids::Tti;
 use reveille_common::scenario::Scenario;
 use reveille_common::score::EventRecord;
 use reveille_common::state::DeviceState;
-use reveille_common::totals::DeviceTotals;
+use reveille_common::totals::Ledger;
 use reveille_device::machine::Machine;
 use reveille_lab::preparation::start;
 use reveille_lab::run::Options;
@@ -37,7 +37,7 @@ pub fn outcome(scenario: &Scenario, lookahead: bool, window: u64) -> (Outcome, V
 }
 
 /// The ledger of each device at the end of the run.
-pub fn ledgers(scenario: &Scenario, lookahead: bool) -> Vec<DeviceTotals> {
+pub fn ledgers(scenario: &Scenario, lookahead: bool) -> Vec<Ledger> {
     let mut run = start(
         scenario,
         Options {
@@ -51,7 +51,7 @@ pub fn ledgers(scenario: &Scenario, lookahead: bool) -> Vec<DeviceTotals> {
     let settled = |machine: &Machine| {
         let mut machine = machine.clone();
         machine.settle(Tti(scenario.ttis));
-        machine.totals()
+        machine.ledger()
     };
     run.machines().iter().map(settled).collect()
 }

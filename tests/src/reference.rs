@@ -15,7 +15,7 @@ use reveille_common::rng::{Geometric, Purpose, Stream, unit_for_pair};
 use reveille_common::scenario::{EnergyModel, Scenario, assign_classes};
 use reveille_common::score::EventRecord;
 use reveille_common::sensing::{DetectionKind, Fusion};
-use reveille_common::totals::{DeviceTotals, EventTally, EventTotals};
+use reveille_common::totals::{DeviceTotals, EventTally, EventTotals, Ledger, Spent};
 use reveille_common::units::Energy;
 
 use harvest::Source;
@@ -40,8 +40,10 @@ pub enum State {
 pub struct Run {
     /// Ended events, in order.
     pub events: Vec<EventRecord>,
-    /// Ledgers by device, over the whole run.
-    pub ledgers: Vec<DeviceTotals>,
+    /// Ledgers by device.
+    pub ledgers: Vec<Ledger>,
+    /// What each device did for counted events: reports, wake-ups sent, wake-ups heard, wrong activations.
+    pub acts: Vec<[u64; 4]>,
     /// Sum of the ledgers over the measured part.
     pub measured: DeviceTotals,
     /// Sums over the counted events.
@@ -61,7 +63,7 @@ pub fn simulate(scenario: &Scenario) -> Run {
     let mut world = World::new(scenario);
     for k in 0..scenario.ttis {
         if k == world.warm_up_end {
-            world.before = world.sum();
+            world.begin_measuring();
         }
         world.harvest(k);
         world.apply_duty(k);
@@ -85,31 +87,52 @@ struct Device {
     state: State,
     battery: u64,
     harvested: u64,
-    spent: u64,
+    /// By state: S1, S4, S2 to S3.
+    spent: [u64; 3],
     overflow: u64,
     battery_sum: u128,
     low_ttis: u64,
+    sensing_ttis: u64,
+    failed_ttis: u64,
+    dark_ttis: u64,
+    /// TTIs one after another without power, up to now and at the most.
+    outage: [u64; 2],
+    /// Its sums at the start of the measured part.
+    before: Option<DeviceTotals>,
 }
 
 impl Device {
     /// Pays `cost`, or loses what is left. Says what left the battery, and whether it was enough.
-    fn pay(&mut self, cost: Energy) -> (u64, bool) {
+    fn pay(&mut self, cost: Energy, state: usize) -> (u64, bool) {
         let enough = self.battery >= cost.micro();
         let gone = if enough { cost.micro() } else { self.battery };
         self.battery -= gone;
-        self.spent += gone;
+        self.spent[state] += gone;
         (gone, enough)
     }
 
-    fn ledger(&self) -> DeviceTotals {
+    fn ledger(&self) -> Ledger {
+        let whole = self.sums();
+        Ledger {
+            whole,
+            measured: self.before.map_or_else(DeviceTotals::default, |before| whole - before),
+            longest_outage: self.outage[1],
+        }
+    }
+
+    fn sums(&self) -> DeviceTotals {
+        let [sensing, sleep, report] = self.spent.map(Energy::from_micro);
         DeviceTotals {
             initial: self.costs.initial,
             harvested: Energy::from_micro(self.harvested),
-            spent: Energy::from_micro(self.spent),
+            spent: Spent { sensing, sleep, report },
             overflow: Energy::from_micro(self.overflow),
             battery: Energy::from_micro(self.battery),
             battery_sum: self.battery_sum,
             low_ttis: self.low_ttis,
+            sensing_ttis: self.sensing_ttis,
+            failed_ttis: self.failed_ttis,
+            dark_ttis: self.dark_ttis,
         }
     }
 }
@@ -121,6 +144,8 @@ struct Event {
     start: u64,
     tally: EventTally,
     information: f64,
+    /// What devices did for it.
+    acts: Vec<(usize, [u64; 4])>,
     /// Reporters of this TTI; the event ends in the TTI of its first report.
     reporters: Vec<Reporter>,
 }
@@ -131,11 +156,11 @@ struct World<'a> {
     devices: Vec<Device>,
     policy: Policy,
     warm_up_end: u64,
-    before: DeviceTotals,
     event: Option<Event>,
     next_event: u64,
     next_start: u64,
     events: Vec<EventRecord>,
+    acts: Vec<[u64; 4]>,
     wake_ups: u64,
     unheard: u64,
     trace: Vec<Vec<(State, u64)>>,
@@ -158,19 +183,24 @@ impl<'a> World<'a> {
                 state: State::Asleep,
                 battery: kind.energy.initial.micro(),
                 harvested: 0,
-                spent: 0,
+                spent: [0; 3],
                 overflow: 0,
                 battery_sum: 0,
                 low_ttis: 0,
+                sensing_ttis: 0,
+                failed_ttis: 0,
+                dark_ttis: 0,
+                outage: [0; 2],
+                before: None,
             });
         }
         Self {
             policy: Policy::new(scenario, &positions),
+            acts: vec![[0; 4]; positions.len()],
             scenario,
             positions,
             devices,
             warm_up_end: (scenario.ttis as f64 * scenario.warm_up).floor() as u64,
-            before: DeviceTotals::default(),
             event: None,
             next_event: 0,
             next_start: gap(scenario, 0) - 1,
@@ -197,12 +227,20 @@ impl<'a> World<'a> {
     /// Step 2.
     fn apply_duty(&mut self, k: u64) {
         for (j, device) in self.devices.iter_mut().enumerate() {
-            let (cost, then) = if self.policy.senses(j, k) {
-                (device.costs.e_idle, State::Idle)
+            let paid;
+            let then = if self.policy.senses(j, k) {
+                (_, paid) = device.pay(device.costs.e_idle, 0);
+                device.sensing_ttis += 1;
+                device.failed_ttis += u64::from(!paid);
+                State::Idle
             } else {
-                (device.costs.e_wur, State::Asleep)
+                (_, paid) = device.pay(device.costs.e_wur, 1);
+                device.dark_ttis += u64::from(!paid);
+                State::Asleep
             };
-            let (_, paid) = device.pay(cost);
+            let [now, most] = device.outage;
+            let now = if paid { 0 } else { now + 1 };
+            device.outage = [now, most.max(now)];
             device.state = if paid { then } else { State::Dark };
         }
     }
@@ -221,6 +259,7 @@ impl<'a> World<'a> {
             start: k,
             tally: EventTally::default(),
             information: 0.0,
+            acts: Vec::new(),
             reporters: Vec::new(),
         });
     }
@@ -262,7 +301,9 @@ impl<'a> World<'a> {
             woken.push(j);
             event.tally.wake_ups += 1;
             self.wake_ups += u64::from(k >= self.warm_up_end);
-            if self.devices[j].state == State::Asleep {
+            let heard = self.devices[j].state == State::Asleep;
+            event.acts.push((j, [0, 1, u64::from(heard), 0]));
+            if heard {
                 self.transmit(j, &mut event);
             } else {
                 self.unheard += 1;
@@ -278,7 +319,10 @@ impl<'a> World<'a> {
         let d = distance(self.positions[j], event.epicentre);
         let within = d <= sensing.d_max;
         let e_tx = self.devices[j].costs.e_tx;
-        let (gone, paid) = self.devices[j].pay(e_tx);
+        let (gone, paid) = self.devices[j].pay(e_tx, 2);
+        event
+            .acts
+            .push((j, [u64::from(paid), 0, 0, u64::from(!paid || !within)]));
         if !paid || !within {
             event.tally.wrong_activations += 1;
             event.tally.wasted += Energy::from_micro(gone);
@@ -321,6 +365,12 @@ impl<'a> World<'a> {
             self.event = Some(event);
             return;
         }
+        if event.start >= self.warm_up_end {
+            for (j, acts) in event.acts.drain(..) {
+                let sums = self.acts[j].iter_mut().zip(acts);
+                sums.for_each(|(sum, act)| *sum += act);
+            }
+        }
         event.tally.information_pico = (event.information * 1e12).round() as u64;
         self.events.push(EventRecord {
             event: EventId(self.next_event),
@@ -345,45 +395,35 @@ impl<'a> World<'a> {
         self.trace.push(row);
     }
 
-    fn sum(&self) -> DeviceTotals {
-        let mut sum = DeviceTotals::default();
-        for device in &self.devices {
-            let ledger = device.ledger();
-            sum.initial += ledger.initial;
-            sum.harvested += ledger.harvested;
-            sum.spent += ledger.spent;
-            sum.overflow += ledger.overflow;
-            sum.battery += ledger.battery;
-            sum.battery_sum += ledger.battery_sum;
-            sum.low_ttis += ledger.low_ttis;
+    fn begin_measuring(&mut self) {
+        for device in &mut self.devices {
+            device.before = Some(device.sums());
+            device.outage = [0; 2];
         }
-        sum
     }
 
     fn into_run(self) -> Run {
-        let (after, before) = (self.sum(), self.before);
         let mut totals = EventTotals::default();
         for record in self.events.iter().filter(|record| record.counted) {
             totals.events += 1;
             totals.misdetected += u64::from(record.tally.reports == 0);
+            totals.delay_ttis += if record.tally.reports > 0 {
+                record.last - record.start
+            } else {
+                0
+            };
             totals.reports += record.tally.reports;
             totals.wake_ups += record.tally.wake_ups;
             totals.information_pico += u128::from(record.tally.information_pico);
             totals.wrong_activations += record.tally.wrong_activations;
             totals.wasted += record.tally.wasted;
         }
+        let ledgers: Vec<Ledger> = self.devices.iter().map(Device::ledger).collect();
         Run {
-            ledgers: self.devices.iter().map(Device::ledger).collect(),
-            measured: DeviceTotals {
-                initial: before.battery,
-                harvested: after.harvested - before.harvested,
-                spent: after.spent - before.spent,
-                overflow: after.overflow - before.overflow,
-                battery: after.battery,
-                battery_sum: after.battery_sum - before.battery_sum,
-                low_ttis: after.low_ttis - before.low_ttis,
-            },
+            measured: ledgers.iter().map(|ledger| ledger.measured).sum(),
+            ledgers,
             events: self.events,
+            acts: self.acts,
             totals,
             wake_ups: self.wake_ups,
             unheard: self.unheard,

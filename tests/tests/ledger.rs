@@ -167,7 +167,7 @@ fn balanced(device: &Passed) -> Checked {
     } = device;
     for totals in [opened, closed] {
         let into = totals.initial.micro() + totals.harvested.micro();
-        let out = totals.spent.micro() + totals.overflow.micro();
+        let out = totals.spent.total().micro() + totals.overflow.micro();
         prop_assert_eq!(into - out, totals.battery.micro());
         prop_assert!(totals.battery <= costs.e_max);
         prop_assert_eq!(totals.initial, costs.initial);
@@ -177,7 +177,7 @@ fn balanced(device: &Passed) -> Checked {
     prop_assert_eq!(closed.battery_sum, sum);
     let low = u64::from(closed.battery < costs.e_tx);
     prop_assert_eq!(closed.low_ttis, opened.low_ttis + low);
-    let spent = closed.spent.micro() - opened.spent.micro();
+    let spent = closed.spent.total().micro() - opened.spent.total().micro();
     let most = costs.e_tx.micro() + costs.e_idle.max(costs.e_wur).micro();
     prop_assert!(spent <= most, "{} spent in a TTI", spent);
     if closed.overflow > opened.overflow {

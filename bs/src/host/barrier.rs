@@ -6,7 +6,7 @@
 use reveille_common::ids::{DeviceId, HostId, Tti};
 use reveille_common::message::{Answer, Failure, Report, WakeOutcome};
 use reveille_common::state::{DeviceState, DeviceView};
-use reveille_common::totals::DeviceTotals;
+use reveille_common::totals::{DeviceTotals, Ledger};
 use reveille_common::units::Energy;
 
 use crate::host::roster::Roster;
@@ -91,7 +91,7 @@ enum Stage {
         outcome: Option<WakeOutcome>,
     },
     Finish {
-        answers: Answers<Vec<(DeviceId, DeviceTotals)>>,
+        answers: Answers<Vec<(DeviceId, Ledger)>>,
     },
 }
 
@@ -316,7 +316,7 @@ impl Barrier {
     ///
     /// # Panics
     /// If they are not complete.
-    pub fn take_ledgers(&mut self) -> Vec<DeviceTotals> {
+    pub fn take_ledgers(&mut self) -> Vec<Ledger> {
         match std::mem::replace(&mut self.stage, Stage::Nothing) {
             Stage::Finish { answers } if answers.missing == 0 => {
                 let mut ledgers: Vec<_> = answers.of.into_iter().flatten().flatten().collect();

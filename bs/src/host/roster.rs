@@ -4,7 +4,7 @@
 use reveille_common::ids::{DeviceId, HostId};
 use reveille_common::message::{DeviceSetup, Failure, Report};
 use reveille_common::state::DeviceView;
-use reveille_common::totals::DeviceTotals;
+use reveille_common::totals::{DeviceTotals, Ledger};
 use reveille_common::units::Energy;
 
 use crate::host::admission::Places;
@@ -106,17 +106,18 @@ impl Roster {
     }
 
     /// Whether `ledgers` are those of the devices of the host at `position`: each once, and each closes.
-    pub fn can_end_with(&self, position: usize, ledgers: &[(DeviceId, DeviceTotals)]) -> bool {
+    pub fn can_end_with(&self, position: usize, ledgers: &[(DeviceId, Ledger)]) -> bool {
         let mut devices: Vec<DeviceId> = ledgers.iter().map(|(device, _)| *device).collect();
         devices.sort_unstable();
         let is_whole = devices
             .iter()
             .copied()
             .eq(self.own(position).iter().map(|setup| setup.id));
-        let is_sound = |(device, ledger): &(DeviceId, DeviceTotals)| {
+        let is_sound = |(device, ledger): &(DeviceId, Ledger)| {
             self.setup(*device).is_some_and(|setup| {
                 let energy = setup.energy;
-                ledger.closes() && ledger.initial == energy.initial && ledger.battery <= energy.e_max
+                let whole = &ledger.whole;
+                ledger.is_sound() && whole.initial == energy.initial && whole.battery <= energy.e_max
             })
         };
         is_whole && ledgers.iter().all(is_sound)
@@ -167,12 +168,16 @@ pub(crate) mod tests {
         roster
     }
 
-    fn ledger() -> DeviceTotals {
+    fn ledger() -> Ledger {
         let initial = Energy::from_micro(50_000_000);
-        DeviceTotals {
+        let whole = DeviceTotals {
             initial,
             battery: initial,
             ..DeviceTotals::default()
+        };
+        Ledger {
+            whole,
+            ..Ledger::default()
         }
     }
 
@@ -184,10 +189,10 @@ pub(crate) mod tests {
         assert!(!roster.can_end_with(0, &own), "another host's");
         assert!(!roster.can_end_with(1, &own[1..]), "one is missing");
         let mut false_one = own.clone();
-        false_one[2].1.spent = Energy::from_micro(1);
+        false_one[2].1.whole.spent.sleep = Energy::from_micro(1);
         assert!(!roster.can_end_with(1, &false_one), "one does not close");
-        let sums: DeviceTotals = own.iter().map(|(_, ledger)| *ledger).sum();
-        assert!(roster.can_sum_to(1, &sums) && !roster.can_sum_to(1, &ledger()));
+        let sums: DeviceTotals = own.iter().map(|(_, ledger)| ledger.whole).sum();
+        assert!(roster.can_sum_to(1, &sums) && !roster.can_sum_to(1, &ledger().whole));
     }
 
     #[test]

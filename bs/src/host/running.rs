@@ -9,7 +9,7 @@ use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Clock, PlanUpdate, Tick, WakeUp};
 use reveille_common::score::Accounts;
 use reveille_common::state::DeviceView;
-use reveille_common::totals::{DeviceTotals, EventTotals};
+use reveille_common::totals::{DeviceTotals, EventTotals, Ledger};
 
 use super::drive::{OnLoss, Progress, Served, Settings};
 use super::error::BsError;
@@ -88,7 +88,7 @@ pub(super) async fn run(
         progress,
         cycle: Cycle::new(prepared),
         devices: prepared.scenario.devices,
-        accounts: Accounts::new(&prepared.deployment, boundaries.warm_up_end()),
+        accounts: Accounts::new(&prepared.deployment),
         boundaries,
         plan_from: Tti::ZERO,
         views: Vec::new(),
@@ -105,13 +105,13 @@ pub(super) async fn run(
     let ledgers = this.collect_ledgers().await?;
     let running = started.elapsed();
     let (end, events) = (this.cycle.next_tti(), *this.cycle.event_totals());
-    this.account(end, ledgers.iter().copied().sum(), events, observer);
+    this.account(end, ledgers.iter().map(|ledger| ledger.whole).sum(), events, observer);
     let (hosts, strays) = {
         let mut state = shared.lock();
         (state.barrier.roster().hosts(), state.barrier.strays())
     };
     Ok(Served {
-        outcome: this.cycle.finish(&ledgers, this.accounts.at_warm_up()),
+        outcome: this.cycle.finish(&ledgers),
         joining,
         running,
         hosts,
@@ -226,7 +226,7 @@ impl Loop<'_> {
     /// Takes in the sums at boundary `k`, where the counted events came to `events`. False when the observer wants to
     /// stop.
     fn account(&mut self, k: Tti, energy: DeviceTotals, events: EventTotals, observer: &mut impl Observer) -> bool {
-        let window = self.accounts.reach(k, self.boundaries.warm_up_end(), energy, events);
+        let window = self.accounts.reach(k, energy, events);
         let ttis = window.end - window.first;
         if ttis > 0 {
             let mean = window.energy.battery_sum / u128::from(ttis) / u128::from(self.devices.max(1));
@@ -317,7 +317,7 @@ impl Loop<'_> {
     }
 
     /// Ends the devices' work before the next TTI and gathers their ledgers.
-    async fn collect_ledgers(&mut self) -> Result<Vec<DeviceTotals>, BsError> {
+    async fn collect_ledgers(&mut self) -> Result<Vec<Ledger>, BsError> {
         self.shared.lock().barrier.expect_ledgers();
         let finish = Clock::Finish(self.cycle.next_tti());
         self.voice.clock.put(&finish)?;

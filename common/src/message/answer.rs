@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::Concerns;
 use crate::ids::{DeviceId, HostId, Tti};
 use crate::state::DeviceView;
-use crate::totals::DeviceTotals;
+use crate::totals::{DeviceTotals, Ledger};
 use crate::units::Energy;
 
 /// A device that entered S2 and could not pay E_Tx.
@@ -53,7 +53,7 @@ pub enum Answer {
         /// The host.
         host: HostId,
         /// The ledger of each device.
-        ledgers: Vec<(DeviceId, DeviceTotals)>,
+        ledgers: Vec<(DeviceId, Ledger)>,
     },
 }
 

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::energy::EnergyModel;
 use crate::geometry::Point;
 use crate::harvest::HarvestSetup;
-use crate::ids::{DeviceId, HostId};
+use crate::ids::{DeviceId, HostId, Tti};
 use crate::sensing::Sensing;
 use crate::units::Energy;
 
@@ -20,6 +20,8 @@ pub struct Assignment {
     pub seed: u64,
     /// Length K of the run in TTIs.
     pub ttis: u64,
+    /// The first measured TTI: what happens before it is warm-up.
+    pub measured_from: Tti,
     /// The sensing model.
     pub sensing: Sensing,
     /// Its devices, numbered one after another.

@@ -2,7 +2,7 @@
 //!
 //! SHA-256 over what happened, in the order of TTIs: events, reports, wake-ups and their outcomes, changes of the δ
 //! plan; then each device's ledger by id and the totals behind the metrics. It holds nothing per TTI, so that a driver
-//! may skip over quiet TTIs.
+//! may skip over quiet TTIs, and nothing of how messages are encoded: fields are hashed, each as 64 bits.
 
 use std::fmt;
 
@@ -12,8 +12,12 @@ use sha2::{Digest as _, Sha256};
 use crate::event::Stimulus;
 use crate::ids::{DeviceId, Tti};
 use crate::message::{PlanUpdate, Report, WakeOutcome};
-use crate::totals::{DeviceTotals, EventTally, Totals};
+use crate::plan::{DutyCycle, Plan};
+use crate::totals::{DeviceTotals, EventTally, EventTotals, Ledger, Spent, Spread, Totals};
 use crate::units::Energy;
+
+/// The version of what is hashed. Fingerprints of different versions say nothing about each other.
+pub const DIGEST_VERSION: u32 = 2;
 
 /// A finished fingerprint; shown as 64 hexadecimal digits.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -113,72 +117,89 @@ impl Fingerprint {
 
     /// δ has changed.
     pub fn plan(&mut self, update: &PlanUpdate) {
-        let payload = crate::codec::encode(update);
-        self.words(b'P', [payload.len() as u64]);
-        self.0.update(&payload);
+        let PlanUpdate { from, plan } = update;
+        match plan {
+            Plan::Bits { bits } => {
+                self.words(b'p', [from.0, bits.len() as u64]);
+                self.0.update(bits);
+            }
+            Plan::Periodic(cycles) => {
+                self.words(b'P', [from.0, cycles.len() as u64]);
+                for cycle in cycles {
+                    let DutyCycle { t_on, t_drx, offset } = *cycle;
+                    self.words(b'c', [t_on, t_drx, offset].map(u64::from));
+                }
+            }
+        }
     }
 
     /// The fingerprint of a run with these ledgers, in the order of device ids, and totals.
-    pub fn finish<'a>(mut self, ledgers: impl IntoIterator<Item = &'a DeviceTotals>, totals: &Totals) -> Digest {
+    pub fn finish<'a>(mut self, ledgers: impl IntoIterator<Item = &'a Ledger>, totals: &Totals) -> Digest {
         for ledger in ledgers {
-            self.ledger(b'L', ledger);
+            let Ledger {
+                whole,
+                measured,
+                longest_outage,
+            } = ledger;
+            self.sums(b'L', whole);
+            self.sums(b'M', measured);
+            self.words(b'O', [*longest_outage]);
         }
         let Totals {
             devices,
             ttis,
             events,
+            delay_p95_ttis,
             control,
+            uplink,
             energy,
+            spread,
         } = totals;
-        let information = events.information_pico;
+        let EventTotals {
+            events,
+            misdetected,
+            delay_ttis,
+            reports,
+            wake_ups,
+            information_pico,
+            wrong_activations,
+            wasted,
+        } = *events;
         self.words(
             b'T',
-            [
-                *devices,
-                *ttis,
-                events.events,
-                events.misdetected,
-                events.reports,
-                events.wake_ups,
-            ],
+            [*devices, *ttis, events, misdetected, delay_ttis, *delay_p95_ttis],
         );
-        self.words(
-            b't',
-            [
-                information as u64,
-                (information >> 64) as u64,
-                events.wrong_activations,
-                events.wasted.micro(),
-            ],
-        );
-        self.words(b'C', [control.messages, control.bytes]);
-        self.ledger(b'S', energy);
+        let [low, high] = halves(information_pico);
+        self.words(b't', [reports, wake_ups, low, high, wrong_activations, wasted.micro()]);
+        // How many messages there were, not how long they are: that is a matter of the encoding.
+        self.words(b'C', [control.messages, uplink.messages]);
+        self.sums(b'S', energy);
+        let Spread {
+            spent_squares,
+            worst_low_ttis,
+        } = *spread;
+        let [low, high] = halves(spent_squares);
+        self.words(b'J', [low, high, worst_low_ttis]);
         Digest(self.0.finalize().into())
     }
 
-    fn ledger(&mut self, tag: u8, ledger: &DeviceTotals) {
+    fn sums(&mut self, tag: u8, sums: &DeviceTotals) {
         let DeviceTotals {
             initial,
             harvested,
-            spent,
+            spent: Spent { sensing, sleep, report },
             overflow,
             battery,
             battery_sum,
             low_ttis,
-        } = *ledger;
-        self.words(
-            tag,
-            [
-                initial.micro(),
-                harvested.micro(),
-                spent.micro(),
-                overflow.micro(),
-                battery.micro(),
-                battery_sum as u64,
-                (battery_sum >> 64) as u64,
-                low_ttis,
-            ],
-        );
+            sensing_ttis,
+            failed_ttis,
+            dark_ttis,
+        } = *sums;
+        let energies = [initial, harvested, sensing, sleep, report, overflow, battery];
+        self.words(tag, energies.map(Energy::micro));
+        let [low, high] = halves(battery_sum);
+        self.words(b'l', [low, high, low_ttis, sensing_ttis, failed_ttis, dark_ttis]);
     }
 
     fn words<const N: usize>(&mut self, tag: u8, words: [u64; N]) {
@@ -187,4 +208,8 @@ impl Fingerprint {
             self.0.update(word.to_le_bytes());
         }
     }
+}
+
+const fn halves(wide: u128) -> [u64; 2] {
+    [wide as u64, (wide >> 64) as u64]
 }

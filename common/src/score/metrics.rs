@@ -2,15 +2,52 @@
 
 use serde::Serialize;
 
-use crate::scenario::Scenario;
-use crate::totals::{PICO_PER_INFORMATION, Totals};
+use crate::totals::{DeviceTotals, EventTotals, PICO_PER_INFORMATION, Totals};
 use crate::units::{Energy, MICRO_PER_UNIT};
+
+/// What a metric is about: the parts of a table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Group {
+    /// What the base station came to know of events, and when.
+    Events,
+    /// Energy spent and harvested.
+    Energy,
+    /// Batteries, and what they could not pay for.
+    Batteries,
+    /// Messages and bytes over the air.
+    Radio,
+}
+
+impl Group {
+    /// All groups, in the order of tables.
+    pub const ALL: [Self; 4] = [Self::Events, Self::Energy, Self::Batteries, Self::Radio];
+
+    /// Its title in tables.
+    pub const fn title(self) -> &'static str {
+        match self {
+            Self::Events => "events",
+            Self::Energy => "energy",
+            Self::Batteries => "batteries",
+            Self::Radio => "radio",
+        }
+    }
+
+    /// Whether its metrics can be taken over some of the devices alone.
+    pub const fn is_by_device(self) -> bool {
+        match self {
+            Self::Energy | Self::Batteries => true,
+            Self::Events | Self::Radio => false,
+        }
+    }
+}
 
 /// What a metric is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Metric {
     /// Its name: the field of [`Metrics`], the column of tables.
     pub name: &'static str,
+    /// What it is about.
+    pub group: Group,
     /// Its unit.
     pub unit: &'static str,
     /// Its unit in words, for the axis of a figure.
@@ -43,37 +80,62 @@ impl Measured<'_> {
         }
     }
 
+    /// Per event that was reported.
+    fn per_detection(&self, sum: f64) -> f64 {
+        let EventTotals {
+            events, misdetected, ..
+        } = self.totals.events;
+        if events == misdetected {
+            f64::NAN
+        } else {
+            sum / (events - misdetected) as f64
+        }
+    }
+
     fn per_device_tti(&self, sum: Energy) -> f64 {
         sum.units() / self.device_ttis()
+    }
+
+    fn pct_of_device_ttis(&self, ttis: u64) -> f64 {
+        100.0 * ttis as f64 / self.device_ttis()
     }
 
     fn per_tti(&self, sum: u64) -> f64 {
         sum as f64 / self.totals.ttis as f64
     }
+
+    /// Jain's index of the energy spent: 1 where all devices spend the same, 1/N where one spends all.
+    fn jain(&self) -> f64 {
+        let sum = self.totals.energy.spent.total().micro() as f64;
+        sum * sum / (self.totals.devices as f64 * self.totals.spread.spent_squares as f64)
+    }
 }
 
-/// Declares the metrics. An entry is `name: unit, axis = |measured| formula;`, what it measures in its doc comment.
-/// `difference` after the axis sets [`Metric::is_difference`].
+/// Declares the metrics, group by group. An entry is `name: unit, axis = |measured| formula;`, what it measures in its
+/// doc comment. `difference` after the axis sets [`Metric::is_difference`].
 macro_rules! metrics {
-    ($($(#[doc = $meaning:literal])+
-        $name:ident: $unit:literal, $axis:literal $(, $difference:ident)? = |$measured:ident| $formula:expr;)+) => {
+    ($($group:ident {
+        $($(#[doc = $meaning:literal])+
+        $name:ident: $unit:literal, $axis:literal $(, $difference:ident)? = |$measured:ident| $formula:expr;)+
+    })+) => {
         /// The metrics of a run; those per event are NaN where no event was counted.
-        #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+        #[derive(Clone, Copy, Debug, Default, Serialize)]
         pub struct Metrics {
-            $($(#[doc = $meaning])+
-            pub $name: f64,)+
+            $($($(#[doc = $meaning])+
+            pub $name: f64,)+)+
             /// Events counted.
             pub events: u64,
         }
 
         impl Metrics {
             /// Metrics that are numbers with a fraction: all but `events`.
-            pub const COUNT: usize = [$(stringify!($name)),+].len();
+            pub const COUNT: usize = [$($(stringify!($name)),+),+].len();
 
             /// All metrics in the order of tables, `events` last.
             pub const ALL: [Metric; Self::COUNT + 1] = [
-                $(Metric {
+                $($(Metric {
                     name: stringify!($name),
+                    group: Group::$group,
                     unit: $unit,
                     axis: $axis,
                     meaning: concat!($($meaning),+).trim_ascii(),
@@ -81,9 +143,10 @@ macro_rules! metrics {
                         const MARK: &[&str] = &[$(stringify!($difference))?];
                         !MARK.is_empty()
                     },
-                },)+
+                },)+)+
                 Metric {
                     name: "events",
+                    group: Group::Events,
                     unit: "events",
                     axis: "events",
                     meaning: "Events counted.",
@@ -93,14 +156,14 @@ macro_rules! metrics {
 
             /// The values, in the order of [`Metrics::NAMES`].
             pub const fn values(&self) -> [f64; Self::COUNT] {
-                [$(self.$name),+]
+                [$($(self.$name),+),+]
             }
 
             /// The metrics of `totals` where events start with probability `alpha` a TTI.
             pub fn of(alpha: f64, totals: &Totals) -> Self {
                 let run = Measured { alpha, totals };
                 Self {
-                    $($name: (|$measured: &Measured<'_>| $formula)(&run),)+
+                    $($($name: (|$measured: &Measured<'_>| $formula)(&run),)+)+
                     events: totals.events.events,
                 }
             }
@@ -109,45 +172,102 @@ macro_rules! metrics {
 }
 
 metrics! {
-    /// Σ I_i / number of events.
-    info_per_event: "information/event", "information per event" = |run| run.per_event(run.information());
-    /// Σ I_i / (α · measured TTIs): the objective of P1, Eq. (`P1_I`).
-    info_p1: "information/(α·TTI)", "information per α and TTI" =
-        |run| run.information() / (run.alpha * run.totals.ttis as f64);
-    /// Events without a report at the BS, % of events.
-    misdetection_pct: "% of events", "% of events" =
-        |run| run.per_event(100.0 * run.totals.events.misdetected as f64);
-    /// Energy spent, mean over devices and TTIs.
-    energy_per_device_tti: "units", "units per device and TTI" =
-        |run| run.per_device_tti(run.totals.energy.spent);
-    /// Device-TTIs that ended with B < E_Tx, %.
-    low_energy_pct: "% of device-TTIs", "% of devices, B < E_Tx" =
-        |run| 100.0 * run.totals.energy.low_ttis as f64 / run.device_ttis();
-    /// Battery at the end of a TTI, mean over devices and TTIs.
-    mean_battery: "units", "units" =
-        |run| run.totals.energy.battery_sum as f64 / MICRO_PER_UNIT as f64 / run.device_ttis();
-    /// Devices per event that entered S2 and could not transmit, or were woken farther than d_max from the epicentre.
-    wrong_activations_per_event: "devices/event", "devices per event" =
-        |run| run.per_event(run.totals.events.wrong_activations as f64);
-    /// Energy spent by wrong activations, per event.
-    wasted_energy_per_event: "units/event", "units per event" =
-        |run| run.per_event(run.totals.events.wasted.units());
-    /// Energy harvested, mean over devices and TTIs, overflow included.
-    harvested_per_device_tti: "units", "units per device and TTI" =
-        |run| run.per_device_tti(run.totals.energy.harvested);
-    /// Energy harvested less energy spent, mean over devices and TTIs.
-    net_per_device_tti: "units", "units per device and TTI", difference =
-        |run| (run.totals.energy.harvested.units() - run.totals.energy.spent.units()) / run.device_ttis();
-    /// Energy harvested that did not fit in the battery, mean over devices and TTIs.
-    overflow_per_device_tti: "units", "units per device and TTI" =
-        |run| run.per_device_tti(run.totals.energy.overflow);
-    /// Bytes on the control channel (δ plans, synchronisation, wake-ups; BS to devices) per TTI.
-    ctl_bytes_per_tti: "bytes/TTI", "bytes per TTI" = |run| run.per_tti(run.totals.control.bytes);
-    /// Messages on the control channel per TTI.
-    ctl_msgs_per_tti: "messages/TTI", "messages per TTI" = |run| run.per_tti(run.totals.control.messages);
-    /// Wake-ups sent per event.
-    wake_ups_per_event: "wake-ups/event", "wake-ups per event" =
-        |run| run.per_event(run.totals.events.wake_ups as f64);
+    Events {
+        /// Σ I_i / (α · measured TTIs), the objective of P1, Eq. (`P1_I`): the headline, since an event that is found
+        /// late leaves less time for others.
+        info_p1: "information/(α·TTI)", "information per α and TTI (P1)" =
+            |run| run.information() / (run.alpha * run.totals.ttis as f64);
+        /// Σ I_i / number of events; blind to delay, so never to be read without the next two.
+        info_per_event: "information/event", "information per event" = |run| run.per_event(run.information());
+        /// TTIs from an event's start to its first report (0: in the same TTI), mean over the reported events.
+        detection_delay_ttis: "TTIs", "mean detection delay, TTIs" =
+            |run| run.per_detection(run.totals.events.delay_ttis as f64);
+        /// The same, 95th percentile.
+        detection_delay_p95_ttis: "TTIs", "detection delay, TTIs, 95th percentile" =
+            |run| {
+                let EventTotals { events, misdetected, .. } = run.totals.events;
+                if events == misdetected { f64::NAN } else { run.totals.delay_p95_ttis as f64 }
+            };
+        /// Events without a report at the BS, % of events.
+        misdetection_pct: "% of events", "% of events" =
+            |run| run.per_event(100.0 * run.totals.events.misdetected as f64);
+        /// Reports at the BS per event.
+        reports_per_event: "reports/event", "reports per event" =
+            |run| run.per_event(run.totals.events.reports as f64);
+        /// Wake-ups sent per event.
+        wake_ups_per_event: "wake-ups/event", "wake-ups per event" =
+            |run| run.per_event(run.totals.events.wake_ups as f64);
+        /// Devices per event that entered S2 and could not transmit, or were woken farther than d_max from the
+        /// epicentre.
+        wrong_activations_per_event: "devices/event", "devices per event" =
+            |run| run.per_event(run.totals.events.wrong_activations as f64);
+        /// Energy spent by wrong activations, per event.
+        wasted_energy_per_event: "units/event", "units per event" =
+            |run| run.per_event(run.totals.events.wasted.units());
+    }
+    Energy {
+        /// Energy spent, mean over devices and TTIs; the sum of the next three.
+        energy_per_device_tti: "units", "units per device and TTI" =
+            |run| run.per_device_tti(run.totals.energy.spent.total());
+        /// Energy spent in S1, Eq. (4), what failed attempts drained included.
+        energy_sensing_per_device_tti: "units", "units in S1 per device and TTI" =
+            |run| run.per_device_tti(run.totals.energy.spent.sensing);
+        /// Energy spent in S4, likewise.
+        energy_sleep_per_device_tti: "units", "units in S4 per device and TTI" =
+            |run| run.per_device_tti(run.totals.energy.spent.sleep);
+        /// Energy spent from S2 to S3, likewise.
+        energy_report_per_device_tti: "units", "units in S2 and S3 per device and TTI" =
+            |run| run.per_device_tti(run.totals.energy.spent.report);
+        /// Jain's index over devices of the energy spent: 1 where all spend the same, 1/N where one spends all.
+        fairness_energy: "0 to 1", "Jain's index of the energy spent" = |run| run.jain();
+        /// Energy harvested, mean over devices and TTIs, overflow included.
+        harvested_per_device_tti: "units", "units per device and TTI" =
+            |run| run.per_device_tti(run.totals.energy.harvested);
+        /// Energy harvested less energy spent, mean over devices and TTIs.
+        net_per_device_tti: "units", "units per device and TTI", difference =
+            |run| {
+                let spent = run.totals.energy.spent.total().units();
+                (run.totals.energy.harvested.units() - spent) / run.device_ttis()
+            };
+        /// Energy harvested that did not fit in the battery, mean over devices and TTIs.
+        overflow_per_device_tti: "units", "units per device and TTI" =
+            |run| run.per_device_tti(run.totals.energy.overflow);
+    }
+    Batteries {
+        /// Battery at the end of a TTI, mean over devices and TTIs.
+        mean_battery: "units", "units" =
+            |run| run.totals.energy.battery_sum as f64 / MICRO_PER_UNIT as f64 / run.device_ttis();
+        /// Device-TTIs that ended with B < E_Tx, %.
+        low_energy_pct: "% of device-TTIs", "% of devices, B < E_Tx" =
+            |run| run.pct_of_device_ttis(run.totals.energy.low_ttis);
+        /// The same for the device that has most of them, % of TTIs.
+        worst_low_energy_pct: "% of TTIs", "% of TTIs with B < E_Tx, worst device" =
+            |run| 100.0 * run.per_tti(run.totals.spread.worst_low_ttis);
+        /// δ = 1 that the battery could not pay, % of all δ = 1.
+        failed_actions_pct: "% of δ = 1", "% of δ = 1 that failed" = |run| {
+            let DeviceTotals { failed_ttis, sensing_ttis, .. } = run.totals.energy;
+            100.0 * failed_ttis as f64 / sensing_ttis as f64
+        };
+        /// Device-TTIs asleep with a wake-up radio without power, %.
+        dark_pct: "% of device-TTIs", "% of device-TTIs without a wake-up radio" =
+            |run| run.pct_of_device_ttis(run.totals.energy.dark_ttis);
+    }
+    Radio {
+        /// Bytes on the control channel (δ plans, synchronisation, wake-ups; BS to devices) per TTI.
+        ctl_bytes_per_tti: "bytes/TTI", "bytes per TTI" = |run| run.per_tti(run.totals.control.bytes);
+        /// Messages on the control channel per TTI.
+        ctl_msgs_per_tti: "messages/TTI", "messages per TTI" = |run| run.per_tti(run.totals.control.messages);
+        /// Bytes of reports (devices to BS) per TTI, as encoded.
+        uplink_bytes_per_tti: "bytes/TTI", "bytes of reports per TTI" = |run| run.per_tti(run.totals.uplink.bytes);
+    }
+}
+
+/// The same bits: an undefined metric (NaN) is the same as itself.
+impl PartialEq for Metrics {
+    fn eq(&self, other: &Self) -> bool {
+        let bits = |metrics: &Self| metrics.values().map(f64::to_bits);
+        bits(self) == bits(other) && self.events == other.events
+    }
 }
 
 impl Metrics {
@@ -161,11 +281,6 @@ impl Metrics {
         }
         names
     };
-
-    /// The metrics of a run of `scenario` that came to `totals`.
-    pub fn new(scenario: &Scenario, totals: &Totals) -> Self {
-        Self::of(scenario.events.alpha, totals)
-    }
 
     /// What the metric called `name` is.
     pub fn named(name: &str) -> Option<&'static Metric> {
@@ -197,10 +312,11 @@ impl Metrics {
 pub fn markdown() -> String {
     let row = |metric: Metric| {
         let meaning = metric.meaning.replace('`', "");
-        format!("| `{}` | {} | {meaning} |\n", metric.name, metric.unit)
+        let about = metric.group.title();
+        format!("| `{}` | {about} | {} | {meaning} |\n", metric.name, metric.unit)
     };
     let rows: String = Metrics::ALL.map(row).concat();
-    format!("| metric | unit | meaning |\n|---|---|---|\n{rows}")
+    format!("| metric | about | unit | meaning |\n|---|---|---|---|\n{rows}")
 }
 
 #[cfg(test)]
@@ -223,7 +339,7 @@ mod tests {
         };
         let rows = metrics.rows();
         assert_eq!(rows.map(|row| row.0)[..Metrics::COUNT], Metrics::NAMES);
-        assert_eq!(rows[1], ("info_p1", 2.0, "information/(α·TTI)"));
+        assert_eq!(rows[0], ("info_p1", 2.0, "information/(α·TTI)"));
         let wake_ups = rows.iter().find(|row| row.0 == "wake_ups_per_event").expect("a metric");
         assert_eq!(*wake_ups, ("wake_ups_per_event", 5.0, "wake-ups/event"));
         assert_eq!(rows[Metrics::COUNT], ("events", 7.0, "events"));

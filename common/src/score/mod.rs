@@ -3,42 +3,54 @@
 //!
 //! The score is told what happens, in order, and decides nothing.
 
+mod devices;
 mod digest;
 mod metrics;
 mod records;
 
-pub use digest::{Digest, Fingerprint};
-pub use metrics::{Metric, Metrics, markdown};
+use std::collections::BTreeMap;
+
+pub use devices::{Acts, ClassRecord, DeviceRecord};
+pub use digest::{DIGEST_VERSION, Digest, Fingerprint};
+pub use metrics::{Group, Metric, Metrics, markdown};
 pub use records::{Accounts, EventRecord, WindowRecord};
 
+use crate::codec;
 use crate::deployment::Deployment;
 use crate::event::{ActiveEvent, Stimulus};
 use crate::ids::{DeviceId, Tti};
 use crate::message::{Failure, PlanUpdate, Report, WakeOutcome};
 use crate::scenario::Scenario;
-use crate::totals::{ControlTotals, DeviceTotals, EventTally, EventTotals, PICO_PER_INFORMATION, Totals};
+use crate::totals::{EventTally, EventTotals, Ledger, PICO_PER_INFORMATION, Spread, Totals, Traffic};
 use crate::units::Energy;
 
 /// The event under way and what has come of it.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 struct Current {
     event: ActiveEvent,
     tally: EventTally,
+    /// What devices did for it.
+    acts: Vec<(DeviceId, Acts)>,
 }
 
 /// The score of a run under way.
 #[derive(Clone, Debug)]
 pub struct Score {
     warm_up_end: Tti,
+    /// Each device as it was put on the ground, with nothing in its books yet.
+    devices: Vec<DeviceRecord>,
     e_tx: Vec<Energy>,
     current: Option<Current>,
     events: EventTotals,
-    control: ControlTotals,
+    /// How many counted events were reported after so many TTIs.
+    delays: BTreeMap<u64, u64>,
+    control: Traffic,
+    uplink: Traffic,
     fingerprint: Fingerprint,
 }
 
 /// A finished score.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Final {
     /// The run's fingerprint.
     pub digest: Digest,
@@ -46,17 +58,30 @@ pub struct Final {
     pub metrics: Metrics,
     /// The exact totals behind them.
     pub totals: Totals,
+    /// Each device, in the order of ids.
+    pub devices: Vec<DeviceRecord>,
 }
 
 impl Score {
     /// The score of `scenario` before TTI 0, with its devices as in `deployment`.
     pub fn new(scenario: &Scenario, deployment: &Deployment) -> Self {
+        let ground = deployment.devices.iter().zip(&deployment.classes);
+        let devices = ground.map(|(setup, &class)| DeviceRecord {
+            device: setup.id,
+            position: setup.position,
+            class,
+            ledger: Ledger::default(),
+            acts: Acts::default(),
+        });
         Self {
             warm_up_end: scenario.warm_up_end(),
+            devices: devices.collect(),
             e_tx: deployment.devices.iter().map(|d| d.energy.e_tx).collect(),
             current: None,
             events: EventTotals::default(),
-            control: ControlTotals::default(),
+            delays: BTreeMap::new(),
+            control: Traffic::default(),
+            uplink: Traffic::default(),
             fingerprint: Fingerprint::default(),
         }
     }
@@ -80,50 +105,52 @@ impl Score {
         self.current = Some(Current {
             event,
             tally: EventTally::default(),
+            acts: Vec::new(),
         });
     }
 
     /// A device with δ = 1 has reported the event.
     pub fn reported(&mut self, report: &Report) {
         self.fingerprint.report(report);
-        self.tally().reports += 1;
+        self.count_uplink(report);
+        self.current().tally.reports += 1;
+        self.act(report.device, Acts::REPORT);
     }
 
     /// A device with δ = 1 has detected the event and could not transmit.
     pub fn failed(&mut self, failure: &Failure) {
-        let tally = self.tally();
-        tally.wrong_activations += 1;
-        tally.wasted += failure.drained;
+        self.wrong(failure.device, failure.drained);
     }
 
     /// A wake-up goes out on the air in `tti`, `bytes` long.
     pub fn wake_up(&mut self, tti: Tti, bytes: u64) {
-        self.tally().wake_ups += 1;
+        self.current().tally.wake_ups += 1;
         self.count_control(tti, bytes);
     }
 
     /// What came of the wake-up of `device`, which is farther than d_max from the event if it `is_far`.
     pub fn woken(&mut self, tti: Tti, device: DeviceId, outcome: &WakeOutcome, is_far: bool) {
         self.fingerprint.wake_up(tti, device, outcome);
-        let e_tx = self.e_tx[device.index()];
-        let tally = self.tally();
         match outcome {
-            WakeOutcome::Reported(_) => {
-                tally.reports += 1;
-                tally.wrong_activations += u64::from(is_far);
-                tally.wasted += if is_far { e_tx } else { Energy::ZERO };
+            WakeOutcome::Reported(report) => {
+                self.count_uplink(report);
+                self.current().tally.reports += 1;
+                self.act(device, Acts::WOKEN_REPORT);
+                if is_far {
+                    self.wrong(device, self.e_tx[device.index()]);
+                }
             }
             WakeOutcome::Failed(failure) => {
-                tally.wrong_activations += 1;
-                tally.wasted += failure.drained;
+                self.act(device, Acts::WOKEN);
+                self.wrong(device, failure.drained);
             }
-            WakeOutcome::Unheard => {}
+            WakeOutcome::Unheard => self.act(device, Acts::UNHEARD),
         }
     }
 
     /// Whether the event under way has reached the base station.
     pub fn is_reported(&self) -> bool {
-        self.current.is_some_and(|current| current.tally.reports > 0)
+        self.current.as_ref().is_some_and(|current| current.tally.reports > 0)
     }
 
     /// The event under way has ended with `information` I_i at the base station; `last` is its last TTI.
@@ -131,57 +158,117 @@ impl Score {
     /// # Panics
     /// While no event is under way.
     pub fn event_ended(&mut self, last: Tti, information: f64) -> EventRecord {
-        let Current { event, mut tally } = self.current.take().expect("an event is under way");
+        let Current { event, mut tally, acts } = self.current.take().expect("an event is under way");
         tally.information_pico = (information * PICO_PER_INFORMATION).round() as u64;
         self.fingerprint.event_ended(last, &tally);
         let ActiveEvent { stimulus, start, .. } = event;
         let Stimulus { event, epicentre } = stimulus;
-        let counted = start >= self.warm_up_end;
-        if counted {
-            self.events.count(&tally);
-        }
-        EventRecord {
+        let record = EventRecord {
             event,
             epicentre,
             start,
             last,
-            counted,
+            counted: start >= self.warm_up_end,
             tally,
+        };
+        if record.counted {
+            let delay = record.delay();
+            self.events.count(&tally, delay);
+            if let Some(delay) = delay {
+                *self.delays.entry(delay).or_default() += 1;
+            }
+            for (device, act) in acts {
+                self.devices[device.index()].acts += act;
+            }
         }
+        record
     }
 
-    /// The score of a run of `scenario` that ended before TTI `end`. `ledgers` are the devices' totals in the order of
-    /// ids, `at_warm_up` their sum at the end of the warm-up (`None` if the run did not get there).
-    pub fn finish(
-        self,
-        scenario: &Scenario,
-        end: Tti,
-        ledgers: &[DeviceTotals],
-        at_warm_up: Option<DeviceTotals>,
-    ) -> Final {
-        let total: DeviceTotals = ledgers.iter().copied().sum();
+    /// The score of a run that ended before TTI `end`, where events started with probability `alpha` in the measured
+    /// TTIs. `ledgers` are the devices' books in the order of ids.
+    pub fn finish(mut self, alpha: f64, end: Tti, ledgers: &[Ledger]) -> Final {
+        let measured = || ledgers.iter().map(|ledger| &ledger.measured);
         let totals = Totals {
             devices: ledgers.len() as u64,
             ttis: end.0.saturating_sub(self.warm_up_end.0),
             events: self.events,
+            delay_p95_ttis: percentile(&self.delays, 95),
             control: self.control,
-            energy: at_warm_up.map_or_else(DeviceTotals::default, |before| total - before),
+            uplink: self.uplink,
+            energy: measured().copied().sum(),
+            spread: Spread::of(measured()),
         };
+        for (device, ledger) in self.devices.iter_mut().zip(ledgers) {
+            device.ledger = *ledger;
+        }
         Final {
             digest: self.fingerprint.finish(ledgers, &totals),
-            metrics: Metrics::new(scenario, &totals),
+            metrics: Metrics::of(alpha, &totals),
             totals,
+            devices: self.devices,
         }
     }
 
-    fn tally(&mut self) -> &mut EventTally {
-        &mut self.current.as_mut().expect("an event is under way").tally
+    fn current(&mut self) -> &mut Current {
+        self.current.as_mut().expect("an event is under way")
     }
 
-    fn count_control(&mut self, tti: Tti, bytes: u64) {
-        if tti >= self.warm_up_end {
-            self.control.messages += 1;
-            self.control.bytes += bytes;
+    fn act(&mut self, device: DeviceId, act: Acts) {
+        self.current().acts.push((device, act));
+    }
+
+    fn wrong(&mut self, device: DeviceId, wasted: Energy) {
+        let tally = &mut self.current().tally;
+        tally.wrong_activations += 1;
+        tally.wasted += wasted;
+        self.act(device, Acts::WRONG);
+    }
+
+    const fn count_control(&mut self, tti: Tti, bytes: u64) {
+        if tti.0 >= self.warm_up_end.0 {
+            self.control.count(bytes);
         }
+    }
+
+    fn count_uplink(&mut self, report: &Report) {
+        if report.tti >= self.warm_up_end {
+            self.uplink.count(codec::encoded_len(report));
+        }
+    }
+}
+
+/// The least value that at least `percent` % of those counted do not exceed (nearest rank); 0 of none.
+fn percentile(counts: &BTreeMap<u64, u64>, percent: u64) -> u64 {
+    let all: u64 = counts.values().sum();
+    let rank = (all * percent).div_ceil(100);
+    let mut so_far = 0;
+    let reaches = |&(_, count): &(&u64, &u64)| {
+        so_far += count;
+        so_far >= rank
+    };
+    counts.iter().find(reaches).map_or(0, |(&value, _)| value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_percentile_is_that_of_the_sorted_list() {
+        let lists: [&[u64]; 5] = [
+            &[],
+            &[7],
+            &[0, 0, 0, 3],
+            &[1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20],
+            &[0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 9],
+        ];
+        let found = lists.map(|list| {
+            let mut counts = BTreeMap::new();
+            for value in list {
+                *counts.entry(*value).or_default() += 1;
+            }
+            percentile(&counts, 95)
+        });
+        assert_eq!(found, [0, 7, 3, 19, 0]);
     }
 }

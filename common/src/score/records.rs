@@ -23,6 +23,14 @@ pub struct EventRecord {
     pub tally: EventTally,
 }
 
+impl EventRecord {
+    /// TTIs from its start to its first report, 0 for the same TTI; `None` if it was missed. It ends with its first
+    /// report.
+    pub fn delay(&self) -> Option<u64> {
+        (self.tally.reports > 0).then(|| self.last - self.start)
+    }
+}
+
 /// One row of the per-window series: the sums of the TTIs `first .. end`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WindowRecord {
@@ -36,37 +44,31 @@ pub struct WindowRecord {
     pub events: EventTotals,
 }
 
-/// Turns running sums into window records, and keeps the sum at the end of the warm-up.
+/// Turns running sums into window records.
 #[derive(Clone, Debug, Default)]
 pub struct Accounts {
     first: Tti,
     energy: DeviceTotals,
     events: EventTotals,
-    at_warm_up: Option<DeviceTotals>,
 }
 
 impl Accounts {
-    /// Accounts that start from the devices' initial batteries; a run without warm-up is measured from there.
-    pub fn new(deployment: &Deployment, warm_up_end: Tti) -> Self {
+    /// Accounts that start from the devices' initial batteries.
+    pub fn new(deployment: &Deployment) -> Self {
         let initial: Energy = deployment.devices.iter().map(|d| d.energy.initial).sum();
         let energy = DeviceTotals {
             initial,
             battery: initial,
             ..DeviceTotals::default()
         };
-        let at_warm_up = (warm_up_end == Tti::ZERO).then_some(energy);
         Self {
             energy,
-            at_warm_up,
             ..Self::default()
         }
     }
 
     /// The sums over all devices and counted events at boundary `k`, where all TTIs before `k` have ended.
-    pub fn reach(&mut self, k: Tti, warm_up_end: Tti, energy: DeviceTotals, events: EventTotals) -> WindowRecord {
-        if k == warm_up_end {
-            self.at_warm_up = Some(energy);
-        }
+    pub fn reach(&mut self, k: Tti, energy: DeviceTotals, events: EventTotals) -> WindowRecord {
         let record = WindowRecord {
             first: self.first,
             end: k,
@@ -75,10 +77,5 @@ impl Accounts {
         };
         (self.first, self.energy, self.events) = (k, energy, events);
         record
-    }
-
-    /// The sum over all devices at the end of the warm-up, once it is reached.
-    pub const fn at_warm_up(&self) -> Option<DeviceTotals> {
-        self.at_warm_up
     }
 }

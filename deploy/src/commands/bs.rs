@@ -20,7 +20,8 @@ use super::resolution::resolve;
 use super::run::Interrupted;
 use crate::cli::{BsArgs, DriveArgs, OutputArgs};
 use crate::display::{Bar, note};
-use crate::results::{RunFolder, Summary, Timing};
+use crate::results::RunFolder;
+use crate::summary::{Summary, Timing};
 use crate::{interrupt, local};
 
 /// Time between two looks for a signal.
@@ -149,7 +150,7 @@ pub async fn serve(
             let summary = Summary::new(scenario, &served.outcome, timing);
             let path = folder.path().to_owned();
             let kept = folder.keep_learned(scenario, &served.outcome);
-            kept.and_then(|()| folder.finish(&summary))
+            kept.and_then(|()| folder.finish(scenario, &served.outcome, &summary))
                 .and_then(|()| conclude(output, &summary, &path))
         }
         Err(error) => {

@@ -8,7 +8,7 @@ use reveille_bs::scenario::Scenario;
 use crate::cli::OutputArgs;
 use crate::display;
 use crate::exit::Exit;
-use crate::results::Summary;
+use crate::summary::Summary;
 
 /// TTIs in a window of the per-window series.
 pub fn window(args: &OutputArgs, scenario: &Scenario) -> u64 {

@@ -18,7 +18,8 @@ use super::conclusion::{conclude, window};
 use super::resolution::resolve;
 use crate::cli::RunArgs;
 use crate::display::Bar;
-use crate::results::{RunFolder, Summary, Timing};
+use crate::results::RunFolder;
+use crate::summary::{Summary, Timing};
 
 /// Time between two looks for a signal while a run is set up.
 const LOOK: Duration = Duration::from_millis(50);
@@ -60,7 +61,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let summary = Summary::new(&scenario, &outcome, timing);
     let path = shown.folder.path().to_owned();
     shown.folder.keep_learned(&scenario, &outcome)?;
-    shown.folder.finish(&summary)?;
+    shown.folder.finish(&scenario, &outcome, &summary)?;
     conclude(&args.output, &summary, &path)
 }
 

@@ -17,7 +17,8 @@ use super::resolution::resolve;
 use super::run::Interrupted;
 use crate::cli::{OnLossArg, UpArgs};
 use crate::launch::Children;
-use crate::results::{RunFolder, Timing};
+use crate::results::RunFolder;
+use crate::summary::Timing;
 
 /// Device processes, where the command line says nothing.
 const PROCESSES: u32 = 4;

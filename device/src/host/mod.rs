@@ -155,6 +155,7 @@ impl Shared {
             host,
             seed,
             ttis,
+            measured_from,
             sensing,
             devices,
             traces,
@@ -163,7 +164,7 @@ impl Shared {
         let uplink = Arc::new(Uplink::new(bus, host, first, devices.len() as u32)?);
         let positions = devices.iter().map(|d| d.position).collect();
         let d_max = sensing.d_max;
-        let physics = Arc::new(Physics::new(seed, sensing, &devices, traces));
+        let physics = Arc::new(Physics::new(seed, measured_from, sensing, &devices, traces));
         let mut resting = Vec::new();
         let mailboxes = devices
             .iter()

@@ -5,7 +5,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use reveille_common::ids::{DeviceId, HostId, Tti};
 use reveille_common::message::{Answer, Failure, Report};
 use reveille_common::state::DeviceView;
-use reveille_common::totals::DeviceTotals;
+use reveille_common::totals::{DeviceTotals, Ledger};
 
 use crate::host::uplink::Uplink;
 
@@ -34,7 +34,7 @@ struct Parts {
     failures: Vec<Failure>,
     totals: Option<DeviceTotals>,
     views: Vec<(DeviceId, DeviceView)>,
-    ledgers: Vec<(DeviceId, DeviceTotals)>,
+    ledgers: Vec<(DeviceId, Ledger)>,
 }
 
 /// What one device adds to the answer.
@@ -45,8 +45,8 @@ pub enum Part {
     Failed(Failure),
     /// A device, its state and battery.
     View(DeviceId, DeviceView),
-    /// A device and its sums.
-    Totals(DeviceId, DeviceTotals),
+    /// A device and its books.
+    Books(DeviceId, Ledger),
     /// Nothing to tell.
     Nothing,
 }
@@ -97,9 +97,9 @@ impl Round {
             Part::Reported(report) => parts.reports.push(*report),
             Part::Failed(failure) => parts.failures.push(*failure),
             Part::View(device, view) => parts.views.push((*device, *view)),
-            Part::Totals(device, totals) => match self.question {
-                Question::Grant(_) => parts.totals = Some(parts.totals.unwrap_or_default() + *totals),
-                Question::Ledgers => parts.ledgers.push((*device, *totals)),
+            Part::Books(device, ledger) => match self.question {
+                Question::Grant(_) => parts.totals = Some(parts.totals.unwrap_or_default() + ledger.whole),
+                Question::Ledgers => parts.ledgers.push((*device, *ledger)),
             },
             Part::Nothing => {}
         }

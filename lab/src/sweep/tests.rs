@@ -127,7 +127,7 @@ fn what_cannot_be_run_is_refused_with_its_field() {
         ("until_ci = 2", "until_ci = 2"),
         (
             "until_ci = \"1%\"\nci_metrics = [\"colour\"]",
-            "there are info_per_event, info_p1",
+            "there are info_p1, info_per_event",
         ),
         ("until_ci = \"1%\"\nci_metrics = []", "at least one metric"),
         ("until_ci = \"1%\"\nseeds = 1", "at least two runs"),

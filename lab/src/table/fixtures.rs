@@ -10,11 +10,12 @@ use super::{About, ColumnType, Hash, Row, Schema, Table, Value};
 pub(crate) fn table() -> Table {
     let row = |policy: &str, n, seed, lambda: f64, kind: &str| {
         let mut metrics = [0.0; Metrics::COUNT];
-        for (at, value) in metrics.iter_mut().enumerate() {
-            *value = seed as f64 * if at == 1 { 1.0 } else { 0.1 + at as f64 / 3.0 };
-        }
-        if n == 10 && policy == "knn" {
-            metrics[0] = f64::NAN;
+        for ((at, value), name) in metrics.iter_mut().enumerate().zip(Metrics::NAMES) {
+            *value = match name {
+                "info_p1" => seed as f64,
+                "info_per_event" if n == 10 && policy == "knn" => f64::NAN,
+                _ => seed as f64 * (0.1 + at as f64 / 3.0),
+            };
         }
         Row {
             scenario_hash: Hash([seed as u8 + n as u8; 32]),

@@ -29,7 +29,7 @@ impl Drop for Folder {
 #[test]
 fn names_of_metrics_are_those_of_the_contract() {
     let names = Schema::default().names().join(" ");
-    let [first, last] = ["seed info_per_event info_p1 misdetection_pct", "events digest"];
+    let [first, last] = ["seed info_p1 info_per_event detection_delay_ttis", "events digest"];
     assert!(names.contains(first) && names.ends_with(last), "{names}");
 }
 

@@ -168,7 +168,7 @@ fn an_objective_is_what_it_says() {
     let totals = &outcome.totals;
     let events = totals.events.events as f64;
     let information = totals.events.information_pico as f64 / 1e12;
-    let spent = totals.energy.spent.units();
+    let spent = totals.energy.spent.total().units();
     assert!((of(Objective::Information) - information / events).abs() < 1e-12);
     assert!((of(Objective::Efficiency) - information / spent).abs() < 1e-9 * information / spent);
     let missed = totals.events.misdetected as f64 / events;

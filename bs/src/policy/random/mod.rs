@@ -1,24 +1,22 @@
 //! The random benchmark (Sec. VI): every device draws its own duty cycle once; nobody is woken.
 
+pub mod settings;
+
 use std::sync::Arc;
 
-use reveille_common::declare::{Reader, ScenarioError};
+use reveille_common::declare::{Reader, ScenarioError, Section};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Report;
 use reveille_common::plan::{DutyCycle, Plan};
 use reveille_common::rng::PolicyPurpose;
-use reveille_common::scenario::{NoSettings, PolicyChoice, PolicyKind, PolicySettings, Site};
+use reveille_common::scenario::{PolicyChoice, PolicyKind, PolicySettings, Site};
 
+use self::settings::RandomSettings;
 use super::contract::{Opaque, Policy};
-use super::kind::{Profile, Registered};
+use super::kind::{Profile, Registered, own};
 use super::mind::Mind;
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
-
-/// Lengths of t_on that a device draws from, TTIs.
-const T_ON: [u32; 2] = [1, 2];
-/// Lengths of t_DRX that a device draws from, TTIs.
-const T_DRX: [u32; 3] = [2, 4, 8];
 
 /// The `random` policy.
 #[derive(Clone, Debug)]
@@ -28,11 +26,12 @@ pub struct Random {
 
 impl Random {
     /// Draws the duty cycles of all devices.
-    pub fn new(known: &Knowledge) -> Self {
+    pub fn new(known: &Knowledge, settings: &RandomSettings) -> Self {
+        let RandomSettings { t_on, t_drx } = settings;
         let draw = |j: u32| {
             let mut stream = known.streams.stream(PolicyPurpose::DutyCycle, u64::from(j));
-            let t_on = T_ON[stream.below(T_ON.len() as u64) as usize];
-            let t_drx = T_DRX[stream.below(T_DRX.len() as u64) as usize];
+            let t_on = t_on[stream.below(t_on.len() as u64) as usize];
+            let t_drx = t_drx[stream.below(t_drx.len() as u64) as usize];
             DutyCycle {
                 t_on,
                 t_drx,
@@ -76,8 +75,12 @@ impl PolicyKind for RandomKind {
         "Each device draws its own duty cycle once; nobody is woken (Sec. VI)."
     }
 
-    fn settle(&self, _: &Reader<'_>, _: &Site<'_>) -> Result<Arc<dyn PolicySettings>, ScenarioError> {
-        Ok(Arc::new(NoSettings))
+    fn section(&self) -> Option<&'static Section> {
+        Some(RandomSettings::SECTION)
+    }
+
+    fn settle(&self, reader: &Reader<'_>, _: &Site<'_>) -> Result<Arc<dyn PolicySettings>, ScenarioError> {
+        Ok(Arc::new(RandomSettings::settle(reader)?))
     }
 }
 
@@ -86,7 +89,7 @@ impl Registered for RandomKind {
         Profile::plain(2)
     }
 
-    fn build(&self, _: &PolicyChoice, known: &Knowledge, _: Option<&Opaque>) -> Mind {
-        Mind::of(Random::new(known))
+    fn build(&self, choice: &PolicyChoice, known: &Knowledge, _: Option<&Opaque>) -> Mind {
+        Mind::of(Random::new(known, own(choice)))
     }
 }

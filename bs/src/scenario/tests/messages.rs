@@ -70,6 +70,11 @@ fn messages_name_field_value_range_and_line() {
             "line 3",
         ),
         ("[bs]\nsync_interval = 0", "bs.sync_interval = 0:", "line 2"),
+        (
+            "policy.name = \"random\"\npolicy.random.t_on = [1, 4]",
+            "policy.random.t_on = [1, 4]: none may be longer than the shortest of policy.random.t_drx, 2",
+            "line 2",
+        ),
         ("[policy.knn]\nneighbours = 0", "policy.knn.neighbours = 0:", "line 2"),
         (
             "preset = \"papr\"",
@@ -158,9 +163,9 @@ fn tables_in_the_wrong_place_are_explained() {
 
 #[test]
 fn unknown_fields_come_with_a_suggestion() {
-    let settings = from("[policy.random]\nx = 1\n").expect_err("it has none").to_string();
+    let settings = from("[policy.genie]\nx = 1\n").expect_err("it has none").to_string();
     assert!(
-        settings.starts_with("unknown field `policy.random`; `random` has no fields of its own; set in my.toml"),
+        settings.starts_with("unknown field `policy.genie`; `genie` has no fields of its own; set in my.toml"),
         "{settings}"
     );
     let folder = load(env!("CARGO_MANIFEST_DIR"), &[]).expect_err("a folder");

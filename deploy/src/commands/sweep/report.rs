@@ -14,8 +14,9 @@ use crate::cli::SweepArgs;
 use crate::display::count;
 
 /// The metrics of the closing table, with shorter heads.
-const SHOWN: [(&str, &str); 5] = [
-    ("info_per_event", "info/event"),
+const SHOWN: [(&str, &str); 6] = [
+    ("info_p1", "info P1"),
+    ("detection_delay_ttis", "delay TTIs"),
     ("misdetection_pct", "missed %"),
     ("energy_per_device_tti", "energy"),
     ("low_energy_pct", "low energy %"),

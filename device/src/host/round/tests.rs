@@ -3,7 +3,7 @@
 use reveille_common::ids::{DeviceId, HostId, Tti};
 use reveille_common::message::{Answer, Failure, Report};
 use reveille_common::state::{DeviceState, DeviceView};
-use reveille_common::totals::DeviceTotals;
+use reveille_common::totals::{DeviceTotals, Ledger};
 use reveille_common::units::Energy;
 
 use super::{Part, Question, Round};
@@ -17,6 +17,13 @@ fn report(device: u32) -> Report {
         tti: TTI,
         information: 0.5,
         battery: Energy::from_micro(9),
+    }
+}
+
+fn ledger(harvested: u64) -> Ledger {
+    Ledger {
+        whole: totals(harvested),
+        ..Ledger::default()
     }
 }
 
@@ -89,8 +96,8 @@ fn a_grant_gathers_failures_sums_and_levels() {
         Part::Failed(failure),
         level(5),
         level(4),
-        Part::Totals(DeviceId(4), totals(3)),
-        Part::Totals(DeviceId(5), totals(8)),
+        Part::Books(DeviceId(4), ledger(3)),
+        Part::Books(DeviceId(5), ledger(8)),
     ] {
         assert_eq!(round.take(&part), None);
     }
@@ -109,10 +116,10 @@ fn a_grant_gathers_failures_sums_and_levels() {
 fn ledgers_are_kept_by_device() {
     let round = Round::new(HOST, Question::Ledgers, 2);
     round.take(&Part::Nothing);
-    round.take(&Part::Totals(DeviceId(4), totals(3)));
+    round.take(&Part::Books(DeviceId(4), ledger(3)));
     let expected = Answer::Final {
         host: HOST,
-        ledgers: vec![(DeviceId(4), totals(3)), (DeviceId(5), totals(8))],
+        ledgers: vec![(DeviceId(4), ledger(3)), (DeviceId(5), ledger(8))],
     };
-    assert_eq!(round.take(&Part::Totals(DeviceId(5), totals(8))), Some(expected));
+    assert_eq!(round.take(&Part::Books(DeviceId(5), ledger(8))), Some(expected));
 }

@@ -39,7 +39,7 @@ pub fn levels(model: &EnergyModel, e_b: Energy, lattice: &Lattice, drive: &Drive
             harvest: HarvestSetup::Arrivals(ArrivalsSetup { p: drive.arrival, e_b }),
         })
         .collect();
-    let world = Physics::new(sample.seed, always_detects(), &setups, Vec::new());
+    let world = Physics::new(sample.seed, Tti::ZERO, always_detects(), &setups, Vec::new());
     let count = |setup: &DeviceSetup| levels_of(setup, &world, lattice, drive, sample);
     setups.par_iter().map(count).collect()
 }

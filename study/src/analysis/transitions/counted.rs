@@ -91,7 +91,7 @@ pub fn count(scenario: &Scenario, deployment: &Deployment) -> (Counts, Vec<DutyC
         let now: Vec<DutyCycle> = deployment.devices.iter().map(|d| plan.duty_cycle(d.id)).collect();
         for (j, machine) in run.look().iter().enumerate() {
             let (last, spent_before) = before[j];
-            let spent = machine.totals().spent;
+            let spent = machine.totals().spent.total();
             let (on, costs) = (now[j].is_on(Tti(k)), &deployment.devices[j].energy);
             let cost = if on { costs.e_idle } else { costs.e_wur };
             let path = Path::new(machine.state(), on, spent - spent_before, cost);

@@ -1,0 +1,131 @@
+#!/usr/bin/env python3
+"""Recomputes the metrics of run folders from events.csv, devices.csv and scenario.toml alone, and compares them with
+summary.json. Standard library only; Python 3.11 or later. Usage: recompute.py FOLDER...
+
+It shares no code with the program: what it takes from the page on results is the definitions. Energies are added as
+whole micro-units, so that sums by state must agree exactly.
+"""
+
+import csv
+import json
+import math
+import sys
+import tomllib
+from decimal import Decimal
+from pathlib import Path
+
+STATES = ("sensing", "sleep", "report")
+TOLERANCE = 1e-9
+
+
+def micro(text: str) -> int:
+    """Units as written in a table, in whole micro-units."""
+    scaled = Decimal(text) * 1_000_000
+    assert scaled == int(scaled), f"{text} is no whole number of micro-units"
+    return int(scaled)
+
+
+def ratio(part: float, whole: float) -> float:
+    return part / whole if whole else math.nan
+
+
+def nearest_rank(values: list[int], percent: int) -> float:
+    ordered = sorted(values)
+    return ordered[-(-len(ordered) * percent // 100) - 1] if ordered else math.nan
+
+
+def of_events(rows: list[dict[str, str]], alpha: float, ttis: int) -> dict[str, float]:
+    counted = [row for row in rows if row["counted"] == "1"]
+    seen = [row for row in counted if row["reports"] != "0"]
+    delays = [int(row["last_tti"]) - int(row["start_tti"]) for row in seen]
+    for row, delay in zip(seen, delays):
+        assert int(row["delay_ttis"]) == delay, row
+    assert all(row["delay_ttis"] == "" for row in counted if row["reports"] == "0"), "a missed event with a delay"
+
+    def total(column: str) -> float:
+        return math.fsum(float(row[column]) for row in counted)
+
+    events = len(counted)
+    return {
+        "events": events,
+        "info_p1": total("information") / (alpha * ttis),
+        "info_per_event": ratio(total("information"), events),
+        "detection_delay_ttis": ratio(sum(delays), len(delays)),
+        "detection_delay_p95_ttis": nearest_rank(delays, 95),
+        "misdetection_pct": ratio(100 * (events - len(seen)), events),
+        "reports_per_event": ratio(total("reports"), events),
+        "wake_ups_per_event": ratio(total("wake_ups"), events),
+        "wrong_activations_per_event": ratio(total("wrong_activations"), events),
+        "wasted_energy_per_event": ratio(total("wasted_units"), events),
+    }
+
+
+def of_devices(rows: list[dict[str, str]], ttis: int) -> dict[str, float]:
+    n = len(rows)
+    spent = []
+    for row in rows:
+        by_state = [micro(row[f"{state}_units"]) for state in STATES]
+        into = micro(row["start_battery"]) + micro(row["harvested_units"])
+        out = sum(by_state) + micro(row["overflow_units"]) + micro(row["final_battery"])
+        assert into == out, f"device {row['device']}: {into} micro-units came in, {out} went out or are left"
+        assert int(row["longest_outage_ttis"]) <= int(row["failed_ttis"]) + int(row["dark_ttis"]) <= ttis, row
+        spent.append(sum(by_state))
+
+    def units(column: str) -> float:
+        return sum(micro(row[column]) for row in rows) / 1e6 / n / ttis
+
+    def count(column: str) -> int:
+        return sum(int(row[column]) for row in rows)
+
+    return {
+        "energy_per_device_tti": sum(spent) / 1e6 / n / ttis,
+        **{f"energy_{state}_per_device_tti": units(f"{state}_units") for state in STATES},
+        "fairness_energy": ratio(sum(spent) ** 2, n * sum(one * one for one in spent)),
+        "harvested_per_device_tti": units("harvested_units"),
+        "net_per_device_tti": units("harvested_units") - sum(spent) / 1e6 / n / ttis,
+        "overflow_per_device_tti": units("overflow_units"),
+        "low_energy_pct": 100 * count("low_ttis") / n / ttis,
+        "worst_low_energy_pct": 100 * max(int(row["low_ttis"]) for row in rows) / ttis,
+        "failed_actions_pct": ratio(100 * count("failed_ttis"), count("sensing_ttis")),
+        "dark_pct": 100 * count("dark_ttis") / n / ttis,
+    }
+
+
+def same(shown: float | None, computed: float) -> bool:
+    if shown is None or math.isnan(computed):
+        return shown is None and math.isnan(computed)
+    return abs(shown - computed) <= TOLERANCE * max(1.0, abs(computed))
+
+
+def check(folder: Path) -> int:
+    scenario = tomllib.loads((folder / "scenario.toml").read_text())
+    summary = json.loads((folder / "summary.json").read_text())
+    events = list(csv.DictReader((folder / "events.csv").open()))
+    devices = list(csv.DictReader((folder / "devices.csv").open()))
+    ttis = summary["ttis_done"] - math.floor(scenario["ttis"] * scenario["warm_up"])
+    assert len(devices) == scenario["devices"], "a row a device"
+    computed = of_events(events, scenario["events"]["alpha"], ttis) | of_devices(devices, ttis)
+    wrong = [
+        f"{folder}: {name} is {summary['metrics'][name]} in the summary and {value} from the tables"
+        for name, value in computed.items()
+        if not same(summary["metrics"][name], value)
+    ]
+    # What devices did adds up to what came of the events.
+    for own, of_all in (("reports", "reports"), ("wake_ups", "wake_ups"), ("wrong_activations", "wrong_activations")):
+        by_device = sum(int(row[own]) for row in devices)
+        by_event = sum(int(row[of_all]) for row in events if row["counted"] == "1")
+        if by_device != by_event:
+            wrong.append(f"{folder}: {by_device} {own} of devices, {by_event} of events")
+    # Exactly: the sums by state are those of the totals.
+    for state in STATES:
+        by_device = sum(micro(row[f"{state}_units"]) for row in devices)
+        if by_device != summary["totals"]["energy"]["spent"][state]:
+            wrong.append(f"{folder}: {by_device} micro-units spent on {state} by the table")
+    print("\n".join(wrong) if wrong else f"{folder}: {len(computed)} metrics are the same")
+    return len(wrong)
+
+
+if __name__ == "__main__":
+    if len(sys.argv) < 2:
+        sys.exit(__doc__)
+    sys.exit(min(1, sum(check(Path(name)) for name in sys.argv[1:])))
