@@ -167,9 +167,12 @@ impl Score {
             control: self.control,
             energy: at_warm_up.map_or_else(DeviceTotals::default, |before| total - before),
         };
+        let alpha = scenario
+            .events
+            .mean_start_probability(scenario.seed, self.warm_up_end, end);
         Final {
             digest: self.fingerprint.finish(ledgers, &totals),
-            metrics: Metrics::new(scenario, &totals),
+            metrics: Metrics::of(alpha, &totals),
             totals,
         }
     }
