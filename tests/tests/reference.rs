@@ -32,7 +32,7 @@ proptest! {
         let messages = expected.wake_ups + synchronisations(&scenario);
         prop_assert_eq!(outcome.totals.control.messages, messages, "control messages\n{}", text);
         prop_assert!(outcome.complete && outcome.ttis_done == scenario.ttis);
-        same_metrics(&scenario, &outcome.totals, &outcome.metrics)?;
+        same_metrics(&scenario, expected.start_probability, &outcome.totals, &outcome.metrics)?;
     }
 
     #[test]
@@ -67,6 +67,8 @@ fn random_scenarios_come_to_everything() {
         add("cases", 1);
         add("cut short", u64::from(scenario.ttis < asked));
         add(scenario.policy.name(), 1);
+        add(scenario.events.process.kind().name(), 1);
+        add(scenario.events.duration_kind.name(), 1);
         add("counted events", run.totals.events);
         add("misdetected", run.totals.misdetected);
         add("energy wasted", run.totals.wasted.micro());
@@ -78,6 +80,8 @@ fn random_scenarios_come_to_everything() {
             add("wake-ups", tally.wake_ups);
             add("wrong activations", tally.wrong_activations);
             add("long events", u64::from(event.last > event.start));
+            let longer = scenario.events.duration < event.last - event.start + 1;
+            add("events longer than the mean", u64::from(longer));
             add("events of the warm-up", u64::from(!event.counted));
             add("several wake-ups", u64::from(tally.wake_ups > 2));
             add(
@@ -120,8 +124,8 @@ fn synchronisations(scenario: &Scenario) -> u64 {
     (warm_up_end(scenario)..scenario.ttis).filter(is_due).count() as u64
 }
 
-/// The metrics are their definitions' arithmetic on the totals.
-fn same_metrics(scenario: &Scenario, totals: &Totals, metrics: &Metrics) -> Result<(), TestCaseError> {
+/// The metrics are their definitions' arithmetic on the totals, where events start with probability `alpha`.
+fn same_metrics(scenario: &Scenario, alpha: f64, totals: &Totals, metrics: &Metrics) -> Result<(), TestCaseError> {
     let (events, energy) = (&totals.events, &totals.energy);
     let (n, ttis) = (f64::from(scenario.devices), totals.ttis as f64);
     let device_ttis = n * ttis;
@@ -131,7 +135,7 @@ fn same_metrics(scenario: &Scenario, totals: &Totals, metrics: &Metrics) -> Resu
         energy.harvested.micro() as f64 * 1e-6,
     );
     let expected = [
-        ("info_p1", information / (scenario.events.alpha * ttis)),
+        ("info_p1", information / (alpha * ttis)),
         ("energy_per_device_tti", spent / device_ttis),
         ("low_energy_pct", energy.low_ttis as f64 * 100.0 / device_ttis),
         ("mean_battery", energy.battery_sum as f64 * 1e-6 / device_ttis),
