@@ -227,12 +227,14 @@ impl Cycle {
     /// If the last grant is still open.
     pub fn finish(self, ledgers: &[Ledger]) -> Outcome {
         assert!(!self.is_open, "TTI {} is still open", self.next);
+        let (events, measured_from) = (&self.scenario.events, self.scenario.warm_up_end());
+        let alpha = events.mean_start_probability(self.scenario.seed, measured_from, self.next);
         let Final {
             digest,
             metrics,
             totals,
             devices,
-        } = self.score.finish(self.scenario.events.alpha, self.next, ledgers);
+        } = self.score.finish(alpha, self.next, ledgers);
         Outcome {
             facts: self.station.mind().facts(),
             learned: self.station.mind().learned(),

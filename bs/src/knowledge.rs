@@ -1,7 +1,7 @@
 //! What a base station knows before the first TTI, and what a policy is handed of a run.
 //!
-//! This is the wall between a policy and ground truth: the scenario, its seed, how long events last, what will be
-//! harvested and where events are do not pass it. What comes later, a policy hears by
+//! This is the wall between a policy and ground truth: the scenario, its seed, when and where events come, how long
+//! they last and what will be harvested do not pass it. What comes later, a policy hears by
 //! [`crate::observation::Observation`].
 
 use std::sync::Arc;
@@ -36,10 +36,20 @@ pub struct DeviceKnowledge {
 ///     known.streams.seed
 /// }
 /// ```
-/// or from how long events last, or from what a device will harvest:
+/// or from how long events last and from their process beyond α, or from what a device will harvest:
 /// ```compile_fail
 /// fn peek(known: &reveille_bs::knowledge::Knowledge) -> u64 {
 ///     known.events.duration
+/// }
+/// ```
+/// ```compile_fail
+/// fn peek(known: &reveille_bs::knowledge::Knowledge) -> reveille_common::event::DurationKind {
+///     known.events.duration_kind
+/// }
+/// ```
+/// ```compile_fail
+/// fn peek(known: &reveille_bs::knowledge::Knowledge) -> reveille_common::event::Process {
+///     known.events.process
 /// }
 /// ```
 /// ```compile_fail
@@ -47,7 +57,17 @@ pub struct DeviceKnowledge {
 ///     let _ = &known.devices[0].harvest;
 /// }
 /// ```
-/// This is what it can do:
+/// This is all that there is, so that whoever adds to it passes by here,
+/// ```
+/// use reveille_bs::knowledge::Knowledge;
+///
+/// fn all(known: Knowledge) {
+///     let Knowledge {
+///         area: _, sensing: _, alpha: _, tau: _, ttis: _, bs: _, classes: _, devices: _, streams: _, grids: _,
+///     } = known;
+/// }
+/// ```
+/// and what it can do:
 /// ```
 /// use reveille_common::rng::PolicyPurpose;
 ///
@@ -62,7 +82,8 @@ pub struct Knowledge {
     pub area: Area,
     /// The sensing model, whose p is known and invertible.
     pub sensing: Sensing,
-    /// Probability α that an event starts in a TTI in which none is active, `(0, 1]`.
+    /// Probability α that an event starts in a TTI in which none is active, `(0, 1]`; its long-run mean where it
+    /// changes with time.
     pub alpha: f64,
     /// Duration τ of a TTI in units of model time, > 0.
     pub tau: f64,

@@ -33,6 +33,14 @@ pub enum Purpose {
     Training = 10,
     /// Which weights a tuning tries (one stream for those at its start, one a point after that).
     Tuning = 11,
+    /// How long an event lasts, where that is random.
+    EventDuration = 12,
+    /// The places that events gather around (one stream a run).
+    HotSpots = 13,
+    /// Whether an event is near a hot spot, or near the event before it, and where it is then.
+    Attraction = 14,
+    /// The busy and the quiet phases of the event process (one stream a run).
+    Phases = 15,
 }
 
 /// A stream of pseudo-random numbers (xoshiro256++), the same on every machine.

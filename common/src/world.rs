@@ -54,7 +54,7 @@ impl World {
         Self::with_events(
             scenario,
             deployment,
-            EventProcess::new(scenario.seed, scenario.area, &scenario.events),
+            EventProcess::new(scenario.seed, scenario.area, &scenario.events, Tti(scenario.ttis)),
         )
     }
 

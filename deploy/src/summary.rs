@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use reveille_bs::outcome::Outcome;
+use reveille_common::ids::Tti;
 use reveille_common::scenario::Scenario;
 use reveille_common::score::{Acts, ClassRecord, DIGEST_VERSION, Digest, Metrics};
 use reveille_common::totals::Totals;
@@ -34,6 +35,8 @@ pub struct Summary<'a> {
     pub policy_facts: BTreeMap<&'static str, f64>,
     /// SHA-256 of the resolved scenario.
     pub scenario_hash: String,
+    /// The mean over the measured TTIs of the probability that an event starts in one: the α of `info_p1`.
+    pub start_probability: f64,
     /// The metrics; those per event are null where no event was counted.
     pub metrics: Metrics,
     /// The exact totals behind them; energies in micro-units.
@@ -139,6 +142,11 @@ impl<'a> Summary<'a> {
             preset: &scenario.preset,
             policy_facts: outcome.facts.iter().copied().collect(),
             scenario_hash: scenario.hash_hex(),
+            start_probability: scenario.events.mean_start_probability(
+                scenario.seed,
+                scenario.warm_up_end(),
+                Tti(outcome.ttis_done),
+            ),
             metrics: outcome.metrics,
             totals: outcome.totals,
             classes: Class::all(scenario, outcome),

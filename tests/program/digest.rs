@@ -25,8 +25,8 @@ const WAYS: [&str; 9] = [
 /// Four of them, for what is a variation of a policy that all are tried with.
 const FEW_WAYS: [&str; 4] = ["run", "up -P 0", "up -P 4", "up -P 3 --no-lookahead --window 7"];
 
-/// Settings under which a policy takes other paths, beside the ranking of wake-ups.
-const FURTHER: [(&str, &str); 3] = [
+/// Settings under which a policy or the world takes other paths, beside the ranking of wake-ups.
+const FURTHER: [(&str, &str); 5] = [
     (
         "q-learning",
         "--set bs.battery_knowledge=reported --set bs.ranking=posterior",
@@ -36,6 +36,11 @@ const FURTHER: [(&str, &str); 3] = [
         "q-learning",
         "--set policy.q-learning.learn=true --set policy.q-learning.table=nothing",
     ),
+    (
+        "knn",
+        "--set events.process=bursts --set events.duration_kind=geometric",
+    ),
+    ("genie", "--set events.process=aftershocks"),
 ];
 
 fn digest(args: &str) -> String {

@@ -14,6 +14,7 @@ fn runs() -> Vec<String> {
         "-p adjusted -n 12 -k 900 --set energy.initial=0 --set policy.adjusted.pilot_ttis=400",
         "-p knn -n 20 -k 1200 --set energy.e_tx=45 --set bs.ranking=posterior",
         "-p knn -n 10 -k 300 --set events.alpha=0.0005",
+        "-p knn -n 25 -k 1500 --set events.process=bursts --set events.duration_kind=geometric",
         "-p random -n 7 -k 400 --set warm_up=0",
     ];
     plain.chain(special.map(str::to_owned)).collect()

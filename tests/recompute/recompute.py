@@ -104,7 +104,10 @@ def check(folder: Path) -> int:
     devices = list(csv.DictReader((folder / "devices.csv").open()))
     ttis = summary["ttis_done"] - math.floor(scenario["ttis"] * scenario["warm_up"])
     assert len(devices) == scenario["devices"], "a row a device"
-    computed = of_events(events, scenario["events"]["alpha"], ttis) | of_devices(devices, ttis)
+    # The phases of bursts are drawn; of the other processes α is a setting.
+    is_drawn = scenario["events"].get("process", "uniform") == "bursts"
+    alpha = summary["start_probability"] if is_drawn else scenario["events"]["alpha"]
+    computed = of_events(events, alpha, ttis) | of_devices(devices, ttis)
     wrong = [
         f"{folder}: {name} is {summary['metrics'][name]} in the summary and {value} from the tables"
         for name, value in computed.items()

@@ -5,19 +5,21 @@
 //! Of the `knn` policy it takes the clusters and `I_min` from the emulator and does the rest itself. Where its own
 //! integration rule for `P_4,2` cannot tell two candidates apart, it stops and says in which TTI ([`Run::ambiguous`]).
 
+mod events;
 mod harvest;
 mod policy;
 
 use reveille_common::deployment::Deployment;
 use reveille_common::geometry::Point;
 use reveille_common::ids::{EventId, Tti};
-use reveille_common::rng::{Geometric, Purpose, Stream, unit_for_pair};
+use reveille_common::rng::{Purpose, unit_for_pair};
 use reveille_common::scenario::{EnergyModel, Scenario, assign_classes};
 use reveille_common::score::EventRecord;
 use reveille_common::sensing::{DetectionKind, Fusion};
 use reveille_common::totals::{DeviceTotals, EventTally, EventTotals, Ledger, Spent};
 use reveille_common::units::Energy;
 
+use events::Events;
 use harvest::Source;
 pub use policy::Policy;
 use policy::{Choice, Reporter, Situation, distance};
@@ -48,6 +50,8 @@ pub struct Run {
     pub measured: DeviceTotals,
     /// Sums over the counted events.
     pub totals: EventTotals,
+    /// The probability that an event starts in a TTI in which none is active, mean over the measured part.
+    pub start_probability: f64,
     /// Wake-ups sent in measured TTIs, whichever event they were for.
     pub wake_ups: u64,
     /// Wake-ups that a device without power did not hear.
@@ -142,6 +146,7 @@ impl Device {
 struct Event {
     epicentre: Point,
     start: u64,
+    duration: u64,
     tally: EventTally,
     information: f64,
     /// What devices did for it.
@@ -157,8 +162,9 @@ struct World<'a> {
     policy: Policy,
     warm_up_end: u64,
     event: Option<Event>,
-    next_event: u64,
-    next_start: u64,
+    coming: Events<'a>,
+    /// Sum and number of the probabilities in force in the measured part.
+    start_probability: (f64, f64),
     events: Vec<EventRecord>,
     acts: Vec<[u64; 4]>,
     wake_ups: u64,
@@ -202,8 +208,8 @@ impl<'a> World<'a> {
             devices,
             warm_up_end: (scenario.ttis as f64 * scenario.warm_up).floor() as u64,
             event: None,
-            next_event: 0,
-            next_start: gap(scenario, 0) - 1,
+            coming: Events::new(scenario),
+            start_probability: (0.0, 0.0),
             events: Vec::new(),
             wake_ups: 0,
             unheard: 0,
@@ -247,16 +253,19 @@ impl<'a> World<'a> {
 
     /// Step 3.
     fn start_event(&mut self, k: u64) {
-        if self.event.is_some() || k != self.next_start {
+        let alpha = self.coming.next_tti();
+        if k >= self.warm_up_end {
+            self.start_probability.0 += alpha;
+            self.start_probability.1 += 1.0;
+        }
+        if self.event.is_some() || !self.coming.starts() {
             return;
         }
-        let area = self.scenario.area;
-        let mut stream = Stream::new(self.scenario.seed, Purpose::Epicentre, self.next_event);
-        let x = stream.unit() * area.width;
-        let y = stream.unit() * area.height;
+        let (epicentre, duration) = self.coming.event();
         self.event = Some(Event {
-            epicentre: Point { x, y },
+            epicentre,
             start: k,
+            duration,
             tally: EventTally::default(),
             information: 0.0,
             acts: Vec::new(),
@@ -352,7 +361,7 @@ impl<'a> World<'a> {
         match sensing.kind {
             DetectionKind::Range => true,
             DetectionKind::Probabilistic => {
-                let draw = unit_for_pair(self.scenario.seed, Purpose::Detection, self.next_event, j as u64);
+                let draw = unit_for_pair(self.scenario.seed, Purpose::Detection, self.coming.number(), j as u64);
                 draw < libm::exp(-sensing.eta * d)
             }
         }
@@ -361,7 +370,7 @@ impl<'a> World<'a> {
     /// The end of step 6: an event ends with its first report or with its time.
     fn close_event(&mut self, k: u64) {
         let Some(mut event) = self.event.take() else { return };
-        if event.tally.reports == 0 && k + 1 < event.start + self.scenario.events.duration {
+        if event.tally.reports == 0 && k + 1 < event.start.saturating_add(event.duration) {
             self.event = Some(event);
             return;
         }
@@ -373,15 +382,14 @@ impl<'a> World<'a> {
         }
         event.tally.information_pico = (event.information * 1e12).round() as u64;
         self.events.push(EventRecord {
-            event: EventId(self.next_event),
+            event: EventId(self.coming.number()),
             epicentre: event.epicentre,
             start: Tti(event.start),
             last: Tti(k),
             counted: event.start >= self.warm_up_end,
             tally: event.tally,
         });
-        self.next_event += 1;
-        self.next_start = k.saturating_add(gap(self.scenario, self.next_event));
+        self.coming.ended();
     }
 
     /// Step 7.
@@ -425,15 +433,11 @@ impl<'a> World<'a> {
             events: self.events,
             acts: self.acts,
             totals,
+            start_probability: self.start_probability.0 / self.start_probability.1,
             wake_ups: self.wake_ups,
             unheard: self.unheard,
             trace: self.trace,
             ambiguous: self.ambiguous,
         }
     }
-}
-
-/// The gap before event `i`, in TTIs.
-fn gap(scenario: &Scenario, i: u64) -> u64 {
-    Geometric::new(scenario.events.alpha).draw(&mut Stream::new(scenario.seed, Purpose::EventGap, i))
 }

@@ -103,7 +103,39 @@ fn world() -> impl Strategy<Value = String> {
 
 fn events() -> impl Strategy<Value = String> {
     let alpha = prop_oneof![1 => Just(1.0), 4 => 0.02..0.9f64];
-    (alpha, 1..=6u64).prop_map(|(alpha, duration)| format!("[events]\nalpha = {alpha:?}\nduration = {duration}\n"))
+    let kind = prop_oneof![Just("fixed"), Just("geometric")];
+    (alpha, 1..=6u64, kind, process()).prop_map(|(alpha, duration, kind, (process, fields))| {
+        format!(
+            "[events]\nprocess = \"{process}\"\nalpha = {alpha:?}\nduration = {duration}\n\
+             duration_kind = \"{kind}\"\n[events.{process}]\n{fields}"
+        )
+        .replace("[events.uniform]\n", "")
+    })
+}
+
+/// A kind of event process, and its fields.
+fn process() -> impl Strategy<Value = (&'static str, String)> {
+    let share = || prop_oneof![1 => Just(0.0), 1 => Just(1.0), 3 => 0.1..0.9f64];
+    let metres = |most: f64| prop_oneof![1 => Just(0.0), 4 => 0.1..most, 1 => Just(most)];
+    let hot_spots = (1..=4u32, share(), metres(2.0)).prop_map(|(places, share, sigma)| {
+        let fields = format!("places = {places}\nshare = {share:?}\nsigma = {sigma:?}\n");
+        ("hot-spots", fields)
+    });
+    let radius = prop_oneof![4 => metres(6.0), 1 => Just(1e6)];
+    let aftershocks = (share(), radius).prop_map(|(probability, radius)| {
+        let fields = format!("probability = {probability:?}\nradius = {radius:?}\n");
+        ("aftershocks", fields)
+    });
+    let busy = prop_oneof![1 => Just(1.0), 3 => 0.3..0.95f64];
+    let quiet = prop_oneof![1 => Just(0.0), 3 => 0.01..0.3f64, 1 => Just(1.0)];
+    let ttis = || prop_oneof![1 => Just(1.0), 4 => 1.0..25.0f64];
+    let bursts = (busy, quiet, ttis(), ttis()).prop_map(|(busy, quiet, long, seldom)| {
+        let fields =
+            format!("busy_alpha = {busy:?}\nquiet_alpha = {quiet:?}\nbusy_ttis = {long:?}\nquiet_ttis = {seldom:?}\n");
+        ("bursts", fields)
+    });
+    let uniform = Just(("uniform", String::new()));
+    prop_oneof![uniform, hot_spots, aftershocks, bursts]
 }
 
 fn policy() -> impl Strategy<Value = String> {

@@ -132,6 +132,36 @@ fn settings(policy: &str) -> Vec<&'static [&'static str]> {
     }
 }
 
+/// Of the events a base station knows α, and nothing else.
+#[test]
+fn the_event_process_does_not_pass_the_wall() {
+    let known = |set: &[&str]| {
+        let prepared = prepared("knn", set);
+        let site = format!("{:?}", prepared.scenario.site());
+        (format!("{:?}", prepared.knowledge()), site)
+    };
+    let alpha = "events.alpha=0.25";
+    let (knowledge, site) = known(&[alpha]);
+    assert!(knowledge.contains("alpha: 0.25") && site.contains("alpha: 0.25"));
+    for process in [
+        &["events.process=hot-spots", "events.hot-spots.sigma=0.5"][..],
+        &["events.process=aftershocks", "events.aftershocks.radius=1"],
+        &["events.duration_kind=geometric"],
+        &[
+            "events.process=bursts",
+            "events.bursts.busy_alpha=0.4",
+            "events.bursts.quiet_alpha=0.1",
+            "events.bursts.busy_ttis=10",
+            "events.bursts.quiet_ttis=10",
+        ],
+    ] {
+        let set: Vec<&str> = process.iter().copied().chain([alpha]).collect();
+        assert_eq!(known(&set), (knowledge.clone(), site.clone()), "{process:?}");
+    }
+    assert_eq!(known(&[alpha, "events.duration=9"]).0, knowledge);
+    assert_ne!(known(&["events.alpha=0.26"]), (knowledge, site));
+}
+
 /// Every policy of the registry but the genie, which is told of events.
 fn policies() -> Vec<Prepared> {
     let names = registry::names().filter(|name| *name != "genie");

@@ -73,6 +73,8 @@ fn random_scenarios_come_to_everything() {
         add("cases", 1);
         add("cut short", u64::from(scenario.ttis < asked));
         add(scenario.policy.name(), 1);
+        add(scenario.events.process.kind().name(), 1);
+        add(scenario.events.duration_kind.name(), 1);
         add("counted events", run.totals.events);
         add("misdetected", run.totals.misdetected);
         add("energy wasted", run.totals.wasted.micro());
@@ -84,6 +86,8 @@ fn random_scenarios_come_to_everything() {
             add("wake-ups", tally.wake_ups);
             add("wrong activations", tally.wrong_activations);
             add("long events", u64::from(event.last > event.start));
+            let longer = scenario.events.duration < event.last - event.start + 1;
+            add("events longer than the mean", u64::from(longer));
             add("events of the warm-up", u64::from(!event.counted));
             add("several wake-ups", u64::from(tally.wake_ups > 2));
             add(
@@ -130,8 +134,11 @@ fn synchronisations(scenario: &Scenario) -> u64 {
 fn same_metrics(scenario: &Scenario, run: &Run, totals: &Totals, metrics: &Metrics) -> Result<(), TestCaseError> {
     let counted: Vec<_> = run.events.iter().filter(|record| record.counted).collect();
     let seen: Vec<_> = counted.iter().filter(|record| record.tally.reports > 0).collect();
-    let (n, ttis) = (f64::from(scenario.devices), (scenario.ttis - warm_up_end(scenario)) as f64);
-    let mut rows = information(&counted, &seen, scenario.events.alpha * ttis);
+    let (n, ttis) = (
+        f64::from(scenario.devices),
+        (scenario.ttis - warm_up_end(scenario)) as f64,
+    );
+    let mut rows = information(&counted, &seen, run.start_probability * ttis);
     rows.extend(energy(run, n, ttis));
     rows.extend([
         ("ctl_bytes_per_tti", totals.control.bytes as f64 / ttis),
@@ -169,7 +176,10 @@ fn information(counted: &[&EventRecord], seen: &[&&EventRecord], expected_events
         ("detection_delay_p95_ttis", p95.map_or(f64::NAN, |&delay| delay as f64)),
         ("misdetection_pct", (events - reported) * 100.0 / events),
         ("reports_per_event", sum(&|record| record.tally.reports as f64) / events),
-        ("wake_ups_per_event", sum(&|record| record.tally.wake_ups as f64) / events),
+        (
+            "wake_ups_per_event",
+            sum(&|record| record.tally.wake_ups as f64) / events,
+        ),
         (
             "wrong_activations_per_event",
             sum(&|record| record.tally.wrong_activations as f64) / events,

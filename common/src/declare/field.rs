@@ -88,6 +88,8 @@ pub const POSITIVE: Range = Range::above(0.0, 1e6);
 pub const NOT_NEGATIVE: Range = Range::closed(0.0, 1e6);
 /// A share that may be 0 but not 1.
 pub const BELOW_ONE: Range = Range::below(0.0, 1.0);
+/// A share or probability that may be 0 and 1.
+pub const PROBABILITY: Range = Range::closed(0.0, 1.0);
 /// A share or probability that may be 1 but not 0.
 pub const ABOVE_ZERO: Range = Range::above(0.0, 1.0);
 

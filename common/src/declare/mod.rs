@@ -29,8 +29,8 @@ pub use choice::{Alternative, Choice, choices};
 pub use declaration::{Declaration, List, Preset, Scope};
 pub use error::{ScenarioError, did_you_mean, listed, shortened};
 pub use field::{
-    ABOVE_ZERO, BELOW_ONE, Condition, Default, Field, Form, NOT_NEGATIVE, POSITIVE, Range, Section, choice, energy,
-    file, number, positive_energy, registered, source, switch, text, texts, whole, wholes, word,
+    ABOVE_ZERO, BELOW_ONE, Condition, Default, Field, Form, NOT_NEGATIVE, POSITIVE, PROBABILITY, Range, Section,
+    choice, energy, file, number, positive_energy, registered, source, switch, text, texts, whole, wholes, word,
 };
 pub use files::{FileError, Files, NoFiles};
 pub use fingerprint::Fingerprint;

@@ -13,15 +13,9 @@ use crate::sensing::Sensing;
 
 /// What may be said in a scenario file of a program that knows `policies`.
 pub fn declaration(policies: Policies<'_>) -> Declaration {
-    let mut sections = vec![
-        Run::SECTION,
-        Area::SECTION,
-        Layout::SECTION,
-        Sensing::SECTION,
-        Events::SECTION,
-        BsSettings::SECTION,
-        PolicyName::SECTION,
-    ];
+    let mut sections = vec![Run::SECTION, Area::SECTION, Layout::SECTION, Sensing::SECTION];
+    sections.extend(Events::SECTIONS);
+    sections.extend([BsSettings::SECTION, PolicyName::SECTION]);
     sections.extend(policies.iter().filter_map(|policy| policy.section()));
     sections.push(EnergyModel::SECTION);
     sections.extend(Harvest::SECTIONS);

@@ -27,7 +27,7 @@ pub(super) fn settle(
     let run = Run::read(reader)?;
     let area = Area::read(reader)?;
     let sensing = Sensing::settle(reader, area)?;
-    let events = Events::read(reader)?;
+    let events = Events::settle(reader)?;
     let bs = BsSettings::read(reader)?;
     let (mut classes, shares) = DeviceClass::settle_all(reader, run.tau)?;
     let has_classes = !reader.items().is_empty();

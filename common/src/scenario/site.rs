@@ -27,10 +27,20 @@ pub struct ClassKnowledge<'s> {
 ///     site.seed
 /// }
 /// ```
-/// from the event process,
+/// from the event process beyond α,
 /// ```compile_fail
 /// fn peek(site: &reveille_common::scenario::Site<'_>) -> f64 {
 ///     site.events.alpha
+/// }
+/// ```
+/// ```compile_fail
+/// fn peek(site: &reveille_common::scenario::Site<'_>) -> reveille_common::event::Process {
+///     site.events.process
+/// }
+/// ```
+/// ```compile_fail
+/// fn peek(site: &reveille_common::scenario::Site<'_>) -> reveille_common::event::DurationKind {
+///     site.events.duration_kind
 /// }
 /// ```
 /// or from what a class will harvest; this is what it can do:
@@ -49,7 +59,8 @@ pub struct Site<'s> {
     pub layout: &'s Layout,
     /// The sensing model.
     pub sensing: &'s Sensing,
-    /// Probability α that an event starts in a TTI in which none is active, `(0, 1]`.
+    /// Probability α that an event starts in a TTI in which none is active, `(0, 1]`; its long-run mean where it
+    /// changes with time.
     pub alpha: f64,
     /// The settings of the base station.
     pub bs: BsSettings,

@@ -47,12 +47,12 @@ mod tests {
         }
 
         fn settle(&self, reader: &Reader<'_>, _: &Site<'_>) -> Result<Arc<dyn PolicySettings>, ScenarioError> {
-            Events::read(reader).map(|_| Arc::new(NoSettings) as Arc<dyn PolicySettings>)
+            Events::settle(reader).map(|_| Arc::new(NoSettings) as Arc<dyn PolicySettings>)
         }
     }
 
     #[test]
-    #[should_panic(expected = "a policy reads its own fields, and not events.alpha")]
+    #[should_panic(expected = "a policy reads its own fields, and not events.process")]
     fn a_policy_cannot_be_set_from_the_event_process() {
         let _unreachable = super::super::load("paper", &[], &[&Peeking], &crate::io::Disk);
     }

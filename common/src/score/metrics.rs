@@ -173,8 +173,8 @@ macro_rules! metrics {
 
 metrics! {
     Events {
-        /// Σ I_i / (α · measured TTIs), the objective of P1, Eq. (`P1_I`): the headline, since an event that is found
-        /// late leaves less time for others.
+        /// Σ I_i / (α · measured TTIs), the objective of P1, Eq. (`P1_I`), α the mean start probability over them: the
+        /// headline, since an event that is found late leaves less time for others.
         info_p1: "information/(α·TTI)", "information per α and TTI (P1)" =
             |run| run.information() / (run.alpha * run.totals.ttis as f64);
         /// Σ I_i / number of events; blind to delay, so never to be read without the next two.

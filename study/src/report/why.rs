@@ -88,13 +88,15 @@ fn known(topic: &Topic, claim: &Claim, judgement: &Judgement, condition: &Condit
             number(share)
         ));
     }
-    let duration = condition
-        .scenario
-        .as_ref()
-        .map_or(1, |scenario| scenario.events.duration);
-    if topic.metric == "misdetection_pct" && is_under.is_some() && duration > 1 {
+    let events = condition.scenario.as_ref().map(|scenario| &scenario.events);
+    let lasts = events.and_then(|events| match events.longest() {
+        Some(1) => None,
+        Some(longest) => Some(format!("up to {longest} TTIs")),
+        None => Some(format!("{} TTIs on average", events.duration)),
+    });
+    if let Some(lasts) = lasts.filter(|_| topic.metric == "misdetection_pct" && is_under.is_some()) {
         reasons.push(format!(
-            "An event lasts up to {duration} TTIs here and is missed only if no report comes in any of them."
+            "An event lasts {lasts} here and is missed only if no report comes in any of them."
         ));
     }
     reasons

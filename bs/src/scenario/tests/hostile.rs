@@ -60,10 +60,13 @@ proptest! {
         (e_max, lambda, e_b, share) in (10.0..1e4f64, 1e-3..10.0f64, 0.0..1e4f64, 0.01..0.99f64),
         kind in prop::sample::select(vec!["eq5", "exp-minus-lambda", "mpp"]),
         policy in prop::sample::select(vec!["knn", "random", "genie"]),
+        process in prop::sample::select(vec!["uniform", "hot-spots", "aftershocks", "bursts"]),
         name in "\\PC{0,6}[a-z\"'\\\\]",
     ) {
         let text = format!(
             "devices = {devices}\nseed = {seed}\ntau = {tau}\nharvest.off_mean = 3.5\npolicy.name = \"{policy}\"\n\
+             events.process = \"{process}\"\nevents.hot-spots.share = {share}\nevents.bursts.busy_alpha = {share}\n\
+             events.aftershocks.radius = {lambda}\n\
              [[class]]\nname = {}\nshare = {share}\nenergy.e_max = {e_max}\nharvest.kind = \"{kind}\"\n\
              harvest.lambda = {lambda}\n[[class]]\nname = \"rest of all\"\nshare = {}\nharvest.e_b = {e_b}\n",
             toml::Value::String(name),

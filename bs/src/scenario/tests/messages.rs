@@ -182,7 +182,7 @@ fn unknown_fields_come_with_a_suggestion() {
         (
             "[events]\nalhpa = 0.1",
             "unknown field `events.alhpa`; did you mean `alpha`?; set in my.toml, line 2; the fields there \
-             are `alpha`, `duration`",
+             are `process`, `alpha`, `duration`, `duration_kind`, `hot-spots`, `aftershocks`, `bursts`",
         ),
     ] {
         assert_eq!(from(text).expect_err(text).to_string(), message);
@@ -307,6 +307,36 @@ fn what_has_no_effect_is_warned_of() {
         solar[0].starts_with("harvest.lambda = 0.7 has an effect only with"),
         "{solar:?}"
     );
+    let without_effect = [
+        (
+            "bursts",
+            "events.alpha=0.5",
+            "only with events.process = \"uniform\" or \"hot-spots\" or \"aftershocks\"",
+        ),
+        (
+            "uniform",
+            "events.bursts.quiet_ttis=5",
+            "only with events.process = \"bursts\"",
+        ),
+        (
+            "bursts",
+            "events.hot-spots.share=0.5",
+            "only with events.process = \"hot-spots\"",
+        ),
+        (
+            "hot-spots",
+            "events.aftershocks.radius=1",
+            "only with events.process = \"aftershocks\"",
+        ),
+    ];
+    for (process, field, part) in without_effect {
+        let process = format!("events.process={process}");
+        let warnings = load("paper", &set(&[&process, field])).expect("valid").warnings;
+        assert!(
+            matches!(&warnings[..], [one] if one.contains(part)),
+            "{process} {field}: {warnings:?}"
+        );
+    }
     for preset in PRESETS {
         assert!(load(preset.name, &[]).expect("a preset").warnings.is_empty());
     }

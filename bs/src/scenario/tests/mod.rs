@@ -7,6 +7,7 @@ mod pages;
 use std::path::{Path, PathBuf};
 
 use super::*;
+use reveille_common::event::{Bursts, DurationKind, Process};
 use reveille_common::geometry::Layout;
 use reveille_common::harvest::Mpp;
 use reveille_common::sensing::DetectionKind;
@@ -49,7 +50,9 @@ fn the_paper_preset_is_table_ii() {
         scenario.events,
         Events {
             alpha: 0.2,
-            duration: 4
+            duration: 4,
+            duration_kind: DurationKind::Fixed,
+            process: Process::Uniform,
         }
     );
     assert_eq!(scenario.classes[0].name, "default");
@@ -105,7 +108,7 @@ fn a_class_inherits_field_by_field() {
 
 #[test]
 fn the_examples_load_and_come_back() {
-    for name in ["solar.toml", "two-classes.toml"] {
+    for name in ["solar.toml", "two-classes.toml", "rush-hours.toml"] {
         let path = examples().join(name);
         let scenario = load(path.to_str().expect("UTF-8"), &[]).expect(name);
         let again = from(&scenario.to_toml()).expect(name);
@@ -117,6 +120,27 @@ fn the_examples_load_and_come_back() {
         panic!("{:?}", solar.classes[0].harvest);
     };
     assert_eq!((trace.values.len(), trace.values[0].len()), (1, 14 * 24));
+}
+
+#[test]
+fn alpha_of_bursts_is_the_mean_of_both_phases() {
+    let path = examples().join("rush-hours.toml");
+    let events = load(path.to_str().expect("UTF-8"), &[]).expect("valid").events;
+    let Process::Bursts(Bursts {
+        busy_alpha,
+        quiet_alpha,
+        ..
+    }) = events.process
+    else {
+        panic!("{events:?}");
+    };
+    // Of 300 TTIs 60 are busy.
+    assert!(
+        (events.alpha - (busy_alpha + 4.0 * quiet_alpha) / 5.0).abs() < 1e-15,
+        "{events:?}"
+    );
+    let usual = load("paper", &set(&["events.process=bursts"])).expect("valid").events;
+    assert!((usual.alpha - 0.176).abs() < 1e-15, "{usual:?}");
 }
 
 #[test]
@@ -146,9 +170,22 @@ fn the_hash_follows_what_decides_a_run_and_nothing_else() {
         "harvest.lambda=0.2",
         "layout.kind=hex",
         "tau=2",
+        "events.process=bursts",
+        "events.duration_kind=geometric",
     ] {
         assert_ne!(hash(&[]), hash(&[changed]), "{changed}");
     }
+    for (process, changed) in [
+        ("hot-spots", "events.hot-spots.sigma=1.4"),
+        ("aftershocks", "events.aftershocks.radius=3"),
+        ("bursts", "events.bursts.quiet_ttis=80"),
+    ] {
+        let process = format!("events.process={process}");
+        assert_ne!(hash(&[&process]), hash(&[&process, changed]), "{changed}");
+        assert_eq!(hash(&[]), hash(&[changed]), "{changed} has no effect");
+    }
+    let bursts = "events.process=bursts";
+    assert_eq!(hash(&[bursts]), hash(&[bursts, "events.alpha=0.9"]));
     let folder = folder(
         "hash",
         &[("a.csv", "w\n1\n2\n"), ("b.csv", "w\n1\n2\n"), ("c.csv", "w\n1\n3\n")],

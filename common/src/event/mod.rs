@@ -1,17 +1,30 @@
 //! Events: when they start, where, and when they end (paper Sec. II).
 //!
-//! Event i starts a geometric gap after event i − 1 has ended. Its gap and its epicentre are drawn from streams of its
-//! own, so the i-th event of a scenario has the same epicentre under every policy; its TTI depends on how long the
-//! events before it lasted, which depends on who reported them.
+//! Event i starts some TTIs after event i − 1 has ended. Its gap, its epicentre and its duration are drawn from streams
+//! of its own, so the i-th event of a scenario has the same epicentre under every policy; its TTI depends on how long
+//! the events before it lasted, which depends on who reported them.
 
+mod aftershocks;
+mod bursts;
+mod duration;
+mod hot_spots;
+mod process;
 pub mod settings;
+mod steady;
+mod uniform;
 
 use serde::{Deserialize, Serialize};
 
+pub use self::aftershocks::Aftershocks;
+pub use self::bursts::Bursts;
+pub use self::duration::DurationKind;
+pub use self::hot_spots::HotSpots;
+pub use self::process::{Process, ProcessKind};
+
+use self::process::{Epicentres, Starts};
 use self::settings::Events;
 use crate::geometry::{Area, Point};
 use crate::ids::{EventId, Tti};
-use crate::rng::{Geometric, Purpose, Stream};
 
 /// What the physical world shows the devices in a TTI: an event at its epicentre.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -47,13 +60,32 @@ pub struct ScriptedEvent {
 /// Where events come from.
 #[derive(Clone, Debug)]
 enum Source {
-    Drawn {
-        seed: u64,
-        area: Area,
-        gap: Geometric,
-        duration: u64,
-    },
+    Drawn(Box<Drawn>),
     Script(Vec<ScriptedEvent>),
+}
+
+/// Events drawn at random.
+#[derive(Clone, Debug)]
+struct Drawn {
+    seed: u64,
+    settings: Events,
+    starts: Starts,
+    epicentres: Epicentres,
+}
+
+impl Drawn {
+    /// Epicentre and duration in TTIs of `event`, which starts.
+    fn event(&mut self, event: EventId) -> (Point, u64) {
+        let Events {
+            duration,
+            duration_kind,
+            ..
+        } = self.settings;
+        (
+            self.epicentres.draw(event),
+            duration_kind.draw(duration, self.seed, event),
+        )
+    }
 }
 
 /// The event process: at most one event is active at a time.
@@ -66,14 +98,15 @@ pub struct EventProcess {
 }
 
 impl EventProcess {
-    /// The process of a scenario with `settings`, before TTI 0: of its `seed`, on its `area`.
-    pub fn new(seed: u64, area: Area, settings: &Events) -> Self {
-        Self::from_source(Source::Drawn {
+    /// The process of a scenario with `settings`, before TTI 0: of its `seed`, on its `area`, for a run of the TTIs
+    /// before `end`. Events that would start later may be left out.
+    pub fn new(seed: u64, area: Area, settings: &Events, end: Tti) -> Self {
+        Self::from_source(Source::Drawn(Box::new(Drawn {
             seed,
-            area,
-            gap: Geometric::new(settings.alpha),
-            duration: settings.duration,
-        })
+            settings: *settings,
+            starts: settings.process.starts(seed, settings.alpha, end),
+            epicentres: settings.process.epicentres(seed, area),
+        })))
     }
 
     /// A process of these events, in order, whatever is reported.
@@ -108,14 +141,8 @@ impl EventProcess {
     pub fn start(&mut self) -> ActiveEvent {
         assert!(self.active.is_none(), "one event at a time");
         let event = self.next_event;
-        let (epicentre, duration) = match &self.source {
-            Source::Drawn {
-                seed, area, duration, ..
-            } => {
-                let mut stream = Stream::new(*seed, Purpose::Epicentre, event.0);
-                let epicentre = Point::new(stream.unit() * area.width, stream.unit() * area.height);
-                (epicentre, *duration)
-            }
+        let (epicentre, duration) = match &mut self.source {
+            Source::Drawn(drawn) => drawn.event(event),
             Source::Script(events) => {
                 let ScriptedEvent {
                     epicentre, duration, ..
@@ -139,13 +166,10 @@ impl EventProcess {
     }
 
     fn schedule(&mut self, earliest: Tti) {
-        let EventId(next) = self.next_event;
-        self.next_start = match &self.source {
-            Source::Drawn { seed, gap, .. } => {
-                let gap = gap.draw(&mut Stream::new(*seed, Purpose::EventGap, next));
-                earliest.saturating_add(gap - 1)
-            }
-            Source::Script(events) => events.get(next as usize).map_or(Tti::NEVER, |event| event.start),
+        let next = self.next_event;
+        self.next_start = match &mut self.source {
+            Source::Drawn(drawn) => drawn.starts.next(next, earliest),
+            Source::Script(events) => events.get(next.0 as usize).map_or(Tti::NEVER, |event| event.start),
         };
     }
 }

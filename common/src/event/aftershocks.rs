@@ -1,0 +1,99 @@
+//! Events near the event before.
+
+use super::uniform::Uniform;
+use crate::declare::{NOT_NEGATIVE, PROBABILITY, number};
+use crate::geometry::{Area, Point};
+use crate::ids::EventId;
+use crate::rng::{Purpose, Stream};
+
+crate::declare! {
+    /// Events near the event before, whether that was reported or not. The other events come anywhere.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct Aftershocks in "events.aftershocks" only with "events.process" = &["aftershocks"]; {
+        /// Probability that an event is near the one before it.
+        pub probability: f64 = number(PROBABILITY, 0.6),
+        /// Largest distance from that one, anywhere within which it is then, as far as that is in the area.
+        pub radius: f64 = number(NOT_NEGATIVE, 2.0).unit("metres"),
+    }
+}
+
+/// Epicentres near those before them.
+#[derive(Clone, Debug)]
+pub(super) struct Chain {
+    elsewhere: Uniform,
+    settings: Aftershocks,
+    last: Option<Point>,
+}
+
+impl Chain {
+    pub(super) fn new(settings: Aftershocks, elsewhere: Uniform) -> Self {
+        Self {
+            elsewhere,
+            settings,
+            last: None,
+        }
+    }
+
+    /// The epicentre of `event`, the next after the one that was asked for last.
+    pub(super) fn draw(&mut self, event: EventId) -> Point {
+        let mut stream = Stream::new(self.elsewhere.seed, Purpose::Attraction, event.0);
+        let epicentre = match self.last {
+            Some(last) if stream.unit() < self.settings.probability => {
+                near(last, self.settings.radius, self.elsewhere.area, &mut stream)
+            }
+            Some(_) | None => self.elsewhere.draw(event),
+        };
+        *self.last.insert(epicentre)
+    }
+}
+
+/// A point uniform on the part of `area` that is within `radius` of `centre`, which lies in `area`.
+fn near(centre: Point, radius: f64, area: Area, stream: &mut Stream) -> Point {
+    let mut offset = |at: f64, side: f64| {
+        let (least, most) = ((-radius).max(-at), radius.min(side - at));
+        least + stream.unit() * (most - least)
+    };
+    // The part of the square around the circle that lies in the area: at least π/4 of it is in the circle, however
+    // large that is.
+    let (dx, dy) = loop {
+        let (dx, dy) = (offset(centre.x, area.width), offset(centre.y, area.height));
+        if dx * dx + dy * dy <= radius * radius {
+            break (dx, dy);
+        }
+    };
+    // A sum may round to just outside.
+    Point::new(
+        (centre.x + dx).clamp(0.0, area.width),
+        (centre.y + dy).clamp(0.0, area.height),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn any_radius_and_any_centre_give_a_point_of_the_area() {
+        let mut stream = Stream::new(3, Purpose::Attraction, 0);
+        for area in [(20.0, 20.0), (1e-3, 1e6), (1e6, 1e-300), (1e-300, 1e-300)] {
+            let area = Area {
+                width: area.0,
+                height: area.1,
+            };
+            for (x, y) in [(0.0, 0.0), (1.0, 1.0), (0.5, 0.0), (0.3, 0.9)] {
+                let centre = Point::new(x * area.width, y * area.height);
+                for radius in [0.0, 1e-320, 1e-16, 1e-15, 0.7, 2.0, 19.0, 30.0, 1e6] {
+                    for _ in 0..200 {
+                        let point = near(centre, radius, area, &mut stream);
+                        let slack = 1e-15 * (centre.x + centre.y);
+                        assert!(area.contains(point), "{point:?} in {area:?}");
+                        assert!(
+                            point.distance(centre) <= radius * (1.0 + 1e-12) + slack,
+                            "{point:?}, {radius} from {centre:?} in {area:?}"
+                        );
+                    }
+                }
+            }
+        }
+    }
+}

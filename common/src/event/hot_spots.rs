@@ -1,0 +1,100 @@
+//! Events that gather around a few places.
+
+use super::uniform::Uniform;
+use crate::declare::{NOT_NEGATIVE, PROBABILITY, number, whole};
+use crate::geometry::{Area, Point};
+use crate::ids::EventId;
+use crate::rng::{Purpose, Stream};
+
+crate::declare! {
+    /// Events around a few places, which the seed puts anywhere on the area. The other events come anywhere.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct HotSpots in "events.hot-spots" only with "events.process" = &["hot-spots"]; {
+        /// Number of places.
+        pub places: u32 = whole(1, 1000, 3),
+        /// Share of the events that come from one of the places, each of them as often as the others.
+        pub share: f64 = number(PROBABILITY, 0.7),
+        /// Standard deviation σ of the distance from the place, along each axis. The distribution is normal and folded
+        /// back into the area at its edges.
+        pub sigma: f64 = number(NOT_NEGATIVE, 1.5).unit("metres"),
+    }
+}
+
+/// Epicentres around hot spots.
+#[derive(Clone, Debug)]
+pub(super) struct Spots {
+    elsewhere: Uniform,
+    settings: HotSpots,
+    places: Vec<Point>,
+}
+
+impl Spots {
+    pub(super) fn new(settings: HotSpots, elsewhere: Uniform) -> Self {
+        let mut stream = Stream::new(elsewhere.seed, Purpose::HotSpots, 0);
+        Self {
+            elsewhere,
+            settings,
+            places: (0..settings.places).map(|_| elsewhere.anywhere(&mut stream)).collect(),
+        }
+    }
+
+    /// The epicentre of `event`.
+    pub(super) fn draw(&self, event: EventId) -> Point {
+        let mut stream = Stream::new(self.elsewhere.seed, Purpose::Attraction, event.0);
+        if stream.unit() >= self.settings.share {
+            return self.elsewhere.draw(event);
+        }
+        let place = self.places[stream.below(self.places.len() as u64) as usize];
+        let (x, y) = two_normal(&mut stream);
+        let Area { width, height } = self.elsewhere.area;
+        Point::new(
+            folded(place.x + self.settings.sigma * x, width),
+            folded(place.y + self.settings.sigma * y, height),
+        )
+    }
+}
+
+/// Two independent numbers of the standard normal distribution, by the method of Box and Muller.
+fn two_normal(stream: &mut Stream) -> (f64, f64) {
+    let radius = (-2.0 * libm::log1p(-stream.unit())).sqrt();
+    let angle = std::f64::consts::TAU * stream.unit();
+    (radius * libm::cos(angle), radius * libm::sin(angle))
+}
+
+/// `x` reflected at 0 and at `side` as often as it takes to come to lie in `[0, side]`.
+fn folded(x: f64, side: f64) -> f64 {
+    // Mirrors at 0 and `side` make a pattern that is even and has the period 2 · side. Both steps are exact.
+    let rest = x.abs() % (2.0 * side);
+    if rest > side { 2.0 * side - rest } else { rest }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn folding_mirrors_at_both_edges() {
+        for (x, folded_x) in [
+            (0.0, 0.0),
+            (3.0, 3.0),
+            (20.0, 20.0),
+            (-0.25, 0.25),
+            (20.25, 19.75),
+            (-20.5, 19.5),
+            (40.0, 0.0),
+            (41.5, 1.5),
+            (-43.0, 3.0),
+            (60.5, 19.5),
+            (-61.0, 19.0),
+        ] {
+            assert_eq!(folded(x, 20.0).to_bits(), f64::to_bits(folded_x), "{x}");
+        }
+        for side in [1e-300, 1e-9, 0.1, 20.0, 1e6] {
+            for x in [1e-320, 0.3, 7.7, 1e5, 1e15, 1e300] {
+                for x in [x, -x] {
+                    assert!((0.0..=side).contains(&folded(x, side)), "{x} in {side}");
+                }
+            }
+        }
+    }
+}

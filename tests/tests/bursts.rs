@@ -1,0 +1,193 @@
+//! When events start in bursts, against what can be worked out on paper.
+
+use reveille_common::event::EventProcess;
+use reveille_common::ids::{MAX_TTIS, Tti};
+use reveille_common::rng::{Purpose, Stream};
+use reveille_tests::compare;
+use reveille_tests::laws::{BOUND, drawn, share_is};
+use reveille_tests::scenarios::scenario;
+
+const BURSTS: &str = "ttis = 1000000\n[events]\nprocess = \"bursts\"\n";
+
+/// Whether each of the first `ttis` TTIs is in a busy phase, of events that certainly start there and never elsewhere.
+fn busy(fields: &str, seed: u64, ttis: u64) -> Vec<bool> {
+    let certain = "busy_alpha = 1.0\nquiet_alpha = 0.0\n";
+    let scenario = scenario(&format!("seed = {seed}\n{BURSTS}[events.bursts]\n{certain}{fields}"));
+    let alpha = |k: u64| {
+        let alpha = scenario.events.mean_start_probability(seed, Tti(k), Tti(k + 1));
+        assert!([0.0, 1.0].contains(&alpha), "{alpha}");
+        alpha > 0.5
+    };
+    (0..ttis).map(alpha).collect()
+}
+
+#[test]
+fn phases_end_after_each_of_their_ttis_with_the_same_probability() {
+    let fields = "busy_ttis = 8.0\nquiet_ttis = 30.5\n";
+    // (is busy, TTIs that the phase has lasted, whether it ends now), of phases that were seen to begin.
+    let mut seen = Vec::new();
+    for seed in 0..12 {
+        let phases = busy(fields, seed, 6000);
+        let mut age = None;
+        for pair in phases.windows(2) {
+            let ends = pair[0] != pair[1];
+            if let Some(age) = age {
+                seen.push((pair[0], age, ends));
+            }
+            age = if ends { Some(1) } else { age.map(|age| age + 1) };
+        }
+    }
+    for (is_busy, mean) in [(true, 8.0), (false, 30.5)] {
+        for ages in [1..=1, 2..=7, 8..=30, 31..=1000] {
+            if is_busy && *ages.start() > 8 {
+                continue;
+            }
+            let now = seen
+                .iter()
+                .filter(|(busy, age, _)| *busy == is_busy && ages.contains(age));
+            share_is(
+                &format!("end at an age of {ages:?}"),
+                now.map(|(_, _, ends)| *ends),
+                1.0 / mean,
+            );
+        }
+    }
+    // Each TTI is a phase of its own.
+    let single = busy("busy_ttis = 1.0\nquiet_ttis = 1.0\n", 3, 500);
+    assert!(single.windows(2).all(|pair| pair[0] != pair[1]));
+}
+
+#[test]
+fn a_run_begins_as_if_the_phases_had_always_been_there() {
+    let fields = "busy_ttis = 20.0\nquiet_ttis = 60.0\n";
+    let runs: Vec<Vec<bool>> = (0..4000).map(|seed| busy(fields, seed, 60)).collect();
+    for k in [0, 1, 7, 25, 59] {
+        share_is(&format!("busy in TTI {k}"), runs.iter().map(|run| run[k]), 0.25);
+    }
+    for (is_busy, mean) in [(true, 20.0), (false, 60.0)] {
+        let first = runs.iter().filter(|run| run[0] == is_busy);
+        share_is("end of the first TTI", first.map(|run| run[1] != is_busy), 1.0 / mean);
+    }
+}
+
+#[test]
+fn events_start_with_the_probability_of_the_phase() {
+    for (busy_alpha, quiet_alpha, duration) in [(0.8, 0.02, 3), (1.0, 0.3, 2), (0.4, 0.0, 1), (0.15, 0.6, 4)] {
+        let text = format!(
+            "seed = 21\n[events]\nprocess = \"bursts\"\nduration = {duration}\n[events.bursts]\n\
+             busy_alpha = {busy_alpha:?}\nquiet_alpha = {quiet_alpha:?}\nbusy_ttis = 9.0\nquiet_ttis = 14.0\n"
+        );
+        let ttis = 12_000;
+        let phases = busy("busy_ttis = 9.0\nquiet_ttis = 14.0\n", 21, ttis);
+        let scenario = scenario(&text);
+        let mut process = EventProcess::new(scenario.seed, scenario.area, &scenario.events, Tti(ttis));
+        // (TTI without an event, whether one starts)
+        let mut free = Vec::new();
+        let mut k = 0;
+        while k < ttis {
+            let starts = process.next_start() == Tti(k);
+            free.push((k as usize, starts));
+            if starts {
+                let event = process.start();
+                process.end(event.last);
+                k = event.last.0;
+            }
+            assert!(process.next_start() > Tti(k));
+            k += 1;
+        }
+        let is_first = |k: usize| k > 0 && phases[k] != phases[k - 1];
+        for (is_busy, alpha) in [(true, busy_alpha), (false, quiet_alpha)] {
+            let of = |when: &dyn Fn(usize) -> bool| -> Vec<bool> {
+                let now = free.iter().filter(|(k, _)| phases[*k] == is_busy && when(*k));
+                now.map(|(_, starts)| *starts).collect()
+            };
+            let what = format!("α {alpha}, busy {is_busy}");
+            let (all, first, later) = (of(&|_| true), of(&is_first), of(&|k| !is_first(k)));
+            if [0.0, 1.0].contains(&alpha) {
+                assert!(
+                    all.iter().all(|starts| *starts == (alpha > 0.5)) && all.len() > 100,
+                    "{what}"
+                );
+                continue;
+            }
+            share_is(&what, all, alpha);
+            share_is(&format!("{what}, after the first TTI of a phase"), later, alpha);
+            if alpha > 0.04 {
+                share_is(&format!("{what}, in the first TTI of a phase"), first, alpha);
+            }
+        }
+    }
+}
+
+#[test]
+fn bursts_of_two_phases_alike_are_no_bursts() {
+    for alpha in [1.0, 0.35, 0.01] {
+        let uniform = scenario(&format!("seed = 31\nevents.alpha = {alpha:?}\n"));
+        let bursts = scenario(&format!(
+            "seed = 31\n[events]\nprocess = \"bursts\"\n[events.bursts]\nbusy_alpha = {alpha:?}\n\
+             quiet_alpha = {alpha:?}\nbusy_ttis = 3.0\nquiet_ttis = 7.0\n"
+        ));
+        assert_eq!(drawn(&uniform, 5000), drawn(&bursts, 5000), "α {alpha}");
+    }
+}
+
+#[test]
+fn what_cannot_happen_within_the_run_is_not_waited_for() {
+    let scenario = scenario(
+        "seed = 1\nttis = 500\n[events]\nprocess = \"bursts\"\n[events.bursts]\nbusy_alpha = 1e-300\n\
+         quiet_alpha = 0.0\nbusy_ttis = 1.0\nquiet_ttis = 1.0\n",
+    );
+    let (outcome, events) = compare::outcome(&scenario, true, u64::MAX);
+    assert!(outcome.complete && events.is_empty());
+}
+
+#[test]
+fn the_mean_start_probability_is_that_of_the_ttis_counted_one_by_one() {
+    let (busy_alpha, quiet_alpha) = (0.8, 0.02);
+    let scenario = scenario(&format!("seed = 41\n{BURSTS}"));
+    let events = &scenario.events;
+    let phases = busy("", 41, 3000);
+    let mut stream = Stream::new(1, Purpose::Epicentre, 0);
+    for _ in 0..300 {
+        let (a, b) = (stream.below(3000), stream.below(3001));
+        let (first, end) = (a.min(b), a.max(b));
+        let found = events.mean_start_probability(41, Tti(first), Tti(end));
+        if first == end {
+            assert_eq!(found.to_bits(), events.alpha.to_bits());
+            continue;
+        }
+        let mut sum = 0.0;
+        for k in first..end {
+            sum += if phases[k as usize] { busy_alpha } else { quiet_alpha };
+        }
+        let counted = sum / (end - first) as f64;
+        assert!(
+            (found - counted).abs() < 1e-12,
+            "{first} to {end}: {found}, not {counted}"
+        );
+    }
+    // In the long run it is α: the variance of a share of time in one of two phases.
+    let ttis = 2_000_000.0;
+    let (busy_share, memory) = (0.2, 1.0 - 1.0 / 40.0 - 1.0 / 160.0);
+    let variance = busy_share * (1.0 - busy_share) * (1.0 + memory) / (1.0 - memory) / ttis;
+    let found = events.mean_start_probability(41, Tti(0), Tti(ttis as u64));
+    let error = (busy_alpha - quiet_alpha) * f64::sqrt(variance);
+    assert!((events.alpha - 0.176).abs() < 1e-15, "{}", events.alpha);
+    assert!(
+        (found - events.alpha).abs() < BOUND * error && error < 0.01,
+        "{found} ± {error}"
+    );
+}
+
+#[test]
+fn where_the_probability_does_not_change_its_mean_is_alpha_to_the_last_bit() {
+    for process in ["uniform", "hot-spots", "aftershocks"] {
+        for alpha in [0.1, 0.2, 1.0 / 3.0] {
+            let scenario = scenario(&format!("[events]\nprocess = \"{process}\"\nalpha = {alpha:?}\n"));
+            for (first, end) in [(0, 1), (7, 100), (5, 5), (0, MAX_TTIS)] {
+                let mean = scenario.events.mean_start_probability(3, Tti(first), Tti(end));
+                assert_eq!(mean.to_bits(), f64::to_bits(alpha), "{process} {first} {end}");
+            }
+        }
+    }
+}
