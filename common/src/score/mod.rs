@@ -25,12 +25,10 @@ use crate::totals::{EventTally, EventTotals, Ledger, PICO_PER_INFORMATION, Sprea
 use crate::units::Energy;
 
 /// The event under way and what has come of it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 struct Current {
     event: ActiveEvent,
     tally: EventTally,
-    /// What devices did for it.
-    acts: Vec<(DeviceId, Acts)>,
 }
 
 /// The score of a run under way.
@@ -41,9 +39,10 @@ pub struct Score {
     devices: Vec<DeviceRecord>,
     e_tx: Vec<Energy>,
     current: Option<Current>,
+    /// What devices did for the event under way.
+    acts: Vec<(DeviceId, Acts)>,
     events: EventTotals,
-    /// How many counted events were reported after so many TTIs.
-    delays: BTreeMap<u64, u64>,
+    delays: Delays,
     control: Traffic,
     uplink: Traffic,
     fingerprint: Fingerprint,
@@ -78,8 +77,9 @@ impl Score {
             devices: devices.collect(),
             e_tx: deployment.devices.iter().map(|d| d.energy.e_tx).collect(),
             current: None,
+            acts: Vec::new(),
             events: EventTotals::default(),
-            delays: BTreeMap::new(),
+            delays: Delays::default(),
             control: Traffic::default(),
             uplink: Traffic::default(),
             fingerprint: Fingerprint::default(),
@@ -105,8 +105,8 @@ impl Score {
         self.current = Some(Current {
             event,
             tally: EventTally::default(),
-            acts: Vec::new(),
         });
+        self.acts.clear();
     }
 
     /// A device with δ = 1 has reported the event.
@@ -150,7 +150,7 @@ impl Score {
 
     /// Whether the event under way has reached the base station.
     pub fn is_reported(&self) -> bool {
-        self.current.as_ref().is_some_and(|current| current.tally.reports > 0)
+        self.current.is_some_and(|current| current.tally.reports > 0)
     }
 
     /// The event under way has ended with `information` I_i at the base station; `last` is its last TTI.
@@ -158,7 +158,7 @@ impl Score {
     /// # Panics
     /// While no event is under way.
     pub fn event_ended(&mut self, last: Tti, information: f64) -> EventRecord {
-        let Current { event, mut tally, acts } = self.current.take().expect("an event is under way");
+        let Current { event, mut tally } = self.current.take().expect("an event is under way");
         tally.information_pico = (information * PICO_PER_INFORMATION).round() as u64;
         self.fingerprint.event_ended(last, &tally);
         let ActiveEvent { stimulus, start, .. } = event;
@@ -175,10 +175,10 @@ impl Score {
             let delay = record.delay();
             self.events.count(&tally, delay);
             if let Some(delay) = delay {
-                *self.delays.entry(delay).or_default() += 1;
+                self.delays.count(delay);
             }
-            for (device, act) in acts {
-                self.devices[device.index()].acts += act;
+            for (device, act) in &self.acts {
+                self.devices[device.index()].acts += *act;
             }
         }
         record
@@ -192,7 +192,7 @@ impl Score {
             devices: ledgers.len() as u64,
             ttis: end.0.saturating_sub(self.warm_up_end.0),
             events: self.events,
-            delay_p95_ttis: percentile(&self.delays, 95),
+            delay_p95_ttis: self.delays.percentile(95),
             control: self.control,
             uplink: self.uplink,
             energy: measured().copied().sum(),
@@ -214,7 +214,7 @@ impl Score {
     }
 
     fn act(&mut self, device: DeviceId, act: Acts) {
-        self.current().acts.push((device, act));
+        self.acts.push((device, act));
     }
 
     fn wrong(&mut self, device: DeviceId, wasted: Energy) {
@@ -237,16 +237,37 @@ impl Score {
     }
 }
 
-/// The least value that at least `percent` % of those counted do not exceed (nearest rank); 0 of none.
-fn percentile(counts: &BTreeMap<u64, u64>, percent: u64) -> u64 {
-    let all: u64 = counts.values().sum();
-    let rank = (all * percent).div_ceil(100);
-    let mut so_far = 0;
-    let reaches = |&(_, count): &(&u64, &u64)| {
-        so_far += count;
-        so_far >= rank
-    };
-    counts.iter().find(reaches).map_or(0, |(&value, _)| value)
+/// Delays below this are counted without a search.
+const SHORT: usize = 8;
+
+/// How many events were reported after so many TTIs.
+#[derive(Clone, Debug, Default)]
+struct Delays {
+    short: [u64; SHORT],
+    long: BTreeMap<u64, u64>,
+}
+
+impl Delays {
+    fn count(&mut self, delay: u64) {
+        match usize::try_from(delay).ok().and_then(|at| self.short.get_mut(at)) {
+            Some(count) => *count += 1,
+            None => *self.long.entry(delay).or_default() += 1,
+        }
+    }
+
+    /// The least delay that at least `percent` % of those counted do not exceed (nearest rank); 0 of none.
+    fn percentile(&self, percent: u64) -> u64 {
+        let long = self.long.iter().map(|(&delay, &count)| (delay, count));
+        let counts = || (0..).zip(self.short).chain(long.clone());
+        let all: u64 = counts().map(|(_, count)| count).sum();
+        let rank = (all * percent).div_ceil(100);
+        let mut so_far = 0;
+        let reaches = |&(_, count): &(u64, u64)| {
+            so_far += count;
+            so_far >= rank
+        };
+        counts().find(reaches).map_or(0, |(delay, _)| delay)
+    }
 }
 
 #[cfg(test)]
@@ -263,11 +284,9 @@ mod tests {
             &[0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 9],
         ];
         let found = lists.map(|list| {
-            let mut counts = BTreeMap::new();
-            for value in list {
-                *counts.entry(*value).or_default() += 1;
-            }
-            percentile(&counts, 95)
+            let mut delays = Delays::default();
+            list.iter().for_each(|&delay| delays.count(delay));
+            delays.percentile(95)
         });
         assert_eq!(found, [0, 7, 3, 19, 0]);
     }
