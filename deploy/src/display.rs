@@ -11,7 +11,7 @@ use comfy_table::{CellAlignment, Table};
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use reveille_bs::host::Progress;
 use reveille_common::scenario::Scenario;
-use reveille_common::score::{Group, Metrics};
+use reveille_common::score::{Acts, Group, Metrics};
 use reveille_common::units::MICRO_PER_UNIT;
 
 use crate::summary::{Class, Summary};
@@ -240,14 +240,8 @@ fn classes(classes: &[Class<'_>]) -> Option<String> {
         });
         table.add_row(std::iter::once(metric.name.to_owned()).chain(values));
     }
-    let acts: [(&str, fn(&Class<'_>) -> u64); 4] = [
-        ("reports", |class| class.acts.reports),
-        ("wake_ups", |class| class.acts.wake_ups),
-        ("wake_ups_heard", |class| class.acts.heard),
-        ("wrong_activations", |class| class.acts.wrong_activations),
-    ];
-    for (name, of) in acts {
-        let values = classes.iter().map(|class| of(class).to_string());
+    for (at, (name, _)) in Acts::default().rows().into_iter().enumerate() {
+        let values = classes.iter().map(|class| class.acts.rows()[at].1.to_string());
         table.add_row(std::iter::once(name.to_owned()).chain(values));
     }
     for column in table.column_iter_mut().skip(1) {

@@ -57,6 +57,18 @@ impl Acts {
     };
 }
 
+impl Acts {
+    /// Each of them with its name.
+    pub const fn rows(&self) -> [(&'static str, u64); 4] {
+        [
+            ("reports", self.reports),
+            ("wake_ups", self.wake_ups),
+            ("wake_ups_heard", self.heard),
+            ("wrong_activations", self.wrong_activations),
+        ]
+    }
+}
+
 impl AddAssign for Acts {
     fn add_assign(&mut self, other: Self) {
         self.reports += other.reports;

@@ -53,7 +53,10 @@ impl Actor {
                 Input::Duty(from, duty) => self.machine.set_duty(from, duty),
                 Input::Settle(k, round) => {
                     self.machine.settle(k);
-                    round.add(&Part::Books(self.machine.id(), self.machine.ledger()), &self.uplink);
+                    round.add(
+                        &Part::Books(self.machine.id(), Box::new(self.machine.ledger())),
+                        &self.uplink,
+                    );
                 }
                 Input::View(tti, round) => {
                     self.machine.begin(tti);

@@ -46,7 +46,7 @@ pub enum Part {
     /// A device, its state and battery.
     View(DeviceId, DeviceView),
     /// A device and its books.
-    Books(DeviceId, Ledger),
+    Books(DeviceId, Box<Ledger>),
     /// Nothing to tell.
     Nothing,
 }
@@ -99,7 +99,7 @@ impl Round {
             Part::View(device, view) => parts.views.push((*device, *view)),
             Part::Books(device, ledger) => match self.question {
                 Question::Grant(_) => parts.totals = Some(parts.totals.unwrap_or_default() + ledger.whole),
-                Question::Ledgers => parts.ledgers.push((*device, *ledger)),
+                Question::Ledgers => parts.ledgers.push((*device, **ledger)),
             },
             Part::Nothing => {}
         }

@@ -70,11 +70,6 @@ fn messages_name_field_value_range_and_line() {
             "line 3",
         ),
         ("[bs]\nsync_interval = 0", "bs.sync_interval = 0:", "line 2"),
-        (
-            "policy.name = \"random\"\npolicy.random.t_on = [1, 4]",
-            "policy.random.t_on = [1, 4]: none may be longer than the shortest of policy.random.t_drx, 2",
-            "line 2",
-        ),
         ("[policy.knn]\nneighbours = 0", "policy.knn.neighbours = 0:", "line 2"),
         (
             "preset = \"papr\"",
@@ -103,6 +98,16 @@ fn messages_name_field_value_range_and_line() {
         assert!(message.contains(end), "{text}: {message}");
         assert!(!message.contains('\n'), "one paragraph: {message}");
     }
+}
+
+#[test]
+fn a_menu_of_duty_cycles_fits_together() {
+    let message = from("policy.name = \"random\"\npolicy.random.t_on = [1, 4]").expect_err("too long");
+    assert_eq!(
+        message.to_string(),
+        "policy.random.t_on = [1, 4]: none may be longer than the shortest of policy.random.t_drx, 2; set in my.toml, \
+         line 2"
+    );
 }
 
 #[test]

@@ -96,8 +96,8 @@ fn a_grant_gathers_failures_sums_and_levels() {
         Part::Failed(failure),
         level(5),
         level(4),
-        Part::Books(DeviceId(4), ledger(3)),
-        Part::Books(DeviceId(5), ledger(8)),
+        Part::Books(DeviceId(4), Box::new(ledger(3))),
+        Part::Books(DeviceId(5), Box::new(ledger(8))),
     ] {
         assert_eq!(round.take(&part), None);
     }
@@ -116,10 +116,13 @@ fn a_grant_gathers_failures_sums_and_levels() {
 fn ledgers_are_kept_by_device() {
     let round = Round::new(HOST, Question::Ledgers, 2);
     round.take(&Part::Nothing);
-    round.take(&Part::Books(DeviceId(4), ledger(3)));
+    round.take(&Part::Books(DeviceId(4), Box::new(ledger(3))));
     let expected = Answer::Final {
         host: HOST,
         ledgers: vec![(DeviceId(4), ledger(3)), (DeviceId(5), ledger(8))],
     };
-    assert_eq!(round.take(&Part::Books(DeviceId(5), ledger(8))), Some(expected));
+    assert_eq!(
+        round.take(&Part::Books(DeviceId(5), Box::new(ledger(8)))),
+        Some(expected)
+    );
 }
