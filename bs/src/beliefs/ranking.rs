@@ -10,10 +10,11 @@ use reveille_common::sensing::Sensing;
 pub use crate::beliefs::correlation::Correlation;
 use crate::beliefs::neighbours::Neighbours;
 
-/// The information per event that a deployment can give wherever the event is, `I_min` = p(d*), `[0, 1]`: the report of
-/// the closest device in the worst place, of which d* is the distance (Eq. (`E_Info3`); on a grid Eq. (`E_Info1`)).
+/// The information per event that a deployment can give wherever the event is, `I_min` = Ψ p(d*), `[0, Ψ]`: the report
+/// of the closest device in the worst place, of which d* is the distance (Eq. (`E_Info3`); on a grid Eq. (`E_Info1`)).
+/// The paper leaves Ψ = 1 out; I_min is compared with reports, which have it (Eq. (1)).
 pub fn i_min(points: &[Point], area: Area, sensing: &Sensing) -> f64 {
-    sensing.p(farthest_cell_vertex(points, area))
+    sensing.psi * sensing.p(farthest_cell_vertex(points, area))
 }
 
 /// The wake-up candidates of one event after another, each event's by falling `P_4,2` = max over its reporters h of
