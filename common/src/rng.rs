@@ -33,6 +33,8 @@ pub enum Purpose {
     Training = 10,
     /// Which weights a tuning tries (one stream for those at its start, one a point after that).
     Tuning = 11,
+    /// In which order devices take their offsets under the `adjusted` policy (one stream a run).
+    Offsets = 20,
 }
 
 /// A stream of pseudo-random numbers (xoshiro256++), the same on every machine.
@@ -85,6 +87,8 @@ pub enum PolicyPurpose {
     Clusters,
     /// See [`Purpose::Exploration`].
     Exploration,
+    /// See [`Purpose::Offsets`].
+    Offsets,
 }
 
 impl PolicyPurpose {
@@ -93,6 +97,7 @@ impl PolicyPurpose {
             Self::DutyCycle => Purpose::DutyCycle,
             Self::Clusters => Purpose::Clusters,
             Self::Exploration => Purpose::Exploration,
+            Self::Offsets => Purpose::Offsets,
         }
     }
 }

@@ -1,0 +1,70 @@
+//! Adjusted duty cycling (Sec. V-A, first approach): what its search may know, how it judges, and whom it leaves blind.
+
+use reveille_bs::scenario::{Override, Scenario, load};
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_lab::preparation::{prepare, run};
+use reveille_lab::run::{Options, Run};
+
+fn scenario(set: &[&str]) -> Scenario {
+    let set = ["policy.name=adjusted"].iter().chain(set);
+    let overrides: Vec<Override> = set.map(|set| Override::parse(set).expect("an override")).collect();
+    load("paper", &overrides).expect("a scenario")
+}
+
+/// Every sixteenth device of a 16 × 16 grid is a column of it: offsets by number leave all others blind for a TTI.
+#[test]
+fn on_a_grid_nobody_is_blind_for_a_stripe_of_sensing_devices() {
+    for layout in ["grid", "hex", "jittered-grid"] {
+        let layout = format!("layout.kind={layout}");
+        let outcome = run(&scenario(&[
+            "devices=256",
+            "ttis=6000",
+            layout.as_str(),
+            "policy.adjusted.t_on=[1]",
+            "policy.adjusted.t_drx=[16]",
+        ]));
+        let missed = outcome.metrics.misdetection_pct;
+        assert!(missed < 3.0, "{layout}: {missed} % missed");
+    }
+}
+
+#[test]
+fn as_many_devices_sense_in_each_tti_as_the_duty_cycle_says() {
+    for (devices, t_on, t_drx) in [(250, 1, 16), (100, 2, 8), (7, 1, 16)] {
+        let set = [
+            format!("devices={devices}"),
+            format!("policy.adjusted.t_on=[{t_on}]"),
+            format!("policy.adjusted.t_drx=[{t_drx}]"),
+            "policy.adjusted.pilot_ttis=40".to_owned(),
+        ];
+        let set: Vec<&str> = set.iter().map(String::as_str).collect();
+        let of = |seed: &str| {
+            let scenario = scenario(&[&set[..], &[seed]].concat());
+            let mut run = Run::new(&prepare(&scenario), Options::default());
+            run.grant(&mut ());
+            let plan = run.cycle().plan().clone();
+            let sensing = |k| {
+                (0..devices)
+                    .filter(|&j| plan.duty_cycle(DeviceId(j)).is_on(Tti(k)))
+                    .collect()
+            };
+            (0..t_drx).map(sensing).collect::<Vec<Vec<u32>>>()
+        };
+        let sensing = of("seed=1");
+        // Each phase of the cycle is that of N/t_DRX devices, one more or less.
+        let share = u64::from(devices) / t_drx;
+        for now in &sensing {
+            let n = now.len() as u64;
+            assert!(
+                (t_on * share..=t_on * (share + 1)).contains(&n),
+                "{n} of {devices} sense"
+            );
+        }
+        for j in 0..devices {
+            let times = sensing.iter().filter(|now| now.contains(&j)).count() as u64;
+            assert_eq!(times, t_on, "device {j}");
+        }
+        assert_eq!(sensing, of("seed=1"));
+        assert_ne!(sensing, of("seed=2"), "the order is drawn");
+    }
+}
