@@ -22,6 +22,8 @@ pub struct Prepared {
     pub policies: Registry,
     /// What pilot runs have found, if the policy asks for any.
     pub findings: Option<Opaque>,
+    /// What a user should know of the pilot runs, a sentence each without its stop.
+    pub warnings: Vec<String>,
     /// Grids of wake-up correlations, shared with other runs.
     pub grids: Arc<Grids>,
 }
@@ -39,6 +41,7 @@ impl Prepared {
             deployment: Deployment::new(scenario),
             scenario: scenario.clone(),
             findings: None,
+            warnings: Vec::new(),
             grids: Arc::default(),
         }
     }

@@ -112,7 +112,8 @@ fn policy() -> impl Strategy<Value = String> {
     (name, 1..=6u32, any::<bool>(), cycles).prop_map(|(name, neighbours, limit, t_drx)| {
         format!(
             "[policy]\nname = \"{name}\"\n[policy.knn]\nneighbours = {neighbours}\nlimit_radius = {limit}\n\
-             [policy.adjusted]\nt_on = [1, 3]\nt_drx = {t_drx:?}\npilot_ttis = 40\n"
+             [policy.adjusted]\nt_on = [1, 3]\nt_drx = {t_drx:?}\npilot_ttis = 40\n\
+             pilot_events = 4\npilot_limit = 150\n"
         )
     })
 }

@@ -1,5 +1,8 @@
 //! Adjusted duty cycling (Sec. V-A, first approach): what its search may know, how it judges, and whom it leaves blind.
 
+use std::collections::BTreeMap;
+
+use reveille_bs::outcome::Outcome;
 use reveille_bs::scenario::{Override, Scenario, load};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_lab::preparation::{prepare, run};
@@ -9,6 +12,10 @@ fn scenario(set: &[&str]) -> Scenario {
     let set = ["policy.name=adjusted"].iter().chain(set);
     let overrides: Vec<Override> = set.map(|set| Override::parse(set).expect("an override")).collect();
     load("paper", &overrides).expect("a scenario")
+}
+
+fn facts(outcome: &Outcome) -> BTreeMap<&'static str, f64> {
+    outcome.facts.iter().copied().collect()
 }
 
 /// Every sixteenth device of a 16 × 16 grid is a column of it: offsets by number leave all others blind for a TTI.
@@ -67,4 +74,45 @@ fn as_many_devices_sense_in_each_tti_as_the_duty_cycle_says() {
         assert_eq!(sensing, of("seed=1"));
         assert_ne!(sensing, of("seed=2"), "the order is drawn");
     }
+}
+
+#[test]
+fn pilots_run_until_they_hold_events_to_judge_by() {
+    let outcome = run(&scenario(&["devices=100", "ttis=400", "events.alpha=0.002"]));
+    let facts = facts(&outcome);
+    assert!(facts["pilot_events"] >= 30.0, "{facts:?}");
+    assert!(
+        facts["pilot_ttis"] > 2000.0 && facts["pilot_ttis"] <= 200_000.0,
+        "{facts:?}"
+    );
+    assert!(facts["reaches_i_min"] > 0.0, "{facts:?}");
+    // Where events are many, nothing is added.
+    let often = self::facts(&run(&scenario(&["devices=100", "ttis=400"])));
+    assert!(often["pilot_events"] >= 30.0, "{often:?}");
+    assert!((often["pilot_ttis"] - 2000.0).abs() < 0.5, "{often:?}");
+}
+
+#[test]
+fn a_search_without_events_to_judge_by_says_so() {
+    let rare = scenario(&[
+        "devices=50",
+        "ttis=400",
+        "events.alpha=0.0000001",
+        "policy.adjusted.pilot_limit=3000",
+    ]);
+    let prepared = prepare(&rare);
+    let [warning] = &prepared.warnings[..] else {
+        panic!("{:?}", prepared.warnings)
+    };
+    for part in ["adjusted", "30 events", "policy.adjusted.pilot_limit", "3000"] {
+        assert!(warning.contains(part), "{warning}");
+    }
+    let outcome = Run::new(&prepared, Options::default()).finish(&mut ());
+    let facts = facts(&outcome);
+    assert!(facts["pilot_events"] < 30.0, "{facts:?}");
+    assert!((facts["pilot_ttis"] - 3000.0).abs() < 0.5, "{facts:?}");
+    // Without any event nothing is known but what the pairs spend.
+    assert!(facts["pilot_events"] < 0.5, "{facts:?}");
+    assert_eq!((facts["t_on"] as u32, facts["t_drx"] as u32), (1, 32), "{facts:?}");
+    assert!(prepare(&scenario(&["devices=50", "ttis=400"])).warnings.is_empty());
 }

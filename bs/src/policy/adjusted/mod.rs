@@ -75,6 +75,8 @@ impl Policy for Adjusted {
             t_drx,
             reaches_i_min,
             pairs,
+            pilot_events,
+            pilot_ttis,
             device_ttis,
         } = self.choice;
         vec![
@@ -83,6 +85,8 @@ impl Policy for Adjusted {
             ("i_min", self.aim.i_min()),
             ("reaches_i_min", f64::from(u8::from(reaches_i_min))),
             ("searched_pairs", f64::from(pairs)),
+            ("pilot_events", pilot_events as f64),
+            ("pilot_ttis", pilot_ttis as f64),
             ("searched_device_ttis", device_ttis as f64),
         ]
     }

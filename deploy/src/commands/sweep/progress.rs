@@ -3,6 +3,7 @@
 //! The time that is left is estimated from what each cell's runs have taken so far; for cells of which none has
 //! finished, from their device-TTIs at the mean rate of the others.
 
+use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::ThreadId;
@@ -27,6 +28,8 @@ pub struct Progress {
     began: Instant,
     under_way: Mutex<Vec<(ThreadId, Instant)>>,
     drawn: Mutex<Instant>,
+    /// The cells that were warned of.
+    warned: Mutex<BTreeSet<(usize, String)>>,
 }
 
 /// How far the runs of one cell are.
@@ -69,6 +72,7 @@ impl Progress {
             began: now,
             under_way: Mutex::new(Vec::with_capacity(threads)),
             drawn: Mutex::new(now),
+            warned: Mutex::default(),
         }
     }
 
@@ -158,6 +162,14 @@ impl SweepProgress for Progress {
         self.cells[cell].nanos.fetch_add(nanos, Ordering::Relaxed);
         self.cells[cell].done.fetch_add(1, Ordering::Relaxed);
         self.draw();
+    }
+
+    /// Says it once for a cell, however many of its runs it is true of.
+    fn warned(&self, cell: usize, warning: &str) {
+        let mut warned = self.warned.lock().unwrap_or_else(PoisonError::into_inner);
+        if warned.insert((cell, warning.to_owned())) {
+            self.bar.suspend(|| tracing::warn!("{}: {warning}", self.labels[cell]));
+        }
     }
 
     fn stop(&self) -> bool {
