@@ -31,6 +31,8 @@ pub enum Policy {
     },
     /// One duty cycle, staggered; everyone is a candidate.
     Adjusted {
+        /// The place of each device in the order of offsets.
+        turns: Vec<u64>,
         /// `t_on`.
         t_on: u64,
         /// `t_DRX`.
@@ -103,7 +105,14 @@ impl Policy {
                     .as_ref()
                     .and_then(Opaque::get::<DutyChoice>)
                     .expect("the search finds a pair");
+                // Fisher and Yates, from the last on.
+                let mut turns: Vec<u64> = (0..positions.len() as u64).collect();
+                let mut stream = Stream::new(scenario.seed, Purpose::Offsets, 0);
+                for last in (1..turns.len()).rev() {
+                    turns.swap(last, stream.below(last as u64 + 1) as usize);
+                }
                 Self::Adjusted {
+                    turns,
                     t_on: u64::from(choice.t_on),
                     t_drx: u64::from(choice.t_drx),
                     everyone: vec![(0..positions.len()).collect()],
@@ -144,7 +153,9 @@ impl Policy {
                 let (t_on, t_drx, offset) = cycles[device];
                 (k + offset) % t_drx < t_on
             }
-            Self::Adjusted { t_on, t_drx, .. } => (k + device as u64) % t_drx < *t_on,
+            Self::Adjusted {
+                turns, t_on, t_drx, ..
+            } => (k + turns[device]) % t_drx < *t_on,
             Self::Knn { members, .. } => {
                 let cluster = &members[cluster_of(members, device)];
                 cluster[(k % cluster.len() as u64) as usize] == device
