@@ -336,7 +336,7 @@ mod tests {
             let mut given = Vec::new();
             let mut definition = Definition::new(sensing, &points);
             ranking.start();
-            let mut next = |given: &mut Vec<DeviceId>, ranking: &mut Ranking, definition: &Definition<'_>| {
+            let next = |given: &mut Vec<DeviceId>, ranking: &mut Ranking, definition: &Definition<'_>| {
                 let next = ranking.next(may);
                 let case = format!("case {case}, {layout:?}, decay {decay}");
                 definition.check(next, |j| may(j) && !given.contains(&j), error, &case);
