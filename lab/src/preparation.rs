@@ -100,7 +100,7 @@ fn pilot_runs(prepared: &Prepared, pilots: &dyn Pilots) -> Trials {
     let candidates = pilots.candidates();
     let mut ground = prepared.clone();
     let (mut ttis, mut all_ttis) = (pilots.ttis(), 0_u64);
-    let limit = pilots.limit().max(ttis);
+    let limit = pilots.limit().min(prepared.scenario.longest()).max(ttis);
     loop {
         ground.scenario = pilot(&prepared.scenario, ttis);
         let (mut metrics, mut is_long_enough) = (Vec::with_capacity(candidates.len()), true);

@@ -94,4 +94,9 @@ impl PolicySettings for AdjustedSettings {
         };
         fields.visit(sink);
     }
+
+    fn own_runs(&self) -> Vec<(&'static str, u64)> {
+        // What `pilot_limit` allows on top is cut to what sums allow.
+        vec![("policy.adjusted.pilot_ttis", self.pilot_ttis)]
+    }
 }

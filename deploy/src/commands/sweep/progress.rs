@@ -81,8 +81,8 @@ impl Progress {
         self.bar.finish_and_clear();
         self.cells
             .iter()
-            .map(|cell| cell.cost * cell.done.load(Ordering::Relaxed))
-            .sum()
+            .map(|cell| cell.cost.saturating_mul(cell.done.load(Ordering::Relaxed)))
+            .fold(0, u64::saturating_add)
     }
 
     /// Runs that were made.
@@ -102,8 +102,12 @@ impl Progress {
         let (done, planned) = self.cells.iter().fold((0, 0), |(done, planned), cell| {
             (done + get(&cell.done), planned + get(&cell.planned))
         });
-        let work: u64 = self.cells.iter().map(|cell| cell.cost * get(&cell.done)).sum();
-        let rate = work as f64 / now.duration_since(self.began).as_secs_f64();
+        let work: f64 = self
+            .cells
+            .iter()
+            .map(|cell| cell.cost as f64 * get(&cell.done) as f64)
+            .sum();
+        let rate = work / now.duration_since(self.began).as_secs_f64();
         self.bar.set_length(planned);
         self.bar.set_position(done);
         self.bar.set_message(format!(
@@ -121,10 +125,10 @@ impl Progress {
             (cell, done, nanos)
         });
         let known: Vec<_> = known.collect();
-        let (work, time) = known.iter().fold((0, 0), |(work, time), (cell, done, nanos)| {
-            (work + cell.cost * done, time + nanos)
+        let (work, time) = known.iter().fold((0.0, 0.0), |(work, time), (cell, done, nanos)| {
+            (work + cell.cost as f64 * *done as f64, time + *nanos as f64)
         });
-        let mean = time as f64 / (work as f64).max(1.0);
+        let mean = time / work.max(1.0);
         let left: f64 = known
             .iter()
             .map(|&(cell, done, nanos)| {
