@@ -136,10 +136,8 @@ impl Station {
         (view.information, *has_heard) = (0.0, !reports.is_empty());
         if let Some(levels) = &mut view.levels {
             // A policy that looks at batteries decides every TTI.
-            levels.pass(tti, &view.plan);
-            for report in reports {
-                levels.heard(report.device, report.battery);
-            }
+            levels.pass(tti + 1, &view.plan);
+            levels.gathered(tti, &view.plan, reports);
         }
         for report in reports {
             view.fuse(report);
@@ -163,8 +161,8 @@ impl Station {
         let view = &mut self.view;
         if let Some(levels) = &mut view.levels {
             match report {
-                Some(report) => levels.heard(device, report.battery),
-                None => levels.silent(device),
+                Some(report) => levels.heard(device, tti, report.battery),
+                None => levels.silent(device, tti, &view.plan),
             }
         }
         if let Some(report) = report {

@@ -153,9 +153,7 @@ impl Policy {
                 let (t_on, t_drx, offset) = cycles[device];
                 (k + offset) % t_drx < t_on
             }
-            Self::Adjusted {
-                turns, t_on, t_drx, ..
-            } => (k + turns[device]) % t_drx < *t_on,
+            Self::Adjusted { turns, t_on, t_drx, .. } => (k + turns[device]) % t_drx < *t_on,
             Self::Knn { members, .. } => {
                 let cluster = &members[cluster_of(members, device)];
                 cluster[(k % cluster.len() as u64) as usize] == device
