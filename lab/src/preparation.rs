@@ -2,8 +2,8 @@
 //!
 //! The `adjusted` policy (Sec. V-A, P2) has each duty cycle of its grid judged by a pilot run of the same machines on
 //! the same deployment, with events and harvests of a seed of its own: what a BS knows from the positions and from
-//! historical data, not what is about to happen. Traces are the exception: a pilot run replays the recorded energy that
-//! the run itself will harvest. All pairs see the same pilot events and harvests.
+//! historical data, not what is about to happen. A recorded trace has no other draw than the one that the run itself
+//! will harvest, so in a pilot run its mean comes in each TTI. All pairs see the same pilot events and harvests.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -14,6 +14,7 @@ use reveille_bs::policy::contract::Opaque;
 use reveille_bs::policy::pilots::{Pilots, Trials};
 use reveille_bs::policy::registry;
 use reveille_bs::prepared::Prepared;
+use reveille_common::deployment::Deployment;
 use reveille_common::scenario::Scenario;
 
 use crate::run::{Options, Run};
@@ -99,6 +100,10 @@ pub fn run(scenario: &Scenario) -> Outcome {
 fn pilot_runs(prepared: &Prepared, pilots: &dyn Pilots) -> Trials {
     let candidates = pilots.candidates();
     let mut ground = prepared.clone();
+    let Deployment { devices, traces, .. } = &mut ground.deployment;
+    for device in devices {
+        device.harvest = device.harvest.as_known(traces);
+    }
     let (mut ttis, mut all_ttis) = (pilots.ttis(), 0_u64);
     let limit = pilots.limit().min(prepared.scenario.longest()).max(ttis);
     loop {
@@ -137,13 +142,11 @@ fn pilot(scenario: &Scenario, ttis: u64) -> Scenario {
 
 #[cfg(test)]
 mod tests {
+    use super::*;
     use reveille_bs::beliefs::ranking::i_min;
     use reveille_bs::policy::adjusted::search::{DutyChoice, Search};
     use reveille_bs::policy::adjusted::settings::AdjustedSettings;
     use reveille_bs::scenario::{Override, load};
-    use reveille_common::deployment::Deployment;
-
-    use super::*;
 
     fn scenario(overrides: &[&str]) -> Scenario {
         let overrides: Vec<Override> = overrides

@@ -3,10 +3,13 @@
 use std::collections::BTreeMap;
 
 use reveille_bs::outcome::Outcome;
+use reveille_bs::policy::adjusted::search::DutyChoice;
+use reveille_bs::policy::contract::Opaque;
 use reveille_bs::scenario::{Override, Scenario, load};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_lab::preparation::{prepare, run};
 use reveille_lab::run::{Options, Run};
+use reveille_tests::process::Folder;
 
 fn scenario(set: &[&str]) -> Scenario {
     let set = ["policy.name=adjusted"].iter().chain(set);
@@ -16,6 +19,11 @@ fn scenario(set: &[&str]) -> Scenario {
 
 fn facts(outcome: &Outcome) -> BTreeMap<&'static str, f64> {
     outcome.facts.iter().copied().collect()
+}
+
+fn found(scenario: &Scenario) -> DutyChoice {
+    let findings = prepare(scenario).findings;
+    *findings.as_ref().and_then(Opaque::get).expect("a search")
 }
 
 /// Every sixteenth device of a 16 × 16 grid is a column of it: offsets by number leave all others blind for a TTI.
@@ -115,4 +123,38 @@ fn a_search_without_events_to_judge_by_says_so() {
     assert!(facts["pilot_events"] < 0.5, "{facts:?}");
     assert_eq!((facts["t_on"] as u32, facts["t_drx"] as u32), (1, 32), "{facts:?}");
     assert!(prepare(&scenario(&["devices=50", "ttis=400"])).warnings.is_empty());
+}
+
+/// The same energy at other times: a search that knows the mean alone finds the same.
+#[test]
+fn pilots_know_the_mean_of_a_trace_and_not_its_future() {
+    let folder = Folder::new();
+    let rows = |of: fn(u32) -> f64| (0..2000).map(|row| format!("{}\n", of(row))).collect::<String>();
+    folder.write(
+        "early.csv",
+        &format!("e\n{}", rows(|row| if row < 200 { 4.0 } else { 0.0 })),
+    );
+    folder.write(
+        "late.csv",
+        &format!("e\n{}", rows(|row| if row < 1800 { 0.0 } else { 4.0 })),
+    );
+    let of = |file: &str| {
+        let file = format!("harvest.trace.file={}", folder.join(file).display());
+        found(&scenario(&[
+            "devices=60",
+            "harvest.kind=trace",
+            "harvest.trace.column=e",
+            file.as_str(),
+        ]))
+    };
+    let (early, late) = (of("early.csv"), of("late.csv"));
+    assert_eq!(early, late, "the same mean");
+    // An arrival in each TTI of what a trace brings on average.
+    let constant = found(&scenario(&[
+        "devices=60",
+        "harvest.kind=exp-minus-lambda",
+        "harvest.lambda=0",
+        "harvest.e_b=0.4",
+    ]));
+    assert_eq!(early, constant);
 }
