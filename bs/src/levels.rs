@@ -330,5 +330,4 @@ fn share_in_reach(known: &Knowledge, position: Point) -> f64 {
 }
 
 #[cfg(test)]
-#[path = "levels_tests.rs"]
 mod tests;
