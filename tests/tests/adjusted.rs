@@ -2,14 +2,18 @@
 
 use std::collections::BTreeMap;
 
+use proptest::strategy::{Strategy, ValueTree};
+use proptest::test_runner::TestRunner;
 use reveille_bs::outcome::Outcome;
 use reveille_bs::policy::adjusted::search::DutyChoice;
 use reveille_bs::policy::contract::Opaque;
 use reveille_bs::scenario::{Override, Scenario, load};
+use reveille_common::deployment::Deployment;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_lab::preparation::{prepare, run};
 use reveille_lab::run::{Options, Run};
 use reveille_tests::process::Folder;
+use reveille_tests::{reference, scenarios};
 
 fn scenario(set: &[&str]) -> Scenario {
     let set = ["policy.name=adjusted"].iter().chain(set);
@@ -157,4 +161,31 @@ fn pilots_know_the_mean_of_a_trace_and_not_its_future() {
         "harvest.e_b=0.4",
     ]));
     assert_eq!(early, constant);
+}
+
+/// The search of the emulator against one in the second implementation's own runs.
+#[test]
+fn the_search_takes_the_pair_that_the_second_implementation_takes() {
+    let mut runner = TestRunner::deterministic();
+    let (mut same, mut of_many, mut reaching) = (0, 0, 0);
+    for _ in 0..80 {
+        let text = scenarios::under("adjusted")
+            .new_tree(&mut runner)
+            .expect("a scenario")
+            .current();
+        let scenario = scenarios::scenario(&text);
+        let positions = Deployment::new(&scenario).positions();
+        let Some(expected) = reference::own_search(&scenario, &positions) else {
+            continue;
+        };
+        let choice = found(&scenario);
+        assert_eq!((u64::from(choice.t_on), u64::from(choice.t_drx)), expected, "{text}");
+        same += 1;
+        of_many += u64::from(choice.pairs > 1);
+        reaching += u64::from(choice.reaches_i_min);
+    }
+    assert!(
+        same >= 30 && of_many >= 20 && reaching >= 10,
+        "{same} decided, {of_many} of several, {reaching} reach"
+    );
 }
