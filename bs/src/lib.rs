@@ -13,6 +13,7 @@ pub mod grids;
 #[cfg(feature = "host")]
 pub mod host;
 pub mod knowledge;
+pub mod levels;
 pub mod observation;
 pub mod observe;
 pub mod outcome;

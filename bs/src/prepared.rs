@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use reveille_common::deployment::Deployment;
+use reveille_common::rng::PolicyStreams;
 use reveille_common::scenario::Scenario;
 
 use crate::grids::Grids;
@@ -22,6 +23,10 @@ pub struct Prepared {
     pub policies: Registry,
     /// What pilot runs have found, if the policy asks for any.
     pub findings: Option<Opaque>,
+    /// What a user should know of the pilot runs, a sentence each without its stop.
+    pub warnings: Vec<String>,
+    /// The draws of the policy. A pilot run has those of the run that it is for, so that it judges the same policy.
+    pub streams: PolicyStreams,
     /// Grids of wake-up correlations, shared with other runs.
     pub grids: Arc<Grids>,
 }
@@ -39,13 +44,18 @@ impl Prepared {
             deployment: Deployment::new(scenario),
             scenario: scenario.clone(),
             findings: None,
+            streams: PolicyStreams::new(scenario.seed),
+            warnings: Vec::new(),
             grids: Arc::default(),
         }
     }
 
     /// What a base station knows of it.
     pub fn knowledge(&self) -> Knowledge {
-        Knowledge::of(&self.scenario, &self.deployment, Arc::clone(&self.grids))
+        Knowledge {
+            streams: self.streams.clone(),
+            ..Knowledge::of(&self.scenario, &self.deployment, Arc::clone(&self.grids))
+        }
     }
 
     /// Its policy, for a base station that knows `known`.

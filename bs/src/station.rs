@@ -7,8 +7,8 @@ use reveille_common::message::{PlanUpdate, Report};
 use reveille_common::plan::Plan;
 use reveille_common::units::Energy;
 
-use crate::beliefs::levels::Levels;
 use crate::knowledge::Knowledge;
+use crate::levels::Levels;
 use crate::observation::Observation;
 use crate::policy::mind::{Bound, Mind};
 
@@ -25,8 +25,10 @@ pub struct Station {
 struct View {
     known: Knowledge,
     plan: Plan,
-    /// The battery levels as the BS knows them, for a policy that looks at batteries.
+    /// The battery levels as the BS knows them, for a policy that looks at batteries or wakes devices.
     levels: Option<Levels>,
+    /// Whether the policy looks at batteries, so that levels are brought up to date in each TTI.
+    shows_levels: bool,
     /// Î of this TTI.
     information: f64,
 }
@@ -38,7 +40,12 @@ impl View {
             known: &self.known,
             plan: &self.plan,
             information: self.information,
-            batteries: self.levels.as_ref().map_or(&[], Levels::all),
+            batteries: self
+                .levels
+                .as_ref()
+                .filter(|_| self.shows_levels)
+                .map_or(&[], Levels::all),
+            levels: self.levels.as_ref(),
         }
     }
 
@@ -53,7 +60,12 @@ impl Station {
     pub fn new(known: Knowledge, mind: Mind) -> Self {
         let view = View {
             plan: Plan::from_bits(known.devices.iter().map(|_| false)),
-            levels: mind.looks_at_batteries().then(|| Levels::new(&known)),
+            levels: if mind.looks_at_batteries() {
+                Some(Levels::new(&known))
+            } else {
+                mind.wakes().then(|| Levels::reckoned(&known))
+            },
+            shows_levels: mind.looks_at_batteries(),
             known,
             information: 0.0,
         };
@@ -113,7 +125,16 @@ impl Station {
             self.next_decision = self.mind.next_decision(k);
             assert!(self.next_decision > k, "a policy decides at most once per TTI");
             is_new |= decided != self.view.plan;
-            self.view.plan = decided;
+            let View {
+                plan,
+                levels,
+                shows_levels,
+                ..
+            } = &mut self.view;
+            if let Some(levels) = levels.as_mut().filter(|_| !*shows_levels) {
+                levels.pass(k, plan);
+            }
+            *plan = decided;
         }
         if !is_new && !k.0.is_multiple_of(self.view.known.bs.sync_interval) {
             return None;
@@ -135,11 +156,11 @@ impl Station {
         } = self;
         (view.information, *has_heard) = (0.0, !reports.is_empty());
         if let Some(levels) = &mut view.levels {
-            // A policy that looks at batteries decides every TTI.
-            levels.pass(tti, &view.plan);
-            for report in reports {
-                levels.heard(report.device, report.battery);
+            if view.shows_levels {
+                // A policy that looks at batteries decides every TTI.
+                levels.pass(tti + 1, &view.plan);
             }
+            levels.gathered(tti, &view.plan, reports);
         }
         for report in reports {
             view.fuse(report);
@@ -163,8 +184,8 @@ impl Station {
         let view = &mut self.view;
         if let Some(levels) = &mut view.levels {
             match report {
-                Some(report) => levels.heard(device, report.battery),
-                None => levels.silent(device),
+                Some(report) => levels.heard(device, tti, report.battery),
+                None => levels.silent(device, tti, &view.plan),
             }
         }
         if let Some(report) = report {

@@ -41,6 +41,8 @@ pub enum Purpose {
     Attraction = 14,
     /// The busy and the quiet phases of the event process (one stream a run).
     Phases = 15,
+    /// In which order devices take their offsets under the `adjusted` policy (one stream a run).
+    Offsets = 16,
 }
 
 /// A stream of pseudo-random numbers (xoshiro256++), the same on every machine.
@@ -93,6 +95,8 @@ pub enum PolicyPurpose {
     Clusters,
     /// See [`Purpose::Exploration`].
     Exploration,
+    /// See [`Purpose::Offsets`].
+    Offsets,
 }
 
 impl PolicyPurpose {
@@ -101,6 +105,7 @@ impl PolicyPurpose {
             Self::DutyCycle => Purpose::DutyCycle,
             Self::Clusters => Purpose::Clusters,
             Self::Exploration => Purpose::Exploration,
+            Self::Offsets => Purpose::Offsets,
         }
     }
 }

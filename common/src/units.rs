@@ -1,7 +1,8 @@
 //! Energy in integer micro-units.
 //!
 //! The paper counts energy in "units" (Table II: a transmission costs 10). Batteries, costs and harvests are held as
-//! whole micro-units so that sums do not depend on the order in which they are taken.
+//! whole micro-units so that sums do not depend on the order in which they are taken. A scenario is refused whose sums
+//! might not fit in 64 bits; a sum that does not is a panic in every build, never another number.
 
 use std::fmt;
 use std::iter::Sum;
@@ -59,35 +60,61 @@ impl Energy {
     }
 
     /// `self · n`.
+    ///
+    /// # Panics
+    /// If that does not fit in 64 bits.
     #[must_use]
     pub const fn times(self, n: u64) -> Self {
-        Self(self.0 * n)
+        match self.0.checked_mul(n) {
+            Some(product) => Self(product),
+            None => too_much(),
+        }
     }
+}
+
+#[cold]
+#[inline(never)]
+const fn too_much() -> ! {
+    panic!("a sum of energy does not fit in 64 bits")
+}
+
+#[cold]
+#[inline(never)]
+const fn too_little() -> ! {
+    panic!("there is less energy than is taken")
 }
 
 impl Add for Energy {
     type Output = Self;
+    #[inline]
     fn add(self, other: Self) -> Self {
-        Self(self.0 + other.0)
+        match self.0.checked_add(other.0) {
+            Some(sum) => Self(sum),
+            None => too_much(),
+        }
     }
 }
 
 impl AddAssign for Energy {
     fn add_assign(&mut self, other: Self) {
-        self.0 += other.0;
+        *self = *self + other;
     }
 }
 
 impl Sub for Energy {
     type Output = Self;
+    #[inline]
     fn sub(self, other: Self) -> Self {
-        Self(self.0 - other.0)
+        match self.0.checked_sub(other.0) {
+            Some(rest) => Self(rest),
+            None => too_little(),
+        }
     }
 }
 
 impl SubAssign for Energy {
     fn sub_assign(&mut self, other: Self) {
-        self.0 -= other.0;
+        *self = *self - other;
     }
 }
 
@@ -110,6 +137,14 @@ mod tests {
     #[test]
     fn one_fourteenth_rounds_to_the_nearest_micro_unit() {
         assert_eq!(Energy::from_units(1.0 / 14.0), Some(Energy::from_micro(71_429)));
+    }
+
+    #[test]
+    #[should_panic(expected = "does not fit in 64 bits")]
+    fn a_sum_that_does_not_fit_is_no_other_number() {
+        let half = Energy::from_micro(1 << 63);
+        assert_eq!(half.times(1) + Energy::ZERO, half);
+        let _ = [half, half].into_iter().sum::<Energy>();
     }
 
     #[test]

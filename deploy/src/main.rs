@@ -11,6 +11,7 @@ mod commands;
 mod display;
 mod ending;
 mod exit;
+mod inputs;
 mod interrupt;
 mod launch;
 mod local;

@@ -3,6 +3,7 @@
 //! | file | what |
 //! |---|---|
 //! | `scenario.toml` | the resolved scenario |
+//! | `inputs/` | copies of the files that it names: layout, traces, learned tables |
 //! | `events.csv` | a row per event |
 //! | `windows.csv` | a row per window of TTIs |
 //! | `devices.csv` | a row per device |
@@ -24,6 +25,7 @@ use reveille_lab::io::replace;
 use reveille_lab::training::learned_in;
 
 use crate::cli::OutputArgs;
+use crate::inputs::{self, Inputs};
 use crate::series;
 use crate::summary::Summary;
 
@@ -57,6 +59,8 @@ impl RunFolder {
     /// # Errors
     /// If the folder holds something already, or cannot be written.
     pub fn create(args: &OutputArgs, scenario: &Scenario) -> anyhow::Result<Self> {
+        // Before a folder is emptied that may hold them.
+        let inputs = Inputs::read(scenario)?;
         let path = match &args.out {
             Some(path) => {
                 clear(path, args.force)?;
@@ -67,7 +71,8 @@ impl RunFolder {
         let cannot = || format!("cannot write in the run folder {}", path.display());
         fs::create_dir_all(&path).with_context(cannot)?;
         fs::write(path.join(RUNNING), format!("pid {}\n", std::process::id())).with_context(cannot)?;
-        replace(&path.join(SCENARIO), scenario.to_toml().as_bytes()).with_context(cannot)?;
+        inputs.write(&path).with_context(cannot)?;
+        replace(&path.join(SCENARIO), inputs.to_toml(scenario).as_bytes()).with_context(cannot)?;
         let open =
             |name: &str| File::create(path.join(name)).map(|file| csv::Writer::from_writer(BufWriter::new(file)));
         let mut folder = Self {
@@ -211,7 +216,7 @@ fn clear(path: &Path, force: bool) -> anyhow::Result<()> {
             fs::remove_file(&file).with_context(|| format!("cannot replace {}", file.display()))?;
         }
     }
-    Ok(())
+    inputs::remove(path).with_context(|| format!("cannot replace {}", path.join(inputs::FOLDER).display()))
 }
 
 /// A folder under `runs/` that does not exist yet. It is made here, so that two runs never share one.

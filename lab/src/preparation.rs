@@ -2,8 +2,8 @@
 //!
 //! The `adjusted` policy (Sec. V-A, P2) has each duty cycle of its grid judged by a pilot run of the same machines on
 //! the same deployment, with events and harvests of a seed of its own: what a BS knows from the positions and from
-//! historical data, not what is about to happen. Traces are the exception: a pilot run replays the recorded energy that
-//! the run itself will harvest. All pairs see the same pilot events and harvests.
+//! historical data, not what is about to happen. A recorded trace has no other draw than the one that the run itself
+//! will harvest, so in a pilot run its mean comes in each TTI. All pairs see the same pilot events and harvests.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -11,11 +11,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 use reveille_bs::grids::Grids;
 use reveille_bs::outcome::Outcome;
 use reveille_bs::policy::contract::Opaque;
-use reveille_bs::policy::pilots::Pilots;
+use reveille_bs::policy::pilots::{Pilots, Trials};
 use reveille_bs::policy::registry;
 use reveille_bs::prepared::Prepared;
+use reveille_common::deployment::Deployment;
 use reveille_common::scenario::Scenario;
-use reveille_common::score::Metrics;
 
 use crate::run::{Options, Run};
 
@@ -26,12 +26,15 @@ const WARM_UP: f64 = 0.25;
 /// Searches that are remembered.
 const REMEMBERED: usize = 1024;
 
+/// What a search came to: its findings and its warnings.
+type Found = (Opaque, Vec<String>);
+
 /// Prepares runs, and remembers what several of them need. Sharing one changes no result.
 #[derive(Debug, Default)]
 pub struct Workshop {
     grids: Arc<Grids>,
     /// What was found, by the hash of the pilot scenario: runs that differ in nothing but their length share a search.
-    found: Mutex<VecDeque<([u8; 32], Opaque)>>,
+    found: Mutex<VecDeque<([u8; 32], Found)>>,
 }
 
 impl Workshop {
@@ -41,22 +44,25 @@ impl Workshop {
             grids: Arc::clone(&self.grids),
             ..Prepared::without_pilots(scenario)
         };
-        let pilots = registry::pilots(prepared.policies, &scenario.policy);
-        prepared.findings = pilots.map(|pilots| self.search(&prepared, &*pilots));
+        if let Some(pilots) = registry::pilots(prepared.policies, &scenario.policy) {
+            let (findings, warnings) = self.search(&prepared, &*pilots);
+            (prepared.findings, prepared.warnings) = (Some(findings), warnings);
+        }
         prepared
     }
 
-    fn search(&self, prepared: &Prepared, pilots: &dyn Pilots) -> Opaque {
-        let key = pilot(&prepared.scenario, pilots).hash();
+    fn search(&self, prepared: &Prepared, pilots: &dyn Pilots) -> Found {
+        let key = pilot(&prepared.scenario, pilots.ttis()).hash();
         if let Some(known) = self.recall(&key) {
             return known;
         }
-        let found = pilots.judge(&prepared.knowledge(), &pilot_runs(prepared, pilots));
+        let trials = pilot_runs(prepared, pilots);
+        let found = (pilots.judge(&prepared.knowledge(), &trials), pilots.warnings(&trials));
         self.remember(key, found.clone());
         found
     }
 
-    fn recall(&self, key: &[u8; 32]) -> Option<Opaque> {
+    fn recall(&self, key: &[u8; 32]) -> Option<Found> {
         let found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
         found
             .iter()
@@ -65,7 +71,7 @@ impl Workshop {
     }
 
     /// Two threads that searched for the same deployment have found the same.
-    fn remember(&self, key: [u8; 32], what: Opaque) {
+    fn remember(&self, key: [u8; 32], what: Found) {
         let mut found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
         if found.len() == REMEMBERED {
             found.pop_front();
@@ -89,24 +95,45 @@ pub fn run(scenario: &Scenario) -> Outcome {
     start(scenario, Options::default()).finish(&mut ())
 }
 
-/// What each candidate of `pilots` came to in a pilot run on the ground of `prepared`.
-fn pilot_runs(prepared: &Prepared, pilots: &dyn Pilots) -> Vec<Metrics> {
-    let scenario = pilot(&prepared.scenario, pilots);
-    let judge = |candidate| {
-        let one = Prepared {
-            scenario: scenario.clone(),
-            findings: Some(candidate),
-            ..prepared.clone()
-        };
-        Run::new(&one, Options::default()).finish(&mut ()).metrics
-    };
-    pilots.candidates().into_iter().map(judge).collect()
+/// What each candidate of `pilots` came to in a pilot run on the ground of `prepared`. All runs are equally long, and as
+/// long as it takes for each to hold the events that are asked for, if that is not too long.
+fn pilot_runs(prepared: &Prepared, pilots: &dyn Pilots) -> Trials {
+    let candidates = pilots.candidates();
+    let mut ground = prepared.clone();
+    let Deployment { devices, traces, .. } = &mut ground.deployment;
+    for device in devices {
+        device.harvest = device.harvest.as_known(traces);
+    }
+    let (mut ttis, mut all_ttis) = (pilots.ttis(), 0_u64);
+    let limit = pilots.limit().min(prepared.scenario.longest()).max(ttis);
+    loop {
+        ground.scenario = pilot(&prepared.scenario, ttis);
+        let (mut metrics, mut is_long_enough) = (Vec::with_capacity(candidates.len()), true);
+        for candidate in &candidates {
+            ground.findings = Some(candidate.clone());
+            let outcome = Run::new(&ground, Options::default()).finish(&mut ());
+            all_ttis = all_ttis.saturating_add(ttis);
+            is_long_enough = ttis >= limit || outcome.metrics.events >= pilots.events();
+            if !is_long_enough {
+                break;
+            }
+            metrics.push(outcome.metrics);
+        }
+        if is_long_enough {
+            return Trials {
+                ttis,
+                all_ttis,
+                metrics,
+            };
+        }
+        ttis = ttis.saturating_mul(2).min(limit);
+    }
 }
 
-/// The scenario of the pilot runs, whose seed is not that of its deployment.
-fn pilot(scenario: &Scenario, pilots: &dyn Pilots) -> Scenario {
+/// The scenario of pilot runs of `ttis` TTIs, whose seed is not that of its deployment.
+fn pilot(scenario: &Scenario, ttis: u64) -> Scenario {
     Scenario {
-        ttis: pilots.ttis(),
+        ttis,
         seed: scenario.seed.wrapping_add(PILOT),
         warm_up: WARM_UP,
         ..scenario.clone()
@@ -115,13 +142,11 @@ fn pilot(scenario: &Scenario, pilots: &dyn Pilots) -> Scenario {
 
 #[cfg(test)]
 mod tests {
+    use super::*;
     use reveille_bs::beliefs::ranking::i_min;
     use reveille_bs::policy::adjusted::search::{DutyChoice, Search};
     use reveille_bs::policy::adjusted::settings::AdjustedSettings;
     use reveille_bs::scenario::{Override, load};
-    use reveille_common::deployment::Deployment;
-
-    use super::*;
 
     fn scenario(overrides: &[&str]) -> Scenario {
         let overrides: Vec<Override> = overrides
@@ -152,7 +177,7 @@ mod tests {
         ]);
         let prepared = prepare(&scenario);
         let search = search(&scenario);
-        let all = search.trials(&pilot_runs(&prepared, &search));
+        let all = search.judged(&pilot_runs(&prepared, &search));
         let pairs: Vec<(u32, u32)> = all.iter().map(|c| (c.t_on, c.t_drx)).collect();
         assert_eq!(pairs, [(1, 2), (1, 8), (3, 8)]);
         let choice = prepared
@@ -172,7 +197,7 @@ mod tests {
     #[test]
     fn the_pilot_stands_on_the_same_ground_and_sees_other_events() {
         let scenario = scenario(&["policy.name=adjusted", "devices=40"]);
-        let pilot = pilot(&scenario, &search(&scenario));
+        let pilot = pilot(&scenario, 2000);
         assert_ne!(pilot.seed, scenario.seed);
         let (a, b) = (Deployment::new(&scenario), Deployment::new(&pilot));
         assert_ne!(

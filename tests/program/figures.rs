@@ -310,3 +310,31 @@ fn the_pictures_of_the_readme_can_be_drawn_again() {
         );
     }
 }
+
+#[test]
+fn a_table_with_a_value_that_no_run_comes_to_is_refused() {
+    let folder = Folder::new();
+    sweep(&folder, "paper", "--format csv");
+    let text = String::from_utf8(folder.bytes("paper/results.csv")).expect("text");
+    let side_car = folder.bytes("paper/results.csv.toml");
+    let header: Vec<&str> = text.lines().next().expect("a header").split(',').collect();
+    let column = header
+        .iter()
+        .position(|name| *name == "energy_per_device_tti")
+        .expect("a metric");
+    for value in ["1e300", "-2e15", "inf"] {
+        let rows = text.lines().enumerate().map(|(row, line)| {
+            let mut fields: Vec<&str> = line.split(',').collect();
+            if row == 2 {
+                fields[column] = value;
+            }
+            fields.join(",") + "\n"
+        });
+        folder.write("odd.csv", &rows.collect::<String>());
+        fs::write(folder.join("odd.csv.toml"), &side_car).expect("a side-car");
+        for command in ["figures", "report", "merge"] {
+            let end = folder.run(&format!("{command} odd.csv --out odd-{command}.csv"));
+            assert_refused(&end, 1, &["odd.csv", "row 2", "energy_per_device_tti"]);
+        }
+    }
+}

@@ -7,7 +7,7 @@ use reveille_tests::process::{Folder, PATIENCE, assert_refused, hosts_of, unique
 use rustix::process::Signal;
 
 /// A scenario whose search before the run takes hours.
-const SEARCH: &str = "--devices 200 --set policy.adjusted.pilot_ttis=1000000000";
+const SEARCH: &str = "--devices 200 --set policy.adjusted.pilot_ttis=900000000";
 /// How long an end may take: a sweep is given a second, the rest is for a machine that is busy.
 const SOON: Duration = Duration::from_secs(10);
 

@@ -329,6 +329,10 @@ fn nonsense_is_refused_before_anything_is_trained() {
         ("--devices 0", &["devices"][..]),
         ("--devices 5 --episodes 0", &["episodes = 0", "at least 1"]),
         ("--devices 5 --episode-ttis 9", &["episode-ttis = 9", "at least 10"]),
+        (
+            "--devices 5,1000000 --episode-ttis 2000 --set energy.e_max=10000",
+            &["--episode-ttis 2000", "at most 1844", "1000000 devices", "overflow"],
+        ),
         ("--devices 5 --epsilon 0.1", &["--epsilon", "0.1,0.03"]),
         ("--devices 5 --epsilon 0.1,1", &["epsilon = 1", "less than 1"]),
         ("--devices 5 --epsilon NaN,0.1", &["epsilon", "less than 1"]),

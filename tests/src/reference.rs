@@ -1,13 +1,16 @@
 //! A second implementation of the model, as plain as it can be: every device goes through every TTI, one step after the
-//! other. It shares the scenario, the positions, the classes and the random streams with the emulator, and of the rest
-//! only what the next paragraph names.
+//! other. It shares the scenario, the positions, the classes and the random streams with the emulator, and nothing else.
 //!
-//! Of the `knn` policy it takes the clusters and `I_min` from the emulator and does the rest itself. Where its own
-//! integration rule for `P_4,2` cannot tell two candidates apart, it stops and says in which TTI ([`Run::ambiguous`]).
+//! Where its own integration rule for `P_4,2` cannot tell two candidates apart, it stops and says in which TTI
+//! ([`Run::ambiguous`]).
 
+mod clusters;
+mod estimate;
 mod events;
 mod harvest;
+mod least;
 mod policy;
+mod search;
 
 use reveille_common::deployment::Deployment;
 use reveille_common::geometry::Point;
@@ -19,10 +22,14 @@ use reveille_common::sensing::{DetectionKind, Fusion};
 use reveille_common::totals::{DeviceTotals, EventTally, EventTotals, Ledger, Spent};
 use reveille_common::units::Energy;
 
+pub use clusters::clusters;
+use estimate::Estimate;
 use events::Events;
-use harvest::Source;
+use harvest::{Source, mean};
+pub use least::least_information;
 pub use policy::Policy;
 use policy::{Choice, Reporter, Situation, distance};
+pub use search::own_search;
 
 /// Where a device is at the end of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,15 +63,43 @@ pub struct Run {
     pub wake_ups: u64,
     /// Wake-ups that a device without power did not hear.
     pub unheard: u64,
+    /// Decisions whom to wake in which a device in S4 was taken to be unable to report.
+    pub spared: u64,
     /// State and battery of each device at the end of each TTI.
     pub trace: Vec<Vec<(State, u64)>>,
     /// The TTI in which a decision was too close to call; nothing from there on is known.
     pub ambiguous: Option<u64>,
 }
 
+/// Where devices stand, and of which class each is.
+#[derive(Clone, Debug)]
+struct Ground {
+    positions: Vec<Point>,
+    classes: Vec<u16>,
+    /// Whether recorded energy is played, or its mean comes in each TTI.
+    plays_traces: bool,
+}
+
+impl Ground {
+    fn of(scenario: &Scenario) -> Self {
+        Self {
+            positions: Deployment::new(scenario).positions(),
+            classes: assign_classes(scenario),
+            plays_traces: true,
+        }
+    }
+}
+
 /// The reference's run of `scenario`.
 pub fn simulate(scenario: &Scenario) -> Run {
-    let mut world = World::new(scenario);
+    let ground = Ground::of(scenario);
+    let policy = Policy::new(scenario, &ground.positions);
+    play(scenario, &ground, policy)
+}
+
+/// A run of `scenario` on `ground` under `policy`.
+fn play(scenario: &Scenario, ground: &Ground, policy: Policy) -> Run {
+    let mut world = World::new(scenario, ground, policy);
     for k in 0..scenario.ttis {
         if k == world.warm_up_end {
             world.begin_measuring();
@@ -160,6 +195,8 @@ struct World<'a> {
     positions: Vec<Point>,
     devices: Vec<Device>,
     policy: Policy,
+    /// What the base station makes of batteries.
+    estimates: Vec<Estimate>,
     warm_up_end: u64,
     event: Option<Event>,
     coming: Events<'a>,
@@ -169,23 +206,31 @@ struct World<'a> {
     acts: Vec<[u64; 4]>,
     wake_ups: u64,
     unheard: u64,
+    spared: u64,
     trace: Vec<Vec<(State, u64)>>,
     ambiguous: Option<u64>,
 }
 
 impl<'a> World<'a> {
-    fn new(scenario: &'a Scenario) -> Self {
-        let positions = Deployment::new(scenario).positions();
+    fn new(scenario: &'a Scenario, ground: &Ground, policy: Policy) -> Self {
         let mut of_class = vec![0; scenario.classes.len()];
-        let mut devices = Vec::new();
-        for (id, class) in assign_classes(scenario).into_iter().enumerate() {
+        let (mut devices, mut estimates) = (Vec::new(), Vec::new());
+        for (id, &class) in ground.classes.iter().enumerate() {
             let class = usize::from(class);
             let kind = &scenario.classes[class];
             let (seed, nth) = (scenario.seed, of_class[class]);
             of_class[class] += 1;
+            let mean = mean(&kind.harvest, scenario.tau, nth);
+            estimates.push(Estimate::new(kind.energy, mean));
+            let source = Source::new(&kind.harvest, scenario.tau, seed, id as u64, nth);
+            let source = if ground.plays_traces {
+                source
+            } else {
+                source.by_its_mean(mean)
+            };
             devices.push(Device {
                 costs: kind.energy,
-                source: Source::new(&kind.harvest, scenario.tau, seed, id as u64, nth),
+                source,
                 state: State::Asleep,
                 battery: kind.energy.initial.micro(),
                 harvested: 0,
@@ -201,10 +246,11 @@ impl<'a> World<'a> {
             });
         }
         Self {
-            policy: Policy::new(scenario, &positions),
-            acts: vec![[0; 4]; positions.len()],
+            policy,
+            estimates,
+            acts: vec![[0; 4]; ground.positions.len()],
             scenario,
-            positions,
+            positions: ground.positions.clone(),
             devices,
             warm_up_end: (scenario.ttis as f64 * scenario.warm_up).floor() as u64,
             event: None,
@@ -213,6 +259,7 @@ impl<'a> World<'a> {
             events: Vec::new(),
             wake_ups: 0,
             unheard: 0,
+            spared: 0,
             trace: Vec::new(),
             ambiguous: None,
         }
@@ -276,13 +323,38 @@ impl<'a> World<'a> {
     /// Steps 4 and 5.
     fn sense(&mut self, k: u64) {
         let Some(mut event) = self.event.take() else { return };
+        let mut reported = Vec::new();
         for j in 0..self.devices.len() {
-            if self.devices[j].state == State::Idle && self.detects(j, distance(self.positions[j], event.epicentre)) {
+            let d = distance(self.positions[j], event.epicentre);
+            if self.devices[j].state == State::Idle && self.detects(j, d) {
                 debug_assert!(self.policy.senses(j, k));
-                self.transmit(j, &mut event);
+                if self.transmit(j, &mut event) {
+                    self.estimates[j].heard(k, self.devices[j].battery);
+                    reported.push((j, d));
+                }
             }
         }
+        self.hear_silence(k, &reported);
         self.event = Some(event);
+    }
+
+    /// Where detection is sure within d_max, who was told to sense and must be that near to the event, wherever on the
+    /// ring around a reporter it is, would have reported.
+    fn hear_silence(&mut self, k: u64, reported: &[(usize, f64)]) {
+        let sensing = &self.scenario.sensing;
+        if sensing.kind != DetectionKind::Range {
+            return;
+        }
+        for j in 0..self.devices.len() {
+            let is_sure = |&(h, d): &(usize, f64)| {
+                distance(self.positions[h], self.positions[j]) <= sensing.d_max * (1.0 - 1e-9) - d
+            };
+            let has_reported = reported.iter().any(|&(h, _)| h == j);
+            if self.policy.senses(j, k) && !has_reported && reported.iter().any(is_sure) {
+                let policy = &self.policy;
+                self.estimates[j].silent(k, |k| policy.senses(j, k));
+            }
+        }
     }
 
     /// Step 6. False where the next wake-up is too close to call.
@@ -291,6 +363,14 @@ impl<'a> World<'a> {
             return true;
         };
         let mut woken = Vec::new();
+        let able: Vec<bool> = if self.policy.ranks() && !event.reporters.is_empty() {
+            let is_able = |(j, estimate): (usize, &Estimate)| estimate.is_able(k, |k| self.policy.senses(j, k));
+            self.estimates.iter().enumerate().map(is_able).collect()
+        } else {
+            vec![true; self.devices.len()]
+        };
+        let is_spared = |(j, able): (usize, &bool)| !able && !self.policy.senses(j, k);
+        self.spared += u64::from(able.iter().enumerate().any(is_spared));
         loop {
             let choice = self.policy.choose(&Situation {
                 scenario: self.scenario,
@@ -301,6 +381,7 @@ impl<'a> World<'a> {
                 reporters: &event.reporters,
                 information: event.information,
                 woken: &woken,
+                able: &able,
             });
             let j = match choice {
                 Choice::Wake(j) => j,
@@ -312,18 +393,25 @@ impl<'a> World<'a> {
             self.wake_ups += u64::from(k >= self.warm_up_end);
             let heard = self.devices[j].state == State::Asleep;
             event.acts.push((j, [0, 1, u64::from(heard), 0]));
-            if heard {
-                self.transmit(j, &mut event);
+            let has_reported = if heard {
+                self.transmit(j, &mut event)
             } else {
                 self.unheard += 1;
+                false
+            };
+            if has_reported {
+                self.estimates[j].heard(k, self.devices[j].battery);
+            } else {
+                let policy = &self.policy;
+                self.estimates[j].silent(k, |k| policy.senses(j, k));
             }
         }
         self.event = Some(event);
         true
     }
 
-    /// From S2: device `j` sends its report, or cannot.
-    fn transmit(&mut self, j: usize, event: &mut Event) {
+    /// From S2: device `j` sends its report, or cannot. Whether it does.
+    fn transmit(&mut self, j: usize, event: &mut Event) -> bool {
         let sensing = &self.scenario.sensing;
         let d = distance(self.positions[j], event.epicentre);
         let within = d <= sensing.d_max;
@@ -338,7 +426,7 @@ impl<'a> World<'a> {
         }
         if !paid {
             self.devices[j].state = State::Dark;
-            return;
+            return false;
         }
         self.devices[j].state = State::Transmission;
         event.tally.reports += 1;
@@ -351,6 +439,7 @@ impl<'a> World<'a> {
             let reporter = self.policy.reporter(self.scenario, &self.positions, j, d);
             event.reporters.push(reporter);
         }
+        true
     }
 
     fn detects(&self, j: usize, d: f64) -> bool {
@@ -436,6 +525,7 @@ impl<'a> World<'a> {
             start_probability: self.start_probability.0 / self.start_probability.1,
             wake_ups: self.wake_ups,
             unheard: self.unheard,
+            spared: self.spared,
             trace: self.trace,
             ambiguous: self.ambiguous,
         }

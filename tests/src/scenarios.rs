@@ -24,6 +24,17 @@ pub fn small() -> impl Strategy<Value = String> {
         .prop_map(|(shape, world, events, policy, energy)| format!("{shape}{world}{events}{policy}{energy}"))
 }
 
+/// Any small scenario under the policy called `name`, one of those that [`small`] has.
+pub fn under(name: &'static str) -> impl Strategy<Value = String> {
+    (shape(), world(), events(), policy(), energy_and_harvest()).prop_map(
+        move |(shape, world, events, policy, energy)| {
+            let rest = policy.split_once('\n').and_then(|(_, rest)| rest.split_once('\n'));
+            let rest = rest.map_or("", |(_, rest)| rest);
+            format!("{shape}{world}{events}[policy]\nname = \"{name}\"\n{rest}{energy}")
+        },
+    )
+}
+
 /// Any small scenario, under any policy: also under one that has no second implementation to be compared with.
 pub fn any_policy() -> impl Strategy<Value = String> {
     prop_oneof![3 => small().boxed(), 1 => learning().boxed()]
@@ -144,7 +155,8 @@ fn policy() -> impl Strategy<Value = String> {
     (name, 1..=6u32, any::<bool>(), cycles).prop_map(|(name, neighbours, limit, t_drx)| {
         format!(
             "[policy]\nname = \"{name}\"\n[policy.knn]\nneighbours = {neighbours}\nlimit_radius = {limit}\n\
-             [policy.adjusted]\nt_on = [1, 3]\nt_drx = {t_drx:?}\npilot_ttis = 40\n"
+             [policy.adjusted]\nt_on = [1, 3]\nt_drx = {t_drx:?}\npilot_ttis = 40\n\
+             pilot_events = 4\npilot_limit = 150\n"
         )
     })
 }

@@ -134,18 +134,23 @@ fn recorded_energy_arrives_to_the_last_micro_unit() {
 
 #[test]
 fn the_least_information_of_a_grid_is_that_at_the_corner_of_a_cell() {
-    for (side, per_row, eta) in [(20.0f64, 1u32, 0.3), (20.0, 5, 1.0), (7.5, 9, 1.7), (100.0, 16, 0.2)] {
+    for (side, per_row, eta, psi) in [
+        (20.0f64, 1u32, 0.3, 1.0),
+        (20.0, 5, 1.0, 0.1),
+        (7.5, 9, 1.7, 3.0),
+        (100.0, 16, 0.2, 1.0),
+    ] {
         let n = per_row * per_row;
         let scenario = scenario(&format!(
             "devices = {n}\nlayout.kind = \"grid\"\narea.width = {side:?}\narea.height = {side:?}\n\
-             sensing.eta = {eta:?}\n"
+             sensing.eta = {eta:?}\nsensing.psi = {psi:?}\n"
         ));
         let found = i_min(
             &Deployment::new(&scenario).positions(),
             scenario.area,
             &scenario.sensing,
         );
-        let expected = libm::exp(-eta * (side * side / (2.0 * f64::from(n))).sqrt());
+        let expected = psi * libm::exp(-eta * (side * side / (2.0 * f64::from(n))).sqrt());
         assert!(
             (found / expected - 1.0).abs() < 1e-12,
             "{n} devices: {found}, not {expected}"

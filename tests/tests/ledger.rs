@@ -2,7 +2,6 @@
 
 use proptest::prelude::*;
 use proptest::test_runner::Config;
-use reveille_bs::beliefs::clusters::Clusters;
 use reveille_bs::policy::knn::settings::KnnSettings;
 use reveille_common::deployment::Deployment;
 use reveille_common::ids::{DeviceId, Tti};
@@ -13,7 +12,7 @@ use reveille_common::totals::DeviceTotals;
 use reveille_device::machine::Machine;
 use reveille_lab::preparation::start;
 use reveille_lab::run::Options;
-use reveille_tests::{compare, scenarios};
+use reveille_tests::{compare, reference, scenarios};
 
 /// One TTI at a time.
 const STEPPED: Options = Options {
@@ -45,9 +44,10 @@ proptest! {
     }
 
     #[test]
-    fn under_knn_one_member_of_each_cluster_senses(text in scenarios::small()) {
+    fn under_knn_one_member_of_each_cluster_senses(text in scenarios::under("knn")) {
         let scenario = scenarios::scenario(&text);
         let clusters = clusters(&scenario);
+        prop_assert_eq!(clusters.iter().map(Vec::len).sum::<usize>(), scenario.devices as usize);
         each_tti(&scenario, |step| {
             for cluster in &clusters {
                 let sensing = |member: &&DeviceId| step.devices[member.index()].delta;
@@ -62,7 +62,8 @@ proptest! {
     #[test]
     fn with_energy_to_spare_no_action_fails(text in scenarios::rich()) {
         let scenario = scenarios::scenario(&text);
-        let clusters = clusters(&scenario);
+        let delta = reference::Policy::new(&scenario, &Deployment::new(&scenario).positions());
+        let mut sensing = 0;
         each_tti(&scenario, |step| {
             for device in &step.devices {
                 let expected = if device.delta { DeviceState::Idle } else { DeviceState::Sleep { powered: true } };
@@ -70,12 +71,16 @@ proptest! {
                 let unwell = matches!(device.after, DeviceState::Sleep { powered: false });
                 prop_assert!(!unwell, "a failure with a full battery in {}", step.k);
             }
-            for cluster in &clusters {
-                let idle = |member: &&DeviceId| step.devices[member.index()].before == DeviceState::Idle;
-                prop_assert_eq!(cluster.iter().filter(idle).count(), 1, "S1 in {}", step.k);
+            for (j, device) in step.devices.iter().enumerate() {
+                let is_idle = device.before == DeviceState::Idle;
+                prop_assert_eq!(is_idle, delta.senses(j, step.k.0), "device {} in {}", j, step.k);
+                sensing += usize::from(is_idle);
             }
             Ok(())
         })?;
+        if can_sense(&scenario) {
+            prop_assert_eq!(sensing > 0, scenario.policy.name() != "genie", "{} TTIs in S1", sensing);
+        }
     }
 
     #[test]
@@ -223,13 +228,18 @@ fn consistent(device: &Passed) -> Checked {
     Ok(())
 }
 
-/// The clusters of a scenario under `knn`; none under another policy.
+/// The clusters of a scenario under `knn`, by the second implementation.
 fn clusters(scenario: &Scenario) -> Vec<Vec<DeviceId>> {
     let positions = Deployment::new(scenario).positions();
-    let d_max = scenario.sensing.d_max;
+    let settings = scenario.policy.settings::<KnnSettings>().expect("settings of knn");
+    let how = (settings.neighbours as usize, settings.limit_radius);
     let start = Stream::new(scenario.seed, Purpose::Clusters, 0);
-    let settings = scenario.policy.settings::<KnnSettings>();
-    settings.map_or_else(Vec::new, |settings| {
-        Clusters::form(&positions, scenario.area, d_max, settings.voting(), start).members
-    })
+    let clusters = reference::clusters(&positions, scenario.area, scenario.sensing.d_max, how, start);
+    let devices = |cluster: Vec<usize>| cluster.into_iter().map(|j| DeviceId(j as u32)).collect();
+    clusters.into_iter().map(devices).collect()
+}
+
+/// Whether the run is long enough for every duty cycle to come to its TTI in S1.
+fn can_sense(scenario: &Scenario) -> bool {
+    scenario.ttis >= 12
 }

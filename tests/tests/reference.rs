@@ -77,10 +77,13 @@ fn random_scenarios_come_to_everything() {
         add(scenario.events.duration_kind.name(), 1);
         add("counted events", run.totals.events);
         add("misdetected", run.totals.misdetected);
-        add("energy wasted", run.totals.wasted.micro());
-        add("overflow", run.measured.overflow.micro());
-        add("low TTIs", run.measured.low_ttis);
+        // Of energies and of device-TTIs, the runs that have any: a single one may have millions.
+        add("runs that waste energy", u64::from(run.totals.wasted.micro() > 0));
+        add("runs that overflow", u64::from(run.measured.overflow.micro() > 0));
+        add("runs with low batteries", u64::from(run.measured.low_ttis > 0));
+        add("runs with batteries to spare", u64::from(run.measured.low_ttis == 0));
         add("unheard", run.unheard);
+        add("wake-ups spared", run.spared);
         for event in &run.events {
             let tally = &event.tally;
             add("wake-ups", tally.wake_ups);

@@ -24,7 +24,7 @@ impl Aim {
         }
     }
 
-    /// The information aimed for, `[0, 1]`.
+    /// The information aimed for, `[0, Ψ]`.
     pub const fn i_min(&self) -> f64 {
         self.i_min
     }

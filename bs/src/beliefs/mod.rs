@@ -5,7 +5,6 @@ pub mod candidates;
 pub mod clusters;
 pub mod correlation;
 pub mod coverage;
-pub mod levels;
 mod neighbours;
 pub mod posterior;
 pub mod ranking;

@@ -49,7 +49,50 @@ pub struct Belief {
 #[derive(Clone, Copy, Debug)]
 struct Place {
     at: Point,
+    likelihood: Likelihood,
+    /// Its likelihood in units of [`STEP`] to the power of the least number of steps of any place.
     weight: f64,
+}
+
+/// A product of so many factors below 1 that no floating-point number may hold it.
+#[derive(Clone, Copy, Debug)]
+struct Likelihood {
+    /// In units of [`STEP`] to the power of `steps`. [`STEP`] at the least, and not much above 1.
+    value: f64,
+    steps: u32,
+}
+
+/// 2⁻⁵¹²: multiplying by a power of two rounds nothing.
+const STEP: f64 = 1.0 / (TWO_TO_256 * TWO_TO_256);
+const TWO_TO_256: f64 = TWO_TO_128 * TWO_TO_128;
+const TWO_TO_128: f64 = (1_u128 << 127) as f64 * 2.0;
+
+impl Likelihood {
+    const CERTAIN: Self = Self { value: 1.0, steps: 0 };
+
+    /// The likelihood times `factor`, which is at least [`STEP`].
+    fn times(self, factor: f64) -> Self {
+        let Self { value, steps } = self;
+        let value = value * factor;
+        if value < STEP {
+            Self {
+                value: value / STEP,
+                steps: steps + 1,
+            }
+        } else {
+            Self { value, steps }
+        }
+    }
+}
+
+impl Place {
+    const fn new(at: Point, likelihood: Likelihood) -> Self {
+        Self {
+            at,
+            likelihood,
+            weight: 1.0,
+        }
+    }
 }
 
 impl Belief {
@@ -102,10 +145,11 @@ impl Belief {
         let at = self.positions[device.index()];
         for place in &mut self.places {
             if place.at.distance(at) <= self.sensing.d_max {
-                place.weight *= RULED_OUT;
+                place.likelihood = place.likelihood.times(RULED_OUT);
             }
         }
         self.far.push(at);
+        self.weigh();
     }
 
     /// Weighs the devices in S1, those for which `is_sensing` holds, that could have reported and did not. To be called
@@ -128,11 +172,30 @@ impl Belief {
         });
         found.sort_unstable();
         silent.extend(found.into_iter().map(|j| positions[j]));
-        let weights: Vec<f64> = self.places.iter().map(|place| self.weight_of(place.at)).collect();
-        for (place, weight) in self.places.iter_mut().zip(weights) {
-            place.weight = weight;
+        let likelihoods: Vec<Likelihood> = self.places.iter().map(|place| self.likelihood_of(place.at)).collect();
+        for (place, likelihood) in self.places.iter_mut().zip(likelihoods) {
+            place.likelihood = likelihood;
         }
+        self.weigh();
         self.thin();
+    }
+
+    /// Weighs the places against each other. One that is 2⁵¹² times less likely than another may well have no weight.
+    fn weigh(&mut self) {
+        let least = self
+            .places
+            .iter()
+            .map(|place| place.likelihood.steps)
+            .min()
+            .unwrap_or(0);
+        for place in &mut self.places {
+            let Likelihood { value, steps } = place.likelihood;
+            place.weight = match steps - least {
+                0 => value,
+                1 => value * STEP,
+                _ => 0.0,
+            };
+        }
     }
 
     /// Keeps few of the places: of those that are likely, and of those that are not, one in so many, which then stands
@@ -147,9 +210,10 @@ impl Belief {
             let class = usize::from(is_likely(place));
             let turn = seen[class];
             seen[class] += 1;
-            place.weight *= strides[class] as f64;
+            place.likelihood.value *= strides[class] as f64;
             turn % strides[class] == strides[class] / 2
         });
+        self.weigh();
     }
 
     /// Gives out the device with the largest expected gain, among those for which `is_candidate` holds and that were
@@ -225,19 +289,11 @@ impl Belief {
     /// Places on the ring around `centre`, in the area.
     fn ring(&self, centre: Point, d: f64) -> Vec<Place> {
         let place = |(cosine, sine): &(f64, f64)| Point::new(centre.x + d * cosine, centre.y + d * sine);
-        let inside: Vec<Place> = self
-            .circle
-            .iter()
-            .map(place)
-            .filter(|&at| self.area.contains(at))
-            .map(|at| Place { at, weight: 1.0 })
-            .collect();
+        let all = self.circle.iter().map(place).filter(|&at| self.area.contains(at));
+        let inside: Vec<Place> = all.map(|at| Place::new(at, Likelihood::CERTAIN)).collect();
         if inside.is_empty() {
             // An area so small that the ring passes between its places.
-            vec![Place {
-                at: centre,
-                weight: 1.0,
-            }]
+            vec![Place::new(centre, Likelihood::CERTAIN)]
         } else {
             inside
         }
@@ -263,13 +319,11 @@ impl Belief {
         let places: Vec<Place> = meeting
             .into_iter()
             .filter(|&at| is_near(at))
-            .map(|at| Place {
-                at,
-                weight: self.weight_of(at),
-            })
+            .map(|at| Place::new(at, self.likelihood_of(at)))
             .collect();
         if !places.is_empty() {
             self.places = places;
+            self.weigh();
         }
     }
 
@@ -279,10 +333,11 @@ impl Belief {
         let least = self.places.iter().map(off).fold(f64::INFINITY, f64::min);
         let limit = least + TOLERANCE * self.sensing.d_max;
         self.places.retain(|place| off(place) <= limit);
+        self.weigh();
     }
 
     /// How likely those who did not report make an event at `at`, up to a factor.
-    fn weight_of(&self, at: Point) -> f64 {
+    fn likelihood_of(&self, at: Point) -> Likelihood {
         let Sensing { d_max, .. } = self.sensing;
         let of = |device: &Point| {
             let d = device.distance(at);
@@ -294,8 +349,9 @@ impl Belief {
                 DetectionKind::Probabilistic => 1.0 - (1.0 - SILENCE) * self.sensing.p(d),
             }
         };
-        let far = self.far.iter().filter(|device| device.distance(at) <= d_max).count();
-        self.silent.iter().map(of).product::<f64>() * libm::pow(RULED_OUT, far as f64)
+        let ruled_out = self.far.iter().filter(|device| device.distance(at) <= d_max);
+        let factors = self.silent.iter().map(of).chain(ruled_out.map(|_| RULED_OUT));
+        factors.fold(Likelihood::CERTAIN, Likelihood::times)
     }
 }
 
@@ -469,6 +525,78 @@ mod tests {
             belief.add_reporter(DeviceId(2), points[2].distance(left));
             let [near, far] = weights(&belief);
             assert!(belief.places.len() == 2 && near < 1e-9 * far, "{kind:?}: {near} {far}");
+        }
+    }
+
+    /// One of thousands reports, and its neighbours do not: the weights of all places are as small as they are many.
+    #[test]
+    fn silence_of_hundreds_does_not_end_the_wake_ups() {
+        for kind in [DetectionKind::Range, DetectionKind::Probabilistic] {
+            let sensing = Sensing {
+                kind,
+                ..sensing(Fusion::Max)
+            };
+            let points = place(&Layout::Uniform, AREA, 12_000, 5);
+            let mut belief = Belief::new(&points, AREA, &sensing);
+            let (reporter, d) = (DeviceId(7), 2.5);
+            let is_on = |j: DeviceId| j.0.is_multiple_of(2);
+            belief.start();
+            belief.add_reporter(reporter, d);
+            belief.hear_silence(is_on);
+            let (next, gain) = belief.next(sensing.p(d), |j| !is_on(j)).expect("somebody adds");
+            // The definition, with logarithms.
+            let centre = points[reporter.index()];
+            let places: Vec<Point> = (0..FINE)
+                .map(direction)
+                .map(|(x, y)| Point::new(centre.x + d * x, centre.y + d * y))
+                .filter(|&at| AREA.contains(at))
+                .collect();
+            let log_weight = |at: &Point| -> f64 {
+                let silent = (0..12_000).map(DeviceId).filter(|&j| j != reporter && is_on(j));
+                let near = silent
+                    .map(|j| points[j.index()].distance(*at))
+                    .filter(|&gap| gap <= 4.0);
+                let heard = |gap: f64| match kind {
+                    DetectionKind::Range => 1.0,
+                    DetectionKind::Probabilistic => sensing.p(gap),
+                };
+                near.map(|gap| libm::log(1.0 - 0.98 * heard(gap))).sum()
+            };
+            let logs: Vec<f64> = places.iter().map(log_weight).collect();
+            let most = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+            let weights: Vec<f64> = logs.iter().map(|log| libm::exp(log - most)).collect();
+            let own = points[next.index()];
+            let mean = |of: &dyn Fn(&Point) -> f64| {
+                let sum: f64 = weights.iter().zip(&places).map(|(weight, at)| weight * of(at)).sum();
+                sum / weights.iter().sum::<f64>()
+            };
+            let expected = mean(&|at| (sensing.information(at.distance(own)) - sensing.p(d)).max(0.0));
+            // Few places stand for all where weights are so different, and by chance they are all different.
+            let off = match kind {
+                DetectionKind::Range => 0.02,
+                DetectionKind::Probabilistic => 0.5,
+            };
+            assert!(
+                expected > 0.0 && (gain / expected - 1.0).abs() < off,
+                "{kind:?}: {gain}, not {expected}"
+            );
+            // A second report leaves two points, of which neither may be lost.
+            let second = DeviceId(9);
+            let event = places[weights.iter().position(|&weight| weight >= 1.0).expect("a largest")];
+            let apart = |at: &&Point| at.distance(event);
+            let other = *places
+                .iter()
+                .max_by(|a, b| apart(a).total_cmp(&apart(b)))
+                .expect("a place");
+            for at in [event, other] {
+                belief.start();
+                belief.add_reporter(reporter, d);
+                belief.hear_silence(is_on);
+                belief.add_reporter(second, points[9].distance(at));
+                belief.add_reporter(DeviceId(11), points[11].distance(at));
+                let found = belief.next(sensing.p(d), |j| !is_on(j)).expect("somebody adds");
+                assert!(points[found.0.index()].distance(at) < 0.5, "{kind:?}: {found:?}");
+            }
         }
     }
 

@@ -35,6 +35,11 @@ pub trait Policy: Send {
         false
     }
 
+    /// Whether it may wake devices, so that [`Observation::can_report`] is worth finding out.
+    fn wakes(&self) -> bool {
+        true
+    }
+
     /// What the run has taught a policy that learns in it.
     fn learned(&self) -> Option<Opaque> {
         None

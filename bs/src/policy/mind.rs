@@ -62,6 +62,14 @@ impl Mind {
         }
     }
 
+    /// See [`Policy::wakes`]. The genie knows whom it wakes.
+    pub fn wakes(&self) -> bool {
+        match self {
+            Self::Policy(policy) => policy.wakes(),
+            Self::Genie(_) => false,
+        }
+    }
+
     /// See [`Policy::learned`].
     pub fn learned(&self) -> Option<Opaque> {
         match self {

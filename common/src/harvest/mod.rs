@@ -193,6 +193,19 @@ impl HarvestSetup {
         }
     }
 
+    /// The source as far as it is known before a run: recorded energy is known by its mean alone, which then comes in
+    /// each TTI. `traces` are the run's, energy per TTI by row.
+    #[must_use]
+    pub fn as_known(&self, traces: &[Arc<Vec<Energy>>]) -> Self {
+        match self {
+            Self::Arrivals(_) | Self::OnOff(_) => *self,
+            Self::Trace(trace) => Self::Arrivals(ArrivalsSetup {
+                p: 1.0,
+                e_b: trace.mean(traces),
+            }),
+        }
+    }
+
     /// Whether it reads one of the run's traces.
     pub const fn reads_a_trace(&self) -> bool {
         match self {

@@ -16,6 +16,7 @@ use crate::event::settings::Events;
 use crate::geometry::{Area, Layout};
 use crate::ids::Tti;
 use crate::sensing::Sensing;
+use crate::units::Energy;
 
 /// The version of the form of [`Scenario::hash`].
 const FORM: &str = "reveille scenario 2";
@@ -96,6 +97,18 @@ impl Scenario {
     /// The first TTI that counts in the metrics.
     pub fn warm_up_end(&self) -> Tti {
         Tti((self.ttis as f64 * self.warm_up).floor() as u64)
+    }
+
+    /// The longest run with such devices, TTIs, of which all sums of energy fit in 64 bits.
+    pub fn longest(&self) -> u64 {
+        let per_tti = u128::from(self.devices) * u128::from(self.largest_energy().micro().max(1));
+        u64::try_from(u128::from(u64::MAX) / per_tti).unwrap_or(u64::MAX)
+    }
+
+    /// The most that a device can hold or harvest in a TTI.
+    pub(super) fn largest_energy(&self) -> Energy {
+        let largest = |class: &DeviceClass| class.energy.e_max.max(class.harvest.peak());
+        self.classes.iter().map(largest).max().unwrap_or_default()
     }
 
     /// What a base station knows of its site.
@@ -229,6 +242,11 @@ impl PolicyChoice {
     /// What a user should know before a run, a sentence each.
     pub fn warnings(&self) -> Vec<String> {
         self.settings.warnings()
+    }
+
+    /// See [`PolicySettings::own_runs`].
+    pub fn own_runs(&self) -> Vec<(&'static str, u64)> {
+        self.settings.own_runs()
     }
 }
 

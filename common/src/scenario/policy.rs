@@ -14,6 +14,11 @@ pub trait PolicySettings: Any + Debug + Send + Sync {
     fn warnings(&self) -> Vec<String> {
         Vec::new()
     }
+
+    /// The lengths of runs that the policy has made for itself, TTIs, each with the path of the field that says it.
+    fn own_runs(&self) -> Vec<(&'static str, u64)> {
+        Vec::new()
+    }
 }
 
 /// The settings of a policy that has none.

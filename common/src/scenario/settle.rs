@@ -64,18 +64,17 @@ pub(super) fn settle(
     Ok(scenario)
 }
 
-/// Energy sums over all devices and TTIs have to fit in 64 bits.
+/// Energy sums over all devices and TTIs have to fit in 64 bits, those of runs that the policy makes for itself too.
 fn bounded(reader: &Reader<'_>, scenario: &Scenario) -> Result<(), ScenarioError> {
-    let largest = |class: &DeviceClass| class.energy.e_max.max(class.harvest.peak());
-    let largest = scenario.classes.iter().map(largest).max().unwrap_or_default();
-    let per_tti = u128::from(scenario.devices) * u128::from(largest.micro().max(1));
-    let most = u128::from(u64::MAX) / per_tti;
-    if u128::from(scenario.ttis) <= most {
+    let most = scenario.longest();
+    let lengths = std::iter::once(("ttis", scenario.ttis)).chain(scenario.policy.own_runs());
+    let Some((path, ttis)) = lengths.into_iter().find(|(_, ttis)| *ttis > most) else {
         return Ok(());
-    }
+    };
     let allowed = format!(
-        "must be at most {most} with {} devices that hold or harvest up to {largest}, or sums of energy overflow",
-        scenario.devices
+        "must be at most {most} with {} devices that hold or harvest up to {}, or sums of energy overflow",
+        scenario.devices,
+        scenario.largest_energy()
     );
-    Err(reader.refuse("ttis", scenario.ttis, allowed))
+    Err(reader.refuse(path, ttis, allowed))
 }

@@ -28,7 +28,7 @@ pub enum AnalyseCommand {
             (the distribution, bin by bin)"
     )]
     Battery(BatteryArgs),
-    /// Sec. V-A: E(I_min) over deployments of each layout, beside p(√(ξ/2N)).
+    /// Sec. V-A: E(I_min) over deployments of each layout, beside Ψ p(√(ξ/2N)).
     #[command(after_help = "Example:\n  reveille analyse imin --layouts uniform,grid --devices 10,50,250 --seeds 1000")]
     Imin(IminArgs),
     /// Figs. 13 and 14: harvest and net energy against λ, closed form and measured.

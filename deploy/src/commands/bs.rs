@@ -133,12 +133,12 @@ pub async fn serve(
     });
     let bar = Bar::start(progress, scenario, output.quiet);
     let (preparing, served) = match set_up(scenario, progress).await {
-        Ok(prepared) => (
-            started.elapsed(),
-            host::serve(bus, &prepared, settings, progress, &mut folder)
-                .await
-                .map_err(anyhow::Error::from),
-        ),
+        Ok(prepared) => {
+            let preparing = started.elapsed();
+            prepared.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
+            let served = host::serve(bus, &prepared, settings, progress, &mut folder).await;
+            (preparing, served.map_err(anyhow::Error::from))
+        }
         Err(error) => (started.elapsed(), Err(error)),
     };
     relay.abort();

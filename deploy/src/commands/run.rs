@@ -11,7 +11,7 @@ use reveille_bs::host::Progress;
 use reveille_bs::observe::{Happening, Observer};
 use reveille_common::scenario::Scenario;
 use reveille_common::score::WindowRecord;
-use reveille_lab::preparation::start;
+use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Options, Run};
 
 use super::conclusion::{conclude, window};
@@ -38,7 +38,10 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let bar = Bar::start(&progress, &scenario, args.output.quiet);
     let started = crate::wall::now();
     let run = match set_up(&scenario, options, &stop) {
-        Ok(run) => run,
+        Ok((run, warnings)) => {
+            warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
+            run
+        }
         Err(error) => {
             folder.fail(&error);
             return Err(error);
@@ -66,13 +69,15 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
 }
 
 /// Sets a run up on another thread, which takes a while with a million devices or a search before the run; at a signal
-/// it is given up, since there is nothing to lose yet.
-fn set_up(scenario: &Scenario, options: Options, stop: &AtomicBool) -> anyhow::Result<Run> {
+/// it is given up, since there is nothing to lose yet. Also gives what the user should know of the search.
+fn set_up(scenario: &Scenario, options: Options, stop: &AtomicBool) -> anyhow::Result<(Run, Vec<String>)> {
     let (sender, receiver) = channel();
     let scenario = scenario.clone();
     std::thread::spawn(move || {
+        let prepared = prepare(&scenario);
+        let run = Run::new(&prepared, options);
         // After a signal nobody waits for it.
-        let _ = sender.send(start(&scenario, options));
+        let _ = sender.send((run, prepared.warnings));
     });
     loop {
         match receiver.recv_timeout(LOOK) {

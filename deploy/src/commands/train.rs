@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::bail;
 use indicatif::ProgressBar;
 use reveille_bs::policy::q_learning::learned::CurvePoint;
+use reveille_bs::scenario::Scenario;
 use reveille_lab::io::replace;
 use reveille_lab::training::{Trainer, TrainingError, TrainingProgress, checkpoint};
 
@@ -24,7 +25,20 @@ pub fn run(command: &TrainCommand) -> anyhow::Result<ExitCode> {
 
 fn q_learning(args: &TrainArgs) -> anyhow::Result<ExitCode> {
     let scenario = resolve(&args.scenario()?)?;
-    let mut trainer = Trainer::new(&scenario, &args.devices, &args.episodes.training()?)?;
+    let training = args.episodes.training()?;
+    let largest = Scenario {
+        devices: args.devices.iter().copied().max().unwrap_or(1).max(1),
+        ..scenario.clone()
+    };
+    if training.ttis > largest.longest() {
+        bail!(
+            "--episode-ttis {}: must be at most {} with {} devices and their energies, or sums of energy overflow",
+            training.ttis,
+            largest.longest(),
+            largest.devices
+        );
+    }
+    let mut trainer = Trainer::new(&scenario, &args.devices, &training)?;
     if args.out.exists() && !args.force {
         bail!(TrainingError::Taken(args.out.clone()));
     }

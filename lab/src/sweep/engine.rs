@@ -25,6 +25,8 @@ pub trait SweepProgress: Sync {
     fn started(&self, cell: usize);
     /// The thread has finished that run.
     fn finished(&self, cell: usize);
+    /// What the user should know of a run of `cell`, a sentence without its stop.
+    fn warned(&self, _cell: usize, _warning: &str) {}
     /// Whether to stop; runs under way are given up.
     fn stop(&self) -> bool;
 }
@@ -161,7 +163,11 @@ fn one(grid: &Grid, job: Job, workshop: &Workshop, observer: &impl SweepProgress
         window: (STOP_DEVICE_TTIS / u64::from(scenario.devices)).max(1),
         ..Options::default()
     };
-    let outcome = Run::new(&workshop.prepare(&scenario), options).finish(&mut StopWhen(|| observer.stop()));
+    let prepared = workshop.prepare(&scenario);
+    for warning in &prepared.warnings {
+        observer.warned(job.cell as usize, warning);
+    }
+    let outcome = Run::new(&prepared, options).finish(&mut StopWhen(|| observer.stop()));
     let row = Row::new(&scenario, cell.swept.clone(), &outcome);
     outcome.complete.then(|| Entry::from(&row))
 }

@@ -41,8 +41,11 @@ impl Cell {
     /// Device-TTIs of a run, those of a search before it included.
     pub fn device_ttis(&self) -> u64 {
         let pilots = pilots(POLICIES, &self.scenario.policy);
-        let searched = pilots.map_or(0, |pilots| pilots.candidates().len() as u64 * pilots.ttis());
-        u64::from(self.scenario.devices) * (self.scenario.ttis + searched)
+        let searched = pilots.map_or(0, |pilots| {
+            pilots.ttis().saturating_mul(pilots.candidates().len() as u64)
+        });
+        let ttis = self.scenario.ttis.saturating_add(searched);
+        ttis.saturating_mul(u64::from(self.scenario.devices))
     }
 }
 

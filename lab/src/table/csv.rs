@@ -115,7 +115,7 @@ fn rows(schema: &Schema, records: &[csv::StringRecord]) -> Result<Vec<Row>, Refu
                 *slot = fields.get(first + at)?;
             }
         }
-        rows.push(Row {
+        let row = Row {
             scenario_hash: fields.get(0)?,
             preset: preset.of(&record[1]),
             policy: policy.of(&record[2]),
@@ -126,7 +126,8 @@ fn rows(schema: &Schema, records: &[csv::StringRecord]) -> Result<Vec<Row>, Refu
             metrics,
             events: fields.get(first + Metrics::COUNT)?,
             digest: fields.get(first + Metrics::COUNT + 1)?,
-        });
+        };
+        rows.push(row.check(number + 1)?);
     }
     Ok(rows)
 }

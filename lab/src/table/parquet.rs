@@ -323,7 +323,7 @@ fn read_group(group: &dyn RowGroupReader, schema: &Schema, rows: &mut Vec<Row>) 
         if *cell != *values {
             cell = Arc::from(values);
         }
-        rows.push(Row {
+        let row = Row {
             scenario_hash: hashes[at],
             preset: preset.of(&presets[at]),
             policy: policy.of(&policies[at]),
@@ -334,7 +334,8 @@ fn read_group(group: &dyn RowGroupReader, schema: &Schema, rows: &mut Vec<Row>) 
             metrics: std::array::from_fn(|metric| metrics[metric][at]),
             events: positive(events[at], "events")?,
             digest: digests[at],
-        });
+        };
+        rows.push(row.check(rows.len() + 1)?);
     }
     Ok(())
 }

@@ -9,6 +9,7 @@ use reveille_common::scenario::Scenario;
 use reveille_common::score::Metrics;
 
 use super::columns::Value;
+use super::error::Refusal;
 
 /// A SHA-256 sum; shown and read as 64 hexadecimal digits.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -41,6 +42,9 @@ impl FromStr for Hash {
         Ok(Self(sum))
     }
 }
+
+/// No metric of any run is as large: a table with a larger one, or an infinite one, was not written by Reveille.
+const LARGEST_METRIC: f64 = 1e15;
 
 /// One run: what it was and what came out.
 #[derive(Clone, Debug)]
@@ -81,6 +85,19 @@ impl Row {
             metrics: outcome.metrics.values(),
             events: outcome.metrics.events,
             digest: Hash(outcome.digest.bytes()),
+        }
+    }
+
+    /// Checks that its metrics are numbers that a run can come to; `number` is the row's, from 1.
+    pub(super) fn check(self, number: usize) -> Result<Self, Refusal> {
+        let is_odd = |value: &f64| value.abs() > LARGEST_METRIC;
+        match self.metrics.iter().position(is_odd) {
+            None => Ok(self),
+            Some(at) => Err(Refusal::Broken(format!(
+                "row {number}, {}: no run comes to {:e}",
+                Metrics::NAMES[at],
+                self.metrics[at]
+            ))),
         }
     }
 

@@ -15,7 +15,7 @@ pub enum TuningError {
         /// The value that was given.
         value: String,
         /// What the value may be.
-        allowed: &'static str,
+        allowed: String,
     },
     /// The tables of a pair cannot be trained.
     #[error(transparent)]

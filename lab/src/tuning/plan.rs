@@ -73,11 +73,11 @@ impl Plan {
     /// The policy is not `q-learning`, or a number is out of its range.
     pub fn check(&self) -> Result<(), TuningError> {
         Trainer::new(&self.scenario, &[self.scenario.devices], &self.training)?;
-        let invalid = |what, value: &dyn std::fmt::Display, allowed| {
+        let invalid = |what, value: &dyn std::fmt::Display, allowed: &str| {
             Err(TuningError::Invalid {
                 what,
                 value: value.to_string(),
-                allowed,
+                allowed: allowed.to_owned(),
             })
         };
         if !(LEAST_DESIGN..=MOST_DESIGN).contains(&self.design) {
@@ -88,6 +88,13 @@ impl Plan {
         }
         if !(10..=MAX_TTIS).contains(&self.ttis) {
             return invalid("ttis", &self.ttis, "must be at least 10 and at most 1000000000");
+        }
+        let longest = self.scenario.longest();
+        for (what, ttis) in [("ttis", self.ttis), ("episode-ttis", self.training.ttis)] {
+            if ttis > longest {
+                let allowed = format!("must be at most {longest} with so many devices, or sums of energy overflow");
+                return invalid(what, &ttis, &allowed);
+            }
         }
         if let Objective::Balance { energy, miss } = self.objective {
             for (what, weight) in [("energy-weight", energy), ("miss-weight", miss)] {

@@ -39,7 +39,7 @@ impl Ranges {
                 return Err(TuningError::Invalid {
                     what,
                     value: format!("{from},{to}"),
-                    allowed: "must be two weights above 0 and at most 1000000, the lesser first",
+                    allowed: "must be two weights above 0 and at most 1000000, the lesser first".to_owned(),
                 });
             }
         }

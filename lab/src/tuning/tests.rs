@@ -138,6 +138,18 @@ fn plans_out_of_range_are_refused() {
     };
     assert!(plan().check().is_ok());
     refused(&|p| p.design = 2, "design");
+    let many = |p: &mut Plan| p.scenario = scenario(&["devices=1000000", "energy.e_max=10000", "ttis=100"]);
+    let long = |of: fn(&mut Plan)| {
+        move |p: &mut Plan| {
+            many(p);
+            of(p);
+        }
+    };
+    refused(&long(|p| p.ttis = 2000), "ttis = 2000: must be at most 1844");
+    refused(
+        &long(|p| p.training.ttis = 2000),
+        "episode-ttis = 2000: must be at most 1844",
+    );
     refused(&|p| p.runs = 0, "seeds");
     refused(&|p| p.ttis = 3, "ttis");
     refused(&|p| p.training.episodes = 0, "episodes");

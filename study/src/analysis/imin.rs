@@ -11,11 +11,11 @@ use reveille_lab::stats::Estimate;
 /// I_min of the deployments of one scenario.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IMin {
-    /// p(d*) over the deployments, one for each seed.
+    /// Ψ p(d*) over the deployments, one for each seed.
     pub measured: Estimate,
     /// The least and the largest of them.
     pub range: (f64, f64),
-    /// p(√(ξ/(2N))), Eq. (`E_Info1`): a square grid.
+    /// Ψ p(√(ξ/(2N))), Eq. (`E_Info1`): a square grid.
     pub grid: f64,
 }
 
@@ -34,7 +34,7 @@ pub fn measure(scenario: &Scenario, seeds: u64) -> Result<IMin, AnalysisError> {
     Ok(IMin {
         measured: Estimate::over(values),
         range: (least, largest),
-        grid: scenario.sensing.p(half_diagonal),
+        grid: scenario.sensing.psi * scenario.sensing.p(half_diagonal),
     })
 }
 

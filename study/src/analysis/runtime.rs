@@ -176,6 +176,7 @@ const fn observe<'a>(
         plan,
         information,
         batteries,
+        levels: None,
     }
 }
 

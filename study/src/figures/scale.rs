@@ -102,8 +102,16 @@ impl Scale {
     }
 }
 
+/// Ticks that are so far apart, or so close together, have labels with an exponent.
+const FAR: f64 = 1e7;
+const CLOSE: f64 = 1e-7;
+
 /// A label for `value` on an axis with ticks `step` apart: as many decimals as the step has.
 pub fn label(value: f64, step: f64) -> String {
+    if value != 0.0 && !(CLOSE..FAR).contains(&step) {
+        // A value is a few steps, and those are 1, 2 or 5 in their first digit.
+        return format!("{value:.1e}").replace(".0e", "e").replace('-', "−");
+    }
     let decimals = (0..9)
         .find(|&d| {
             let scaled = step * power(d);
@@ -211,6 +219,9 @@ mod tests {
             vec![-5.0],
             vec![f64::NAN, 2.0],
             vec![1e-9, 1e9],
+            vec![3e15, 2.0],
+            vec![-1e300, 1e300],
+            vec![1e-300],
         ] {
             for with_zero in [true, false] {
                 let axis = Scale::linear(values.iter().copied(), with_zero);
@@ -221,6 +232,10 @@ mod tests {
                 }
                 let ticks = axis.ticks();
                 assert!((2..=12).contains(&ticks.len()), "{} ticks on {axis:?}", ticks.len());
+                let mut labels: Vec<&str> = ticks.iter().map(|tick| tick.label.as_str()).collect();
+                assert!(labels.iter().all(|label| label.chars().count() <= 11), "{labels:?}");
+                labels.dedup();
+                assert_eq!(labels.len(), ticks.len(), "{labels:?}");
             }
         }
     }

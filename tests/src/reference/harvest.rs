@@ -46,6 +46,18 @@ impl Source {
         }
     }
 
+    /// Of recorded energy: `mean` in each TTI instead.
+    pub(super) fn by_its_mean(self, mean: u64) -> Self {
+        match self {
+            Self::Recorded { .. } => Self::Recorded {
+                rows: vec![mean],
+                ttis_per_row: 1,
+                again: true,
+            },
+            other => other,
+        }
+    }
+
     /// Micro-units that arrive in TTI `k`.
     pub(super) fn arriving(&mut self, k: u64) -> u64 {
         match self {
@@ -87,6 +99,27 @@ impl Source {
     }
 }
 
+/// The mean harvest in a TTI of the `nth` device of its class, whole micro-units.
+pub(super) fn mean(harvest: &Harvest, tau: f64, nth: usize) -> u64 {
+    let share_of = |share: f64, e_b: u64| (share * e_b as f64).round() as u64;
+    match harvest {
+        Harvest::Eq5(Arrivals { lambda, e_b }) => {
+            let rate = lambda * tau;
+            share_of(rate * libm::exp(-rate), e_b.micro())
+        }
+        Harvest::ExpMinusLambda(Arrivals { lambda, e_b }) => share_of(libm::exp(-lambda), e_b.micro()),
+        Harvest::Mpp(Mpp { lambda, e_b, off_mean }) => {
+            let back = 1.0 / off_mean;
+            share_of(back / (lambda + back), e_b.micro())
+        }
+        Harvest::Trace(trace) => {
+            let column = &trace.values[column(trace, nth)];
+            let sum: u64 = column.iter().map(|energy| energy.micro()).sum();
+            sum / column.len() as u64
+        }
+    }
+}
+
 fn arrivals(mut stream: Stream, p: f64, e_b: u64) -> Source {
     let law = Geometric::new(if e_b == 0 { 0.0 } else { p });
     let next = law.draw(&mut stream) - 1;
@@ -111,13 +144,20 @@ fn on_off(mut stream: Stream, stop: f64, start: f64, tau: f64, e_b: u64) -> Sour
     }
 }
 
-fn recorded(trace: &Trace, nth: usize) -> Source {
-    let column = match &trace.columns {
+/// The column that the `nth` device of a class reads.
+fn column(trace: &Trace, nth: usize) -> usize {
+    match &trace.columns {
         TraceColumns::Shared(_) => 0,
         TraceColumns::PerDevice(names) => nth % names.len(),
-    };
+    }
+}
+
+fn recorded(trace: &Trace, nth: usize) -> Source {
     Source::Recorded {
-        rows: trace.values[column].iter().map(|energy| energy.micro()).collect(),
+        rows: trace.values[column(trace, nth)]
+            .iter()
+            .map(|energy| energy.micro())
+            .collect(),
         ttis_per_row: trace.ttis_per_row,
         again: trace.end == TraceEnd::Cycle,
     }

@@ -2,15 +2,14 @@
 
 use std::f64::consts::PI;
 
-use reveille_bs::beliefs::clusters::Clusters;
-use reveille_bs::beliefs::ranking::i_min;
-use reveille_bs::policy::adjusted::search::DutyChoice;
-use reveille_bs::policy::contract::Opaque;
 use reveille_bs::policy::knn::settings::KnnSettings;
 use reveille_common::geometry::Point;
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::scenario::Scenario;
-use reveille_lab::preparation::prepare;
+
+use super::clusters::clusters;
+use super::least::least_information;
+use super::search::search;
 
 /// Points of the midpoint rule for the mean over φ.
 const POINTS: u32 = 2048;
@@ -31,6 +30,8 @@ pub enum Policy {
     },
     /// One duty cycle, staggered; everyone is a candidate.
     Adjusted {
+        /// The place of each device in the order of offsets.
+        turns: Vec<u64>,
         /// `t_on`.
         t_on: u64,
         /// `t_DRX`.
@@ -61,6 +62,8 @@ pub(super) struct Situation<'a> {
     pub(super) information: f64,
     /// Devices woken in this TTI.
     pub(super) woken: &'a [usize],
+    /// By device, whether it can pay for a report as far as the base station knows.
+    pub(super) able: &'a [bool],
 }
 
 /// A device that has told how far it is from the event.
@@ -98,42 +101,47 @@ impl Policy {
                     .collect(),
             ),
             "adjusted" => {
-                let choice = *prepare(scenario)
-                    .findings
-                    .as_ref()
-                    .and_then(Opaque::get::<DutyChoice>)
-                    .expect("the search finds a pair");
-                Self::Adjusted {
-                    t_on: u64::from(choice.t_on),
-                    t_drx: u64::from(choice.t_drx),
-                    everyone: vec![(0..positions.len()).collect()],
-                    enough: i_min(positions, scenario.area, &scenario.sensing),
-                }
+                let (t_on, t_drx) = search(scenario, positions);
+                Self::adjusted(scenario, positions, (t_on, t_drx))
             }
             "knn" => {
                 let settings = scenario.policy.settings::<KnnSettings>().expect("settings of knn");
-                let clusters = Clusters::form(
+                let members = clusters(
                     positions,
                     scenario.area,
                     scenario.sensing.d_max,
-                    settings.voting(),
+                    (settings.neighbours as usize, settings.limit_radius),
                     Stream::new(scenario.seed, Purpose::Clusters, 0),
                 );
-                let mut members: Vec<Vec<usize>> = clusters
-                    .members
-                    .iter()
-                    .map(|cluster| cluster.iter().map(|device| device.index()).collect())
-                    .collect();
-                for cluster in &mut members {
-                    cluster.sort_unstable();
-                }
                 Self::Knn {
                     members,
-                    enough: i_min(positions, scenario.area, &scenario.sensing),
+                    enough: least_information(positions, scenario.area, &scenario.sensing),
                 }
             }
             other => panic!("{other} has no second implementation here"),
         }
+    }
+
+    /// Adjusted duty cycling with this pair, offsets as the seed of `scenario` says.
+    pub(super) fn adjusted(scenario: &Scenario, positions: &[Point], (t_on, t_drx): (u64, u64)) -> Self {
+        // Fisher and Yates, from the last on.
+        let mut turns: Vec<u64> = (0..positions.len() as u64).collect();
+        let mut stream = Stream::new(scenario.seed, Purpose::Offsets, 0);
+        for last in (1..turns.len()).rev() {
+            turns.swap(last, stream.below(last as u64 + 1) as usize);
+        }
+        Self::Adjusted {
+            turns,
+            t_on,
+            t_drx,
+            everyone: vec![(0..positions.len()).collect()],
+            enough: least_information(positions, scenario.area, &scenario.sensing),
+        }
+    }
+
+    /// Whether it wakes devices by what it believes of them.
+    pub(super) const fn ranks(&self) -> bool {
+        matches!(self, Self::Knn { .. } | Self::Adjusted { .. })
     }
 
     /// δ of `device` in TTI `k`.
@@ -144,7 +152,7 @@ impl Policy {
                 let (t_on, t_drx, offset) = cycles[device];
                 (k + offset) % t_drx < t_on
             }
-            Self::Adjusted { t_on, t_drx, .. } => (k + device as u64) % t_drx < *t_on,
+            Self::Adjusted { turns, t_on, t_drx, .. } => (k + turns[device]) % t_drx < *t_on,
             Self::Knn { members, .. } => {
                 let cluster = &members[cluster_of(members, device)];
                 cluster[(k % cluster.len() as u64) as usize] == device
@@ -155,7 +163,7 @@ impl Policy {
     /// What a report of `device`, `d` metres from the event, tells of the others.
     pub(super) fn reporter(&self, scenario: &Scenario, positions: &[Point], device: usize, d: f64) -> Reporter {
         let mut correlation = Vec::new();
-        if matches!(self, Self::Knn { .. } | Self::Adjusted { .. }) {
+        if self.ranks() {
             for position in positions {
                 let gamma = distance(*position, positions[device]);
                 correlation.push((gamma, mean_over_directions(scenario.sensing.eta, d, gamma)));
@@ -190,6 +198,9 @@ impl Policy {
         let mut candidates = Vec::new();
         for j in 0..seen.positions.len() {
             if self.senses(j, seen.k) || seen.woken.contains(&j) || !heard.contains(&cluster_of(members, j)) {
+                continue;
+            }
+            if !seen.able[j] {
                 continue;
             }
             let likelihood = p42(seen, j);

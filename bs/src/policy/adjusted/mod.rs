@@ -1,6 +1,6 @@
-//! Adjusted duty cycling (Sec. V-A, first approach): one (t_on, t_DRX) for all devices, with staggered offsets, found
-//! by exhaustive search for the deployment; after a report any sleeping device may be woken, most correlated first,
-//! until Î ≥ I_min.
+//! Adjusted duty cycling (Sec. V-A, first approach): one (t_on, t_DRX) for all devices, found by exhaustive search for
+//! the deployment, with offsets that are staggered in an order drawn once; after a report any sleeping device may be
+//! woken, most correlated first, until Î ≥ I_min.
 //!
 //! The search runs the devices too, so whoever drives both sides makes the pilot runs; what they bring is judged in
 //! [`search`], and the policy is handed what was found.
@@ -14,6 +14,7 @@ use reveille_common::declare::{Reader, ScenarioError, Section};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Report;
 use reveille_common::plan::{DutyCycle, Plan};
+use reveille_common::rng::PolicyPurpose;
 use reveille_common::scenario::{PolicyChoice, PolicyKind, PolicySettings, Site};
 
 use self::search::{DutyChoice, Search};
@@ -29,28 +30,34 @@ use crate::observation::Observation;
 /// The `adjusted` policy.
 pub struct Adjusted {
     choice: DutyChoice,
+    /// The turn of each device, `0 .. N`. In the order of numbers neighbours on a regular layout would take theirs
+    /// together, and leave the rest of the area blind meanwhile.
+    turns: Vec<u32>,
     aim: Aim,
 }
 
 impl Adjusted {
     /// The policy with the duty cycle that the search has found.
     pub fn new(known: &Knowledge, choice: DutyChoice) -> Self {
+        let mut turns: Vec<u32> = (0..known.n() as u32).collect();
+        known.streams.stream(PolicyPurpose::Offsets, 0).shuffle(&mut turns);
         Self {
             choice,
+            turns,
             aim: Aim::new(known),
         }
     }
 }
 
 impl Policy for Adjusted {
-    fn decide(&mut self, seen: &Observation<'_>) -> Plan {
+    fn decide(&mut self, _: &Observation<'_>) -> Plan {
         let DutyChoice { t_on, t_drx, .. } = self.choice;
-        let cycle = |j: u32| DutyCycle {
+        let cycle = |turn: &u32| DutyCycle {
             t_on,
             t_drx,
-            offset: j % t_drx,
+            offset: turn % t_drx,
         };
-        Plan::Periodic((0..seen.known.n() as u32).map(cycle).collect())
+        Plan::Periodic(self.turns.iter().map(cycle).collect())
     }
 
     fn next_decision(&self, _: Tti) -> Tti {
@@ -75,6 +82,8 @@ impl Policy for Adjusted {
             t_drx,
             reaches_i_min,
             pairs,
+            pilot_events,
+            pilot_ttis,
             device_ttis,
         } = self.choice;
         vec![
@@ -83,6 +92,8 @@ impl Policy for Adjusted {
             ("i_min", self.aim.i_min()),
             ("reaches_i_min", f64::from(u8::from(reaches_i_min))),
             ("searched_pairs", f64::from(pairs)),
+            ("pilot_events", pilot_events as f64),
+            ("pilot_ttis", pilot_ttis as f64),
             ("searched_device_ttis", device_ttis as f64),
         ]
     }

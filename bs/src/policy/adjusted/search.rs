@@ -1,13 +1,12 @@
 //! The choice among the duty cycles of a grid (Sec. V-A, P2): the (t_on, t_DRX) of least mean consumption among those
-//! that reach I_min in their pilot runs, or, if none does, the one of most information.
-
-use reveille_common::score::Metrics;
+//! that reach I_min in their pilot runs, or, if none does, the one of most information. If no pilot run has an event,
+//! nothing is known but what the pairs spend, and the least decides.
 
 use super::settings::AdjustedSettings;
 use crate::beliefs::ranking::i_min;
 use crate::knowledge::Knowledge;
 use crate::policy::contract::Opaque;
-use crate::policy::pilots::Pilots;
+use crate::policy::pilots::{Pilots, Trials};
 
 /// A duty cycle of the grid and how its pilot run went.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,6 +32,10 @@ pub struct DutyChoice {
     pub reaches_i_min: bool,
     /// Pairs judged.
     pub pairs: u32,
+    /// Events that the pilot run with the fewest held.
+    pub pilot_events: u64,
+    /// Length of a pilot run, TTIs.
+    pub pilot_ttis: u64,
     /// Device-TTIs of all pilot runs together.
     pub device_ttis: u64,
 }
@@ -43,14 +46,15 @@ pub struct Search(pub AdjustedSettings);
 
 impl Search {
     /// The duty cycles of the grid with what their pilot runs brought, in the order of the grid.
-    pub fn trials(&self, pilots: &[Metrics]) -> Vec<Trial> {
-        let trial = |((t_on, t_drx), metrics): ((u32, u32), &Metrics)| Trial {
+    pub fn judged(&self, trials: &Trials) -> Vec<Trial> {
+        let pairs = self.0.pairs().zip(&trials.metrics);
+        let trial = pairs.map(|((t_on, t_drx), metrics)| Trial {
             t_on,
             t_drx,
             information: metrics.info_per_event,
             energy: metrics.energy_per_device_tti,
-        };
-        self.0.pairs().zip(pilots).map(trial).collect()
+        });
+        trial.collect()
     }
 }
 
@@ -59,28 +63,51 @@ impl Pilots for Search {
         self.0.pilot_ttis
     }
 
+    fn events(&self) -> u64 {
+        self.0.pilot_events
+    }
+
+    fn limit(&self) -> u64 {
+        self.0.pilot_limit
+    }
+
     fn candidates(&self) -> Vec<Opaque> {
         let candidate = |(t_on, t_drx)| DutyChoice {
             t_on,
             t_drx,
             reaches_i_min: false,
             pairs: 1,
+            pilot_events: 0,
+            pilot_ttis: 0,
             device_ttis: 0,
         };
         self.0.pairs().map(|pair| Opaque::new(candidate(pair))).collect()
     }
 
-    fn judge(&self, known: &Knowledge, pilots: &[Metrics]) -> Opaque {
+    fn judge(&self, known: &Knowledge, trials: &Trials) -> Opaque {
         let threshold = i_min(&known.positions(), known.area, &known.sensing);
-        let (best, reaches_i_min) = choose(&self.trials(pilots), threshold).expect("the grid holds a pair");
-        let pairs = pilots.len() as u32;
+        let (best, reaches_i_min) = choose(&self.judged(trials), threshold).expect("the grid holds a pair");
         Opaque::new(DutyChoice {
             t_on: best.t_on,
             t_drx: best.t_drx,
             reaches_i_min,
-            pairs,
-            device_ttis: u64::from(pairs) * known.n() as u64 * self.0.pilot_ttis,
+            pairs: trials.metrics.len() as u32,
+            pilot_events: trials.fewest_events(),
+            pilot_ttis: trials.ttis,
+            device_ttis: trials.all_ttis.saturating_mul(known.n() as u64),
         })
+    }
+
+    fn warnings(&self, trials: &Trials) -> Vec<String> {
+        if trials.fewest_events() >= self.0.pilot_events {
+            return Vec::new();
+        }
+        vec![format!(
+            "the duty cycle of adjusted is hardly more than a guess: its pilot runs were to hold {} events each, and \
+             not all do in {} TTIs; raise policy.adjusted.pilot_limit, or leave one pair in policy.adjusted.t_on and \
+             policy.adjusted.t_drx",
+            self.0.pilot_events, trials.ttis
+        )]
     }
 }
 
@@ -88,21 +115,14 @@ impl Pilots for Search {
 pub fn choose(trials: &[Trial], i_min: f64) -> Option<(Trial, bool)> {
     let reaching = trials.iter().filter(|trial| trial.information >= i_min);
     let least = reaching.min_by(|a, b| a.energy.total_cmp(&b.energy));
-    let information = |trial: &Trial| {
-        if trial.information.is_nan() {
-            -1.0
-        } else {
-            trial.information
-        }
-    };
+    if let Some(trial) = least {
+        return Some((*trial, true));
+    }
+    let with_events = trials.iter().filter(|trial| !trial.information.is_nan());
     // Of equals `max_by` takes the last, hence the reversal.
-    let most = || {
-        let rising = trials.iter().rev();
-        rising.max_by(|a, b| information(a).total_cmp(&information(b)))
-    };
-    least
-        .map(|trial| (*trial, true))
-        .or_else(|| most().map(|trial| (*trial, false)))
+    let most = with_events.rev().max_by(|a, b| a.information.total_cmp(&b.information));
+    let cheapest = || trials.iter().min_by(|a, b| a.energy.total_cmp(&b.energy));
+    most.or_else(cheapest).map(|trial| (*trial, false))
 }
 
 #[cfg(test)]
@@ -130,5 +150,9 @@ mod tests {
         assert_eq!(chosen(0.5), Some((3, true)));
         assert_eq!(chosen(0.7), Some((3, false)));
         assert_eq!(choose(&[], 0.1), None);
+        // Of pairs that nothing is known of, the first of those that spend least.
+        let unknown = [(1, 0.4), (2, 0.3), (3, 0.5), (4, 0.3)].map(|(t_on, energy)| trial(t_on, f64::NAN, energy));
+        let chosen = choose(&unknown, 0.1).map(|(trial, reaches)| (trial.t_on, reaches));
+        assert_eq!(chosen, Some((2, false)));
     }
 }

@@ -18,8 +18,12 @@ declare! {
         t_drx: Vec<u32> = wholes(1, DutyCycle::LONGEST, MOST_CYCLES, &[2, 4, 8, 16, 32])
             .unit("TTIs")
             .source("Sec. V-A"),
-        /// Length of the pilot run that judges a pair; its first quarter is left out.
+        /// Length of the pilot run that judges a pair; its first quarter is left out. Made longer where events are rare.
         pilot_ttis: u64 = whole(4, MAX_TTIS, 2000).unit("TTIs"),
+        /// Events that each pilot run has to hold, or all are made twice as long, and again.
+        pilot_events: u64 = whole(0, 1_000_000, 30),
+        /// How long pilot runs may get for the sake of events; one that still holds too few is warned of.
+        pilot_limit: u64 = whole(4, MAX_TTIS, 200_000).unit("TTIs"),
     }
 }
 
@@ -30,8 +34,13 @@ pub struct AdjustedSettings {
     pub t_on: Vec<u32>,
     /// Values of t_DRX to search, TTIs, each 1 ..= 2²⁴. At least one pair has t_on ≤ t_DRX.
     pub t_drx: Vec<u32>,
-    /// Length of the pilot run that judges a pair, TTIs, ≥ 4; its first quarter is left out.
+    /// Length of the pilot run that judges a pair, TTIs, ≥ 4; its first quarter is left out. Made longer where events
+    /// are rare.
     pub pilot_ttis: u64,
+    /// Events that each pilot run has to hold, or all are made twice as long, and again.
+    pub pilot_events: u64,
+    /// How long pilot runs may get for the sake of events, TTIs.
+    pub pilot_limit: u64,
 }
 
 impl AdjustedSettings {
@@ -47,11 +56,15 @@ impl AdjustedSettings {
             t_on,
             t_drx,
             pilot_ttis,
+            pilot_events,
+            pilot_limit,
         } = Fields::read(reader)?;
         let settings = Self {
             t_on,
             t_drx,
             pilot_ttis,
+            pilot_events,
+            pilot_limit,
         };
         if settings.pairs().next().is_none() {
             let allowed = "must hold a value that is not longer than one of policy.adjusted.t_drx";
@@ -76,7 +89,14 @@ impl PolicySettings for AdjustedSettings {
             t_on: self.t_on.clone(),
             t_drx: self.t_drx.clone(),
             pilot_ttis: self.pilot_ttis,
+            pilot_events: self.pilot_events,
+            pilot_limit: self.pilot_limit,
         };
         fields.visit(sink);
+    }
+
+    fn own_runs(&self) -> Vec<(&'static str, u64)> {
+        // What `pilot_limit` allows on top is cut to what sums allow.
+        vec![("policy.adjusted.pilot_ttis", self.pilot_ttis)]
     }
 }

@@ -53,6 +53,10 @@ impl Policy for Random {
         Tti::NEVER
     }
 
+    fn wakes(&self) -> bool {
+        false
+    }
+
     fn reported(&mut self, _: &Observation<'_>, _: &[Report]) {}
 
     fn next_wake_up(&mut self, _: &Observation<'_>) -> Option<DeviceId> {

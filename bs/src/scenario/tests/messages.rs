@@ -87,6 +87,12 @@ fn messages_name_field_value_range_and_line() {
             "",
         ),
         (
+            "devices = 1_000_000\nttis = 1000\npolicy.name = \"adjusted\"\npolicy.adjusted.pilot_ttis = 1_000_000",
+            "policy.adjusted.pilot_ttis = 1000000: must be at most 184467 with 1000000 devices that hold or harvest up \
+             to 100 units",
+            "line 4",
+        ),
+        (
             "devices = 1_000_000\nttis = 1_000_000_000",
             "ttis = 1000000000: must be at most 184467",
             "line 2",

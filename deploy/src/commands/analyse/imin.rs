@@ -53,14 +53,14 @@ pub fn run(args: &IminArgs) -> anyhow::Result<ExitCode> {
         title: format!("E(I_min) over deployments · {about}"),
         sheets: vec![Sheet {
             name: "imin",
-            title: "I_min = p(d*), d* the largest distance from a device to a vertex of its Voronoi cell; \
-                grid_formula: p(√(ξ/2N))."
+            title: "I_min = Ψ p(d*), d* the largest distance from a device to a vertex of its Voronoi cell; \
+                grid_formula: Ψ p(√(ξ/2N))."
                 .to_owned(),
             columns: COLUMNS,
             rows,
         }],
         notes: vec![
-            "p(√(ξ/2N)) is the value of a square grid; that of a random layout is governed by its largest hole and \
+            "Ψ p(√(ξ/2N)) is the value of a square grid; that of a random layout is governed by its largest hole and \
              lies below. grid and hex do not depend on the seed."
                 .to_owned(),
         ],

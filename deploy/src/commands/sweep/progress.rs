@@ -3,6 +3,7 @@
 //! The time that is left is estimated from what each cell's runs have taken so far; for cells of which none has
 //! finished, from their device-TTIs at the mean rate of the others.
 
+use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::ThreadId;
@@ -27,6 +28,8 @@ pub struct Progress {
     began: Instant,
     under_way: Mutex<Vec<(ThreadId, Instant)>>,
     drawn: Mutex<Instant>,
+    /// The cells that were warned of.
+    warned: Mutex<BTreeSet<(usize, String)>>,
 }
 
 /// How far the runs of one cell are.
@@ -69,6 +72,7 @@ impl Progress {
             began: now,
             under_way: Mutex::new(Vec::with_capacity(threads)),
             drawn: Mutex::new(now),
+            warned: Mutex::default(),
         }
     }
 
@@ -77,8 +81,8 @@ impl Progress {
         self.bar.finish_and_clear();
         self.cells
             .iter()
-            .map(|cell| cell.cost * cell.done.load(Ordering::Relaxed))
-            .sum()
+            .map(|cell| cell.cost.saturating_mul(cell.done.load(Ordering::Relaxed)))
+            .fold(0, u64::saturating_add)
     }
 
     /// Runs that were made.
@@ -98,8 +102,12 @@ impl Progress {
         let (done, planned) = self.cells.iter().fold((0, 0), |(done, planned), cell| {
             (done + get(&cell.done), planned + get(&cell.planned))
         });
-        let work: u64 = self.cells.iter().map(|cell| cell.cost * get(&cell.done)).sum();
-        let rate = work as f64 / now.duration_since(self.began).as_secs_f64();
+        let work: f64 = self
+            .cells
+            .iter()
+            .map(|cell| cell.cost as f64 * get(&cell.done) as f64)
+            .sum();
+        let rate = work / now.duration_since(self.began).as_secs_f64();
         self.bar.set_length(planned);
         self.bar.set_position(done);
         self.bar.set_message(format!(
@@ -117,10 +125,10 @@ impl Progress {
             (cell, done, nanos)
         });
         let known: Vec<_> = known.collect();
-        let (work, time) = known.iter().fold((0, 0), |(work, time), (cell, done, nanos)| {
-            (work + cell.cost * done, time + nanos)
+        let (work, time) = known.iter().fold((0.0, 0.0), |(work, time), (cell, done, nanos)| {
+            (work + cell.cost as f64 * *done as f64, time + *nanos as f64)
         });
-        let mean = time as f64 / (work as f64).max(1.0);
+        let mean = time / work.max(1.0);
         let left: f64 = known
             .iter()
             .map(|&(cell, done, nanos)| {
@@ -158,6 +166,14 @@ impl SweepProgress for Progress {
         self.cells[cell].nanos.fetch_add(nanos, Ordering::Relaxed);
         self.cells[cell].done.fetch_add(1, Ordering::Relaxed);
         self.draw();
+    }
+
+    /// Says it once for a cell, however many of its runs it is true of.
+    fn warned(&self, cell: usize, warning: &str) {
+        let mut warned = self.warned.lock().unwrap_or_else(PoisonError::into_inner);
+        if warned.insert((cell, warning.to_owned())) {
+            self.bar.suspend(|| tracing::warn!("{}: {warning}", self.labels[cell]));
+        }
     }
 
     fn stop(&self) -> bool {

@@ -1,0 +1,257 @@
+use std::sync::Arc;
+
+use reveille_common::deployment::Deployment;
+
+use crate::scenario::{Override, load};
+
+use super::*;
+
+fn known(set: &[&str]) -> Knowledge {
+    let set = ["bs.battery_knowledge=reported"].iter().chain(set);
+    let overrides: Vec<Override> = set.map(|set| Override::parse(set).expect("an override")).collect();
+    let scenario = load("paper", &overrides).expect("a preset");
+    Knowledge::of(&scenario, &Deployment::new(&scenario), Arc::default())
+}
+
+fn report(device: u32, information: f64, units: u64) -> Report {
+    Report {
+        device: DeviceId(device),
+        tti: Tti(0),
+        information,
+        battery: Energy::from_micro(1_000_000 * units),
+    }
+}
+
+#[test]
+fn estimates_follow_what_was_commanded_and_heard() {
+    let mut levels = Levels::new(&known(&[]));
+    let plan = Plan::from_bits((0..50).map(|j| j == 3));
+    for k in 0..10 {
+        levels.pass(Tti(k + 1), &plan);
+    }
+    // eq5: λτ·exp(−λτ)·E_B = 0.1·e^-0.1·5.
+    let harvest = 0.5 * libm::exp(-0.1);
+    let expected = |cost: f64| 50.0 + 10.0 * (harvest - cost);
+    assert!((levels.all()[3].units() - expected(1.0)).abs() < 1e-4);
+    assert!((levels.all()[4].units() - expected(1.0 / 14.0)).abs() < 1e-4);
+    levels.heard(DeviceId(4), Tti(9), Energy::from_micro(7));
+    levels.silent(DeviceId(5), Tti(9), &plan);
+    assert_eq!(levels.all()[4..6], [Energy::from_micro(7), Energy::ZERO]);
+    assert!(!levels.are_told());
+}
+
+/// The estimate of many TTIs at once is that of one after another, until it meets an end of the battery.
+#[test]
+fn an_estimate_over_many_ttis_is_the_sum_of_them() {
+    let known = known(&["energy.e_max=10000", "energy.initial=5000"]);
+    let cycle = |j: u32| reveille_common::plan::DutyCycle {
+        t_on: 1 + j % 3,
+        t_drx: 3 + j % 7,
+        offset: j % 3,
+    };
+    let plan = Plan::Periodic((0..50).map(cycle).collect());
+    let (mut stepped, mut at_once) = (Levels::reckoned(&known), Levels::reckoned(&known));
+    for k in 0..1000 {
+        stepped.pass(Tti(k + 1), &plan);
+    }
+    at_once.pass(Tti(1000), &plan);
+    assert_eq!(stepped.all(), at_once.all());
+    let by_hand = |j: u32| {
+        let on = (0..1000).filter(|k| (k + j % 3) % (3 + j % 7) < 1 + j % 3).count() as u64;
+        5_000_000_000 + 1000 * 452_419 - on * 1_000_000 - (1000 - on) * 71_429
+    };
+    for (level, j) in at_once.all().iter().zip(0..) {
+        assert_eq!(level.micro(), by_hand(j), "device {j}");
+    }
+}
+
+#[test]
+fn a_battery_that_is_full_or_empty_stays_within_its_ends() {
+    let known = known(&["harvest.lambda=1", "harvest.e_b=5"]);
+    let mut levels = Levels::new(&known);
+    let asleep = Plan::from_bits([false; 50]);
+    for k in 0..200 {
+        levels.pass(Tti(k + 1), &asleep);
+    }
+    // Full, and then a TTI is paid for.
+    assert_eq!(levels.all()[0].micro(), 100_000_000 - 71_429);
+    let poor = super::tests::known(&["harvest.lambda=0"]);
+    let (mut levels, on) = (Levels::new(&poor), Plan::from_bits([true; 50]));
+    for k in 0..200 {
+        levels.pass(Tti(k + 1), &on);
+    }
+    assert_eq!(levels.all()[0], Energy::ZERO);
+}
+
+#[test]
+fn who_must_have_seen_the_event_and_is_silent_is_empty() {
+    let plan = Plan::from_bits((0..50).map(|j| j % 2 == 0));
+    let known = known(&["devices=50", "area.width=9", "area.height=9"]);
+    // The event is 1.2 m from device 0: it is within 4 m of all that stand within 2.8 m of that.
+    let first = report(0, libm::exp(-1.2), 33);
+    let second = |j: u32| report(j, libm::exp(-3.9), 21);
+    let near: Vec<u32> = (1..50)
+        .filter(|&j| known.devices[j as usize].position.distance(known.devices[0].position) <= 2.8)
+        .collect();
+    let on: Vec<u32> = near.iter().copied().filter(|j| j % 2 == 0).collect();
+    assert!(
+        on.len() > 1 && on.len() < near.len(),
+        "{on:?} of {near:?}: choose another device"
+    );
+    let mut levels = Levels::new(&known);
+    levels.pass(Tti(1), &plan);
+    let before = levels.all().to_vec();
+    levels.gathered(Tti(0), &plan, &[first, second(on[0])]);
+    for j in 0..50 {
+        let expected = match j {
+            0 => Energy::from_micro(33_000_000),
+            j if j == on[0] => Energy::from_micro(21_000_000),
+            j if on.contains(&j) => Energy::ZERO,
+            j => before[j as usize],
+        };
+        assert_eq!(levels.all()[j as usize], expected, "device {j}");
+    }
+    // Where detection is a matter of chance, silence tells little.
+    let mut chance = known.clone();
+    chance.sensing.kind = DetectionKind::Probabilistic;
+    let mut levels = Levels::new(&chance);
+    levels.pass(Tti(1), &plan);
+    levels.gathered(Tti(0), &plan, &[first]);
+    assert_eq!(levels.all()[on[0] as usize], before[on[0] as usize]);
+}
+
+/// Times until a device that never answers is asked again: it is asked whenever it is taken to hold what it takes.
+#[test]
+fn a_device_that_is_found_empty_again_and_again_is_asked_ever_later() {
+    let known = known(&[]);
+    let (mut levels, asleep) = (Levels::reckoned(&known), Plan::from_bits([false; 50]));
+    let device = DeviceId(7);
+    let mut asked = Vec::new();
+    for k in 0..5000 {
+        if levels.can_report(device, Tti(k), &asleep) {
+            levels.silent(device, Tti(k), &asleep);
+            asked.push(k);
+        }
+    }
+    let gaps: Vec<u64> = asked.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    // 10 units at 0.4524 − 0.0714 a TTI take 27 TTIs. From the second time on 11 units take as long as has passed.
+    assert_eq!(gaps[..2], [27, 27], "{gaps:?}");
+    for (gap, found) in gaps.iter().zip(&asked).skip(2) {
+        let passed = (found - asked[0]) as f64;
+        assert!((*gap as f64 - 10.0 / 11.0 * passed).abs() <= 1.0, "{gaps:?}");
+    }
+    assert!(asked.len() < 12, "{asked:?}");
+    // A report takes it back.
+    levels.heard(device, Tti(4999), Energy::ZERO);
+    let next = (5000..6000).find(|&k| levels.can_report(device, Tti(k), &asleep));
+    assert_eq!(next, Some(4999 + 27));
+}
+
+/// The TTIs after which `device`, which alone senses, is taken to be empty.
+fn silent_for(known: &Knowledge, device: u32) -> f64 {
+    let mut levels = Levels::new(known);
+    let plan = Plan::from_bits((0..50).map(|j| j == device));
+    for k in 0..10_000 {
+        levels.pass(Tti(k + 1), &plan);
+        if levels.all()[device as usize] == Energy::ZERO {
+            assert!(levels.all()[2] > Energy::ZERO, "nobody asks a sleeper");
+            return (k + 1) as f64;
+        }
+    }
+    panic!("it is never found out");
+}
+
+#[test]
+fn a_device_that_senses_for_long_without_a_report_is_taken_to_be_empty() {
+    // An event in every second TTI; in the middle of the area the whole reach of π 4² of its 400 m² counts.
+    let mut known = known(&["events.alpha=0.5", "harvest.lambda=1", "harvest.e_b=5"]);
+    known.devices[0].position = Point::new(10.0, 10.0);
+    known.devices[1].position = Point::new(0.0, 0.0);
+    for (kind, share) in [
+        (DetectionKind::Range, std::f64::consts::PI * 16.0 / 400.0),
+        // 2π ∫ r exp(−r) dr from 0 to 4.
+        (
+            DetectionKind::Probabilistic,
+            TAU * (1.0 - 5.0 * libm::exp(-4.0)) / 400.0,
+        ),
+    ] {
+        known.sensing.kind = kind;
+        let expected = 8.0 / (0.5 * share);
+        let [middle, corner] = [0, 1].map(|device| silent_for(&known, device));
+        assert!(
+            (middle / expected - 1.0).abs() < 0.02,
+            "{kind:?}: {middle}, not {expected}"
+        );
+        // A quarter of the reach is inside the area.
+        assert!((corner / (4.0 * expected) - 1.0).abs() < 0.15, "{kind:?}: {corner}");
+    }
+}
+
+#[test]
+fn a_device_among_others_that_report_is_found_out_by_itself() {
+    let mut known = known(&["events.alpha=0.5", "harvest.lambda=1", "harvest.e_b=5"]);
+    known.devices[0].position = Point::new(10.0, 10.0);
+    let mut levels = Levels::new(&known);
+    let plan = Plan::from_bits((0..50).map(|j| j < 2));
+    let expected = 8.0 / (0.5 * std::f64::consts::PI * 16.0 / 400.0);
+    let mut found = None;
+    for k in 0..1000 {
+        levels.pass(Tti(k + 1), &plan);
+        if k % 50 == 0 {
+            levels.heard(DeviceId(1), Tti(k), Energy::from_micro(60_000_000));
+        }
+        assert!(levels.all()[1] > Energy::ZERO);
+        if found.is_none() && levels.all()[0] == Energy::ZERO {
+            found = Some((k + 1) as f64);
+        }
+    }
+    let found = found.expect("it is found out");
+    assert!((found / expected - 1.0).abs() < 0.02, "{found}, not {expected}");
+}
+
+#[test]
+fn a_class_of_which_nobody_is_heard_is_taken_to_charge_ever_slower() {
+    let known = known(&["events.alpha=0.5", "harvest.lambda=1", "harvest.e_b=5"]);
+    let mut levels = Levels::new(&known);
+    let need = Energy::from_micro(11_000_000);
+    // As a policy would: the first four that are charged sense.
+    let (mut asked, mut last) = (Vec::new(), 0);
+    for k in 0..40_000 {
+        let able = (0..50).filter(|&j: &u32| levels.all()[j as usize] >= need).take(4);
+        let chosen: Vec<DeviceId> = able.map(DeviceId).collect();
+        asked.push(chosen.len());
+        last = if chosen.is_empty() { last } else { k };
+        levels.pass(Tti(k + 1), &Plan::from_chosen(50, &chosen));
+    }
+    let in_window = |from: usize, to: usize| asked[from..to].iter().sum::<usize>() as f64 / (to - from) as f64;
+    assert!(in_window(0, 300) > 3.9, "{}", in_window(0, 300));
+    assert!(in_window(20_000, 40_000) < 0.2, "{}", in_window(20_000, 40_000));
+    // A report of one of them, and the others are taken to charge as before.
+    let asleep = Plan::from_bits([false; 50]);
+    levels.heard(DeviceId(3), Tti(40_000), Energy::from_micro(20_000_000));
+    for k in 40_001..40_020 {
+        levels.pass(Tti(k + 1), &asleep);
+    }
+    // 5 e⁻¹ − 1/14 units in each of 19 TTIs.
+    assert!(levels.all().iter().all(|level| *level >= need), "{:?}", levels.all());
+    assert!(last > 20_000, "{last}: they are never asked again");
+}
+
+#[test]
+fn levels_that_are_told_are_not_estimated() {
+    let mut known = known(&[]);
+    known.bs.battery_knowledge = BatteryKnowledge::Oracle;
+    let mut levels = Levels::new(&known);
+    let plan = Plan::from_bits((0..50).map(|j| j == 1));
+    levels.tell((0..50).map(|j| Energy::from_micro(10_000_000 + 50_000 * j)));
+    let before = levels.all().to_vec();
+    levels.pass(Tti(1), &plan);
+    assert_eq!(levels.all(), before);
+    // Before the TTI is paid for: E_Tx and E_WuR, or E_idle, are needed.
+    let able: Vec<u32> = (0..50)
+        .filter(|&j| levels.can_report(DeviceId(j), Tti(1), &plan))
+        .collect();
+    assert_eq!(able, (2..50).collect::<Vec<u32>>());
+    levels.tell((0..50).map(|_| Energy::from_micro(11_000_000)));
+    assert!(levels.can_report(DeviceId(1), Tti(1), &plan));
+}

@@ -1,0 +1,58 @@
+//! A run folder has all that its run needs: it can be moved, and run again, when the files are gone that the scenario
+//! named.
+
+use std::fs;
+
+use reveille_tests::process::Folder;
+
+/// A scenario whose layout, traces and tables are files, two of them of one name.
+fn with_files(folder: &Folder) {
+    for name in ["a", "b"] {
+        fs::create_dir(folder.join(name)).expect("a folder");
+    }
+    folder.write("a/energy.csv", "sun\n2\n0\n1\n");
+    folder.write("b/energy.csv", "sun\n0\n3\n");
+    let points: String = (0..8).map(|i| format!("{},{}\n", 2 + 2 * i, 3 + i)).collect();
+    folder.write("points.csv", &format!("x,y\n{points}"));
+    let trained = folder.run("train q-learning --quiet -n 8 --episodes 1 --episode-ttis 50 --out table.json");
+    assert!(trained.is_success(), "{trained}");
+    folder.write(
+        "my.toml",
+        "devices = 8\nttis = 400\npolicy.name = \"q-learning\"\npolicy.q-learning.table = \"table.json\"\n\
+         [layout]\nkind = \"file\"\nfile = \"points.csv\"\n\
+         [harvest]\nkind = \"trace\"\ntrace.column = \"sun\"\n\
+         [[class]]\nname = \"a\"\nshare = 0.5\nharvest.trace.file = \"a/energy.csv\"\n\
+         [[class]]\nname = \"b\"\nshare = 0.5\nharvest.trace.file = \"b/energy.csv\"\n",
+    );
+}
+
+#[test]
+fn a_run_folder_that_was_moved_can_be_run_again() {
+    let folder = Folder::new();
+    with_files(&folder);
+    let first = folder.summary("run -s my.toml --out first");
+    let text = String::from_utf8(folder.bytes("first/scenario.toml")).expect("text");
+    assert!(!text.contains(&folder.path().display().to_string()), "{text}");
+    assert_eq!(
+        folder.list("first/inputs"),
+        ["energy-2.csv", "energy.csv", "points.csv", "table.json"]
+    );
+    for gone in ["a", "b"] {
+        fs::remove_dir_all(folder.join(gone)).expect("a folder");
+    }
+    for gone in ["points.csv", "table.json", "my.toml"] {
+        fs::remove_file(folder.join(gone)).expect("a file");
+    }
+    fs::create_dir(folder.join("elsewhere")).expect("a folder");
+    fs::rename(folder.join("first"), folder.join("elsewhere/moved")).expect("a move");
+    let again = folder.summary("run -s elsewhere/moved/scenario.toml --out again");
+    assert_eq!(again.digest(), first.digest());
+    // In its own place: what it reads is what it replaces.
+    let own = folder.summary("up -P 0 -s elsewhere/moved/scenario.toml --out elsewhere/moved --force");
+    assert_eq!(own.digest(), first.digest());
+    assert_eq!(folder.list("elsewhere/moved/inputs").len(), 4);
+    // A run without files takes the place of one with them.
+    let plain = folder.summary("run -n 5 -k 50 --out again --force");
+    assert_ne!(plain.digest(), first.digest());
+    assert!(!folder.join("again/inputs").exists());
+}

@@ -1,0 +1,78 @@
+//! What the base station makes of batteries that it is not told: whether a device can pay for a report.
+
+use reveille_common::scenario::EnergyModel;
+
+/// What is made of one battery, micro-units.
+#[derive(Clone, Debug)]
+pub(super) struct Estimate {
+    costs: EnergyModel,
+    /// The mean harvest in a TTI.
+    mean: u64,
+    /// The level that was known last, and the first TTI after that.
+    level: u64,
+    from: u64,
+    /// When the device was first found empty without a report since, and how much later it was found so last.
+    since: Option<u64>,
+    outage: u64,
+}
+
+impl Estimate {
+    pub(super) fn new(costs: EnergyModel, mean: u64) -> Self {
+        Self {
+            level: costs.initial.micro(),
+            costs,
+            mean,
+            from: 0,
+            since: None,
+            outage: 0,
+        }
+    }
+
+    /// The level at the end of TTI `k`, for a device that senses in the TTIs for which `senses` holds.
+    fn level(&self, k: u64, senses: impl Fn(u64) -> bool) -> u64 {
+        if k < self.from {
+            return self.level;
+        }
+        let cost = |k: u64| {
+            if senses(k) {
+                self.costs.e_idle.micro()
+            } else {
+                self.costs.e_wur.micro()
+            }
+        };
+        let (mut came, mut went) = (0, 0);
+        for k in self.from..=k {
+            came += self.mean;
+            went += cost(k);
+        }
+        let level = if came <= went {
+            self.level.saturating_sub(went - came)
+        } else if self.outage == 0 {
+            self.level + (came - went)
+        } else {
+            let needed = self.costs.e_tx.micro() + self.costs.e_idle.micro();
+            self.level + (came - went).min(needed * (k + 1 - self.from) / self.outage)
+        };
+        level.min(self.costs.e_max.micro().saturating_sub(cost(k)))
+    }
+
+    /// Whether it can pay for a report at the end of TTI `k`.
+    pub(super) fn is_able(&self, k: u64, senses: impl Fn(u64) -> bool) -> bool {
+        self.level(k, senses) >= self.costs.e_tx.micro()
+    }
+
+    /// It has reported `level` in TTI `k`.
+    pub(super) fn heard(&mut self, k: u64, level: u64) {
+        (self.level, self.from, self.since, self.outage) = (level, k + 1, None, 0);
+    }
+
+    /// It has been silent in TTI `k`, in which it must have reported if it could.
+    pub(super) fn silent(&mut self, k: u64, senses: impl Fn(u64) -> bool) {
+        let level = self.level(k, senses);
+        if level > 0 && level >= self.costs.e_tx.micro() {
+            let since = *self.since.get_or_insert(k);
+            self.outage = k - since;
+        }
+        (self.level, self.from) = (0, k + 1);
+    }
+}

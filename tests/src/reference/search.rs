@@ -1,0 +1,126 @@
+//! The search of the adjusted duty cycle (Sec. V-A, P2): every pair of the grid is tried in the reference's own runs.
+
+use reveille_bs::policy::adjusted::search::DutyChoice;
+use reveille_bs::policy::adjusted::settings::AdjustedSettings;
+use reveille_bs::policy::contract::Opaque;
+use reveille_common::geometry::Point;
+use reveille_common::scenario::{Scenario, assign_classes};
+use reveille_lab::preparation::prepare;
+
+use super::least::least_information;
+use super::policy::Policy;
+use super::{Ground, play};
+
+/// What the seed of pilot runs differs by.
+const OTHER_SEED: u64 = 0x5EED_0F91_1070_0500;
+/// Information closer than this may be less or more by another order of sums.
+const CLOSE: f64 = 1e-9;
+
+/// How a pair did.
+struct Tried {
+    pair: (u64, u64),
+    /// Information per event; none without events.
+    information: Option<f64>,
+    spent: u64,
+    events: u64,
+}
+
+/// The pair (t_on, t_DRX) that the search takes; the emulator's where one of the reference's pilot runs comes to a
+/// decision that is too close to call.
+pub(super) fn search(scenario: &Scenario, positions: &[Point]) -> (u64, u64) {
+    own_search(scenario, positions).unwrap_or_else(|| {
+        let findings = prepare(scenario).findings;
+        let choice: &DutyChoice = findings
+            .as_ref()
+            .and_then(Opaque::get)
+            .expect("the search finds a pair");
+        (u64::from(choice.t_on), u64::from(choice.t_drx))
+    })
+}
+
+/// The same by the reference alone.
+pub fn own_search(scenario: &Scenario, positions: &[Point]) -> Option<(u64, u64)> {
+    let settings = scenario
+        .policy
+        .settings::<AdjustedSettings>()
+        .expect("settings of adjusted");
+    let mut pairs = Vec::new();
+    for &t_on in &settings.t_on {
+        for &t_drx in &settings.t_drx {
+            if t_on <= t_drx {
+                pairs.push((u64::from(t_on), u64::from(t_drx)));
+            }
+        }
+    }
+    let ground = Ground {
+        positions: positions.to_vec(),
+        classes: assign_classes(scenario),
+        plays_traces: false,
+    };
+    let mut ttis = settings.pilot_ttis;
+    let limit = settings.pilot_limit.max(ttis);
+    loop {
+        let pilot = Scenario {
+            ttis,
+            warm_up: 0.25,
+            seed: scenario.seed.wrapping_add(OTHER_SEED),
+            ..scenario.clone()
+        };
+        let mut tried = Vec::new();
+        for &pair in &pairs {
+            // The offsets are those of the run itself.
+            let run = play(&pilot, &ground, Policy::adjusted(scenario, positions, pair));
+            if run.ambiguous.is_some() {
+                return None;
+            }
+            let events = run.totals.events;
+            tried.push(Tried {
+                pair,
+                information: (events > 0).then(|| run.totals.information_pico as f64 * 1e-12 / events as f64),
+                spent: run.measured.spent.total().micro(),
+                events,
+            });
+        }
+        if ttis == limit || tried.iter().all(|one| one.events >= settings.pilot_events) {
+            return best(&tried, least_information(positions, scenario.area, &scenario.sensing));
+        }
+        ttis = (2 * ttis).min(limit);
+    }
+}
+
+/// The cheapest of those that reach `enough`, or else the one with most information, or else the cheapest.
+fn best(tried: &[Tried], enough: f64) -> Option<(u64, u64)> {
+    let cheapest = |of: &dyn Fn(&Tried) -> bool| {
+        let mut best: Option<&Tried> = None;
+        for one in tried.iter().filter(|one| of(one)) {
+            if best.is_none_or(|best| one.spent < best.spent) {
+                best = Some(one);
+            }
+        }
+        best.map(|one| one.pair)
+    };
+    let known: Vec<f64> = tried.iter().filter_map(|one| one.information).collect();
+    if known.iter().any(|information| (information - enough).abs() < CLOSE) {
+        return None;
+    }
+    let reaches = |one: &Tried| one.information.is_some_and(|information| information >= enough);
+    if let Some(pair) = cheapest(&reaches) {
+        return Some(pair);
+    }
+    let most = known.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let mut of_most = tried
+        .iter()
+        .filter(|one| one.information.is_some_and(|i| i > most - CLOSE));
+    match (of_most.next(), of_most.next()) {
+        (None, _) => cheapest(&|_| true),
+        (Some(one), None) => Some(one.pair),
+        // Two of the same information, or all but: equal sums are equal however they are made, others may not be.
+        (Some(first), Some(_)) => {
+            let same = tried.iter().filter_map(|one| one.information);
+            let is_clear = same
+                .filter(|i| *i > most - CLOSE)
+                .all(|i| i.to_bits() == most.to_bits());
+            is_clear.then_some(first.pair)
+        }
+    }
+}

@@ -1,0 +1,96 @@
+//! What a base station makes of batteries that it is not told (`bs.battery_knowledge = reported`): it cannot know that
+//! the energy that it counts on does not come any more, but it can find out.
+
+use reveille_bs::observe::{Happening, Observer};
+use reveille_bs::scenario::{Override, load};
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::plan::Plan;
+use reveille_lab::preparation::start;
+use reveille_lab::run::Options;
+use reveille_tests::process::Folder;
+
+/// How many devices sense in each TTI, and the events that ended, with whether they were reported.
+struct Watch {
+    devices: u32,
+    plan: Plan,
+    sensing: Vec<usize>,
+    events: Vec<(Tti, bool)>,
+}
+
+impl Watch {
+    fn sensing_in(&self, ttis: std::ops::Range<usize>) -> f64 {
+        let n = ttis.len() as f64;
+        self.sensing[ttis].iter().sum::<usize>() as f64 / n
+    }
+
+    fn reported_from(&self, first: u64) -> f64 {
+        let late = self.events.iter().filter(|(start, _)| start.0 >= first);
+        late.clone().filter(|(_, reported)| *reported).count() as f64 / late.count() as f64
+    }
+}
+
+impl Observer for Watch {
+    fn see(&mut self, happening: &Happening<'_>) {
+        match happening {
+            Happening::Plan { update, .. } => self.plan = update.plan.clone(),
+            Happening::EventEnded(event) => self.events.push((event.start, event.tally.reports > 0)),
+            Happening::Closed(k) => {
+                let is_on = |j: &u32| self.plan.duty_cycle(DeviceId(*j)).is_on(*k);
+                self.sensing.push((0..self.devices).filter(is_on).count());
+            }
+            _ => {}
+        }
+    }
+}
+
+/// 40 devices under `q-learning` whose energy is `rows`, units a TTI.
+fn watch(folder: &Folder, knowledge: &str, rows: impl Iterator<Item = u32>) -> Watch {
+    let rows: Vec<String> = rows.map(|units| units.to_string()).collect();
+    let file = folder.write("energy.csv", &format!("e\n{}\n", rows.join("\n")));
+    let file = format!("harvest.trace.file={}", file.display());
+    let knowledge = format!("bs.battery_knowledge={knowledge}");
+    let set = [
+        "policy.name=q-learning",
+        "devices=40",
+        "ttis=12000",
+        "harvest.kind=trace",
+        "harvest.trace.column=e",
+        "harvest.trace.end=stop",
+        file.as_str(),
+        knowledge.as_str(),
+    ];
+    let overrides: Vec<Override> = set
+        .iter()
+        .map(|set| Override::parse(set).expect("an override"))
+        .collect();
+    let mut watch = Watch {
+        devices: 40,
+        plan: Plan::from_bits([]),
+        sensing: Vec::new(),
+        events: Vec::new(),
+    };
+    start(&load("paper", &overrides).expect("a scenario"), Options::default()).finish(&mut watch);
+    assert_eq!(watch.sensing.len(), 12_000);
+    watch
+}
+
+#[test]
+fn devices_with_nothing_to_charge_from_are_asked_ever_less_often() {
+    let folder = Folder::new();
+    let ended = watch(&folder, "reported", std::iter::repeat_n(2, 200));
+    let thousands: Vec<f64> = (0..12).map(|i| ended.sensing_in(1000 * i..1000 * (i + 1))).collect();
+    assert!(thousands[0] > 3.0, "{thousands:?}");
+    assert!(thousands[11] < 0.5, "still asked after 12000 TTIs: {thousands:?}");
+    let (early, late): (f64, f64) = (thousands[2..7].iter().sum(), thousands[7..].iter().sum());
+    assert!(late < 0.5 * early, "{thousands:?}");
+}
+
+#[test]
+fn devices_that_charge_again_are_asked_again() {
+    let folder = Folder::new();
+    // A night of 600 TTIs, then day to the end.
+    let rows = || (0..12_000).map(|k| if (200..800).contains(&k) { 0 } else { 2 });
+    let [known, estimated] = ["oracle", "reported"].map(|knowledge| watch(&folder, knowledge, rows()));
+    let (most, found) = (known.reported_from(6000), estimated.reported_from(6000));
+    assert!(most > 0.5 && found > 0.9 * most, "{found}, with true levels {most}");
+}
