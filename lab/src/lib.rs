@@ -3,6 +3,7 @@
 
 pub mod io;
 pub mod preparation;
+pub mod reading;
 pub mod run;
 pub mod stats;
 pub mod sweep;

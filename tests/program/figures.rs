@@ -97,7 +97,7 @@ fn tables_that_are_none_are_refused() {
         1,
         &[
             "figure `speed`",
-            "information, energy, misdetection",
+            "information, information-per-event, energy, misdetection",
             "harvest, net, pareto",
         ],
     );
@@ -216,7 +216,7 @@ fn a_sweep_becomes_figures_and_a_report_the_same_twice() {
         assert_eq!(end.code(), Some(0), "{end}");
     }
     let html = String::from_utf8(folder.bytes("report/report.html")).expect("text");
-    assert_eq!(html.matches("<svg").count(), 20, "ten figures for each preset");
+    assert_eq!(html.matches("<svg").count(), 22, "eleven figures for each preset");
     assert!(!html.contains("src=") && html.contains("not built yet") && html.contains("seeds 1 to 2"));
     let markdown = String::from_utf8(folder.bytes("report/report.md")).expect("text");
     for file in folder.list("report").iter().filter(|name| name.contains(".svg")) {

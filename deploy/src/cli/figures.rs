@@ -36,8 +36,8 @@ pub struct FiguresArgs {
     /// Result tables of `reveille sweep`, or the folders of finished sweeps; runs that two of them hold count once.
     #[arg(required = true, value_name = "TABLE")]
     pub tables: Vec<PathBuf>,
-    /// Only these figures, separated by commas, of: information, energy, misdetection, low-energy, battery, wrong,
-    /// wasted, harvest, net, pareto [default: all].
+    /// Only these figures, separated by commas, of: information, information-per-event, energy, misdetection,
+    /// low-energy, battery, wrong, wasted, harvest, net, pareto [default: all].
     #[arg(long, value_delimiter = ',', value_name = "FIGURE")]
     pub only: Vec<String>,
     /// Draw pareto once for each preset and length of runs, with a line for each policy under each setting, for example

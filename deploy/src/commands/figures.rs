@@ -87,7 +87,7 @@ fn draw_pareto(args: &FiguresArgs, label: &str, conditions: &[&Condition]) -> an
     }
     let name = format!("{}-{label}", pareto::NAME);
     let Some(chart) = pareto::chart(conditions) else {
-        note!("{name}: not drawn, no run has both information per event and energy");
+        note!("{name}: not drawn, no run has both information and energy");
         return Ok(());
     };
     write(&args.pictures, &name, &chart.scene())?;

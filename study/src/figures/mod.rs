@@ -29,6 +29,7 @@ pub mod q_table;
 pub mod results;
 pub mod scale;
 pub mod scene;
+mod stated;
 pub mod study;
 pub mod style;
 pub mod svg;

@@ -1,4 +1,5 @@
-//! Information per event against energy: what each policy buys with what it spends, a line through rising N.
+//! Information, the objective of P1, against energy: what each policy buys with what it spends, a line through rising
+//! N.
 
 use std::fmt::Write as _;
 
@@ -8,9 +9,10 @@ use super::chart::{Chart, Interval, Mark, Sample, Series, Stated};
 use super::note::Note;
 use super::results::Condition;
 use super::scale::Scale;
+use super::stated::said;
 use super::study::{csv_cell, csv_half, runs_in_words};
 use super::style::Style;
-use crate::claims::{Relation, Sites, topic};
+use crate::claims::{Claim, Sites, on};
 
 /// Its name in commands and files.
 pub const NAME: &str = "pareto";
@@ -19,7 +21,7 @@ pub const TITLE: &str = "Information against energy";
 /// Styles to choose from for a policy's other lines.
 const STYLES: usize = 6;
 /// The metrics of x and y.
-const METRICS: [&str; 2] = ["energy_per_device_tti", "info_per_event"];
+const METRICS: [&str; 2] = ["energy_per_device_tti", "info_p1"];
 
 /// A policy under a condition.
 struct Line<'a> {
@@ -185,31 +187,32 @@ fn in_turn(lines: &[Vec<Note>]) -> Vec<Note> {
     place.into_iter().flat_map(at).collect()
 }
 
-/// What the paper states of both metrics for a policy that is drawn, at one N.
+/// What the paper states of both metrics for a policy that is drawn, as values at one N.
 fn marks(lines: &[Line<'_>]) -> Vec<(u32, Mark)> {
-    let [energies, informations] = METRICS.map(|metric| topic(metric).map_or(&[][..], |topic| topic.claims));
+    let (energies, informations) = (on("Fig. 8", METRICS[0]), on("Fig. 7", "info_per_event"));
+    let value = |claim: &Claim, claims: &[Claim]| match (said(claim, claims), claim.sites) {
+        (Some(Stated::Value(value)), Sites::At(n)) => Some((n, value)),
+        _ => None,
+    };
     let mut marks = Vec::new();
     for information in informations {
-        let Some(drawn) = lines.iter().find(|line| line.policy == information.policy) else {
+        let drawn = lines.iter().find(|line| line.policy == information.policy);
+        let (Some(drawn), Some((n, y))) = (drawn, value(information, informations)) else {
             continue;
         };
-        let same = energies
-            .iter()
-            .filter(|e| e.policy == information.policy && e.sites == information.sites);
-        for energy in same {
-            let (Relation::About(x), Relation::About(y), Sites::At(n)) =
-                (energy.relation, information.relation, information.sites)
-            else {
-                continue;
-            };
+        let own = energies.iter().filter(|energy| energy.policy == information.policy);
+        let here = own
+            .filter_map(|energy| value(energy, energies))
+            .filter(|(at, _)| *at == n);
+        marks.extend(here.map(|(_, x)| {
             let mark = Mark {
                 x,
                 aside: 0.0,
                 stated: Stated::Value(y),
                 style: drawn.style,
             };
-            marks.push((n, mark));
-        }
+            (n, mark)
+        }));
     }
     marks
 }
@@ -231,16 +234,20 @@ fn caption(condition: &Condition, conditions: &[&Condition], mut stated: Vec<u32
     stated.dedup();
     let stated: Vec<String> = stated.iter().map(ToString::to_string).collect();
     if !stated.is_empty() {
-        let _ = write!(text, " Hollow marks are for N = {}.", stated.join(", "));
+        let _ = write!(
+            text,
+            " Hollow marks are for N = {}; the paper states information per event, which in its model is the same on \
+             the mean.",
+            stated.join(", ")
+        );
     }
     text
 }
 
 /// What is drawn, as CSV.
 pub fn csv(conditions: &[&Condition]) -> String {
-    let mut out = String::from(
-        "setting,policy,n,energy_per_device_tti,energy_half_width_95,info_per_event,info_half_width_95,runs\n",
-    );
+    let mut out =
+        String::from("setting,policy,n,energy_per_device_tti,energy_half_width_95,info_p1,info_half_width_95,runs\n");
     for Line {
         condition,
         policy,

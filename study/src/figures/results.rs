@@ -8,6 +8,7 @@ use sha2::{Digest as _, Sha256};
 
 use super::error::FigureError;
 use crate::claims::POLICIES;
+use reveille_lab::reading::Reading;
 use reveille_lab::stats::{Cell, Estimate, cells};
 use reveille_lab::table::{About, Hash, Row, Table};
 
@@ -39,6 +40,8 @@ pub struct Condition {
     pub changed_in: Option<String>,
     /// The scenario of its first run; `None` where nobody can tell.
     pub scenario: Option<Scenario>,
+    /// Whether all runs are of the preset as it is: what is swept or set has the preset's own values.
+    is_preset: bool,
     /// The runs by policy and N, each in the order of seeds.
     runs: BTreeMap<(String, u32), BTreeMap<u64, Row>>,
 }
@@ -97,6 +100,7 @@ impl Results {
         let changes = if is_known && !is_preset { set } else { Vec::new() };
         let changed_in = (!is_known && !is_preset).then(|| name.to_owned());
         for cell in cells {
+            let as_it_is = scenario_of(cell.rows[0], &[], &[], files).is_some();
             let wanted = Condition {
                 preset: cell.preset.to_owned(),
                 ttis: cell.ttis,
@@ -104,6 +108,7 @@ impl Results {
                 changed_in: changed_in.clone(),
                 scenario: scenario(&cell, &changes).filter(|_| changed_in.is_none()),
                 swept: swept_of(&cell),
+                is_preset: true,
                 runs: BTreeMap::new(),
             };
             let found = self.conditions.iter().position(|s| s.is_like(&wanted));
@@ -111,6 +116,7 @@ impl Results {
                 self.conditions.push(wanted);
                 self.conditions.len() - 1
             });
+            self.conditions[at].is_preset &= as_it_is;
             let runs = &mut self.conditions[at].runs;
             let runs = runs.entry((cell.policy.to_owned(), cell.n)).or_default();
             for row in cell.rows {
@@ -189,27 +195,22 @@ impl Condition {
         own.map(|(_, n)| *n).collect()
     }
 
-    /// The estimate of `metric` for `policy` with `n` devices; `None` without runs in which it is defined.
-    ///
-    /// Where not one event was missed, runs do not differ, which tells nothing: half the interval of `misdetection_pct`
-    /// is then the rule of three's 95 % bound, 300 / Σ events %.
-    pub fn estimate(&self, policy: &str, n: u32, metric: &str) -> Option<Estimate> {
-        let runs = self.runs.get(&(policy.to_owned(), n))?;
-        let mut estimate = Estimate::of(runs.values().filter_map(|row| row.metric(metric)))?;
-        if let Some(events) = self.unseen(policy, n, metric) {
-            estimate.half_width = 300.0 / events as f64;
-        }
-        Some(estimate)
+    /// What the runs of `policy` with `n` devices tell of `metric`; `None` without runs in which it is defined.
+    pub fn reading(&self, policy: &str, n: u32, metric: &str) -> Option<Reading> {
+        let runs: Vec<&Row> = self.runs(policy, n).collect();
+        Reading::of(&runs, metric)
     }
 
-    /// The events of a cell, all runs together, if `metric` is the share of those missed and none was.
-    pub fn unseen(&self, policy: &str, n: u32, metric: &str) -> Option<u64> {
-        let missed = self
-            .runs(policy, n)
-            .filter_map(|row| row.metric(metric))
-            .fold(0.0, f64::max);
-        let events = self.runs(policy, n).map(|row| row.events).sum();
-        (metric == "misdetection_pct" && missed == 0.0 && events > 0).then_some(events)
+    /// The estimate of `metric` for `policy` with `n` devices; `None` without runs in which it is defined.
+    ///
+    /// Where an interval says nothing, half its width is how far the one-sided bound is above the mean: of
+    /// `misdetection_pct` without one missed event the rule of three's 300 / Σ events %.
+    pub fn estimate(&self, policy: &str, n: u32, metric: &str) -> Option<Estimate> {
+        let reading = self.reading(policy, n, metric)?;
+        Some(Estimate {
+            half_width: reading.half_width(),
+            ..reading.estimate
+        })
     }
 
     /// The runs of a cell, in the order of seeds.
@@ -247,9 +248,9 @@ impl Condition {
         }
     }
 
-    /// Whether it is its preset, with nothing swept or changed.
-    pub fn is_plain(&self) -> bool {
-        self.swept.is_empty() && self.changes.is_empty() && self.changed_in.is_none()
+    /// Whether it is its preset as it is: nothing is swept or changed to another value.
+    pub const fn is_plain(&self) -> bool {
+        self.is_preset
     }
 
     /// How many runs there are.

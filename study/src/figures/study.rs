@@ -4,12 +4,14 @@ use std::fmt::Write as _;
 
 use reveille_common::score::Metrics;
 
-use super::chart::{Chart, Interval, Mark, Sample, Series, Span, Stated, spread};
+use super::chart::{Chart, Interval, Mark, Sample, Series, Span, Stated};
 use super::error::FigureError;
 use super::results::Condition;
 use super::scale::Scale;
+use super::stated::{marks, said, spans};
 use super::style::Style;
-use crate::claims::{Claim, Relation, Sites, topic};
+use crate::claims::{Claim, Sites, on};
+use reveille_lab::reading::Reading;
 
 /// One of the paper's figures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -18,57 +20,59 @@ pub struct Figure {
     pub name: &'static str,
     /// The metric.
     pub metric: &'static str,
+    /// Whether the metric is divided by N.
+    pub is_per_device: bool,
     /// Its title.
     pub title: &'static str,
     /// Which figure of the paper shows the same.
     pub paper: &'static str,
+    /// The metric on which the figure's values in the paper are judged.
+    pub judged: &'static str,
     /// Whether y is logarithmic.
     pub is_log: bool,
 }
 
 /// The figures against N, in the paper's order.
-pub const FIGURES: [Figure; 7] = {
-    const fn figure(
-        name: &'static str,
-        metric: &'static str,
-        title: &'static str,
-        paper: &'static str,
-        is_log: bool,
-    ) -> Figure {
+pub const FIGURES: [Figure; 8] = {
+    const fn figure(name: &'static str, metric: &'static str, title: &'static str, paper: &'static str) -> Figure {
         Figure {
             name,
             metric,
+            is_per_device: false,
             title,
             paper,
-            is_log,
+            judged: metric,
+            is_log: false,
         }
     }
     [
+        Figure {
+            judged: "info_per_event",
+            ..figure("information", "info_p1", "Information, objective of P1", "Fig. 7")
+        },
         figure(
-            "information",
+            "information-per-event",
             "info_per_event",
             "Information per event",
             "Fig. 7",
-            false,
         ),
-        figure("energy", "energy_per_device_tti", "Energy consumption", "Fig. 8", false),
-        figure("misdetection", "misdetection_pct", "Misdetections", "Fig. 9", true),
-        figure(
-            "low-energy",
-            "low_energy_pct",
-            "Devices too low to transmit",
-            "Fig. 10",
-            false,
-        ),
-        figure("battery", "mean_battery", "Mean battery level", "Fig. 11", false),
-        figure(
-            "wrong",
-            "wrong_activations_per_event",
-            "Wrong activations",
-            "Fig. 12a",
-            false,
-        ),
-        figure("wasted", "wasted_energy_per_event", "Energy wasted", "Fig. 12b", false),
+        figure("energy", "energy_per_device_tti", "Energy consumption", "Fig. 8"),
+        Figure {
+            is_log: true,
+            ..figure("misdetection", "misdetection_pct", "Misdetections", "Fig. 9")
+        },
+        figure("low-energy", "low_energy_pct", "Devices too low to transmit", "Fig. 10"),
+        figure("battery", "mean_battery", "Mean battery level", "Fig. 11"),
+        figure("wrong", "wrong_activations_per_event", "Wrong activations", "Fig. 12a"),
+        Figure {
+            is_per_device: true,
+            ..figure(
+                "wasted",
+                "wasted_energy_per_event",
+                "Energy wasted per device",
+                "Fig. 12b",
+            )
+        },
     ]
 };
 
@@ -122,14 +126,15 @@ impl Figure {
         if series.is_empty() {
             return None;
         }
-        let marks = self.marks(&series);
-        let spans = self.spans(&series);
+        let claims = self.claims();
+        let marks = marks(claims, &series);
+        let spans = spans(claims, &series);
         let largest = series.iter().flat_map(|s| &s.samples).map(|s| s.x);
         let largest = largest.chain(marks.iter().map(|m| m.x)).fold(0.0, f64::max);
         let chart = Chart {
             title: format!("{} ({} of the paper)", self.title, self.paper),
             x_label: "number of devices N".to_owned(),
-            y_label: Metrics::axis(self.metric).to_owned(),
+            y_label: self.axis(),
             x: Scale::Linear {
                 from: -0.06 * largest,
                 to: 1.07 * largest,
@@ -145,54 +150,43 @@ impl Figure {
         Some(Drawing { chart, undefined })
     }
 
+    /// What the y axis is.
+    fn axis(&self) -> String {
+        let axis = Metrics::axis(self.metric);
+        if self.is_per_device {
+            format!("{axis} and device")
+        } else {
+            axis.to_owned()
+        }
+    }
+
+    /// What the paper states of it.
+    fn claims(&self) -> &'static [Claim] {
+        on(self.paper, self.judged)
+    }
+
+    /// What the runs of `policy` with `n` devices tell.
+    fn reading(&self, condition: &Condition, policy: &str, n: u32) -> Option<Reading> {
+        let reading = condition.reading(policy, n, self.metric)?;
+        Some(if self.is_per_device {
+            reading.shared(f64::from(n))
+        } else {
+            reading
+        })
+    }
+
     fn samples(&self, condition: &Condition, policy: &str) -> Vec<Sample> {
         let sizes = condition.sizes(policy).into_iter();
         let sample = |n: u32| {
-            let estimate = condition.estimate(policy, n, self.metric)?;
+            let reading = self.reading(condition, policy, n)?;
             Some(Sample {
                 x: f64::from(n),
-                y: estimate.mean,
-                half: estimate.half_width,
+                y: reading.estimate.mean,
+                half: reading.half_width(),
                 across: f64::NAN,
             })
         };
         sizes.filter_map(sample).collect()
-    }
-
-    /// What the paper states of the policies drawn, at one N or as a ratio to something stated at one N.
-    fn marks(&self, series: &[Series]) -> Vec<Mark> {
-        let claims = topic(self.metric).map_or(&[][..], |topic| topic.claims);
-        let drawn = claims.iter().filter(|c| series.iter().any(|s| s.name == c.policy));
-        let mut marks: Vec<Mark> = drawn.filter_map(|claim| mark(claim, claims)).collect();
-        marks.sort_by(|a, b| a.x.total_cmp(&b.x));
-        spread(&mut marks);
-        marks
-    }
-
-    /// What the paper states of the policies drawn for several N, from the least to the largest of them that was run.
-    fn spans(&self, series: &[Series]) -> Vec<Span> {
-        let claims = topic(self.metric).map_or(&[][..], |topic| topic.claims);
-        let xs = || series.iter().flat_map(|s| &s.samples).map(|s| s.x);
-        let (least, largest) = (xs().fold(f64::INFINITY, f64::min), xs().fold(0.0, f64::max));
-        let span = |claim: &Claim| {
-            let to = match claim.sites {
-                Sites::At(_) => return None,
-                Sites::Under(limit) => largest.min(f64::from(limit)),
-                Sites::Everywhere => largest,
-            };
-            let own = series.iter().find(|s| s.name == claim.policy)?;
-            Some(Span {
-                from: least,
-                to,
-                stated: stated(claim, claims)?,
-                paint: own.style.paint,
-            })
-        };
-        claims
-            .iter()
-            .filter_map(span)
-            .filter(|span| span.from < span.to)
-            .collect()
     }
 
     fn y_scale(&self, series: &[Series], marks: &[Mark], spans: &[Span]) -> Scale {
@@ -232,6 +226,9 @@ impl Figure {
         if !marks.is_empty() {
             text.push_str(" What the paper states stands beside its N; box: a range, arrow: a bound.");
         }
+        if self.judged != self.metric && !marks.is_empty() {
+            text.push_str(" It states information per event, which in its model is the same on the mean.");
+        }
         if !spans.is_empty() {
             text.push_str(" Hatched: what it states for a range of N.");
         }
@@ -250,29 +247,34 @@ impl Figure {
     pub fn csv(&self, condition: &Condition, drawing: &Drawing) -> String {
         let mut out = String::from("kind,setting,policy,n,metric,mean,half_width_95,runs,paper_low,paper_high\n");
         let label = csv_cell(&condition.label());
+        let metric = if self.is_per_device {
+            format!("{}/n", self.metric)
+        } else {
+            self.metric.to_owned()
+        };
         for series in &drawing.chart.series {
             for n in condition.sizes(&series.name) {
-                if let Some(e) = condition.estimate(&series.name, n, self.metric) {
-                    let half = csv_half(e.half_width);
-                    let (policy, metric) = (&series.name, self.metric);
+                if let Some(reading) = self.reading(condition, &series.name, n) {
+                    let half = csv_half(reading.half_width());
+                    let (policy, estimate) = (&series.name, reading.estimate);
                     let _ = writeln!(
                         out,
                         "measured,{label},{policy},{n},{metric},{},{half},{},,",
-                        e.mean, e.runs
+                        estimate.mean, estimate.runs
                     );
                 }
             }
         }
-        let claims = topic(self.metric).map_or(&[][..], |topic| topic.claims);
+        let claims = self.claims();
         for claim in claims {
-            if let Some(Mark { x, stated, .. }) = mark(claim, claims) {
+            if let (Some(stated), Sites::At(n)) = (said(claim, claims), claim.sites) {
                 let (low, high) = match stated {
                     Stated::Value(v) => (v.to_string(), v.to_string()),
                     Stated::Range(low, high) => (low.to_string(), high.to_string()),
                     Stated::Below(v) => (String::new(), v.to_string()),
                     Stated::Above(v) => (v.to_string(), String::new()),
                 };
-                let _ = writeln!(out, "paper,,{},{x},{},,,,{low},{high}", claim.policy, self.metric);
+                let _ = writeln!(out, "paper,,{},{n},{metric},,,,{low},{high}", claim.policy);
             }
         }
         out
@@ -304,36 +306,4 @@ pub(super) fn csv_half(half: f64) -> String {
 
 fn has_zero(series: &[Series]) -> bool {
     series.iter().flat_map(|s| &s.samples).any(|s| s.y <= 0.0)
-}
-
-/// Where and how `claim`, one of `claims`, is marked; `None` if it is not about one N.
-pub(super) fn mark(claim: &Claim, claims: &[Claim]) -> Option<Mark> {
-    let n = match claim.sites {
-        Sites::At(n) => n,
-        Sites::Under(_) | Sites::Everywhere => return None,
-    };
-    Some(Mark {
-        x: f64::from(n),
-        aside: 0.0,
-        stated: stated(claim, claims)?,
-        style: Style::of_policy(claim.policy),
-    })
-}
-
-/// What `claim`, one of `claims`, says; a ratio as its multiple of what is stated of the other policy.
-fn stated(claim: &Claim, claims: &[Claim]) -> Option<Stated> {
-    Some(match claim.relation {
-        Relation::About(v) => Stated::Value(v),
-        Relation::Between(low, high) => Stated::Range(low, high),
-        Relation::Below(v) => Stated::Below(v),
-        Relation::Above(v) => Stated::Above(v),
-        Relation::Times(factor, other) => {
-            let base = claims.iter().find(|c| c.policy == other && c.sites == claim.sites)?;
-            match base.relation {
-                Relation::About(v) => Stated::Value(factor * v),
-                Relation::Between(low, high) => Stated::Range(factor * low, factor * high),
-                Relation::Below(_) | Relation::Above(_) | Relation::Times(..) => return None,
-            }
-        }
-    })
 }

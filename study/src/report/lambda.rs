@@ -6,8 +6,8 @@
 use reveille_common::harvest::HarvestKind;
 use reveille_common::scenario::Scenario;
 
-use super::judge::{Verdict, within};
-use super::lines::{Column, Line, NO_TABLE, Ours};
+use super::judge::{Tier, Verdict, about, verdict_of};
+use super::lines::{Column, Line, Ours};
 use super::why::not_run;
 use super::words::{number, plain, plus_minus};
 use crate::analysis::harvest::{Reading, STATED, Stated, StatedEnd, positive_net};
@@ -17,6 +17,8 @@ use reveille_lab::stats::Estimate;
 
 /// The metric that is held fixed.
 const SPENT: &str = "energy_per_device_tti";
+/// How a λ that stands alone is read.
+const LONE: &str = "A single λ, \"as low as\", is read as that of the policy that spends least.";
 
 /// All claims on λ.
 pub fn lines(columns: &[Column<'_>]) -> Vec<Line> {
@@ -29,6 +31,14 @@ pub fn lines(columns: &[Column<'_>]) -> Vec<Line> {
     lines
 }
 
+/// Whether a claim on λ is about what `condition` has run.
+pub fn concerns(condition: &Condition) -> bool {
+    let mut ends = STATED
+        .iter()
+        .flat_map(|stated| stated.ends().map(|end| (stated.devices, end.policy)));
+    ends.any(|(n, policy)| condition.estimate(policy, n, SPENT).is_some())
+}
+
 fn line(stated: &'static Stated, is_most: bool, end: StatedEnd, columns: &[Column<'_>]) -> Line {
     let rank = if is_most { "most" } else { "least" };
     Line {
@@ -37,6 +47,11 @@ fn line(stated: &'static Stated, is_most: bool, end: StatedEnd, columns: &[Colum
         policy: format!("{}, spends {rank}", end.policy),
         sites: format!("N = {}", stated.devices),
         paper: format!("≈ {}", plain(end.lambda)),
+        place: stated.place,
+        again: None,
+        judged: "",
+        reading: if stated.most.is_none() { LONE } else { "" },
+        contradicts: stated.contradicts,
         ours: columns
             .iter()
             .map(|column| ours(stated, is_most, end, column))
@@ -51,9 +66,7 @@ fn ours(stated: &Stated, is_most: bool, end: StatedEnd, column: &Column<'_>) -> 
         firm: true,
         why,
     };
-    let Some(condition) = column.condition else {
-        return none(NO_TABLE.to_owned());
-    };
+    let condition = column.condition;
     let Some(spent) = condition.estimate(end.policy, stated.devices, SPENT) else {
         return none(not_run(end.policy));
     };
@@ -130,20 +143,20 @@ fn judge((e_b, tau): (f64, f64), end: StatedEnd, spent: &Estimate) -> Ours {
             ),
         };
     };
-    let fits = within(found, stated, stated);
+    let fits = about(found, stated);
     let measured = match (low, high) {
         (Some(low), Some(high)) => plus_minus(found, 0.5 * (high - low)),
         (Some(_) | None, None) | (None, Some(_)) => format!("{}, perhaps never", number(found)),
     };
     let firm = low
         .zip(high)
-        .is_some_and(|(a, b)| within(a, stated, stated) == fits && within(b, stated, stated) == fits);
+        .is_some_and(|(a, b)| about(a, stated) == fits && about(b, stated) == fits);
     let doubt = if firm {
         ""
     } else {
         " Our interval reaches across the border of this verdict: more runs would decide."
     };
-    let why = if fits {
+    let why = if fits == Tier::Yes {
         doubt.trim_start().to_owned()
     } else {
         let needed = e_b * Reading::Eq5.probability(stated, tau);
@@ -155,11 +168,7 @@ fn judge((e_b, tau): (f64, f64), end: StatedEnd, spent: &Estimate) -> Ours {
     };
     Ours {
         found: measured,
-        verdict: if fits {
-            Verdict::Reproduced
-        } else {
-            Verdict::NotReproduced
-        },
+        verdict: verdict_of(fits).unwrap_or(Verdict::NotReproduced),
         firm,
         why,
     }

@@ -1,13 +1,11 @@
 //! The claims in the report, one a line, with a column for each condition.
 
 use super::judge::Verdict;
+use crate::claims::{Contradiction, Place};
 use crate::figures::results::Condition;
 
-/// The presets that the report always has columns for.
+/// The presets that stand first in the report.
 pub const PRESETS: [&str; 2] = ["paper", "paper-literal"];
-
-/// Why a preset has no verdicts.
-pub(super) const NO_TABLE: &str = "No table of this preset was given.";
 
 /// Our side of a claim under one condition.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,7 +23,7 @@ pub struct Ours {
 /// A claim and what became of it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Line {
-    /// Where the paper says so.
+    /// The figure of the paper that it is about.
     pub source: &'static str,
     /// The metric in words.
     pub about: String,
@@ -35,15 +33,40 @@ pub struct Line {
     pub sites: String,
     /// What the paper says.
     pub paper: String,
+    /// Where it says so.
+    pub place: Place,
+    /// Where it says so again.
+    pub again: Option<Place>,
+    /// Why it is judged on this metric; empty where there is no other.
+    pub judged: &'static str,
+    /// How the sentence was read; empty where there is one way.
+    pub reading: &'static str,
+    /// What else it says that contradicts it.
+    pub contradicts: Option<Contradiction>,
     /// Ours, one for each of [`super::Report::columns`].
     pub ours: Vec<Ours>,
 }
 
-/// A column: one of [`PRESETS`], or another condition that the tables hold.
+impl Line {
+    /// Whether there are runs for it under some condition.
+    pub fn is_run(&self) -> bool {
+        self.ours.iter().any(|ours| ours.verdict != Verdict::NotRun)
+    }
+
+    /// Where the paper says so, all of it.
+    pub fn places(&self) -> String {
+        match self.again {
+            Some(again) => format!("{}; {again}", self.place),
+            None => self.place.to_string(),
+        }
+    }
+}
+
+/// A column: a preset that the tables hold, or another condition of theirs.
 #[derive(Clone, Debug)]
 pub struct Column<'r> {
     /// What it is.
     pub label: String,
-    /// Its runs, if there are any.
-    pub condition: Option<&'r Condition>,
+    /// Its runs.
+    pub condition: &'r Condition,
 }

@@ -3,18 +3,19 @@
 //! [`crate::claims`] is what the paper says, [`mod@judge`] the rule, [`Report`] both applied to result tables; [`page`]
 //! and [`markdown`] write it down.
 
+mod found;
 pub mod judge;
 mod lambda;
 mod lines;
 pub mod markdown;
 pub mod page;
+mod remarks;
 mod why;
 mod words;
 
 use self::judge::{Verdict, judge};
-use self::lines::NO_TABLE;
-use self::words::{number, relation};
-use crate::claims::{Claim, Sites, TOPICS, Topic};
+use self::words::{relation, sites};
+use crate::claims::{Claim, Quantity, TOPICS, Topic};
 use crate::figures::results::{Condition, Results};
 
 pub use self::lines::{Column, Line, Ours, PRESETS};
@@ -28,12 +29,15 @@ pub struct Report<'r> {
     pub columns: Vec<Column<'r>>,
     /// The claims, by figure of the paper.
     pub lines: Vec<Line>,
+    /// Conditions of the tables that have no run for any claim, in words.
+    pub silent: Vec<String>,
 }
 
 impl<'r> Report<'r> {
     /// Judges every claim by `results`.
     pub fn new(results: &'r Results) -> Self {
-        let columns = columns(results);
+        let all = columns(results);
+        let (columns, silent): (Vec<_>, Vec<_>) = all.into_iter().partition(|c| is_shown(c));
         let mut lines = Vec::new();
         for topic in TOPICS {
             lines.extend(topic.claims.iter().map(|claim| line(topic, claim, &columns)));
@@ -43,13 +47,26 @@ impl<'r> Report<'r> {
             results,
             columns,
             lines,
+            silent: silent.into_iter().map(|column| column.label).collect(),
         }
     }
 
-    /// The claims by where the paper makes them.
-    pub fn sections(&self) -> impl Iterator<Item = (&'static str, &[Line])> {
-        let sections = self.lines.chunk_by(|a, b| a.source == b.source);
-        sections.map(|lines| (lines[0].source, lines))
+    /// The claims that there are runs for, by the figures that they are about.
+    pub fn sections(&self) -> Vec<(&'static str, Vec<&Line>)> {
+        let mut sections: Vec<(&'static str, Vec<&Line>)> = Vec::new();
+        for line in self.lines.iter().filter(|line| line.is_run()) {
+            match sections.last_mut() {
+                Some((source, lines)) if *source == line.source => lines.push(line),
+                Some(_) | None => sections.push((line.source, vec![line])),
+            }
+        }
+        sections
+    }
+
+    /// The presets of which there is no table.
+    pub fn missing(&self) -> impl Iterator<Item = &'static str> {
+        let is_missing = |preset: &&str| !self.columns.iter().any(|column| column.label == *preset);
+        PRESETS.into_iter().filter(is_missing)
     }
 
     /// The tables that say which experiment they belong to, by name, with its text.
@@ -85,25 +102,32 @@ fn covered(condition: &Condition) -> usize {
     claims.filter(is_run).count()
 }
 
+/// Whether a column has a verdict: of a preset always, of other conditions if some claim has runs.
+fn is_shown(column: &Column<'_>) -> bool {
+    let is_judged = |(topic, claim)| judge(topic, claim, column.condition).verdict != Verdict::NotRun;
+    let claims = TOPICS
+        .iter()
+        .flat_map(|topic| topic.claims.iter().map(move |claim| (topic, claim)));
+    PRESETS.contains(&column.label.as_str()) || claims.into_iter().any(is_judged) || lambda::concerns(column.condition)
+}
+
 /// The presets' columns, each of the condition with most claims covered, then most runs, then the longest; then all
 /// others.
 fn columns(results: &Results) -> Vec<Column<'_>> {
     let mut columns: Vec<Column<'_>> = Vec::new();
     for preset in PRESETS {
         let own = results.conditions.iter().filter(|s| s.is_plain() && s.preset == preset);
-        columns.push(Column {
+        let widest = own.max_by_key(|s| (covered(s), s.run_count(), s.ttis));
+        columns.extend(widest.map(|condition| Column {
             label: preset.to_owned(),
-            condition: own.max_by_key(|s| (covered(s), s.run_count(), s.ttis)),
-        });
+            condition,
+        }));
     }
     for condition in &results.conditions {
-        let is_shown = columns
-            .iter()
-            .any(|c| c.condition.is_some_and(|s| std::ptr::eq(s, condition)));
-        if !is_shown {
+        if !columns.iter().any(|column| std::ptr::eq(column.condition, condition)) {
             columns.push(Column {
                 label: format!("{}, K = {}", condition.label(), condition.ttis),
-                condition: Some(condition),
+                condition,
             });
         }
     }
@@ -111,45 +135,30 @@ fn columns(results: &Results) -> Vec<Column<'_>> {
 }
 
 fn line(topic: &'static Topic, claim: &Claim, columns: &[Column<'_>]) -> Line {
-    let ours = |column: &Column<'_>| match column.condition {
-        Some(condition) => ours(topic, claim, condition),
-        None => Ours {
-            found: String::new(),
-            verdict: Verdict::NotRun,
-            firm: true,
-            why: NO_TABLE.to_owned(),
-        },
-    };
     Line {
         source: topic.source,
         about: topic.about.to_owned(),
         policy: claim.policy.to_owned(),
-        sites: match claim.sites {
-            Sites::At(n) => format!("N = {n}"),
-            Sites::Under(n) => format!("N < {n}"),
-            Sites::Everywhere => "all N".to_owned(),
-        },
-        paper: relation(claim.relation),
-        ours: columns.iter().map(ours).collect(),
+        sites: sites(claim.sites),
+        paper: relation(claim),
+        place: claim.place,
+        again: claim.again,
+        judged: topic.reading,
+        reading: claim.reading,
+        contradicts: claim.contradicts,
+        ours: columns
+            .iter()
+            .map(|column| ours(topic, claim, column.condition))
+            .collect(),
     }
 }
 
 fn ours(topic: &Topic, claim: &Claim, condition: &Condition) -> Ours {
     let judgement = judge(topic, claim, condition);
-    let findings = &judgement.findings;
-    let least = findings.iter().min_by(|a, b| a.value.total_cmp(&b.value));
-    let most = findings.iter().max_by(|a, b| a.value.total_cmp(&b.value));
-    let found = match (least, most) {
-        (Some(only), Some(_)) if findings.len() == 1 => words::found(claim.relation, only),
-        (Some(least), Some(most)) => format!(
-            "{} (N = {}) to {} (N = {})",
-            number(least.value),
-            least.n,
-            number(most.value),
-            most.n
-        ),
-        (None, _) | (_, None) => String::new(),
-    };
+    let mut found = found::found(claim, &judgement.findings);
+    if let (Quantity::Gap(other), false) = (claim.quantity, found.is_empty()) {
+        found = format!("gap to {other}: {found}");
+    }
     Ours {
         found,
         verdict: judgement.verdict,

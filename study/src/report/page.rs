@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::judge::Verdict;
-use super::markdown::{RULE, origins};
+use super::remarks::{RULE, absent, origins, remarks, runs, verdict};
 use super::{Line, Report};
 use crate::figures::svg::escape;
 
@@ -15,15 +15,20 @@ pub fn page(report: &Report<'_>, pictures: &[String], command: &str) -> String {
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" \
          content=\"width=device-width, initial-scale=1\">\n<title>Reveille beside the \
          paper</title>\n<style>\n{STYLE}</style>\n\
-         </head>\n<body>\n<h1>What the paper claims and what Reveille measures</h1>\n<p>{}</p>\n",
-        escape(RULE)
+         </head>\n<body>\n<h1>What the paper claims and what Reveille measures</h1>\n"
     );
+    out.push_str(&list(runs(report).into_iter().chain(absent(report))));
+    let _ = writeln!(out, "<p>{}</p>", escape(RULE));
     out.push_str(&tally(report));
     out.push_str("<h2>Claims</h2>\n");
     for (source, lines) in report.sections() {
         out.push_str(&head(report, source));
         out.extend(lines.iter().map(|line| row(report, line)));
         out.push_str("</tbody></table></div>\n");
+    }
+    for remarks in remarks(report) {
+        let _ = writeln!(out, "<h2>{}</h2>", remarks.heading);
+        out.push_str(&list(remarks.items.into_iter()));
     }
     out.push_str("<h2>Figures</h2>\n<div class=\"figures\">\n");
     for picture in pictures {
@@ -32,14 +37,11 @@ pub fn page(report: &Report<'_>, pictures: &[String], command: &str) -> String {
     out.push_str("</div>\n<h2>How it was made</h2>\n");
     let _ = writeln!(
         out,
-        "<p>By Reveille {}: <code>{}</code></p>\n<ul>",
+        "<p>By Reveille {}: <code>{}</code></p>",
         env!("CARGO_PKG_VERSION"),
         escape(command)
     );
-    for line in origins(report) {
-        let _ = writeln!(out, "<li>{}</li>", escape(&line));
-    }
-    out.push_str("</ul>\n");
+    out.push_str(&list(origins(report).into_iter()));
     for (name, text) in report.experiments() {
         let (name, text) = (escape(name), escape(text));
         let _ = writeln!(
@@ -51,9 +53,19 @@ pub fn page(report: &Report<'_>, pictures: &[String], command: &str) -> String {
     out
 }
 
+fn list(items: impl Iterator<Item = String>) -> String {
+    let mut out = String::from("<ul>\n");
+    for item in items {
+        let _ = writeln!(out, "<li>{}</li>", together(&escape(&item)));
+    }
+    out.push_str("</ul>\n");
+    out
+}
+
 const fn class(verdict: Verdict) -> &'static str {
     match verdict {
         Verdict::Reproduced => "yes",
+        Verdict::Near => "near",
         Verdict::OrderReproduced => "order",
         Verdict::NotReproduced => "no",
         Verdict::NotRun => "none",
@@ -64,6 +76,7 @@ const fn class(verdict: Verdict) -> &'static str {
 const fn sign(verdict: Verdict) -> &'static str {
     match verdict {
         Verdict::Reproduced => "✓",
+        Verdict::Near => "≈",
         Verdict::OrderReproduced => "≷",
         Verdict::NotReproduced => "✗",
         Verdict::NotRun => "–",
@@ -101,7 +114,7 @@ fn head(report: &Report<'_>, source: &str) -> String {
     for column in &report.columns {
         let _ = write!(out, "<th>{}</th><th>verdict</th>", escape(&column.label));
     }
-    out.push_str("</tr></thead><tbody>\n");
+    out.push_str("<th>in the paper</th></tr></thead><tbody>\n");
     out
 }
 
@@ -113,15 +126,15 @@ fn row(report: &Report<'_>, line: &Line) -> String {
         escape(&line.sites),
         escape(&line.paper)
     );
-    for ours in &line.ours {
-        let doubt = if ours.firm { "" } else { " ?" };
-        let (class, sign, words) = (class(ours.verdict), sign(ours.verdict), ours.verdict.words());
+    for (column, ours) in line.ours.iter().enumerate() {
+        let (class, sign, words) = (class(ours.verdict), sign(ours.verdict), verdict(line, column));
         let _ = write!(
             out,
-            "<td>{}</td><td class=\"{class}\">{sign} {words}{doubt}</td>",
+            "<td>{}</td><td class=\"{class}\">{sign} {words}</td>",
             together(&escape(&ours.found))
         );
     }
+    let _ = write!(out, "<td>{}</td>", escape(&line.places()));
     let mut reasons: Vec<String> = Vec::new();
     let is_same = line.ours.iter().all(|ours| ours.why == line.ours[0].why);
     for (column, ours) in report.columns.iter().zip(&line.ours) {
@@ -134,7 +147,7 @@ fn row(report: &Report<'_>, line: &Line) -> String {
     reasons.retain(|reason| !reason.is_empty());
     out.push_str("</tr>\n");
     if !reasons.is_empty() {
-        let (width, reasons) = (3 + 2 * report.columns.len(), together(&reasons.join("<br>")));
+        let (width, reasons) = (4 + 2 * report.columns.len(), together(&reasons.join("<br>")));
         let _ = writeln!(
             out,
             "<tr class=\"why\"><td></td><td colspan=\"{width}\">{reasons}</td></tr>"

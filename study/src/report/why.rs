@@ -2,9 +2,10 @@
 
 use reveille_bs::policy::registry;
 
+use super::found::distance;
 use super::judge::{Judgement, Verdict};
-use super::words::{distance, number};
-use crate::claims::{Claim, Relation, Topic};
+use super::words::number;
+use crate::claims::{Claim, Quantity, Topic};
 use crate::figures::results::Condition;
 
 /// From which share of devices on, %, batteries count as a reason.
@@ -14,10 +15,11 @@ const MOST_ARE_LOW: f64 = 50.0;
 pub fn why(topic: &Topic, claim: &Claim, judgement: &Judgement, condition: &Condition) -> String {
     let mut reasons: Vec<String> = Vec::new();
     match judgement.verdict {
-        Verdict::Reproduced => reasons.extend(outside(claim, judgement)),
+        Verdict::Reproduced => {}
+        Verdict::Near => reasons.extend(distance(claim, &judgement.findings)),
         Verdict::NotRun => reasons.push(not_run(claim.policy)),
         Verdict::OrderReproduced | Verdict::NotReproduced => {
-            reasons.extend(distance(claim.relation, &judgement.findings));
+            reasons.extend(distance(claim, &judgement.findings));
             reasons.extend(order(judgement));
             let known = known(topic, claim, judgement, condition);
             if known.is_empty() && judgement.verdict == Verdict::NotReproduced {
@@ -26,30 +28,27 @@ pub fn why(topic: &Topic, claim: &Claim, judgement: &Judgement, condition: &Cond
             reasons.extend(known);
         }
     }
+    reasons.extend(absent(claim, judgement));
     if !judgement.firm {
         reasons.push("Our interval reaches across the border of this verdict: more runs would decide.".to_owned());
     }
     reasons.join(" ")
 }
 
-/// That a reproduced range is met by its tolerance alone.
-fn outside(claim: &Claim, judgement: &Judgement) -> Option<String> {
-    let Relation::Between(low, high) = claim.relation else {
-        return None;
-    };
-    let is_outside = judgement.findings.iter().any(|f| !(low..=high).contains(&f.value));
-    is_outside.then(|| "Outside the stated range, within 20 %.".to_owned())
-}
-
 /// With which policies the order was compared.
 fn order(judgement: &Judgement) -> Vec<String> {
-    if judgement.order.is_empty() {
-        return vec!["The tables and the paper hold no other figure to compare the order with.".to_owned()];
-    }
     let names = |wanted: bool| {
-        let own = judgement.order.iter().filter(|(_, _, same)| *same == wanted);
-        let names: Vec<String> = own.map(|(n, other, _)| format!("{other} (N = {n})")).collect();
-        names.join(", ")
+        let mut places: Vec<(&str, Vec<String>)> = Vec::new();
+        for (n, other, _) in judgement.order.iter().filter(|(_, _, same)| *same == wanted) {
+            match places.iter_mut().find(|(known, _)| known == other) {
+                Some((_, sizes)) => sizes.push(n.to_string()),
+                None => places.push((*other, vec![n.to_string()])),
+            }
+        }
+        let names = places
+            .iter()
+            .map(|(other, sizes)| format!("{other} (N = {})", sizes.join(", ")));
+        names.collect::<Vec<_>>().join(", ")
     };
     let mut sentences = Vec::new();
     for (wanted, side) in [(true, "On"), (false, "Not on")] {
@@ -61,15 +60,24 @@ fn order(judgement: &Judgement) -> Vec<String> {
     sentences
 }
 
+/// Which of the policies that a claim compares with were not run, where some were.
+fn absent(claim: &Claim, judgement: &Judgement) -> Option<String> {
+    let Quantity::Ratio(others) = claim.quantity else {
+        return None;
+    };
+    let is_absent = |other: &&&str| !judgement.findings.iter().any(|f| f.other == Some(**other));
+    let absent: Vec<&str> = others.iter().filter(is_absent).copied().collect();
+    let is_told = !absent.is_empty() && judgement.verdict != Verdict::NotRun;
+    is_told.then(|| format!("Without {}, not run here.", absent.join(", ")))
+}
+
 /// The reasons that the claims or our own metrics know.
 fn known(topic: &Topic, claim: &Claim, judgement: &Judgement, condition: &Condition) -> Vec<String> {
     let mut reasons = Vec::new();
-    for text in [claim.caveat, topic.remark] {
-        if !text.is_empty() {
-            reasons.push(text.to_owned());
-        }
+    if !claim.caveat.is_empty() {
+        reasons.push(claim.caveat.to_owned());
     }
-    let Some((low, high)) = claim.relation.range() else {
+    let (Some((low, high)), Quantity::Own | Quantity::Ratio(_)) = (claim.statement.range(), claim.quantity) else {
         return reasons;
     };
     let (is_under, is_over) = (
@@ -77,7 +85,7 @@ fn known(topic: &Topic, claim: &Claim, judgement: &Judgement, condition: &Condit
         judgement.findings.iter().find(|f| f.value > high),
     );
     let starved = match topic.metric {
-        "info_per_event" | "energy_per_device_tti" | "mean_battery" => is_under,
+        "info_p1" | "info_per_event" | "energy_per_device_tti" | "mean_battery" => is_under,
         "misdetection_pct" | "wrong_activations_per_event" => is_over,
         _ => None,
     };
@@ -94,7 +102,8 @@ fn known(topic: &Topic, claim: &Claim, judgement: &Judgement, condition: &Condit
         Some(longest) => Some(format!("up to {longest} TTIs")),
         None => Some(format!("{} TTIs on average", events.duration)),
     });
-    if let Some(lasts) = lasts.filter(|_| topic.metric == "misdetection_pct" && is_under.is_some()) {
+    let is_missed = topic.metric == "misdetection_pct" && claim.quantity == Quantity::Own && is_under.is_some();
+    if let Some(lasts) = lasts.filter(|_| is_missed) {
         reasons.push(format!(
             "An event lasts {lasts} here and is missed only if no report comes in any of them."
         ));

@@ -1,7 +1,8 @@
 //! Numbers and claims in words.
 
-use super::judge::Finding;
-use crate::claims::Relation;
+use reveille_lab::reading::{Counted, Reading};
+
+use crate::claims::{Claim, Quantity, Sites, Statement};
 
 /// A number with three significant digits, or none behind the point where it has more in front.
 pub fn number(x: f64) -> String {
@@ -39,37 +40,86 @@ fn number_like(half: f64, mean: f64) -> String {
     }
 }
 
-/// What was found for a claim at one N.
-pub fn found(relation: Relation, finding: &Finding) -> String {
-    let Finding {
-        value, half, unseen, ..
-    } = *finding;
-    match (relation, unseen) {
-        (_, Some(events)) => format!("0 of {events} events, < {}", number(half)),
-        (Relation::Times(_, other), None) if half.is_nan() => format!("{} × {other} (one run)", number(value)),
-        (Relation::Times(_, other), None) => {
-            format!("{} × {other} (± {})", number(value), number_like(half, value))
+/// What runs tell of a metric: a mean with its interval, or a bound on it.
+pub fn told(reading: &Reading) -> String {
+    let (mean, half) = (reading.estimate.mean, reading.estimate.half_width);
+    match (reading.upper, reading.counted) {
+        (Some(upper), Some(Counted { cases: 0, events })) => format!("0 in {events} events, < {}", number(upper)),
+        (Some(upper), Some(Counted { cases, events })) => {
+            format!("{}, {cases} in {events} events, < {}", number(mean), number(upper))
         }
-        (_, None) => plus_minus(value, half),
+        (Some(upper), None) => format!("{}, < {}", number(mean), number(upper)),
+        (None, Some(Counted { events, .. })) if reading.lower.is_some() => {
+            // Next to the whole, three digits are none.
+            let bound = libm::floor(100.0 * reading.lower.unwrap_or(mean)) / 100.0;
+            format!("{mean} in all {events} events, > {bound:.2}")
+        }
+        (None, _) if half == 0.0 => format!("{} in every run", number(mean)),
+        (None, _) => plus_minus(mean, half),
+    }
+}
+
+/// For which N a claim is made.
+pub fn sites(sites: Sites) -> String {
+    match sites {
+        Sites::At(n) => format!("N = {n}"),
+        Sites::Under(n) => format!("N < {n}"),
+        Sites::UpTo(n) => format!("N ≤ {n}"),
+        Sites::Over(n) => format!("N > {n}"),
+        Sites::Everywhere => "all N".to_owned(),
     }
 }
 
 /// What a claim says.
-pub fn relation(relation: Relation) -> String {
-    match relation {
-        Relation::About(0.0) => "≈ 0".to_owned(),
-        Relation::About(v) => format!("≈ {}", number_as_stated(v)),
-        Relation::Between(low, high) => format!("{} to {}", plain(low), plain(high)),
-        Relation::Below(v) => format!("< {}", plain(v)),
-        Relation::Above(v) => format!("> {}", plain(v)),
-        Relation::Times(factor, other) => format!("{} × {other}", number(factor)),
+pub fn relation(claim: &Claim) -> String {
+    let statement = claim.statement;
+    match claim.quantity {
+        Quantity::Own => own(statement),
+        Quantity::Ratio(others) => ratio(statement, &list(others)),
+        Quantity::Gap(other) => format!("gap to {other} {}", own(statement)),
+        Quantity::Growth(n) => ratio(statement, &format!("its own at N = {n}")),
     }
 }
 
-/// A stated value as it is stated; a quotient of two with three digits.
-fn number_as_stated(x: f64) -> String {
-    let text = plain(x);
-    if text.len() > 8 { number(x) } else { text }
+fn own(statement: Statement) -> String {
+    match statement {
+        Statement::About(v) => format!("≈ {}", plain(v)),
+        Statement::Between(low, high) => format!("{} to {}", plain(low), plain(high)),
+        Statement::Below(v) => format!("< {}", plain(v)),
+        Statement::Above(v) => format!("> {}", plain(v)),
+        Statement::Largest(v) => format!("up to {}", plain(v)),
+        Statement::Smallest(v) => format!("down to {}", plain(v)),
+        Statement::Level => "about level over N".to_owned(),
+        Statement::Falls => "falls with N".to_owned(),
+        Statement::Rises => "rises with N".to_owned(),
+    }
+}
+
+fn ratio(statement: Statement, others: &str) -> String {
+    let is_one = |v: f64| (v - 1.0).abs() < 1e-12;
+    match statement {
+        Statement::About(v) if is_one(v) => format!("about as {others}"),
+        Statement::Below(v) if is_one(v) => format!("less than {others}"),
+        Statement::Above(v) if is_one(v) => format!("more than {others}"),
+        Statement::About(v) => format!("{} × {others}", plain(v)),
+        Statement::Between(low, high) => format!("{} to {} × {others}", plain(low), plain(high)),
+        Statement::Below(_) | Statement::Above(_) | Statement::Largest(_) | Statement::Smallest(_) => {
+            format!("{} × {others}", own(statement))
+        }
+        Statement::Level | Statement::Falls | Statement::Rises => format!("share of {others} {}", own(statement)),
+    }
+}
+
+/// Names in a row.
+pub fn list<T: AsRef<str>>(names: &[T]) -> String {
+    match names {
+        [] => String::new(),
+        [one] => one.as_ref().to_owned(),
+        [first @ .., last] => {
+            let first: Vec<&str> = first.iter().map(AsRef::as_ref).collect();
+            format!("{} and {}", first.join(", "), last.as_ref())
+        }
+    }
 }
 
 /// A stated value as it is stated.
@@ -77,38 +127,12 @@ pub fn plain(x: f64) -> String {
     x.to_string().replace('-', "−")
 }
 
-/// How far the worst of `findings` is from what is claimed.
-pub fn distance(relation: Relation, findings: &[Finding]) -> Option<String> {
-    let factor = |finding: &Finding| {
-        let nearest = match relation {
-            Relation::About(v) | Relation::Times(v, _) | Relation::Below(v) | Relation::Above(v) => v,
-            Relation::Between(low, high) => finding.value.clamp(low, high),
-        };
-        finding.value / nearest
-    };
-    let size = |x: f64| if x > 0.0 { libm::log(x).abs() } else { f64::INFINITY };
-    let worst = findings
-        .iter()
-        .max_by(|a, b| size(factor(a)).total_cmp(&size(factor(b))))?;
-    let place = if findings.len() > 1 {
-        format!(" at N = {}", worst.n)
-    } else {
-        String::new()
-    };
-    let factor = factor(worst);
-    if !factor.is_finite() || factor <= 0.0 {
-        return None;
-    }
-    Some(match relation {
-        Relation::Between(..) => format!("Ours is {} times the nearer end of the range{place}.", number(factor)),
-        Relation::About(_) | Relation::Times(..) => format!("Ours is {} times the paper's{place}.", number(factor)),
-        Relation::Below(_) | Relation::Above(_) => format!("Ours is {} times the bound{place}.", number(factor)),
-    })
-}
-
 #[cfg(test)]
 mod tests {
+    use reveille_lab::stats::Estimate;
+
     use super::*;
+    use crate::claims::FIG_8;
 
     #[test]
     fn three_digits_count() {
@@ -135,20 +159,62 @@ mod tests {
     }
 
     #[test]
-    fn the_distance_is_that_of_the_worst() {
-        let finding = |n, value| Finding {
-            n,
-            value,
-            ..Finding::default()
+    fn what_is_next_to_nothing_has_a_bound_and_no_interval() {
+        let reading = |values: &[f64], cases: Option<u64>, upper| Reading {
+            estimate: Estimate::over(values.iter().copied()),
+            counted: cases.map(|cases| Counted { cases, events: 600 }),
+            upper,
+            lower: None,
         };
-        let range = Relation::Between(30.0, 45.0);
-        let text = distance(range, &[finding(10, 60.0), finding(250, 90.0)]).expect("a distance");
-        assert!(
-            text.contains("2.00 times the nearer end") && text.contains("N = 250"),
-            "{text}"
+        assert_eq!(
+            told(&reading(&[0.0; 2], Some(0), Some(0.5))),
+            "0 in 600 events, < 0.500"
         );
-        let text = distance(Relation::About(10.0), &[finding(10, 5.0)]).expect("a distance");
-        assert_eq!(text, "Ours is 0.500 times the paper's.");
-        assert_eq!(distance(Relation::About(10.0), &[finding(10, 0.0)]), None);
+        assert_eq!(
+            told(&reading(&[0.0, 0.2], Some(1), Some(0.79))),
+            "0.100, 1 in 600 events, < 0.790"
+        );
+        assert_eq!(told(&reading(&[0.0, 0.026], None, Some(0.04))), "0.0130, < 0.0400");
+        assert_eq!(told(&reading(&[0.0; 2], None, None)), "0 in every run");
+        assert_eq!(told(&reading(&[0.3, 0.5], Some(99), None)), "0.400 ± 1.271");
+    }
+
+    #[test]
+    fn claims_read_as_people_say_them() {
+        let says = |quantity, statement| relation(&Claim::new("knn", Sites::Everywhere, quantity, statement, FIG_8));
+        for (statement, alone, beside) in [
+            (Statement::About(0.4), "≈ 0.4", "0.4 × adjusted and random"),
+            (Statement::About(1.0), "≈ 1", "about as adjusted and random"),
+            (Statement::Below(1.0), "< 1", "less than adjusted and random"),
+            (Statement::Above(1.29), "> 1.29", "> 1.29 × adjusted and random"),
+            (Statement::Largest(4.5), "up to 4.5", "up to 4.5 × adjusted and random"),
+            (
+                Statement::Smallest(0.77),
+                "down to 0.77",
+                "down to 0.77 × adjusted and random",
+            ),
+            (
+                Statement::Between(8.0, 13.0),
+                "8 to 13",
+                "8 to 13 × adjusted and random",
+            ),
+            (
+                Statement::Falls,
+                "falls with N",
+                "share of adjusted and random falls with N",
+            ),
+        ] {
+            assert_eq!(says(Quantity::Own, statement), alone);
+            assert_eq!(says(Quantity::Ratio(&["adjusted", "random"]), statement), beside);
+        }
+        assert_eq!(
+            says(Quantity::Gap("genie"), Statement::Falls),
+            "gap to genie falls with N"
+        );
+        assert_eq!(
+            says(Quantity::Growth(10), Statement::About(0.5)),
+            "0.5 × its own at N = 10"
+        );
+        assert_eq!(list(&["a", "b", "c"]), "a, b and c");
     }
 }

@@ -5,6 +5,7 @@ use std::path::Path;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};
 use reveille_common::score::Metrics;
+use reveille_lab::reading::Reading;
 use reveille_lab::stats::{self, Estimate};
 use reveille_lab::sweep::{CellEnd, Finished, Grid, Shard};
 use reveille_lab::table::Value;
@@ -15,7 +16,7 @@ use crate::display::count;
 
 /// The metrics of the closing table, with shorter heads.
 const SHOWN: [(&str, &str); 6] = [
-    ("info_p1", "info P1"),
+    ("info_p1", "info (P1)"),
     ("detection_delay_ttis", "delay TTIs"),
     ("misdetection_pct", "missed %"),
     ("energy_per_device_tti", "energy"),
@@ -66,7 +67,7 @@ impl Report<'_> {
             ];
             row.extend(cell.swept.iter().map(ToString::to_string));
             row.push(cell.rows.len().to_string());
-            row.extend(SHOWN.iter().map(|(metric, _)| shown(cell.estimate(metric))));
+            row.extend(SHOWN.iter().map(|(metric, _)| shown(cell.reading(metric))));
             table.add_row(row);
         }
         for column in fixed - 1..fixed + SHOWN.len() {
@@ -76,7 +77,9 @@ impl Report<'_> {
         }
         let mut lines = vec![
             table.to_string(),
-            "mean ± half-width of the 95 % interval over the runs".to_owned(),
+            "mean ± half-width of the 95 % interval over the runs; < a one-sided 95 % bound, where cases are too few \
+             for an interval"
+                .to_owned(),
         ];
         lines.extend(self.wide_text());
         lines.push(self.speed());
@@ -138,7 +141,7 @@ impl Report<'_> {
                 let metrics: Map<String, Json> = Metrics::ALL
                     .iter()
                     .map(|metric| metric.name)
-                    .map(|name| (name.to_owned(), cell.estimate(name).map_or(Json::Null, estimate)))
+                    .map(|name| (name.to_owned(), cell.reading(name).map_or(Json::Null, reading)))
                     .collect();
                 let values = schema.swept.iter().zip(cell.swept.iter());
                 let swept: Map<String, Json> = values.map(|((name, _), value)| (name.clone(), plain(value))).collect();
@@ -172,30 +175,42 @@ fn plain(value: &Value) -> Json {
     }
 }
 
-fn estimate(estimate: Estimate) -> Json {
+fn reading(reading: Reading) -> Json {
     let Estimate {
         mean,
         deviation,
         half_width,
         runs,
-    } = estimate;
-    json!({ "mean": mean, "deviation": deviation, "half_width": half_width, "runs": runs })
+    } = reading.estimate;
+    json!({
+        "mean": mean, "deviation": deviation, "half_width": half_width, "runs": runs, "upper_bound": reading.upper,
+        "lower_bound": reading.lower,
+    })
 }
 
-/// `0.1473 ± 0.0012`, to as many digits as the interval is worth.
-fn shown(estimate: Option<Estimate>) -> String {
-    let Some(Estimate { mean, half_width, .. }) = estimate else {
+/// `0.1473 ± 0.0012`, to as many digits as the interval is worth; `0.013, < 0.040` where there is a bound alone.
+fn shown(reading: Option<Reading>) -> String {
+    let Some(reading) = reading else {
         return "–".to_owned();
     };
-    if half_width.is_nan() {
-        return format!("{mean:.4}");
+    let Estimate { mean, half_width, .. } = reading.estimate;
+    // Two digits of what is unsure.
+    let digits = |unsure: f64| (1.0 - unsure.log10().floor()).clamp(0.0, 6.0) as usize;
+    match reading.upper {
+        Some(upper) if mean == 0.0 => format!("0, < {upper:.*}", digits(upper)),
+        Some(upper) => format!("{mean:.digits$}, < {upper:.digits$}", digits = digits(upper)),
+        None if reading.lower.is_some() => {
+            let lower = reading.lower.unwrap_or(mean);
+            format!("{mean:.0}, > {lower:.*}", digits(mean - lower))
+        }
+        None if half_width == 0.0 && mean == 0.0 => "0".to_owned(),
+        None if half_width == 0.0 => format!("{mean:.4}"),
+        None if half_width.is_nan() => format!("{mean:.4}"),
+        None => {
+            let digits = if half_width > 0.0 { digits(half_width) } else { 4 };
+            format!("{mean:.digits$} ± {half_width:.digits$}")
+        }
     }
-    let digits = if half_width > 0.0 {
-        (1.0 - half_width.log10().floor()).clamp(0.0, 6.0) as usize
-    } else {
-        4
-    };
-    format!("{mean:.digits$} ± {half_width:.digits$}")
 }
 
 /// The grid and what it would cost.

@@ -199,7 +199,7 @@ fn information_is_drawn_against_energy_with_intervals_in_both_directions() {
         ("q-learning", 50, &[f64::NAN]),
         ("dt", 10, &[f64::NAN]),
     ];
-    let results = Results::new(&[fixtures::table("paper", "info_per_event", &runs)], &NoFiles).expect("runs");
+    let results = Results::new(&[fixtures::table("paper", "info_p1", &runs)], &NoFiles).expect("runs");
     let condition = &results.conditions[0];
     let chart = pareto::chart(&[condition]).expect("a picture");
     check("pareto", &chart.scene());
@@ -219,20 +219,20 @@ fn information_is_drawn_against_energy_with_intervals_in_both_directions() {
     let marks: Vec<(f64, f64)> = chart.marks.iter().map(|m| (m.x, m.stated.values()[0])).collect();
     assert_eq!(marks, [(0.145, 0.4), (0.24, 0.72)]);
     assert!(
-        chart.caption.contains("Hollow marks are for N = 250."),
+        chart.caption.contains("Hollow marks are for N = 250;"),
         "{}",
         chart.caption
     );
     let csv = pareto::csv(&[condition]);
     assert_eq!(csv.lines().count(), 4);
-    let none = fixtures::table("paper", "info_per_event", &[("knn", 10, &[f64::NAN])]);
+    let none = fixtures::table("paper", "info_p1", &[("knn", 10, &[f64::NAN])]);
     assert!(pareto::chart(&[&Results::new(&[none], &NoFiles).expect("runs").conditions[0]]).is_none());
 }
 
 #[test]
 fn each_setting_has_its_own_pareto_picture() {
-    let (name, table) = fixtures::table("paper", "info_per_event", &[("knn", 10, &[0.1, 0.2])]);
-    let (other, literal) = fixtures::table("paper-literal", "info_per_event", &[("knn", 10, &[0.3, 0.2])]);
+    let (name, table) = fixtures::table("paper", "info_p1", &[("knn", 10, &[0.1, 0.2])]);
+    let (other, literal) = fixtures::table("paper-literal", "info_p1", &[("knn", 10, &[0.3, 0.2])]);
     let results = Results::new(&[(name, table), (other, literal)], &NoFiles).expect("runs");
     let captions = results
         .conditions
@@ -249,7 +249,7 @@ fn settings_drawn_together_have_a_line_for_each_policy_and_shared_runs_once() {
         &[("knn", 10, &[0.1, 0.2][..]), ("q-learning", 10, &[0.3, 0.4])],
         &[("knn", 10, &[0.2, 0.2][..]), ("q-learning", 10, &[0.5, 0.4])],
     ]
-    .map(|runs| fixtures::table("paper", "info_per_event", runs).1);
+    .map(|runs| fixtures::table("paper", "info_p1", runs).1);
     let mut uniform = uniform;
     uniform.about.experiment += "[set]\n\"layout.kind\" = \"uniform\"\n";
     for row in &mut uniform.rows {
@@ -267,7 +267,7 @@ fn settings_drawn_together_have_a_line_for_each_policy_and_shared_runs_once() {
             row.scenario_hash
         };
     }
-    let literal = fixtures::table("paper-literal", "info_per_event", &[("knn", 10, &[0.3])]);
+    let literal = fixtures::table("paper-literal", "info_p1", &[("knn", 10, &[0.3])]);
     let tables = [("a".to_owned(), plain), ("b".to_owned(), uniform), literal];
     let results = Results::new(&tables, &NoFiles).expect("runs");
     let groups = results.together();

@@ -1,0 +1,129 @@
+//! Fig. 7: information.
+
+use super::caveats::{CLOSEST, SPARING};
+use super::claim::Quantity::{Own, Ratio};
+use super::claim::Sites::{At, Everywhere, Over, UpTo};
+use super::claim::Statement::{About, Above, Below, Largest, Rises};
+use super::claim::{Claim, Topic};
+use super::place::{ABSTRACT, BENCHMARKS, CONCLUSIONS, CONTRIBUTION, FIG_7};
+
+const ENDPOINT: &str = "\"Up to\" is read as the end of the axis, since information rises with N (1st sentence).";
+const ALIKE: &str = "Not near is read as below 80 %, beyond the tolerance of this report.";
+const DENSE: &str = "Read for N > 50: the 8th sentence has all methods alike up to there. The 7th sentence sets \
+    q-learning and the genie above.";
+const ALL_METHODS: &str = "The sentence says so of all methods together, without an N; read at the end of the axis.";
+
+/// Claims that compare how well policies do.
+pub const OVER_TIME: Topic = Topic {
+    metric: "info_p1",
+    is_per_device: false,
+    about: "information, objective of P1",
+    source: "Fig. 7",
+    reading: "The sentences compare how well policies do. That is the objective of P1, Σ I_i over the expected number \
+        of events αK: an event that is found late leaves less time for others and costs information there, and none \
+        per event.",
+    claims: &[
+        Claim::new(
+            "adjusted",
+            Everywhere,
+            Ratio(&["random"]),
+            Above(1.0),
+            FIG_7.sentence(3),
+        )
+        .doubted(SPARING),
+        Claim::new("knn", Everywhere, Ratio(&["random"]), Above(1.0), FIG_7.sentence(3)),
+        Claim::new(
+            "q-learning",
+            Everywhere,
+            Ratio(&["random"]),
+            Above(1.0),
+            FIG_7.sentence(3),
+        ),
+        Claim::new("dt", Everywhere, Ratio(&["random"]), Above(1.0), FIG_7.sentence(3)),
+        Claim::new("q-learning", At(250), Ratio(&["genie"]), About(1.0), FIG_7.sentence(4))
+            .again(CONCLUSIONS.sentence(6)),
+        Claim::new("q-learning", Everywhere, Ratio(&["genie"]), Rises, ABSTRACT.sentence(9)),
+        Claim::new(
+            "genie",
+            Everywhere,
+            Ratio(&["knn", "adjusted", "q-learning", "dt", "random"]),
+            Above(1.0),
+            BENCHMARKS.sentence(6),
+        ),
+        Claim::new(
+            "dt",
+            Over(50),
+            Ratio(&["knn", "adjusted", "random"]),
+            Above(1.0),
+            FIG_7.sentence(6),
+        )
+        .read(DENSE),
+        Claim::new(
+            "dt",
+            Over(50),
+            Ratio(&["q-learning", "genie"]),
+            Below(1.0),
+            FIG_7.sentence(7),
+        ),
+        Claim::new(
+            "q-learning",
+            UpTo(50),
+            Ratio(&["knn", "adjusted", "dt"]),
+            About(1.0),
+            FIG_7.sentence(8),
+        )
+        .read("Alike is read as within 20 % of q-learning.")
+        .doubted(SPARING),
+        Claim::new("knn", UpTo(50), Ratio(&["genie"]), Below(0.8), FIG_7.sentence(8)).read(ALIKE),
+        Claim::new("adjusted", UpTo(50), Ratio(&["genie"]), Below(0.8), FIG_7.sentence(8)).read(ALIKE),
+        Claim::new("q-learning", UpTo(50), Ratio(&["genie"]), Below(0.8), FIG_7.sentence(8)).read(ALIKE),
+        Claim::new("dt", UpTo(50), Ratio(&["genie"]), Below(0.8), FIG_7.sentence(8)).read(ALIKE),
+        Claim::new("knn", At(250), Ratio(&["genie"]), About(1.0), CONCLUSIONS.sentence(6))
+            .read(ALL_METHODS)
+            .against(
+                FIG_7.sentence(4),
+                "There knn reaches about 0.4 where q-learning, near the genie, reaches about 0.72.",
+            ),
+        Claim::new("dt", At(250), Ratio(&["genie"]), About(1.0), CONCLUSIONS.sentence(6))
+            .read(ALL_METHODS)
+            .against(FIG_7.sentence(7), "There dt falls well short of the genie."),
+    ],
+};
+
+/// Claims that name information per event.
+pub const PER_EVENT: Topic = Topic {
+    metric: "info_per_event",
+    is_per_device: false,
+    about: "information per event",
+    source: "Fig. 7",
+    reading: "The sentences say per event, so they are judged by the events that took place. In the paper's model, \
+        where events do not depend on what the base station does, this and the objective of P1 are the same on the \
+        mean.",
+    claims: &[
+        Claim::new("knn", Everywhere, Own, Rises, FIG_7.sentence(1)),
+        Claim::new("adjusted", Everywhere, Own, Rises, FIG_7.sentence(1)),
+        Claim::new("q-learning", Everywhere, Own, Rises, FIG_7.sentence(1)),
+        Claim::new("dt", Everywhere, Own, Rises, FIG_7.sentence(1)),
+        Claim::new("random", Everywhere, Own, Rises, FIG_7.sentence(1)),
+        Claim::new("genie", Everywhere, Own, Rises, FIG_7.sentence(1)),
+        Claim::new("knn", At(250), Own, About(0.4), FIG_7.sentence(4)).read(ENDPOINT),
+        Claim::new("adjusted", At(250), Own, About(0.4), FIG_7.sentence(4)).read(ENDPOINT),
+        Claim::new("q-learning", At(250), Own, About(0.72), FIG_7.sentence(4)).doubted(CLOSEST),
+        Claim::new("genie", At(250), Own, About(0.72), FIG_7.sentence(4))
+            .read("Said of q-learning, which is near the genie.")
+            .doubted(CLOSEST),
+        Claim::new(
+            "genie",
+            Everywhere,
+            Ratio(&["knn", "adjusted", "q-learning", "dt", "random"]),
+            Above(1.0),
+            FIG_7.sentence(5),
+        ),
+        Claim::new("q-learning", Everywhere, Ratio(&["random"]), Largest(4.5), CONTRIBUTION)
+            .again(CONCLUSIONS.sentence(6))
+            .read(
+                "The largest ratio over N, of whichever method has it; Fig. 7 has q-learning in front. \"4.5 times \
+                 more\" is read as 4.5 times.",
+            ),
+    ],
+};

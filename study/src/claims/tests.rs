@@ -1,0 +1,260 @@
+use std::collections::BTreeSet;
+
+use reveille_common::score::Metrics;
+
+use super::Sites::{At, Everywhere, Over, Under, UpTo};
+use super::*;
+use crate::analysis::harvest::STATED;
+
+/// What the paper prints, sentence by sentence: the numbers on results in it (`%` as printed) and the N that it names.
+/// Written down from the text apart from the claims.
+const PRINTED: &[(&str, &[f64], &[u32])] = &[
+    ("Abstract, 8th sentence", &[], &[]),
+    ("Abstract, 9th sentence", &[], &[]),
+    ("Sec. I-B, 3rd contribution", &[4.5, 23.0], &[]),
+    ("Sec. VI, on the benchmarks, 6th sentence", &[], &[]),
+    ("Sec. VI-A, on Fig. 7, 1st sentence", &[], &[]),
+    ("Sec. VI-A, on Fig. 7, 3rd sentence", &[], &[]),
+    ("Sec. VI-A, on Fig. 7, 4th sentence", &[0.4, 0.72], &[]),
+    ("Sec. VI-A, on Fig. 7, 5th sentence", &[], &[]),
+    ("Sec. VI-A, on Fig. 7, 6th sentence", &[], &[]),
+    ("Sec. VI-A, on Fig. 7, 7th sentence", &[], &[]),
+    ("Sec. VI-A, on Fig. 7, 8th sentence", &[], &[50]),
+    ("Sec. VI-A, on Fig. 8, 2nd sentence", &[0.45, 0.83, 0.34], &[10]),
+    ("Sec. VI-A, on Fig. 8, 3rd sentence", &[0.145], &[]),
+    ("Sec. VI-A, on Fig. 8, 4th sentence", &[0.18, 29.0], &[]),
+    ("Sec. VI-A, on Fig. 8, 5th sentence", &[0.24, 0.32], &[]),
+    ("Sec. VI-A, on Fig. 8, 6th sentence", &[], &[180]),
+    ("Sec. VI-A, on Fig. 8, 7th sentence", &[40.0, 10.0], &[]),
+    ("Sec. VI-A, on Fig. 8, 8th sentence", &[], &[]),
+    ("Sec. VI-A, on Fig. 8, 9th sentence", &[0.055], &[]),
+    ("Sec. VI-A, on Fig. 9, 2nd sentence", &[], &[]),
+    ("Sec. VI-A, on Fig. 9, 3rd sentence", &[33.0, 58.0, 77.0], &[10]),
+    ("Sec. VI-A, on Fig. 9, 4th sentence", &[0.01], &[]),
+    ("Sec. VI-A, on Fig. 9, 5th sentence", &[7.0], &[250]),
+    ("Sec. VI-A, on Fig. 9, 6th sentence", &[], &[]),
+    ("Sec. VI-A, on Fig. 9, 7th sentence", &[200.0, 2.0], &[200]),
+    ("Sec. VI-A, on Fig. 9, 8th sentence", &[2.0, 0.003], &[]),
+    ("Sec. VI-A, on Fig. 9, 11th sentence", &[0.001], &[]),
+    ("Sec. VI-A, on Figs. 10 and 11, 3rd sentence", &[], &[]),
+    (
+        "Sec. VI-A, on Figs. 10 and 11, 4th sentence",
+        &[67.0, 8.0, 13.0],
+        &[10, 250],
+    ),
+    ("Sec. VI-A, on Figs. 10 and 11, 5th sentence", &[10.0, 72.0, 86.0], &[]),
+    (
+        "Sec. VI-A, on Figs. 10 and 11, 6th sentence",
+        &[30.0, 45.0, 31.0, 54.0],
+        &[],
+    ),
+    ("Sec. VI-A, on Figs. 10 and 11, 7th sentence", &[50.0, 40.0, 88.0], &[]),
+    ("Sec. VI-A, on Fig. 12, 4th sentence", &[0.0], &[]),
+    ("Sec. VI-A, on Fig. 12, 5th sentence", &[], &[]),
+    ("Sec. VI-A, on Fig. 12, 6th sentence", &[17.0, 9.5, 6.0], &[]),
+    ("Sec. VI-A, on Fig. 12, 7th sentence", &[50.0, 1.5], &[]),
+    ("Sec. VI-B, on Fig. 13, 5th sentence", &[], &[10, 250]),
+    ("Sec. VI-B, on Fig. 13, 6th sentence", &[0.15, 0.3, 0.4, 0.9], &[]),
+    ("Sec. VI-B, on Fig. 13, 7th sentence", &[0.05, 0.02, 0.09, 0.05], &[]),
+    ("Sec. VI-B, on Fig. 14, 2nd sentence", &[], &[100]),
+    ("Sec. VI-B, on Fig. 14, 4th sentence", &[0.38, 0.23], &[]),
+    (
+        "Sec. VI-B, on Fig. 14, 5th sentence",
+        &[0.052, 0.096, 0.023, 0.048],
+        &[],
+    ),
+    ("Sec. VII, 6th sentence", &[4.5, 23.0], &[]),
+];
+
+/// Numbers that are ours where a sentence has words: as much as, and not near.
+const WORDS: [f64; 2] = [1.0, 0.8];
+
+fn claims() -> impl Iterator<Item = (&'static Topic, &'static Claim)> {
+    let of = |topic: &'static Topic| topic.claims.iter().map(move |claim| (topic, claim));
+    TOPICS.iter().flat_map(of)
+}
+
+/// Whether a claim's `value` is the `printed` number: itself, a change of so many per cent, a share, or a factor for a
+/// gain of so many per cent.
+fn is_of(value: f64, printed: f64) -> bool {
+    let forms = [printed, 1.0 - printed / 100.0, 1.0 + printed / 100.0, printed / 100.0];
+    forms.iter().any(|form| (form - value).abs() < 1e-12)
+}
+
+/// The numbers that claims take from the sentence at `place`.
+fn taken(place: &str) -> Vec<f64> {
+    let is_here =
+        |claim: &Claim| claim.place.to_string() == place || claim.again.is_some_and(|again| again.to_string() == place);
+    let own = claims().filter(|(_, claim)| is_here(claim));
+    let own = own.flat_map(|(_, claim)| claim.statement.values());
+    let lambdas = STATED.iter().filter(|stated| stated.place.to_string() == place);
+    let lambdas = lambdas.flat_map(|stated| stated.ends().map(|end| end.lambda));
+    own.chain(lambdas).collect()
+}
+
+#[test]
+fn every_number_of_a_claim_is_printed_in_its_sentence() {
+    let numbers = |place: &str| {
+        let found = PRINTED.iter().find(|(known, ..)| *known == place);
+        found
+            .unwrap_or_else(|| panic!("{place} is not in the table of what is printed"))
+            .1
+    };
+    for (_, claim) in claims() {
+        let printed = numbers(&claim.place.to_string());
+        for value in claim.statement.values() {
+            let is_word = matches!(claim.quantity, Quantity::Ratio(_)) && WORDS.contains(&value);
+            assert!(is_word || printed.iter().any(|p| is_of(value, *p)), "{claim:?}");
+        }
+        // What stands twice has its number in one of the two places at least.
+        claim.again.map(|again| numbers(&again.to_string()));
+    }
+    for stated in &STATED {
+        let printed = numbers(&stated.place.to_string());
+        assert!(stated.ends().all(|end| printed.contains(&end.lambda)), "{stated:?}");
+    }
+}
+
+#[test]
+fn every_number_that_is_printed_is_claimed() {
+    for (place, numbers, sizes) in PRINTED {
+        let taken = taken(place);
+        for number in *numbers {
+            assert!(
+                taken.iter().any(|v| is_of(*v, *number)),
+                "{place}: nothing is made of {number}"
+            );
+        }
+        for n in *sizes {
+            let is_of = |claim: &Claim| match claim.sites {
+                At(own) | Under(own) | UpTo(own) | Over(own) => own == *n,
+                Everywhere => false,
+            };
+            let is_here = |claim: &Claim| [Some(claim.place), claim.again].contains(&place_of(place));
+            assert!(
+                claims().any(|(_, claim)| is_of(claim) && is_here(claim)),
+                "{place}: no claim for N = {n}"
+            );
+        }
+    }
+}
+
+/// The place that shows as `text`.
+fn place_of(text: &str) -> Option<Place> {
+    let all = claims()
+        .flat_map(|(_, claim)| [Some(claim.place), claim.again])
+        .flatten();
+    all.chain(STATED.iter().map(|stated| stated.place))
+        .find(|place| place.to_string() == text)
+}
+
+#[test]
+fn every_sentence_with_results_has_a_claim() {
+    for (place, ..) in PRINTED {
+        assert!(place_of(place).is_some(), "{place}");
+    }
+}
+
+#[test]
+fn every_claim_names_a_metric_and_policies_that_exist() {
+    let is_known = |policy: &str| POLICIES.contains(&policy);
+    for (topic, claim) in claims() {
+        assert!(Metrics::NAMES.contains(&topic.metric), "{}", topic.metric);
+        assert!(is_known(claim.policy), "{claim:?}");
+        match claim.quantity {
+            Quantity::Own => {}
+            Quantity::Ratio(others) => {
+                let others: BTreeSet<&str> = others.iter().copied().collect();
+                assert!(
+                    !others.is_empty() && others.iter().all(|other| is_known(other)),
+                    "{claim:?}"
+                );
+                assert!(!others.contains(claim.policy), "{claim:?}");
+            }
+            Quantity::Gap(other) => assert!(is_known(other) && other != claim.policy, "{claim:?}"),
+            Quantity::Growth(n) => assert!(claim.sites != At(n) && Everywhere.holds(n), "{claim:?}"),
+        }
+        if let Some((low, high)) = claim.statement.range() {
+            assert!(low <= high, "{claim:?}");
+        }
+    }
+}
+
+#[test]
+fn no_claim_is_made_twice() {
+    for topic in TOPICS {
+        for (i, a) in topic.claims.iter().enumerate() {
+            let same = |b: &Claim| {
+                (a.policy, a.sites, a.quantity, a.statement) == (b.policy, b.sites, b.quantity, b.statement)
+            };
+            assert!(!topic.claims[..i].iter().any(same), "{}: {a:?}", topic.metric);
+        }
+    }
+}
+
+#[test]
+fn a_contradiction_is_with_something_that_the_paper_says() {
+    for (_, claim) in claims() {
+        let Some(Contradiction { with, why }) = claim.contradicts else {
+            continue;
+        };
+        let is_there = PRINTED.iter().any(|(place, ..)| *place == with.to_string());
+        assert!(is_there || with == place::PARAMETERS, "{claim:?}");
+        assert!(with != claim.place && why.ends_with('.'), "{claim:?}");
+    }
+}
+
+#[test]
+fn sites_end_where_they_say() {
+    assert!(Under(200).holds(199) && !Under(200).holds(200));
+    assert!(UpTo(50).holds(50) && !UpTo(50).holds(51));
+    assert!(Over(180).holds(181) && !Over(180).holds(180));
+    assert!(At(10).holds(10) && !At(10).holds(11));
+    for sites in [Under(200), UpTo(50), Everywhere, Over(180)] {
+        assert!(
+            !sites.holds(9) && !sites.holds(251),
+            "{sites:?} is within the paper's axis"
+        );
+    }
+}
+
+#[test]
+fn a_place_reads_as_people_say_it() {
+    let place = |n| FIG_8.sentence(n).to_string();
+    for (n, ordinal) in [
+        (1, "1st"),
+        (2, "2nd"),
+        (3, "3rd"),
+        (4, "4th"),
+        (11, "11th"),
+        (22, "22nd"),
+    ] {
+        assert_eq!(place(n), format!("Sec. VI-A, on Fig. 8, {ordinal} sentence"));
+    }
+    assert_eq!(FIG_8.to_string(), "Sec. VI-A, on Fig. 8");
+}
+
+/// What the caveats say in numbers, by integrals of their own.
+#[test]
+fn numbers_of_caveats_hold() {
+    // A regular hexagon of 400 / 250 m²: its apothem is √(area / 2√3), and ∫ r e^-r dr from 0 to R is 1 − (1 + R) e^-R.
+    let area = 400.0 / 250.0;
+    let apothem = libm::sqrt(area / (2.0 * libm::sqrt(3.0)));
+    let steps = 10_000;
+    let mean = (0..steps).map(|i| {
+        let angle = std::f64::consts::FRAC_PI_6 * (f64::from(i) + 0.5) / f64::from(steps);
+        let reach = apothem / libm::cos(angle);
+        1.0 - (1.0 + reach) * libm::exp(-reach)
+    });
+    let sum: f64 = mean.sum();
+    let hexagons = 12.0 * std::f64::consts::FRAC_PI_6 * sum / f64::from(steps) / area;
+    assert!((hexagons - 0.63).abs() < 0.005, "{hexagons}");
+    // t_on of 1 or 2 in t_DRX of 2, 4 or 8, sensing at 1 unit and sleeping at 1/14.
+    let shares = [1.0, 2.0].map(|on| [2.0, 4.0, 8.0].map(|cycle| on / cycle));
+    let share = shares.as_flattened().iter().sum::<f64>() / 6.0;
+    assert!((share - 0.44).abs() < 0.005 && (share + (1.0 - share) / 14.0 - 0.48).abs() < 0.005);
+    // The contradictions' arithmetic.
+    let near = |a: f64, b: f64| (a - b).abs() < 0.0005;
+    assert!(near(0.18 / 0.145, 1.241) && near(1.29 * 0.145, 0.187) && near(0.6 * 0.24, 0.144));
+    assert!(near(0.9 * 0.145, 0.1305) && near(0.5 * 17.0, 8.5) && near(0.5 * 9.5, 4.75));
+}
