@@ -5,6 +5,7 @@ pub mod io;
 pub mod preparation;
 pub mod reading;
 pub mod run;
+pub mod series;
 pub mod stats;
 pub mod sweep;
 pub mod table;

@@ -1,5 +1,6 @@
 //! `reveille figures`: pictures as SVG and PNG.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -63,17 +64,37 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
                 figure.csv(condition, &drawing).as_bytes(),
             )?;
         }
-        draw_energy(args, &label, condition)?;
+        if condition.swept.is_empty() || condition.is_plain() {
+            draw_energy(args, &label, condition)?;
+        }
         if !args.together {
             draw_pareto(args, &label, &[condition])?;
         }
     }
+    hint(&results);
     if args.together {
         for (label, conditions) in results.together() {
             draw_pareto(args, &label, &conditions)?;
         }
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Says how a swept field is drawn in one picture.
+fn hint(results: &Results) {
+    let fields: BTreeSet<&str> = results
+        .conditions
+        .iter()
+        .filter(|condition| !condition.is_plain())
+        .flat_map(|condition| &condition.swept)
+        .map(|(path, _)| path.as_str())
+        .collect();
+    for field in fields {
+        note!(
+            "{field} is swept, which the paper's figures do not show: `reveille figures sweep TABLE --x {field} --y \
+             info_p1` draws a metric against it"
+        );
+    }
 }
 
 fn is_chosen(args: &FiguresArgs, name: &str) -> bool {

@@ -5,9 +5,9 @@ use std::process::ExitCode;
 use reveille_study::figures::results::Condition;
 use reveille_study::figures::scene::Scene;
 use reveille_study::figures::{energy, pareto, study, svg};
+use reveille_study::report::Report;
 use reveille_study::report::markdown::markdown;
 use reveille_study::report::page::page;
-use reveille_study::report::{Column, Report};
 
 use super::figures::{read, save};
 use crate::cli::ReportArgs;
@@ -22,14 +22,13 @@ pub fn run(args: &ReportArgs) -> anyhow::Result<ExitCode> {
     for preset in report.missing() {
         note!("report: no table of preset {preset}, so that there is no column of it");
     }
-    for (number, column) in (1..).zip(&report.columns) {
-        let Column { label, condition } = column;
+    for (number, condition) in (1..).zip(report.drawn()) {
         for (name, scene) in scenes(condition)? {
             let name = format!("{name}-{number}");
             let file = format!("{name}.svg");
             let picture = svg::svg(&scene, &name);
             save(&args.out, &file, picture.as_bytes())?;
-            files.push((format!("{}, {label}", scene.title), file));
+            files.push((format!("{}, {}", scene.title, condition.label()), file));
             pictures.push((scene.title, number, picture));
         }
     }

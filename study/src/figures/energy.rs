@@ -14,6 +14,7 @@ use reveille_common::units::Energy;
 use super::chart::{Chart, Interval, Mark, Sample, Series, Stated};
 use super::results::Condition;
 use super::scale::Scale;
+use super::study::title;
 use super::style::Style;
 use crate::analysis::AnalysisError;
 use crate::analysis::harvest::{self, Point, Reading, STATED, Study, measure};
@@ -134,25 +135,28 @@ pub fn harvest_chart(condition: &Condition, points: &[Point]) -> Chart {
         let measured = points.iter().filter(|p| (p.e_b - e_b).abs() < 1e-9);
         series.push(dots_of(style, measured.map(harvest_of).collect()));
     }
+    let stated = STATED.iter().filter(|s| s.devices != NET_N && condition.is_plain());
+    let marks: Vec<Mark> = stated.flat_map(marks_of).collect();
+    let hollow = if marks.is_empty() {
+        ""
+    } else {
+        "Hollow, on the lines: the λ above which, as the paper has it, harvest exceeds consumption, N = 10 and 250. "
+    };
     Chart {
-        title: "Harvest against λ (Fig. 13 of the paper)".to_owned(),
+        title: title("Harvest against λ", "Fig. 13 of the paper", condition),
         x_label: "energy arrival rate λ, per TTI".to_owned(),
         y_label: "units per device and TTI".to_owned(),
         x: axis(),
         y: Scale::Log { from: 0.01, to: 10.0 },
         caption: format!(
-            "Lines: closed form λ·exp(−λ)·E_B, Eq. (5). Points: {seeds} runs with N = {devices}, {ttis} TTIs, made for \
-             this picture under preset {}, 95 % intervals. Hollow, on the lines: the λ above which, as the paper has \
-             it, harvest exceeds consumption, N = 10 and 250. Bands: {}.{bands}",
+            "Lines: closed form λ·exp(−λ)·E_B, Eq. (5). Points: not of the table, but of {seeds} runs with N = {devices} and \
+             {ttis} TTIs made for this picture under preset {}, 95 % intervals; harvest does not depend on N. {hollow}\
+             Bands, of the table: {}.{bands}",
             condition.preset,
             condition.label()
         ),
         series,
-        marks: STATED
-            .iter()
-            .filter(|s| s.devices != NET_N)
-            .flat_map(marks_of)
-            .collect(),
+        marks,
         spans: Vec::new(),
         notes: Vec::new(),
         zero_below: false,
@@ -195,13 +199,19 @@ pub fn net_chart(condition: &Condition, points: &[Point]) -> Option<Chart> {
             ));
         }
     }
-    let stated = STATED.iter().filter(|s| s.devices == NET_N).flat_map(marks_of);
-    let marks = stated.map(|mark| Mark {
+    let stated = STATED.iter().filter(|s| s.devices == NET_N && condition.is_plain());
+    let marks = stated.flat_map(marks_of).map(|mark| Mark {
         stated: Stated::Value(0.0),
         ..mark
     });
+    let marks: Vec<Mark> = marks.collect();
+    let hollow = if marks.is_empty() {
+        ""
+    } else {
+        " Hollow, at zero: where the paper says that it turns positive."
+    };
     Some(Chart {
-        title: "Net energy against λ (Fig. 14 of the paper)".to_owned(),
+        title: title("Net energy against λ", "Fig. 14 of the paper", condition),
         x_label: "energy arrival rate λ, per TTI".to_owned(),
         y_label: "units per device and TTI".to_owned(),
         x: axis(),
@@ -209,14 +219,14 @@ pub fn net_chart(condition: &Condition, points: &[Point]) -> Option<Chart> {
             from: NET_ENDS.0,
             to: NET_ENDS.1,
         },
-        marks: marks.collect(),
+        marks,
         spans: Vec::new(),
         notes: Vec::new(),
         zero_below: false,
         caption: format!(
             "Lines: closed form λ·exp(−λ)·E_B, Eq. (5), less what the policy spends with {NET_N} devices, preset {}: \
-             {}; bands are their 95 % intervals. Points: harvests measured in {seeds} runs with N = {devices}, {ttis} \
-             TTIs, less the same. Hollow, at zero: where the paper says that it turns positive.",
+             {}; bands are their 95 % intervals. Points: less the same, harvests measured in {seeds} runs with \
+             N = {devices}, {ttis} TTIs, made for this picture.{hollow}",
             condition.label(),
             figures.join(", ")
         ),

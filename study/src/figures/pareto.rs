@@ -10,7 +10,7 @@ use super::note::Note;
 use super::results::Condition;
 use super::scale::Scale;
 use super::stated::said;
-use super::study::{csv_cell, csv_half, runs_in_words};
+use super::study::{csv_cell, csv_half, runs_in_words, title};
 use super::style::Style;
 use crate::claims::{Claim, Sites, on};
 
@@ -135,7 +135,10 @@ pub fn chart(conditions: &[&Condition]) -> Option<Chart> {
     let ys = samples().flat_map(|s| ends(s.y, s.half));
     let first = lines.first()?;
     Some(Chart {
-        title: format!("{TITLE} (Figs. 7 and 8)"),
+        title: match conditions {
+            [one] => title(TITLE, "Figs. 7 and 8", one),
+            _ => TITLE.to_owned(),
+        },
         x_label: Metrics::axis(METRICS[0]).to_owned(),
         y_label: Metrics::axis(METRICS[1]).to_owned(),
         x: Scale::linear(xs.chain(marks.iter().map(|m| m.x)), true),
@@ -196,7 +199,8 @@ fn marks(lines: &[Line<'_>]) -> Vec<(u32, Mark)> {
     };
     let mut marks = Vec::new();
     for information in informations {
-        let drawn = lines.iter().find(|line| line.policy == information.policy);
+        let is_own = |line: &&Line<'_>| line.policy == information.policy && line.condition.is_plain();
+        let drawn = lines.iter().find(is_own);
         let (Some(drawn), Some((n, y))) = (drawn, value(information, informations)) else {
             continue;
         };

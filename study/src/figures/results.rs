@@ -1,7 +1,9 @@
 //! Result tables put together for drawing and judging: runs by condition, policy and N.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
+use reveille_bs::policy::registry;
 use reveille_bs::scenario::{Override, Scenario, load_with};
 use reveille_common::declare::Files;
 use sha2::{Digest as _, Sha256};
@@ -9,6 +11,7 @@ use sha2::{Digest as _, Sha256};
 use super::error::FigureError;
 use crate::claims::POLICIES;
 use reveille_lab::reading::Reading;
+use reveille_lab::series::{self, RANKING};
 use reveille_lab::stats::{Cell, Estimate, cells};
 use reveille_lab::table::{About, Hash, Row, Table};
 
@@ -42,17 +45,25 @@ pub struct Condition {
     pub scenario: Option<Scenario>,
     /// Whether all runs are of the preset as it is: what is swept or set has the preset's own values.
     is_preset: bool,
-    /// The runs by policy and N, each in the order of seeds.
-    runs: BTreeMap<(String, u32), BTreeMap<u64, Row>>,
+    /// The places in [`Results::by_ranking`] of those that it is made of.
+    pub parts: Vec<usize>,
+    /// The runs by series and N, each in the order of seeds.
+    runs: Runs,
 }
+
+/// Runs by series and N, each in the order of seeds.
+type Runs = BTreeMap<(String, u32), BTreeMap<u64, Arc<Row>>>;
 
 /// All tables together.
 #[derive(Clone, Debug)]
 pub struct Results {
     /// The tables.
     pub sources: Vec<Source>,
-    /// The conditions, in the order in which tables bring them up.
+    /// The conditions, in the order in which tables bring them up. Those that differ in the ranking of wake-ups alone are
+    /// one, with a series for each policy and ranking: for pictures of like with like.
     pub conditions: Vec<Condition>,
+    /// The conditions with each ranking apart, under which policies have the names that the paper's claims know them by.
+    pub by_ranking: Vec<Condition>,
 }
 
 impl Results {
@@ -64,6 +75,7 @@ impl Results {
         let mut results = Self {
             sources: Vec::new(),
             conditions: Vec::new(),
+            by_ranking: Vec::new(),
         };
         for (name, table) in tables {
             results.sources.push(Source {
@@ -74,12 +86,13 @@ impl Results {
             });
             results.add(name, table, files)?;
         }
-        if results.conditions.is_empty() {
+        if results.by_ranking.is_empty() {
             let names: Vec<&str> = tables.iter().map(|(name, _)| name.as_str()).collect();
             return Err(FigureError::Empty {
                 tables: names.join(", "),
             });
         }
+        results.conditions = side_by_side(&results.by_ranking);
         Ok(results)
     }
 
@@ -95,12 +108,15 @@ impl Results {
         // A change may concern one policy alone; a table's policies stay together all the same.
         let scenario =
             |cell: &Cell<'_>, set: &[(String, String)]| scenario_of(cell.rows[0], &swept_of(cell), set, files);
-        let is_preset = cells.iter().all(|cell| scenario(cell, &[]).is_some());
-        let is_known = cells.iter().all(|cell| scenario(cell, &set).is_some());
+        // Of the settings of a policy that this program does not have nobody can tell.
+        let told = || cells.iter().filter(|cell| registry::named(cell.policy).is_some());
+        let is_preset = told().all(|cell| scenario(cell, &[]).is_some());
+        let is_known = told().all(|cell| scenario(cell, &set).is_some());
         let changes = if is_known && !is_preset { set } else { Vec::new() };
         let changed_in = (!is_known && !is_preset).then(|| name.to_owned());
         for cell in cells {
-            let as_it_is = scenario_of(cell.rows[0], &[], &[], files).is_some();
+            let is_told = registry::named(cell.policy).is_some();
+            let as_it_is = !is_told || scenario_of(cell.rows[0], &[], &[], files).is_some();
             let wanted = Condition {
                 preset: cell.preset.to_owned(),
                 ttis: cell.ttis,
@@ -109,18 +125,19 @@ impl Results {
                 scenario: scenario(&cell, &changes).filter(|_| changed_in.is_none()),
                 swept: swept_of(&cell),
                 is_preset: true,
+                parts: Vec::new(),
                 runs: BTreeMap::new(),
             };
-            let found = self.conditions.iter().position(|s| s.is_like(&wanted));
+            let found = self.by_ranking.iter().position(|s| s.is_like(&wanted));
             let at = found.unwrap_or_else(|| {
-                self.conditions.push(wanted);
-                self.conditions.len() - 1
+                self.by_ranking.push(wanted);
+                self.by_ranking.len() - 1
             });
-            self.conditions[at].is_preset &= as_it_is;
-            let runs = &mut self.conditions[at].runs;
+            self.by_ranking[at].is_preset &= as_it_is;
+            let runs = &mut self.by_ranking[at].runs;
             let runs = runs.entry((cell.policy.to_owned(), cell.n)).or_default();
             for row in cell.rows {
-                if let Some(known) = runs.insert(row.seed, row.clone())
+                if let Some(known) = runs.insert(row.seed, Arc::new(row.clone()))
                     && known.digest != row.digest
                 {
                     return Err(FigureError::Contradiction {
@@ -133,6 +150,48 @@ impl Results {
         }
         Ok(())
     }
+}
+
+/// `apart` with those put together that differ in the ranking of wake-ups alone, the paper's ranking first.
+fn side_by_side(apart: &[Condition]) -> Vec<Condition> {
+    let mut groups: Vec<(Condition, Vec<usize>)> = Vec::new();
+    for (place, condition) in apart.iter().enumerate() {
+        let bare = condition.without_ranking();
+        match groups.iter_mut().find(|(known, _)| known.is_like(&bare)) {
+            Some((_, places)) => places.push(place),
+            None => groups.push((bare, vec![place])),
+        }
+    }
+    let together = |(bare, mut parts): (Condition, Vec<usize>)| {
+        if let [lone] = parts[..] {
+            return Condition {
+                parts,
+                ..apart[lone].clone()
+            };
+        }
+        // A policy by its bare name comes first: those that repeat it under another ranking are left out.
+        parts.sort_by_key(|place| !series::is_the_papers(&apart[*place].ranking()));
+        let mut runs = Runs::new();
+        for place in &parts {
+            let ranking = apart[*place].ranking();
+            for ((policy, n), own) in &apart[*place].runs {
+                let name = (series::name(policy, &ranking), *n);
+                let plain = runs.get(&(policy.clone(), *n)).filter(|_| name.0 != *policy);
+                let rows = || own.values().map(Arc::as_ref);
+                if !plain.is_some_and(|plain| series::is_same(plain.values().map(Arc::as_ref), rows())) {
+                    runs.entry(name).or_default().extend(own.clone());
+                }
+            }
+        }
+        Condition {
+            scenario: apart[parts[0]].scenario.clone(),
+            is_preset: apart[parts[0]].is_preset,
+            parts,
+            runs,
+            ..bare
+        }
+    };
+    groups.into_iter().map(together).collect()
 }
 
 fn digests(table: &Table) -> String {
@@ -177,15 +236,44 @@ impl Condition {
             && self.changed_in == other.changed_in
     }
 
-    /// The policies that were run, the paper's in its order and then others by name.
+    /// The same without what it says of the ranking, and without runs.
+    fn without_ranking(&self) -> Self {
+        let rest = |fields: &[(String, String)]| -> Vec<(String, String)> {
+            let rest = fields.iter().filter(|(path, _)| path != RANKING);
+            rest.cloned().collect()
+        };
+        Self {
+            swept: rest(&self.swept),
+            changes: rest(&self.changes),
+            runs: Runs::new(),
+            preset: self.preset.clone(),
+            changed_in: self.changed_in.clone(),
+            scenario: None,
+            parts: Vec::new(),
+            ..*self
+        }
+    }
+
+    /// How its runs rank wake-ups.
+    fn ranking(&self) -> String {
+        let said = self.changed().find(|(path, _)| path == RANKING);
+        let in_force = self.scenario.as_ref().map(|scenario| scenario.bs.ranking.name());
+        said.map_or_else(|| in_force.unwrap_or_default().to_owned(), |(_, value)| value.clone())
+    }
+
+    /// The series that were run, the paper's policies in its order and then others by name.
     pub fn policies(&self) -> Vec<&str> {
-        let has = |name: &&str| self.runs.keys().any(|(policy, _)| policy == name);
-        let mut names: Vec<&str> = POLICIES.into_iter().filter(has).collect();
-        for (policy, _) in self.runs.keys() {
-            if !names.contains(&policy.as_str()) {
-                names.push(policy);
+        let mut names: Vec<&str> = Vec::new();
+        for (series, _) in self.runs.keys() {
+            if !names.contains(&series.as_str()) {
+                names.push(series);
             }
         }
+        let place = |series: &str| {
+            let known = POLICIES.iter().position(|policy| *policy == series::policy(series).0);
+            known.unwrap_or(POLICIES.len())
+        };
+        names.sort_by_key(|series| place(series));
         names
     }
 
@@ -216,7 +304,7 @@ impl Condition {
     /// The runs of a cell, in the order of seeds.
     pub fn runs(&self, policy: &str, n: u32) -> impl Iterator<Item = &Row> {
         let runs = self.runs.get(&(policy.to_owned(), n));
-        runs.into_iter().flat_map(BTreeMap::values)
+        runs.into_iter().flat_map(BTreeMap::values).map(Arc::as_ref)
     }
 
     /// The least and the largest number of runs of a cell.
@@ -340,7 +428,7 @@ pub(crate) mod fixtures {
 
     use reveille_bs::scenario::{Override, load};
     use reveille_common::score::Metrics;
-    use reveille_lab::table::{About, Hash, Row, Schema, Table};
+    use reveille_lab::table::{About, Hash, Row, Schema, Table, Value};
 
     /// A table of runs under `preset`: for each policy and N the values of `metric`, one a run. All other metrics are 1
     /// more than their number.
@@ -348,7 +436,7 @@ pub(crate) mod fixtures {
         let mut rows = Vec::new();
         for (policy, n, values) in runs {
             for (seed, value) in (1..).zip(*values) {
-                rows.push(row(preset, policy, *n, seed, metric, *value));
+                rows.push(run((preset, &[]), (policy, *n, seed), (metric, *value)));
             }
         }
         let about = About {
@@ -360,12 +448,33 @@ pub(crate) mod fixtures {
         (format!("{preset}.parquet"), Table { about, schema, rows })
     }
 
-    fn row(preset: &str, policy: &str, n: u32, seed: u64, metric: &str, value: f64) -> Row {
+    /// A table of runs under `preset` that sweeps `path`: for each policy, N and value of the field the values of
+    /// `metric`, one a run.
+    pub fn swept(preset: &str, metric: &str, path: &str, runs: &[(&str, u32, Value, &[f64])]) -> (String, Table) {
+        let mut rows = Vec::new();
+        for (policy, n, field, values) in runs {
+            for (seed, value) in (1..).zip(*values) {
+                let set = format!("{path}={field}");
+                let mut row = run((preset, &[set.as_str()]), (policy, *n, seed), (metric, *value));
+                row.swept = Arc::from([field.clone()]);
+                row.digest = row.scenario_hash;
+                rows.push(row);
+            }
+        }
+        let schema = Schema {
+            swept: vec![(path.to_owned(), runs[0].2.column_type())],
+        };
+        let (name, table) = table(preset, metric, &[]);
+        (name, Table { schema, rows, ..table })
+    }
+
+    fn run((preset, set): (&str, &[&str]), (policy, n, seed): (&str, u32, u64), (metric, value): (&str, f64)) -> Row {
         let overrides = [format!("devices={n}"), "ttis=2000".to_owned(), format!("seed={seed}")];
         // Policies that cannot be run yet can be drawn.
         let is_known = reveille_bs::policy::registry::named(policy).is_some();
         let policy_is = is_known.then(|| format!("policy.name={policy}"));
-        let overrides = overrides.into_iter().chain(policy_is);
+        let set = set.iter().map(|text| (*text).to_owned());
+        let overrides = overrides.into_iter().chain(policy_is).chain(set);
         let overrides: Vec<Override> = overrides.map(|o| Override::parse(&o).expect("an override")).collect();
         let scenario = load(preset, &overrides).expect("a scenario");
         let mut metrics = [0.0; Metrics::COUNT];

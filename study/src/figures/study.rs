@@ -126,13 +126,13 @@ impl Figure {
         if series.is_empty() {
             return None;
         }
-        let claims = self.claims();
+        let claims = self.claims(condition);
         let marks = marks(claims, &series);
         let spans = spans(claims, &series);
         let largest = series.iter().flat_map(|s| &s.samples).map(|s| s.x);
         let largest = largest.chain(marks.iter().map(|m| m.x)).fold(0.0, f64::max);
         let chart = Chart {
-            title: format!("{} ({} of the paper)", self.title, self.paper),
+            title: title(self.title, &format!("{} of the paper", self.paper), condition),
             x_label: "number of devices N".to_owned(),
             y_label: self.axis(),
             x: Scale::Linear {
@@ -160,9 +160,13 @@ impl Figure {
         }
     }
 
-    /// What the paper states of it.
-    fn claims(&self) -> &'static [Claim] {
-        on(self.paper, self.judged)
+    /// What the paper states of it, if the runs are of a preset: of other settings it states nothing.
+    fn claims(&self, condition: &Condition) -> &'static [Claim] {
+        if condition.is_plain() {
+            on(self.paper, self.judged)
+        } else {
+            &[]
+        }
     }
 
     /// What the runs of `policy` with `n` devices tell.
@@ -265,7 +269,7 @@ impl Figure {
                 }
             }
         }
-        let claims = self.claims();
+        let claims = self.claims(condition);
         for claim in claims {
             if let (Some(stated), Sites::At(n)) = (said(claim, claims), claim.sites) {
                 let (low, high) = match stated {
@@ -279,6 +283,16 @@ impl Figure {
         }
         out
     }
+}
+
+/// The title of a picture: with the paper's figure that shows the same for a preset, with what the settings change for
+/// others.
+pub(super) fn title(what: &str, paper: &str, condition: &Condition) -> String {
+    if condition.is_plain() {
+        return format!("{what} ({paper})");
+    }
+    let changed = condition.changed().map(|(path, value)| format!(", {path} = {value}"));
+    format!("{what}{}", changed.collect::<String>())
 }
 
 /// How many runs a point stands for.

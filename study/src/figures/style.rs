@@ -4,6 +4,7 @@
 use std::f64::consts::FRAC_PI_2;
 
 use reveille_bs::policy::registry;
+use reveille_lab::series;
 
 use super::path::Path;
 use super::scene::{Paint, Rgb, Scene, Stroke};
@@ -83,6 +84,9 @@ const POLICIES: [Style; 7] = [
     Style::new(Paint::Colour(SKY), Marker::Hexagon, &[9.0, 2.5]),
 ];
 
+/// By how many places the marker and the dashes of a policy with another ranking are those of another policy.
+const RANKED: [usize; 2] = [3, 4];
+
 impl Style {
     const fn new(paint: Paint, marker: Marker, dashes: &'static [f64]) -> Self {
         Self { paint, marker, dashes }
@@ -94,15 +98,27 @@ impl Style {
         POLICIES[series.min(POLICIES.len() - 1)]
     }
 
-    /// The style of a policy by its name. Names that are not the paper's share one.
-    pub fn of_policy(name: &str) -> Self {
-        let series = match registry::named(name) {
+    /// The style of a series by its name: that of its policy, with another marker and other dashes where the name tells
+    /// its ranking. Names that are not the paper's share one.
+    pub fn of_policy(series: &str) -> Self {
+        let (name, is_ranked) = series::policy(series);
+        let place = match registry::named(name) {
             Some(policy) => policy.profile().series,
             // The paper's sixth policy, of which tables may tell.
             None if name == "dt" => 4,
             None => POLICIES.len(),
         };
-        Self::nth_policy(series)
+        let style = Self::nth_policy(place);
+        if !is_ranked {
+            return style;
+        }
+        let count = POLICIES.len();
+        let [marker, dashes] = RANKED.map(|shift| POLICIES[(place.min(count - 1) + shift) % count]);
+        Self {
+            marker: marker.marker,
+            dashes: dashes.dashes,
+            ..style
+        }
     }
 
     /// The `i`-th of a row of styles for anything but policies.
@@ -146,6 +162,18 @@ mod tests {
                 assert_ne!(a.marker, b.marker);
                 assert_ne!(a.dashes, b.dashes);
             }
+        }
+    }
+
+    #[test]
+    fn a_policy_with_another_ranking_has_its_colour_and_another_marker_and_dashes() {
+        for policy in ["knn", "adjusted", "q-learning", "dt", "another"] {
+            let (own, ranked) = (
+                Style::of_policy(policy),
+                Style::of_policy(&format!("{policy}+posterior")),
+            );
+            assert_eq!(own.paint, ranked.paint);
+            assert!(own.marker != ranked.marker && own.dashes != ranked.dashes, "{policy}");
         }
     }
 

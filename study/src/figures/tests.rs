@@ -9,6 +9,7 @@ use super::{FigureError, deployment, energy, png, study, svg, timeline};
 use reveille_lab::table::{Hash, Table};
 
 mod learned;
+mod swept;
 mod tuned;
 
 const RUNS: [(&str, u32, &[f64]); 8] = [
@@ -199,7 +200,9 @@ fn harvest_and_net_are_drawn() {
     check("harvest", &harvest.scene());
     assert_eq!(harvest.marks.len(), 8, "four for N = 10, four for N = 250");
     assert!(
-        harvest.caption.contains("8 runs with N = 20, 2000 TTIs"),
+        harvest
+            .caption
+            .contains("not of the table, but of 8 runs with N = 20 and 2000 TTIs made for this picture"),
         "{}",
         harvest.caption
     );

@@ -63,6 +63,16 @@ impl<'r> Report<'r> {
         sections
     }
 
+    /// The conditions to draw: those that columns are of, with rankings side by side.
+    pub fn drawn(&self) -> impl Iterator<Item = &'r Condition> {
+        let of_column = |part: &usize| {
+            let own = &self.results.by_ranking[*part];
+            self.columns.iter().any(|column| std::ptr::eq(column.condition, own))
+        };
+        let all = self.results.conditions.iter();
+        all.filter(move |condition| condition.parts.iter().any(of_column))
+    }
+
     /// The presets of which there is no table.
     pub fn missing(&self) -> impl Iterator<Item = &'static str> {
         let is_missing = |preset: &&str| !self.columns.iter().any(|column| column.label == *preset);
@@ -116,14 +126,14 @@ fn is_shown(column: &Column<'_>) -> bool {
 fn columns(results: &Results) -> Vec<Column<'_>> {
     let mut columns: Vec<Column<'_>> = Vec::new();
     for preset in PRESETS {
-        let own = results.conditions.iter().filter(|s| s.is_plain() && s.preset == preset);
+        let own = results.by_ranking.iter().filter(|s| s.is_plain() && s.preset == preset);
         let widest = own.max_by_key(|s| (covered(s), s.run_count(), s.ttis));
         columns.extend(widest.map(|condition| Column {
             label: preset.to_owned(),
             condition,
         }));
     }
-    for condition in &results.conditions {
+    for condition in &results.by_ranking {
         if !columns.iter().any(|column| std::ptr::eq(column.condition, condition)) {
             columns.push(Column {
                 label: format!("{}, K = {}", condition.label(), condition.ttis),

@@ -9,6 +9,7 @@ use super::markdown::markdown;
 use super::page::page;
 use super::*;
 use crate::figures::results::{Results, fixtures};
+use reveille_lab::table::Value;
 
 fn results() -> Results {
     let runs: [(&str, u32, &[f64]); 5] = [
@@ -386,34 +387,17 @@ fn claims_without_runs_are_one_line() {
 
 #[test]
 fn a_sweep_over_a_field_judges_its_presets_own_value_and_says_what_it_cannot() {
-    let runs: [(&str, u32, &[f64]); 2] = [("knn", 250, &[0.15, 0.151]), ("random", 30, &[0.3, 0.31])];
-    let (name, table) = fixtures::table("paper", "energy_per_device_tti", &runs);
-    let mut swept = reveille_lab::table::Table {
-        rows: Vec::new(),
-        ..table.clone()
-    };
-    let lambda = "harvest.lambda".to_owned();
-    swept.schema.swept = vec![(lambda, reveille_lab::table::ColumnType::Float)];
-    for value in [0.05, 0.1, 0.2] {
-        for row in &table.rows {
-            let overrides = [
-                format!("harvest.lambda={value}"),
-                format!("devices={}", row.n),
-                "ttis=2000".to_owned(),
-                format!("policy.name={}", row.policy),
-                format!("seed={}", row.seed),
-            ];
-            let overrides = overrides.map(|text| Override::parse(&text).expect("an override"));
-            let mut row = row.clone();
-            row.scenario_hash = reveille_lab::table::Hash(load("paper", &overrides).expect("a scenario").hash());
-            row.swept = std::sync::Arc::from([reveille_lab::table::Value::Float(value)]);
-            // One λ without a policy that claims are about.
-            if !(value > 0.15 && &*row.policy == "knn") {
-                swept.rows.push(row);
-            }
-        }
-    }
-    let results = Results::new(&[(name, swept)], &NoFiles).expect("runs");
+    let lambda = Value::Float;
+    let runs: [(&str, u32, Value, &[f64]); 5] = [
+        ("knn", 250, lambda(0.05), &[0.15, 0.151]),
+        ("knn", 250, lambda(0.1), &[0.15, 0.151]),
+        ("random", 30, lambda(0.05), &[0.3, 0.31]),
+        ("random", 30, lambda(0.1), &[0.3, 0.31]),
+        // One λ without a policy that claims are about.
+        ("random", 30, lambda(0.2), &[0.3, 0.31]),
+    ];
+    let table = fixtures::swept("paper", "energy_per_device_tti", "harvest.lambda", &runs);
+    let results = Results::new(&[table], &NoFiles).expect("runs");
     let report = Report::new(&results);
     let labels: Vec<&str> = report.columns.iter().map(|column| column.label.as_str()).collect();
     assert_eq!(
@@ -445,4 +429,25 @@ fn the_paper_against_itself_is_told_with_both_places() {
             assert_eq!(text.matches(part).count(), 1, "{part}");
         }
     }
+}
+
+#[test]
+fn each_ranking_has_a_column_and_the_papers_is_that_of_the_preset() {
+    let ranking = |name: &str| Value::Text(name.to_owned());
+    let runs: [(&str, u32, Value, &[f64]); 4] = [
+        ("knn", 250, ranking("p42"), &[0.15, 0.151]),
+        ("knn", 250, ranking("posterior"), &[0.3, 0.31]),
+        ("random", 250, ranking("p42"), &[0.4, 0.41]),
+        ("random", 250, ranking("posterior"), &[0.4, 0.41]),
+    ];
+    let table = fixtures::swept("paper", "energy_per_device_tti", "bs.ranking", &runs);
+    let results = Results::new(&[table], &NoFiles).expect("runs");
+    let report = Report::new(&results);
+    let labels: Vec<&str> = report.columns.iter().map(|column| column.label.as_str()).collect();
+    assert_eq!(labels, ["paper", "paper, bs.ranking = posterior, K = 2000"]);
+    let knn = said(&report, "Fig. 8", "knn", "≈ 0.145");
+    let verdicts: Vec<Verdict> = knn.ours.iter().map(|ours| ours.verdict).collect();
+    assert_eq!(verdicts, [Verdict::Reproduced, Verdict::OrderReproduced]);
+    let drawn: Vec<Vec<&str>> = report.drawn().map(Condition::policies).collect();
+    assert_eq!(drawn, [["knn", "knn+posterior", "random"]], "one picture with both");
 }

@@ -6,6 +6,7 @@ use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};
 use reveille_common::score::Metrics;
 use reveille_lab::reading::Reading;
+use reveille_lab::series::Names;
 use reveille_lab::stats::{self, Estimate};
 use reveille_lab::sweep::{CellEnd, Finished, Grid, Shard};
 use reveille_lab::table::Value;
@@ -45,7 +46,10 @@ pub struct Report<'r> {
 impl Report<'_> {
     /// A row per cell, and where the table of all runs is.
     pub fn to_text(&self) -> String {
-        let swept = &self.finished.table.schema.swept;
+        let names = Names::of(&self.finished.table);
+        let is_shown = |place: usize| names.told() != Some(place);
+        let swept = self.finished.table.schema.swept.iter().enumerate();
+        let swept = swept.filter(|(place, _)| is_shown(*place));
         let mut table = Table::new();
         let mut head = vec![
             "preset".to_owned(),
@@ -53,19 +57,21 @@ impl Report<'_> {
             "N".to_owned(),
             "TTIs".to_owned(),
         ];
-        head.extend(swept.iter().map(|(name, _)| name.clone()));
+        head.extend(swept.map(|(_, (name, _))| name.clone()));
         head.push("runs".to_owned());
         let fixed = head.len();
         head.extend(SHOWN.iter().map(|(_, head)| (*head).to_owned()));
         table.load_style(UTF8_FULL_CONDENSED).set_header(head);
-        for cell in stats::cells(&self.finished.table) {
+        let cells = stats::cells(&self.finished.table);
+        for cell in names.distinct(&cells) {
             let mut row = vec![
                 cell.preset.to_owned(),
-                cell.policy.to_owned(),
+                names.name(cell.rows[0]),
                 cell.n.to_string(),
                 cell.ttis.to_string(),
             ];
-            row.extend(cell.swept.iter().map(ToString::to_string));
+            let values = cell.swept.iter().enumerate().filter(|(place, _)| is_shown(*place));
+            row.extend(values.map(|(_, value)| value.to_string()));
             row.push(cell.rows.len().to_string());
             row.extend(SHOWN.iter().map(|(metric, _)| shown(cell.reading(metric))));
             table.add_row(row);
@@ -135,6 +141,7 @@ impl Report<'_> {
     /// Never in practice.
     pub fn to_json(&self) -> anyhow::Result<String> {
         let schema = &self.finished.table.schema;
+        let names = Names::of(&self.finished.table);
         let cells: Vec<Json> = stats::cells(&self.finished.table)
             .iter()
             .map(|cell| {
@@ -146,7 +153,7 @@ impl Report<'_> {
                 let values = schema.swept.iter().zip(cell.swept.iter());
                 let swept: Map<String, Json> = values.map(|((name, _), value)| (name.clone(), plain(value))).collect();
                 json!({
-                    "preset": cell.preset, "policy": cell.policy, "n": cell.n, "ttis": cell.ttis,
+                    "preset": cell.preset, "policy": cell.policy, "series": names.name(cell.rows[0]), "n": cell.n, "ttis": cell.ttis,
                     "swept": swept, "runs": cell.rows.len(), "metrics": metrics,
                 })
             })
