@@ -1,5 +1,5 @@
-//! The files that a scenario names, kept in the run folder: the folder can be moved, and the run repeated, when they are
-//! gone from where they were.
+//! The files that a scenario names, kept in the run folder: the folder can be moved, and the run repeated, when they
+//! are gone from where they were.
 
 use std::fs;
 use std::io;

@@ -95,8 +95,8 @@ pub fn run(scenario: &Scenario) -> Outcome {
     start(scenario, Options::default()).finish(&mut ())
 }
 
-/// What each candidate of `pilots` came to in a pilot run on the ground of `prepared`. All runs are equally long, and as
-/// long as it takes for each to hold the events that are asked for, if that is not too long.
+/// What each candidate of `pilots` came to in a pilot run on the ground of `prepared`. All runs are equally long, and
+/// as long as it takes for each to hold the events that are asked for, if that is not too long.
 fn pilot_runs(prepared: &Prepared, pilots: &dyn Pilots) -> Trials {
     let candidates = pilots.candidates();
     let mut ground = prepared.clone();

@@ -1,7 +1,7 @@
 //! What runs are called where they are shown beside others: in figures, reports and tables for people.
 //!
-//! Policies that wake devices can rank them in several ways, and some always rank in one. So that like stands with like,
-//! a series is a policy with its ranking wherever runs of several rankings are shown together.
+//! Policies that wake devices can rank them in several ways, and some always rank in one. So that like stands with
+//! like, a series is a policy with its ranking wherever runs of several rankings are shown together.
 
 use reveille_bs::policy::registry;
 use reveille_common::scenario::WakeUpRanking;
@@ -14,8 +14,8 @@ pub const RANKING: &str = "bs.ranking";
 /// What stands between a policy and its ranking.
 const WITH: char = '+';
 
-/// The name of the runs of `policy` with `ranking`, beside runs of other rankings: `knn+posterior`. That by P_4,2, as the
-/// paper ranks, is the policy's name, as is that of policies that rank nobody.
+/// The name of the runs of `policy` with `ranking`, beside runs of other rankings: `knn+posterior`. That by P_4,2, as
+/// the paper ranks, is the policy's name, as is that of policies that rank nobody.
 pub fn name(policy: &str, ranking: &str) -> String {
     let ranks = registry::named(policy).is_none_or(|known| {
         let profile = known.profile();

@@ -62,7 +62,7 @@ proptest! {
     #[test]
     fn with_energy_to_spare_no_action_fails(text in scenarios::rich()) {
         let scenario = scenarios::scenario(&text);
-        let delta = reference::Policy::new(&scenario, &Deployment::new(&scenario).positions());
+        let delta = reference::policy_of(&scenario, &Deployment::new(&scenario).positions());
         let mut sensing = 0;
         each_tti(&scenario, |step| {
             for device in &step.devices {

@@ -106,13 +106,14 @@ fn settings(policy: &dyn Registered, others: &[&str]) -> Prepared {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn memory_and_bus_show_the_same() {
-    // Batteries run low, so that wake-ups fail and go unheard.
+    // Batteries run low and are not told, so that wake-ups fail and go unheard.
     let poor = [
         "devices=40",
-        "ttis=200",
-        "harvest.lambda=0.02",
-        "energy.initial=25",
+        "ttis=400",
+        "harvest.lambda=0.03",
+        "energy.initial=40",
         "events.alpha=0.4",
+        "bs.battery_knowledge=reported",
     ];
     let looking_ahead = POLICIES.iter().map(|policy| (*policy, true));
     let plain = POLICIES.iter().take(1).map(|policy| (*policy, false));

@@ -64,9 +64,9 @@ impl Candidates {
         }
     }
 
-    /// The best sleeping device for which `may_wake` holds, that can pay for a report as far as is known (Sec. IV), and
-    /// that was not given out for this event, with its score: `P_4,2` times Ψ, or the expected gain of information; both
-    /// `[0, Ψ]`.
+    /// The best sleeping device for which `may_wake` holds, that can pay for a report as far as is known (Sec. IV),
+    /// and that was not given out for this event, with its score: `P_4,2` times Ψ, or the expected gain of
+    /// information; both `[0, Ψ]`.
     pub fn next(&mut self, seen: &Observation<'_>, may_wake: impl Fn(DeviceId) -> bool) -> Option<(DeviceId, f64)> {
         let is_candidate = |device| seen.is_asleep(device) && may_wake(device) && seen.can_report(device);
         match &mut self.0 {

@@ -149,8 +149,9 @@ pub fn harvest_chart(condition: &Condition, points: &[Point]) -> Chart {
         x: axis(),
         y: Scale::Log { from: 0.01, to: 10.0 },
         caption: format!(
-            "Lines: closed form λ·exp(−λ)·E_B, Eq. (5). Points: not of the table, but of {seeds} runs with N = {devices} and \
-             {ttis} TTIs made for this picture under preset {}, 95 % intervals; harvest does not depend on N. {hollow}\
+            "Lines: closed form λ·exp(−λ)·E_B, Eq. (5). Points: not of the table, but of {seeds} runs with N = \
+             {devices} and {ttis} TTIs made for this picture under preset {}, 95 % intervals; harvest does not depend \
+             on N. {hollow}\
              Bands, of the table: {}.{bands}",
             condition.preset,
             condition.label()

@@ -59,10 +59,11 @@ type Runs = BTreeMap<(String, u32), BTreeMap<u64, Arc<Row>>>;
 pub struct Results {
     /// The tables.
     pub sources: Vec<Source>,
-    /// The conditions, in the order in which tables bring them up. Those that differ in the ranking of wake-ups alone are
-    /// one, with a series for each policy and ranking: for pictures of like with like.
+    /// The conditions, in the order in which tables bring them up. Those that differ in the ranking of wake-ups alone
+    /// are one, with a series for each policy and ranking: for pictures of like with like.
     pub conditions: Vec<Condition>,
-    /// The conditions with each ranking apart, under which policies have the names that the paper's claims know them by.
+    /// The conditions with each ranking apart, under which policies have the names that the paper's claims know them
+    /// by.
     pub by_ranking: Vec<Condition>,
 }
 

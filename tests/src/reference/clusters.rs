@@ -182,7 +182,7 @@ fn parted(points: &[Point], cluster: Vec<usize>, d_max: f64) -> Vec<Vec<usize>> 
     let middle = mean(points, &cluster);
     let is_wide = cluster
         .iter()
-        .any(|&j| super::policy::distance(points[j], middle) > d_max);
+        .any(|&j| super::plane::distance(points[j], middle) > d_max);
     if !is_wide {
         return vec![cluster];
     }

@@ -4,14 +4,14 @@
 use reveille_common::geometry::{Area, Point};
 use reveille_common::sensing::Sensing;
 
-use super::policy::distance;
+use super::plane::distance;
 
 /// How far outside a place may be, by rounding, metres.
 const ROUNDING: f64 = 1e-9;
 
-/// Ψ p(d*), where d* is the largest distance of a place in `area` from its nearest device. The distance from the nearest
-/// device has its largest values where three devices are equally near, where the border is met by a line on which two
-/// are, and in corners.
+/// Ψ p(d*), where d* is the largest distance of a place in `area` from its nearest device. The distance from the
+/// nearest device has its largest values where three devices are equally near, where the border is met by a line on
+/// which two are, and in corners.
 pub fn least_information(points: &[Point], area: Area, sensing: &Sensing) -> f64 {
     let mut places = vec![
         Point::new(0.0, 0.0),

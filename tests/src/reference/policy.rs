@@ -9,7 +9,7 @@ use reveille_common::scenario::Scenario;
 
 use super::clusters::clusters;
 use super::least::least_information;
-use super::search::search;
+use super::plane::distance;
 
 /// Points of the midpoint rule for the mean over φ.
 const POINTS: u32 = 2048;
@@ -86,7 +86,7 @@ pub(super) enum Choice {
 }
 
 impl Policy {
-    /// The policy of `scenario` for devices at `positions`.
+    /// The policy of `scenario` for devices at `positions`, if it needs no search.
     pub fn new(scenario: &Scenario, positions: &[Point]) -> Self {
         match scenario.policy.name() {
             "genie" => Self::Genie,
@@ -100,10 +100,6 @@ impl Policy {
                     })
                     .collect(),
             ),
-            "adjusted" => {
-                let (t_on, t_drx) = search(scenario, positions);
-                Self::adjusted(scenario, positions, (t_on, t_drx))
-            }
             "knn" => {
                 let settings = scenario.policy.settings::<KnnSettings>().expect("settings of knn");
                 let members = clusters(
@@ -118,7 +114,7 @@ impl Policy {
                     enough: least_information(positions, scenario.area, &scenario.sensing),
                 }
             }
-            other => panic!("{other} has no second implementation here"),
+            other => panic!("{other} has no second implementation here, or must be searched for first"),
         }
     }
 
@@ -285,9 +281,4 @@ fn mean_over_directions(eta: f64, d: f64, gamma: f64) -> f64 {
         sum += libm::exp(-eta * squared.max(0.0).sqrt());
     }
     sum / f64::from(POINTS)
-}
-
-/// Metres between two points.
-pub(super) fn distance(a: Point, b: Point) -> f64 {
-    ((a.x - b.x) * (a.x - b.x) + (a.y - b.y) * (a.y - b.y)).sqrt()
 }

@@ -9,7 +9,7 @@ use reveille_lab::preparation::prepare;
 
 use super::least::least_information;
 use super::policy::Policy;
-use super::{Ground, play};
+use super::world::{Ground, play};
 
 /// What the seed of pilot runs differs by.
 const OTHER_SEED: u64 = 0x5EED_0F91_1070_0500;

@@ -18,7 +18,7 @@ declare! {
         t_drx: Vec<u32> = wholes(1, DutyCycle::LONGEST, MOST_CYCLES, &[2, 4, 8, 16, 32])
             .unit("TTIs")
             .source("Sec. V-A"),
-        /// Length of the pilot run that judges a pair; its first quarter is left out. Made longer where events are rare.
+        /// Length of the pilot run that judges a pair; its first quarter is left out. Longer where events are rare.
         pilot_ttis: u64 = whole(4, MAX_TTIS, 2000).unit("TTIs"),
         /// Events that each pilot run has to hold, or all are made twice as long, and again.
         pilot_events: u64 = whole(0, 1_000_000, 30),

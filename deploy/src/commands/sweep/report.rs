@@ -153,8 +153,8 @@ impl Report<'_> {
                 let values = schema.swept.iter().zip(cell.swept.iter());
                 let swept: Map<String, Json> = values.map(|((name, _), value)| (name.clone(), plain(value))).collect();
                 json!({
-                    "preset": cell.preset, "policy": cell.policy, "series": names.name(cell.rows[0]), "n": cell.n, "ttis": cell.ttis,
-                    "swept": swept, "runs": cell.rows.len(), "metrics": metrics,
+                    "preset": cell.preset, "policy": cell.policy, "series": names.name(cell.rows[0]),
+                    "n": cell.n, "ttis": cell.ttis, "swept": swept, "runs": cell.rows.len(), "metrics": metrics,
                 })
             })
             .collect();

@@ -1,0 +1,511 @@
+//! The model TTI by TTI: devices, events, and what comes of them.
+
+use reveille_common::deployment::Deployment;
+use reveille_common::geometry::Point;
+use reveille_common::ids::{EventId, Tti};
+use reveille_common::rng::{Purpose, unit_for_pair};
+use reveille_common::scenario::{EnergyModel, Scenario, assign_classes};
+use reveille_common::score::EventRecord;
+use reveille_common::sensing::{DetectionKind, Fusion};
+use reveille_common::totals::{DeviceTotals, EventTally, EventTotals, Ledger, Spent};
+use reveille_common::units::Energy;
+
+use super::estimate::Estimate;
+use super::events::Events;
+use super::harvest::{Source, mean};
+use super::plane::distance;
+use super::policy::{Choice, Policy, Reporter, Situation};
+
+/// Where a device is at the end of a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum State {
+    /// S1.
+    Idle,
+    /// S3.
+    Transmission,
+    /// S4 with a wake-up radio that can hear.
+    Asleep,
+    /// S4 after an action that the battery could not pay.
+    Dark,
+}
+
+/// What the reference makes of a scenario.
+#[derive(Clone, Debug)]
+pub struct Run {
+    /// Ended events, in order.
+    pub events: Vec<EventRecord>,
+    /// Ledgers by device.
+    pub ledgers: Vec<Ledger>,
+    /// What each device did for counted events: reports, wake-ups sent, wake-ups heard, wrong activations.
+    pub acts: Vec<[u64; 4]>,
+    /// Sum of the ledgers over the measured part.
+    pub measured: DeviceTotals,
+    /// Sums over the counted events.
+    pub totals: EventTotals,
+    /// The probability that an event starts in a TTI in which none is active, mean over the measured part.
+    pub start_probability: f64,
+    /// Wake-ups sent in measured TTIs, whichever event they were for.
+    pub wake_ups: u64,
+    /// Wake-ups that a device without power did not hear.
+    pub unheard: u64,
+    /// Decisions whom to wake in which a device in S4 was taken to be unable to report.
+    pub spared: u64,
+    /// State and battery of each device at the end of each TTI.
+    pub trace: Vec<Vec<(State, u64)>>,
+    /// The TTI in which a decision was too close to call; nothing from there on is known.
+    pub ambiguous: Option<u64>,
+}
+
+/// Where devices stand, and of which class each is.
+#[derive(Clone, Debug)]
+pub(super) struct Ground {
+    pub(super) positions: Vec<Point>,
+    pub(super) classes: Vec<u16>,
+    /// Whether recorded energy is played, or its mean comes in each TTI.
+    pub(super) plays_traces: bool,
+}
+
+impl Ground {
+    pub(super) fn of(scenario: &Scenario) -> Self {
+        Self {
+            positions: Deployment::new(scenario).positions(),
+            classes: assign_classes(scenario),
+            plays_traces: true,
+        }
+    }
+}
+
+/// A run of `scenario` on `ground` under `policy`.
+pub(super) fn play(scenario: &Scenario, ground: &Ground, policy: Policy) -> Run {
+    let mut world = World::new(scenario, ground, policy);
+    for k in 0..scenario.ttis {
+        if k == world.warm_up_end {
+            world.begin_measuring();
+        }
+        world.harvest(k);
+        world.apply_duty(k);
+        world.start_event(k);
+        world.sense(k);
+        if !world.wake(k) {
+            world.ambiguous = Some(k);
+            break;
+        }
+        world.close_event(k);
+        world.account();
+    }
+    world.into_run()
+}
+
+/// One device and its books, micro-units.
+#[derive(Clone, Debug)]
+struct Device {
+    costs: EnergyModel,
+    source: Source,
+    state: State,
+    battery: u64,
+    harvested: u64,
+    /// By state: S1, S4, S2 to S3.
+    spent: [u64; 3],
+    overflow: u64,
+    battery_sum: u128,
+    low_ttis: u64,
+    sensing_ttis: u64,
+    failed_ttis: u64,
+    dark_ttis: u64,
+    /// TTIs one after another without power, up to now and at the most.
+    outage: [u64; 2],
+    /// Its sums at the start of the measured part.
+    before: Option<DeviceTotals>,
+}
+
+impl Device {
+    /// Pays `cost`, or loses what is left. Says what left the battery, and whether it was enough.
+    fn pay(&mut self, cost: Energy, state: usize) -> (u64, bool) {
+        let enough = self.battery >= cost.micro();
+        let gone = if enough { cost.micro() } else { self.battery };
+        self.battery -= gone;
+        self.spent[state] += gone;
+        (gone, enough)
+    }
+
+    fn ledger(&self) -> Ledger {
+        let whole = self.sums();
+        Ledger {
+            whole,
+            measured: self.before.map_or_else(DeviceTotals::default, |before| whole - before),
+            longest_outage: self.outage[1],
+        }
+    }
+
+    fn sums(&self) -> DeviceTotals {
+        let [sensing, sleep, report] = self.spent.map(Energy::from_micro);
+        DeviceTotals {
+            initial: self.costs.initial,
+            harvested: Energy::from_micro(self.harvested),
+            spent: Spent { sensing, sleep, report },
+            overflow: Energy::from_micro(self.overflow),
+            battery: Energy::from_micro(self.battery),
+            battery_sum: self.battery_sum,
+            low_ttis: self.low_ttis,
+            sensing_ttis: self.sensing_ttis,
+            failed_ttis: self.failed_ttis,
+            dark_ttis: self.dark_ttis,
+        }
+    }
+}
+
+/// The event under way.
+#[derive(Clone, Debug)]
+struct Event {
+    epicentre: Point,
+    start: u64,
+    duration: u64,
+    tally: EventTally,
+    information: f64,
+    /// What devices did for it.
+    acts: Vec<(usize, [u64; 4])>,
+    /// Reporters of this TTI; the event ends in the TTI of its first report.
+    reporters: Vec<Reporter>,
+}
+
+struct World<'a> {
+    scenario: &'a Scenario,
+    positions: Vec<Point>,
+    devices: Vec<Device>,
+    policy: Policy,
+    /// What the base station makes of batteries.
+    estimates: Vec<Estimate>,
+    warm_up_end: u64,
+    event: Option<Event>,
+    coming: Events<'a>,
+    /// Sum and number of the probabilities in force in the measured part.
+    start_probability: (f64, f64),
+    events: Vec<EventRecord>,
+    acts: Vec<[u64; 4]>,
+    wake_ups: u64,
+    unheard: u64,
+    spared: u64,
+    trace: Vec<Vec<(State, u64)>>,
+    ambiguous: Option<u64>,
+}
+
+impl<'a> World<'a> {
+    fn new(scenario: &'a Scenario, ground: &Ground, policy: Policy) -> Self {
+        let mut of_class = vec![0; scenario.classes.len()];
+        let (mut devices, mut estimates) = (Vec::new(), Vec::new());
+        for (id, &class) in ground.classes.iter().enumerate() {
+            let class = usize::from(class);
+            let kind = &scenario.classes[class];
+            let (seed, nth) = (scenario.seed, of_class[class]);
+            of_class[class] += 1;
+            let mean = mean(&kind.harvest, scenario.tau, nth);
+            estimates.push(Estimate::new(kind.energy, mean));
+            let source = Source::new(&kind.harvest, scenario.tau, seed, id as u64, nth);
+            let source = if ground.plays_traces {
+                source
+            } else {
+                source.by_its_mean(mean)
+            };
+            devices.push(Device {
+                costs: kind.energy,
+                source,
+                state: State::Asleep,
+                battery: kind.energy.initial.micro(),
+                harvested: 0,
+                spent: [0; 3],
+                overflow: 0,
+                battery_sum: 0,
+                low_ttis: 0,
+                sensing_ttis: 0,
+                failed_ttis: 0,
+                dark_ttis: 0,
+                outage: [0; 2],
+                before: None,
+            });
+        }
+        Self {
+            policy,
+            estimates,
+            acts: vec![[0; 4]; ground.positions.len()],
+            scenario,
+            positions: ground.positions.clone(),
+            devices,
+            warm_up_end: (scenario.ttis as f64 * scenario.warm_up).floor() as u64,
+            event: None,
+            coming: Events::new(scenario),
+            start_probability: (0.0, 0.0),
+            events: Vec::new(),
+            wake_ups: 0,
+            unheard: 0,
+            spared: 0,
+            trace: Vec::new(),
+            ambiguous: None,
+        }
+    }
+
+    /// Step 1.
+    fn harvest(&mut self, k: u64) {
+        for device in &mut self.devices {
+            let arriving = device.source.arriving(k);
+            let room = device.costs.e_max.micro() - device.battery;
+            let stored = arriving.min(room);
+            device.harvested += arriving;
+            device.overflow += arriving - stored;
+            device.battery += stored;
+        }
+    }
+
+    /// Step 2.
+    fn apply_duty(&mut self, k: u64) {
+        for (j, device) in self.devices.iter_mut().enumerate() {
+            let paid;
+            let then = if self.policy.senses(j, k) {
+                (_, paid) = device.pay(device.costs.e_idle, 0);
+                device.sensing_ttis += 1;
+                device.failed_ttis += u64::from(!paid);
+                State::Idle
+            } else {
+                (_, paid) = device.pay(device.costs.e_wur, 1);
+                device.dark_ttis += u64::from(!paid);
+                State::Asleep
+            };
+            let [now, most] = device.outage;
+            let now = if paid { 0 } else { now + 1 };
+            device.outage = [now, most.max(now)];
+            device.state = if paid { then } else { State::Dark };
+        }
+    }
+
+    /// Step 3.
+    fn start_event(&mut self, k: u64) {
+        let alpha = self.coming.next_tti();
+        if k >= self.warm_up_end {
+            self.start_probability.0 += alpha;
+            self.start_probability.1 += 1.0;
+        }
+        if self.event.is_some() || !self.coming.starts() {
+            return;
+        }
+        let (epicentre, duration) = self.coming.event();
+        self.event = Some(Event {
+            epicentre,
+            start: k,
+            duration,
+            tally: EventTally::default(),
+            information: 0.0,
+            acts: Vec::new(),
+            reporters: Vec::new(),
+        });
+    }
+
+    /// Steps 4 and 5.
+    fn sense(&mut self, k: u64) {
+        let Some(mut event) = self.event.take() else { return };
+        let mut reported = Vec::new();
+        for j in 0..self.devices.len() {
+            let d = distance(self.positions[j], event.epicentre);
+            if self.devices[j].state == State::Idle && self.detects(j, d) {
+                debug_assert!(self.policy.senses(j, k));
+                if self.transmit(j, &mut event) {
+                    self.estimates[j].heard(k, self.devices[j].battery);
+                    reported.push((j, d));
+                }
+            }
+        }
+        self.hear_silence(k, &reported);
+        self.event = Some(event);
+    }
+
+    /// Where detection is sure within d_max, who was told to sense and must be that near to the event, wherever on the
+    /// ring around a reporter it is, would have reported.
+    fn hear_silence(&mut self, k: u64, reported: &[(usize, f64)]) {
+        let sensing = &self.scenario.sensing;
+        if sensing.kind != DetectionKind::Range {
+            return;
+        }
+        for j in 0..self.devices.len() {
+            let is_sure = |&(h, d): &(usize, f64)| {
+                distance(self.positions[h], self.positions[j]) <= sensing.d_max * (1.0 - 1e-9) - d
+            };
+            let has_reported = reported.iter().any(|&(h, _)| h == j);
+            if self.policy.senses(j, k) && !has_reported && reported.iter().any(is_sure) {
+                let policy = &self.policy;
+                self.estimates[j].silent(k, |k| policy.senses(j, k));
+            }
+        }
+    }
+
+    /// Step 6. False where the next wake-up is too close to call.
+    fn wake(&mut self, k: u64) -> bool {
+        let Some(mut event) = self.event.take() else {
+            return true;
+        };
+        let mut woken = Vec::new();
+        let able: Vec<bool> = if self.policy.ranks() && !event.reporters.is_empty() {
+            let is_able = |(j, estimate): (usize, &Estimate)| estimate.is_able(k, |k| self.policy.senses(j, k));
+            self.estimates.iter().enumerate().map(is_able).collect()
+        } else {
+            vec![true; self.devices.len()]
+        };
+        let is_spared = |(j, able): (usize, &bool)| !able && !self.policy.senses(j, k);
+        self.spared += u64::from(able.iter().enumerate().any(is_spared));
+        loop {
+            let choice = self.policy.choose(&Situation {
+                scenario: self.scenario,
+                positions: &self.positions,
+                k,
+                first: k == event.start,
+                epicentre: event.epicentre,
+                reporters: &event.reporters,
+                information: event.information,
+                woken: &woken,
+                able: &able,
+            });
+            let j = match choice {
+                Choice::Wake(j) => j,
+                Choice::Stop => break,
+                Choice::Ambiguous => return false,
+            };
+            woken.push(j);
+            event.tally.wake_ups += 1;
+            self.wake_ups += u64::from(k >= self.warm_up_end);
+            let heard = self.devices[j].state == State::Asleep;
+            event.acts.push((j, [0, 1, u64::from(heard), 0]));
+            let has_reported = if heard {
+                self.transmit(j, &mut event)
+            } else {
+                self.unheard += 1;
+                false
+            };
+            if has_reported {
+                self.estimates[j].heard(k, self.devices[j].battery);
+            } else {
+                let policy = &self.policy;
+                self.estimates[j].silent(k, |k| policy.senses(j, k));
+            }
+        }
+        self.event = Some(event);
+        true
+    }
+
+    /// From S2: device `j` sends its report, or cannot. Whether it does.
+    fn transmit(&mut self, j: usize, event: &mut Event) -> bool {
+        let sensing = &self.scenario.sensing;
+        let d = distance(self.positions[j], event.epicentre);
+        let within = d <= sensing.d_max;
+        let e_tx = self.devices[j].costs.e_tx;
+        let (gone, paid) = self.devices[j].pay(e_tx, 2);
+        event
+            .acts
+            .push((j, [u64::from(paid), 0, 0, u64::from(!paid || !within)]));
+        if !paid || !within {
+            event.tally.wrong_activations += 1;
+            event.tally.wasted += Energy::from_micro(gone);
+        }
+        if !paid {
+            self.devices[j].state = State::Dark;
+            return false;
+        }
+        self.devices[j].state = State::Transmission;
+        event.tally.reports += 1;
+        if within {
+            let report = sensing.psi * libm::exp(-sensing.eta * d);
+            event.information = match sensing.g {
+                Fusion::Max => event.information.max(report),
+                Fusion::SumSaturation => (event.information + report).min(sensing.psi),
+            };
+            let reporter = self.policy.reporter(self.scenario, &self.positions, j, d);
+            event.reporters.push(reporter);
+        }
+        true
+    }
+
+    fn detects(&self, j: usize, d: f64) -> bool {
+        let sensing = &self.scenario.sensing;
+        if d > sensing.d_max {
+            return false;
+        }
+        match sensing.kind {
+            DetectionKind::Range => true,
+            DetectionKind::Probabilistic => {
+                let draw = unit_for_pair(self.scenario.seed, Purpose::Detection, self.coming.number(), j as u64);
+                draw < libm::exp(-sensing.eta * d)
+            }
+        }
+    }
+
+    /// The end of step 6: an event ends with its first report or with its time.
+    fn close_event(&mut self, k: u64) {
+        let Some(mut event) = self.event.take() else { return };
+        if event.tally.reports == 0 && k + 1 < event.start.saturating_add(event.duration) {
+            self.event = Some(event);
+            return;
+        }
+        if event.start >= self.warm_up_end {
+            for (j, acts) in event.acts.drain(..) {
+                let sums = self.acts[j].iter_mut().zip(acts);
+                sums.for_each(|(sum, act)| *sum += act);
+            }
+        }
+        event.tally.information_pico = (event.information * 1e12).round() as u64;
+        self.events.push(EventRecord {
+            event: EventId(self.coming.number()),
+            epicentre: event.epicentre,
+            start: Tti(event.start),
+            last: Tti(k),
+            counted: event.start >= self.warm_up_end,
+            tally: event.tally,
+        });
+        self.coming.ended();
+    }
+
+    /// Step 7.
+    fn account(&mut self) {
+        let mut row = Vec::new();
+        for device in &mut self.devices {
+            device.battery_sum += u128::from(device.battery);
+            device.low_ttis += u64::from(device.battery < device.costs.e_tx.micro());
+            row.push((device.state, device.battery));
+        }
+        self.trace.push(row);
+    }
+
+    fn begin_measuring(&mut self) {
+        for device in &mut self.devices {
+            device.before = Some(device.sums());
+            device.outage = [0; 2];
+        }
+    }
+
+    fn into_run(self) -> Run {
+        let mut totals = EventTotals::default();
+        for record in self.events.iter().filter(|record| record.counted) {
+            totals.events += 1;
+            totals.misdetected += u64::from(record.tally.reports == 0);
+            totals.delay_ttis += if record.tally.reports > 0 {
+                record.last - record.start
+            } else {
+                0
+            };
+            totals.reports += record.tally.reports;
+            totals.wake_ups += record.tally.wake_ups;
+            totals.information_pico += u128::from(record.tally.information_pico);
+            totals.wrong_activations += record.tally.wrong_activations;
+            totals.wasted += record.tally.wasted;
+        }
+        let ledgers: Vec<Ledger> = self.devices.iter().map(Device::ledger).collect();
+        Run {
+            measured: ledgers.iter().map(|ledger| ledger.measured).sum(),
+            ledgers,
+            events: self.events,
+            acts: self.acts,
+            totals,
+            start_probability: self.start_probability.0 / self.start_probability.1,
+            wake_ups: self.wake_ups,
+            unheard: self.unheard,
+            spared: self.spared,
+            trace: self.trace,
+            ambiguous: self.ambiguous,
+        }
+    }
+}
