@@ -202,7 +202,13 @@ fn interrupted(signal: Signal, by_hand: bool) {
     assert!((10..12_000).contains(&summary.number("ttis_done")), "{summary:?}");
     assert_eq!(
         folder.list("out"),
-        ["events.csv", "scenario.toml", "summary.json", "windows.csv"]
+        [
+            "devices.csv",
+            "events.csv",
+            "scenario.toml",
+            "summary.json",
+            "windows.csv"
+        ]
     );
     for host in hosts {
         let host = host.finish();

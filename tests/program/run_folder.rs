@@ -12,7 +12,9 @@ fn with_files(folder: &Folder) {
     }
     folder.write("a/energy.csv", "sun\n2\n0\n1\n");
     folder.write("b/energy.csv", "sun\n0\n3\n");
-    let points: String = (0..8).map(|i| format!("{},{}\n", 2 + 2 * i, 3 + i)).collect();
+    let points = [2, 3, 4, 5, 6, 7, 8, 9]
+        .map(|i| format!("{},{}\n", 2 * i - 2, i + 1))
+        .concat();
     folder.write("points.csv", &format!("x,y\n{points}"));
     let trained = folder.run("train q-learning --quiet -n 8 --episodes 1 --episode-ttis 50 --out table.json");
     assert!(trained.is_success(), "{trained}");

@@ -133,7 +133,12 @@ fn a_search_without_events_to_judge_by_says_so() {
 #[test]
 fn pilots_know_the_mean_of_a_trace_and_not_its_future() {
     let folder = Folder::new();
-    let rows = |of: fn(u32) -> f64| (0..2000).map(|row| format!("{}\n", of(row))).collect::<String>();
+    let rows = |of: fn(u32) -> f64| {
+        (0..2000)
+            .map(|row| format!("{}\n", of(row)))
+            .collect::<Vec<_>>()
+            .concat()
+    };
     folder.write(
         "early.csv",
         &format!("e\n{}", rows(|row| if row < 200 { 4.0 } else { 0.0 })),

@@ -5,6 +5,7 @@ use proptest::test_runner::Config;
 use reveille_bs::beliefs::clusters::{Clusters, Voting};
 use reveille_bs::beliefs::ranking::i_min;
 use reveille_common::geometry::{Area, Layout, Point, place};
+use reveille_common::ids::DeviceId;
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::sensing::{DetectionKind, Fusion, Sensing};
 use reveille_tests::reference;
@@ -27,7 +28,7 @@ fn emulated(points: &[Point], area: Area, d_max: f64, voting: Voting, start: Str
     let members = Clusters::form(points, area, d_max, voting, start).members;
     members
         .into_iter()
-        .map(|cluster| cluster.into_iter().map(|device| device.index()).collect())
+        .map(|cluster| cluster.into_iter().map(DeviceId::index).collect())
         .collect()
 }
 

@@ -38,7 +38,13 @@ impl Observer for Watch {
                 let is_on = |j: &u32| self.plan.duty_cycle(DeviceId(*j)).is_on(*k);
                 self.sensing.push((0..self.devices).filter(is_on).count());
             }
-            _ => {}
+            Happening::Granted(_)
+            | Happening::EventStarted(_)
+            | Happening::Reported(_)
+            | Happening::Failed { .. }
+            | Happening::WakeUp { .. }
+            | Happening::Woken { .. }
+            | Happening::States(_) => {}
         }
     }
 }

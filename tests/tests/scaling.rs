@@ -29,7 +29,12 @@ impl Observer for Heard {
                 self.ended
                     .push(event.tally.information_pico as f64 / PICO_PER_INFORMATION);
             }
-            _ => {}
+            Happening::Granted(_)
+            | Happening::EventStarted(_)
+            | Happening::Failed { .. }
+            | Happening::Woken { .. }
+            | Happening::Closed(_)
+            | Happening::States(_) => {}
         }
     }
 }

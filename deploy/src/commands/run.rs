@@ -39,7 +39,9 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let started = crate::wall::now();
     let run = match set_up(&scenario, options, &stop) {
         Ok((run, warnings)) => {
-            warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
+            for warning in warnings {
+                tracing::warn!("{warning}");
+            }
             run
         }
         Err(error) => {

@@ -47,11 +47,10 @@ impl Estimate {
         }
         let level = if came <= went {
             self.level.saturating_sub(went - came)
-        } else if self.outage == 0 {
-            self.level + (came - went)
         } else {
             let needed = self.costs.e_tx.micro() + self.costs.e_idle.micro();
-            self.level + (came - went).min(needed * (k + 1 - self.from) / self.outage)
+            let most = (needed * (k + 1 - self.from)).checked_div(self.outage);
+            self.level + (came - went).min(most.unwrap_or(u64::MAX))
         };
         level.min(self.costs.e_max.micro().saturating_sub(cost(k)))
     }

@@ -54,7 +54,7 @@ impl Source {
                 ttis_per_row: 1,
                 again: true,
             },
-            other => other,
+            other @ (Self::Arrivals { .. } | Self::OnOff { .. }) => other,
         }
     }
 

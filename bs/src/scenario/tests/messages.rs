@@ -87,12 +87,6 @@ fn messages_name_field_value_range_and_line() {
             "",
         ),
         (
-            "devices = 1_000_000\nttis = 1000\npolicy.name = \"adjusted\"\npolicy.adjusted.pilot_ttis = 1_000_000",
-            "policy.adjusted.pilot_ttis = 1000000: must be at most 184467 with 1000000 devices that hold or harvest up \
-             to 100 units",
-            "line 4",
-        ),
-        (
             "devices = 1_000_000\nttis = 1_000_000_000",
             "ttis = 1000000000: must be at most 184467",
             "line 2",
@@ -104,6 +98,18 @@ fn messages_name_field_value_range_and_line() {
         assert!(message.contains(end), "{text}: {message}");
         assert!(!message.contains('\n'), "one paragraph: {message}");
     }
+}
+
+#[test]
+fn pilot_runs_are_bounded_like_runs() {
+    let text = "devices = 1_000_000\nttis = 1000\npolicy.name = \"adjusted\"\npolicy.adjusted.pilot_ttis = 1_000_000";
+    let message = from(text).expect_err("too long").to_string();
+    let expected = "policy.adjusted.pilot_ttis = 1000000: must be at most 184467 with 1000000 devices that hold or \
+                    harvest up to 100 units";
+    assert!(
+        message.starts_with(expected) && message.ends_with("line 4"),
+        "{message}"
+    );
 }
 
 #[test]
