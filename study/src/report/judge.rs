@@ -28,7 +28,7 @@ use crate::figures::results::Condition;
 pub enum Verdict {
     /// As stated.
     Reproduced,
-    /// Not that, but within [`TOLERANCE`] of it.
+    /// Not that, but within 20 % of it.
     Near,
     /// Neither, but the policy stands among the others where the paper has it.
     OrderReproduced,

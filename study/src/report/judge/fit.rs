@@ -18,7 +18,7 @@ const ROUNDING: f64 = 1e-9;
 pub enum Tier {
     /// Not.
     No,
-    /// Within [`TOLERANCE`].
+    /// Within 20 % of it.
     Near,
     /// As stated.
     Yes,
