@@ -2,9 +2,9 @@
 //!
 //! 1. A policy without runs at a claim's N is *not run*. What is said of several N together needs two of them.
 //! 2. A claim is *reproduced* if our mean is within 5 % of a stated value, in a stated range, or meets a bound
-//!    ("below", "above"); it is *within 20 %* if it is that near to the value or to the nearer end of the range. A claim
-//!    for several N or against several policies must hold for each that was run, and has the verdict of the worst. A
-//!    stated 0 allows 1 % of the largest of the other policies' means.
+//!    ("below", "above"); it is *within 20 %* if it is that near to the value or to the nearer end of the range. A
+//!    claim for several N or against several policies must hold for each that was run, and has the verdict of the
+//!    worst. A stated 0 allows 1 % of the largest of the other policies' means.
 //! 3. What falls or rises with N may go against that by at most a tenth of the range of all means; what stays level
 //!    stays within 20 % of the middle of them.
 //! 4. Otherwise its *order is reproduced* if, at each such N, our means stand to those of every other policy as the
