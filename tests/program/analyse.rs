@@ -119,6 +119,7 @@ fn harvest_crosses_the_consumption_where_its_closed_form_does() {
 }
 
 #[test]
+#[expect(clippy::disallowed_methods, reason = "checked to nine digits, not to the last bit")]
 fn run_times_come_with_exponents() {
     let folder = Folder::new();
     let found = analyse(
@@ -128,7 +129,33 @@ fn run_times_come_with_exponents() {
     // Only q-learning plans in every TTI.
     assert_eq!((rows(&found, "times").len(), rows(&found, "fits").len()), (9, 10));
     for row in rows(&found, "fits") {
-        assert!(number(row, "exponent").is_finite(), "{row}");
+        let column = match row["what"].as_str().expect("a word") {
+            "set-up" => "set_up_ms",
+            "run, per TTI" => "run_us_per_tti",
+            "decision" => "decision_us",
+            "plan" => "plan_us",
+            other => panic!("no column has the time of {other}"),
+        };
+        let times: Vec<f64> = rows(&found, "times")
+            .iter()
+            .filter(|times| times["policy"] == row["policy"])
+            .map(|times| number(times, column))
+            .collect();
+        // Through three points of which each has four times the devices of the one before, the line of least squares
+        // is as steep as the one through the first and the last.
+        let expected = (times[2] / times[0]).ln() / 16f64.ln();
+        assert!(
+            (number(row, "exponent") - expected).abs() < 1e-9,
+            "{row}, not {expected}"
+        );
+        // How far the one in the middle is off, with the 97.5 % point of Student's t for one degree of freedom.
+        let bend = (times[1] * times[1] / (times[0] * times[2])).ln() / 6f64.sqrt();
+        let half_width = 12.706 * bend.abs() / (2f64.sqrt() * 4f64.ln());
+        let found = number(row, "half_width");
+        assert!(
+            (found - half_width).abs() < 1e-3 * half_width + 1e-12,
+            "{row}, not {half_width}"
+        );
     }
 }
 
