@@ -41,6 +41,11 @@ pub struct SweepArgs {
     #[arg(long, help_heading = "Output")]
     pub dry_run: bool,
 
+    /// Take runs that a table holds already, of the same scenario and seed, instead of making them: a table
+    /// (results.parquet, results.csv) or the folder of a finished sweep. May be repeated.
+    #[arg(long, value_name = "TABLE", help_heading = "Running")]
+    pub reuse: Vec<PathBuf>,
+
     /// Threads [default: as many as there are cores].
     #[arg(long, short = 'j', help_heading = "Running", value_parser = clap::value_parser!(u16).range(1..=4096))]
     pub threads: Option<u16>,

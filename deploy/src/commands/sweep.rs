@@ -13,7 +13,8 @@ use std::time::Duration;
 
 use anyhow::bail;
 use reveille_common::io::Disk;
-use reveille_lab::sweep::{Grid, Shard, Sweep, hash, seeds_in};
+use reveille_lab::sweep::{Grid, Known, Shard, Sweep, hash, seeds_in};
+use reveille_lab::table::Table;
 
 use crate::cli::SweepArgs;
 use crate::display::{self, note};
@@ -37,8 +38,13 @@ pub fn run(args: &SweepArgs) -> anyhow::Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     let threads = threads(args)?;
+    let known = known(&args.reuse)?;
     let mut sweep = Sweep::open(&grid, shard, &folder)?;
     announce(args, &sweep, &folder);
+    let taken = sweep.take_over(&known)?;
+    if taken > 0 && !args.quiet {
+        note!("{} taken over by --reuse", display::count(taken, "run"));
+    }
     let runtime = crate::wall::runtime(1)?;
     let stop = runtime.block_on(async { crate::interrupt::watch() })?;
     let progress = Arc::new(Progress::start(&grid, shard, threads, sweep.found(), &stop, args.quiet));
@@ -71,6 +77,17 @@ pub fn run(args: &SweepArgs) -> anyhow::Result<ExitCode> {
         display::out(&report.to_text())?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// The runs that the tables of `--reuse` hold.
+fn known(tables: &[PathBuf]) -> anyhow::Result<Known> {
+    let read = |given: &PathBuf| {
+        let path = super::paths::table_of(given)?;
+        let table = Table::read(&path)?;
+        anyhow::Ok((path, table))
+    };
+    let tables: Vec<(PathBuf, Table)> = tables.iter().map(read).collect::<Result<_, _>>()?;
+    Ok(Known::of(&tables)?)
 }
 
 /// Says what the scenarios of cells warn of, each thing once.

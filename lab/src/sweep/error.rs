@@ -102,6 +102,18 @@ pub enum SweepError {
         /// What is wrong, and what to do.
         reason: String,
     },
+    /// The runs of a table cannot be taken over.
+    #[error(
+        "--reuse {}: was written by reveille {version}, whose runs may have come out differently; make them anew, or \
+         go on with that version",
+        path.display()
+    )]
+    Reuse {
+        /// The table.
+        path: PathBuf,
+        /// The version that wrote it.
+        version: String,
+    },
     /// Threads cannot be started.
     #[error("--threads {threads}: {reason}")]
     Threads {

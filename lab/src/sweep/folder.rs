@@ -22,9 +22,10 @@ use super::error::SweepError;
 use super::experiment::Experiment;
 use super::grid::Grid;
 use super::journal::{Job, Journal, Keeper as _};
+use super::reuse::Known;
 use super::shard::Shard;
 use crate::io::{read, replace, with_names};
-use crate::table::{About, Format, Row, Table, TableError};
+use crate::table::{About, Format, Hash, Row, Table, TableError};
 
 const EXPERIMENT: &str = "experiment.toml";
 const SCENARIO: &str = "experiment.scenario.toml";
@@ -119,6 +120,37 @@ impl<'g> Sweep<'g> {
     /// Finished runs.
     pub fn done(&self) -> usize {
         self.journal.runs().keys().filter(|job| self.holds(**job)).count()
+    }
+
+    /// Takes the runs that are missing here and are in `known`, as if they had been made, and says how many.
+    ///
+    /// # Errors
+    /// The journal cannot be written.
+    pub fn take_over(&mut self, known: &Known) -> Result<usize, SweepError> {
+        if known.is_empty() {
+            return Ok(0);
+        }
+        let seeds = self.grid.experiment.seeds;
+        let mut taken = 0;
+        for (number, cell) in self.grid.cells.iter().enumerate() {
+            for seed in self.shard.seeds(number as u64, seeds.count) {
+                let job = Job {
+                    cell: number as u32,
+                    seed: seed as u32,
+                };
+                if self.journal.runs().contains_key(&job) {
+                    continue;
+                }
+                let scenario = cell.with_seed(seeds.first + seed);
+                if let Some(entry) = known.run(Hash(scenario.hash())) {
+                    self.journal.add(job, entry.clone(), 0)?;
+                    taken += 1;
+                }
+            }
+        }
+        self.journal.sync()?;
+        self.found += taken;
+        Ok(taken)
     }
 
     fn holds(&self, job: Job) -> bool {

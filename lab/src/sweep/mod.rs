@@ -15,6 +15,7 @@ mod grid;
 mod io;
 mod journal;
 mod merge;
+mod reuse;
 mod shard;
 
 #[cfg(test)]
@@ -27,4 +28,5 @@ pub use experiment::{Axis, Experiment, Seeds, UntilCi};
 pub use folder::{Finished, Sweep, hash, seeds_in, table_in};
 pub use grid::{Cell, Grid};
 pub use merge::merge;
+pub use reuse::Known;
 pub use shard::Shard;

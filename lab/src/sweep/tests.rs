@@ -252,6 +252,35 @@ fn threads_interruptions_and_shards_change_nothing() {
 }
 
 #[test]
+fn runs_of_another_sweep_are_taken_over_and_change_nothing() {
+    let (first, fresh, own) = (Folder::new("first"), Folder::new("fresh"), Folder::new("own"));
+    let (made, _) = swept(&grid(SMALL).expect("valid"), "1/1", 2, &first.0);
+    // Half of its cells and more seeds, and devices that it does not have.
+    let other = grid(
+        "policies = [\"knn\"]\ndevices = [12, 20]\nttis = 300\nseeds = { first = 1, count = 10 }\n[grid]\nharvest.lambda = \
+         [1, 0.1, 0.3]\n",
+    );
+    let other = other.expect("valid");
+    let (_, expected) = swept(&other, "1/1", 2, &fresh.0);
+
+    let mut known = vec![(made.path, made.table)];
+    let mut sweep = Sweep::open(&other, Shard::WHOLE, &own.0).expect("a folder");
+    let taken = sweep.take_over(&Known::of(&known).expect("of this version"));
+    // Seeds 3 to 9 with both rates of 12 devices.
+    assert_eq!((taken.expect("written"), sweep.found()), (14, 14));
+    assert_eq!(
+        sweep.take_over(&Known::of(&known).expect("the same")).expect("written"),
+        0
+    );
+    drop(sweep);
+    assert!(swept(&other, "1/1", 2, &own.0).1 == expected, "the table differs");
+
+    known[0].1.about.version = "0.0.1".to_owned();
+    let refused = Known::of(&known).expect_err("another version").to_string();
+    assert!(refused.contains("--reuse") && refused.contains("0.0.1"), "{refused}");
+}
+
+#[test]
 fn tables_that_do_not_fit_are_not_merged() {
     let folder = Folder::new("misfits");
     let table = |text: &str, shard: &str, name: &str| {
