@@ -279,6 +279,25 @@ impl Spread {
     }
 }
 
+/// Why counted events were missed: each missed event has one cause.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Missed {
+    /// No device stands within `d_max` of the epicentre.
+    pub out_of_reach: u64,
+    /// Somebody detected it, and nobody who did could pay for a report.
+    pub unpaid: u64,
+    /// Devices stand within `d_max`, and while it lasted none of them detected it: they slept, or could not pay for
+    /// sensing, or, with detection by chance, it escaped them.
+    pub unseen: u64,
+}
+
+impl Missed {
+    /// All of them.
+    pub const fn events(&self) -> u64 {
+        self.out_of_reach + self.unpaid + self.unseen
+    }
+}
+
 /// The exact totals of the measured part of a run. Every metric follows from them and the scenario.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Totals {
@@ -288,6 +307,8 @@ pub struct Totals {
     pub ttis: u64,
     /// Events.
     pub events: EventTotals,
+    /// Why events were missed.
+    pub missed: Missed,
     /// The least number of TTIs within which 95 % of the reported events were reported; 0 if none was.
     pub delay_p95_ttis: u64,
     /// The control channel: δ, wake-ups and synchronisation, BS → devices.

@@ -182,6 +182,7 @@ pub fn table(summary: &Summary<'_>) -> String {
     ];
     lines.extend(classes(&summary.classes));
     lines.extend(facts(summary));
+    lines.extend(missed(summary));
     lines.push(timing(summary));
     if summary.timing.late_ttis > 0 {
         let (late, most) = (summary.timing.late_ttis, summary.timing.max_late_ms);
@@ -257,6 +258,21 @@ fn facts(summary: &Summary<'_>) -> Option<String> {
         .map(|(name, value)| format!("{name} {}", number(*value)))
         .collect();
     (!facts.is_empty()).then(|| facts.join(" · "))
+}
+
+/// Why events were missed, if any was: each cause with its share of all events.
+fn missed(summary: &Summary<'_>) -> Option<String> {
+    let (events, missed) = (summary.totals.events.events, summary.totals.missed);
+    let causes = [
+        (missed.unseen, "no device within reach sensed them"),
+        (missed.unpaid, "no device that detected them could pay for a report"),
+        (missed.out_of_reach, "no device stands within d_max"),
+    ];
+    let told = causes.iter().filter(|(count, _)| *count > 0);
+    let told: Vec<String> = told
+        .map(|(count, cause)| format!("{:.2} % {cause}", 100.0 * *count as f64 / events as f64))
+        .collect();
+    (!told.is_empty()).then(|| format!("events missed, of all: {}", told.join("; ")))
 }
 
 /// How fast it went, and with what.

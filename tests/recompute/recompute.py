@@ -60,6 +60,21 @@ def of_events(rows: list[dict[str, str]], alpha: float, ttis: int) -> dict[str, 
     }
 
 
+def causes(rows: list[dict[str, str]], devices: list[dict[str, str]], d_max: float) -> dict[str, int]:
+    """Why counted events were missed."""
+    found = {"out_of_reach": 0, "unpaid": 0, "unseen": 0}
+    places = [(float(device["x_m"]), float(device["y_m"])) for device in devices]
+    for row in rows:
+        if row["counted"] != "1" or row["reports"] != "0":
+            continue
+        at = float(row["x_m"]), float(row["y_m"])
+        nearest = min(math.dist(at, place) for place in places)
+        # Who detects an event is within reach, and who cannot report what it detected is a wrong activation.
+        cause = "out_of_reach" if nearest > d_max else "unpaid" if row["wrong_activations"] != "0" else "unseen"
+        found[cause] += 1
+    return found
+
+
 def of_devices(rows: list[dict[str, str]], ttis: int) -> dict[str, float]:
     n = len(rows)
     spent = []
@@ -119,6 +134,9 @@ def check(folder: Path) -> int:
         by_event = sum(int(row[of_all]) for row in events if row["counted"] == "1")
         if by_device != by_event:
             wrong.append(f"{folder}: {by_device} {own} of devices, {by_event} of events")
+    missed = causes(events, devices, scenario["sensing"]["d_max"])
+    if missed != summary["totals"]["missed"]:
+        wrong.append(f"{folder}: {summary['totals']['missed']} in the summary, and {missed} from the tables")
     # Exactly: the sums by state are those of the totals.
     for state in STATES:
         by_device = sum(micro(row[f"{state}_units"]) for row in devices)

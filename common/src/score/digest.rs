@@ -149,6 +149,8 @@ impl Fingerprint {
             devices,
             ttis,
             events,
+            // It follows from what the fingerprint has.
+            missed: _,
             delay_p95_ttis,
             control,
             uplink,

@@ -21,7 +21,7 @@ use crate::event::{ActiveEvent, Stimulus};
 use crate::ids::{DeviceId, Tti};
 use crate::message::{Failure, PlanUpdate, Report, WakeOutcome};
 use crate::scenario::Scenario;
-use crate::totals::{EventTally, EventTotals, Ledger, PICO_PER_INFORMATION, Spread, Totals, Traffic};
+use crate::totals::{EventTally, EventTotals, Ledger, Missed, PICO_PER_INFORMATION, Spread, Totals, Traffic};
 use crate::units::Energy;
 
 /// The event under way and what has come of it.
@@ -38,10 +38,12 @@ pub struct Score {
     /// Each device as it was put on the ground, with nothing in its books yet.
     devices: Vec<DeviceRecord>,
     e_tx: Vec<Energy>,
+    d_max: f64,
     current: Option<Current>,
     /// What devices did for the event under way.
     acts: Vec<(DeviceId, Acts)>,
     events: EventTotals,
+    missed: Missed,
     delays: Delays,
     control: Traffic,
     uplink: Traffic,
@@ -76,9 +78,11 @@ impl Score {
             warm_up_end: scenario.warm_up_end(),
             devices: devices.collect(),
             e_tx: deployment.devices.iter().map(|d| d.energy.e_tx).collect(),
+            d_max: scenario.sensing.d_max,
             current: None,
             acts: Vec::new(),
             events: EventTotals::default(),
+            missed: Missed::default(),
             delays: Delays::default(),
             control: Traffic::default(),
             uplink: Traffic::default(),
@@ -174,8 +178,9 @@ impl Score {
         if record.counted {
             let delay = record.delay();
             self.events.count(&tally, delay);
-            if let Some(delay) = delay {
-                self.delays.count(delay);
+            match delay {
+                Some(delay) => self.delays.count(delay),
+                None => self.count_missed(&record),
             }
             for (device, act) in &self.acts {
                 self.devices[device.index()].acts += *act;
@@ -192,6 +197,7 @@ impl Score {
             devices: ledgers.len() as u64,
             ttis: end.0.saturating_sub(self.warm_up_end.0),
             events: self.events,
+            missed: self.missed,
             delay_p95_ttis: self.delays.percentile(95),
             control: self.control,
             uplink: self.uplink,
@@ -207,6 +213,18 @@ impl Score {
             totals,
             devices: self.devices,
         }
+    }
+
+    fn count_missed(&mut self, event: &EventRecord) {
+        let is_in_reach = |device: &DeviceRecord| device.position.distance(event.epicentre) <= self.d_max;
+        let cause = if event.tally.wrong_activations > 0 {
+            &mut self.missed.unpaid
+        } else if self.devices.iter().any(is_in_reach) {
+            &mut self.missed.unseen
+        } else {
+            &mut self.missed.out_of_reach
+        };
+        *cause += 1;
     }
 
     fn current(&mut self) -> &mut Current {
