@@ -87,6 +87,12 @@ impl Events {
         measured.unwrap_or(self.alpha)
     }
 
+    /// The share of events, `[0, 1]`, that are over before they are looked for, where every place is looked at once in
+    /// `every` TTIs, ≥ 1.
+    pub fn over_before_a_look(&self, every: u64) -> f64 {
+        self.duration_kind.over_before_a_look(self.duration, every)
+    }
+
     /// The longest that an event can last, TTIs; `None` where there is no limit.
     pub const fn longest(&self) -> Option<u64> {
         self.duration_kind.longest(self.duration)

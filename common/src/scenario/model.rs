@@ -244,6 +244,11 @@ impl PolicyChoice {
         self.settings.warnings()
     }
 
+    /// See [`PolicySettings::delay_budget`].
+    pub fn delay_budget(&self) -> Option<(&'static str, u64)> {
+        self.settings.delay_budget()
+    }
+
     /// See [`PolicySettings::own_runs`].
     pub fn own_runs(&self) -> Vec<(&'static str, u64)> {
         self.settings.own_runs()

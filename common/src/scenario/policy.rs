@@ -15,6 +15,12 @@ pub trait PolicySettings: Any + Debug + Send + Sync {
         Vec::new()
     }
 
+    /// The TTIs within which the policy promises to look at every place once, ≥ 1, with the path of the field that says
+    /// it; `None` if it promises nothing.
+    fn delay_budget(&self) -> Option<(&'static str, u64)> {
+        None
+    }
+
     /// The lengths of runs that the policy has made for itself, TTIs, each with the path of the field that says it.
     fn own_runs(&self) -> Vec<(&'static str, u64)> {
         Vec::new()

@@ -9,6 +9,7 @@ use super::model::{Policies, PolicyChoice, Scenario};
 use super::policy::NoSettings;
 use super::run::{PolicyName, Run};
 use crate::declare::{Declaration, Ground, Merged, Reader, ScenarioError};
+use crate::event::DurationKind;
 use crate::event::settings::Events;
 use crate::geometry::{Area, Layout};
 use crate::sensing::Sensing;
@@ -61,7 +62,25 @@ pub(super) fn settle(
     scenario.policy = PolicyChoice::new(kind, kind.settle(&reader.of_policy(kind.name()), &scenario.site())?);
     bounded(reader, &scenario)?;
     scenario.warnings = warnings.take();
+    scenario.warnings.extend(over_before_a_look(&scenario));
     Ok(scenario)
+}
+
+/// What a policy cannot know and its user should: that events end before the policy is to look for them.
+fn over_before_a_look(scenario: &Scenario) -> Option<String> {
+    let (path, budget) = scenario.policy.delay_budget()?;
+    let share = 100.0 * scenario.events.over_before_a_look(budget);
+    (share >= 1.0).then(|| {
+        format!(
+            "{path} = {budget} lets {budget} TTIs pass between two looks at a place, and events last {} TTIs{}: about \
+             {share:.0} % of them can be over before anybody looks, and are missed",
+            scenario.events.duration,
+            match scenario.events.duration_kind {
+                DurationKind::Fixed => "",
+                DurationKind::Geometric => " in the mean",
+            }
+        )
+    })
 }
 
 /// Energy sums over all devices and TTIs have to fit in 64 bits, those of runs that the policy makes for itself too.
