@@ -98,7 +98,7 @@ fn tables_that_are_none_are_refused() {
         &[
             "figure `speed`",
             "information, information-per-event, energy, misdetection",
-            "harvest, net, pareto",
+            "harvest, net, pareto, delay, front",
         ],
     );
     let end = folder.run("figures");
@@ -216,12 +216,86 @@ fn a_sweep_becomes_figures_and_a_report_the_same_twice() {
         assert_eq!(end.code(), Some(0), "{end}");
     }
     let html = String::from_utf8(folder.bytes("report/report.html")).expect("text");
-    assert_eq!(html.matches("<svg").count(), 22, "eleven figures for each preset");
+    assert_eq!(html.matches("<svg").count(), 24, "twelve figures for each preset");
     assert!(!html.contains("src=") && html.contains("not built yet") && html.contains("seeds 1 to 2"));
     let markdown = String::from_utf8(folder.bytes("report/report.md")).expect("text");
     for file in folder.list("report").iter().filter(|name| name.contains(".svg")) {
         assert!(markdown.contains(&format!("]({file})")), "{file} is not shown");
     }
+}
+
+#[test]
+fn settings_are_ranked_the_same_twice_and_every_one_is_judged() {
+    let folder = Folder::new();
+    sweep(&folder, "unstated", "--grid events.alpha=0.1,0.2,0.4");
+    sweep(&folder, "literal", "--scenario paper-literal");
+    let search = |out: &str| {
+        let end = folder.run(&format!("report search unstated literal --top 1 --out {out}"));
+        assert_eq!(end.code(), Some(0), "{end}");
+        end.stdout
+    };
+    let first = search("a");
+    assert!(
+        first.contains("4 settings, 64 runs") && first.contains("events.alpha"),
+        "{first}"
+    );
+    assert_eq!(first.replace("a/search.md", ""), search("b").replace("b/search.md", ""));
+    let pages = ["a", "b"].map(|out| String::from_utf8(folder.bytes(&format!("{out}/search.md"))).expect("text"));
+    assert_eq!(pages[0].replace("--out a", ""), pages[1].replace("--out b", ""));
+    for part in [
+        "| paper |",
+        "| paper-literal |",
+        "## What no setting meets",
+        "## Claim by claim",
+    ] {
+        assert!(pages[0].contains(part), "{part}");
+    }
+    folder.write(
+        "page.md",
+        "Ours.\n<!-- report search-settings -->\n<!-- /report search-settings -->\nThe end.\n",
+    );
+    folder.write("bare.md", "Ours.\n");
+    let end = folder.run("report search unstated literal --out a --page page.md");
+    assert_eq!(end.code(), Some(0), "{end}");
+    let page = String::from_utf8(folder.bytes("page.md")).expect("text");
+    assert!(
+        page.starts_with("Ours.\n") && page.ends_with("The end.\n") && page.contains("| paper |"),
+        "{page}"
+    );
+    let end = folder.run("report search unstated literal --out a --page bare.md");
+    assert_refused(&end, 1, &["bare.md", "<!-- report NAME -->", "search-settings"]);
+    let end = folder.run("report search unstated --top 0");
+    assert_eq!(end.code(), Some(2), "{end}");
+    assert_refused(&folder.run("report search nowhere --out c"), 1, &["nowhere"]);
+    assert!(!folder.join("c").exists());
+}
+
+#[test]
+fn a_sweep_of_ones_own_is_drawn_against_its_field() {
+    let folder = Folder::new();
+    sweep(&folder, "mine", "--grid harvest.lambda=0.05,0.1");
+    for out in ["a", "b"] {
+        let end = folder.run(&format!(
+            "figures sweep mine --x harvest.lambda --y energy_per_device_tti --log x --out {out}"
+        ));
+        assert_eq!(end.code(), Some(0), "{end}");
+        assert!(end.stderr.contains("differ in devices as well: 2 pictures"), "{end}");
+    }
+    let names = folder.list("a");
+    assert_eq!(names.len(), 6, "{names:?}");
+    assert!(names.contains(&"sweep-energy_per_device_tti-harvest.lambda-devices-10.svg".to_owned()));
+    for name in names {
+        assert_same(&folder, &name);
+    }
+    let refused = |args: &str, parts: &[&str]| {
+        assert_refused(&folder.run(&format!("figures sweep mine {args} --out c")), 1, parts);
+        assert!(!folder.join("c").exists(), "{args} left something");
+    };
+    refused("--x colour", &["`colour`", "devices, ttis, harvest.lambda"]);
+    refused("--x harvest.lambda --y speed", &["`speed`", "info_p1"]);
+    refused("--x harvest.lambda --where n=20", &["devices = 20", "10, 100"]);
+    let end = folder.run("figures sweep mine --x harvest.lambda --where devices");
+    assert_eq!(end.code(), Some(2), "{end}");
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand, ValueEnum};
 
 use super::ScenarioArgs;
-use super::parse::{parse_device, parse_whole};
+use super::parse::{parse_device, parse_field, parse_whole};
 
 /// Where pictures go and in which form.
 #[derive(Args, Clone, Debug)]
@@ -37,11 +37,11 @@ pub struct FiguresArgs {
     #[arg(required = true, value_name = "TABLE")]
     pub tables: Vec<PathBuf>,
     /// Only these figures, separated by commas, of: information, information-per-event, energy, misdetection,
-    /// low-energy, battery, wrong, wasted, harvest, net, pareto [default: all].
+    /// low-energy, battery, wrong, wasted, harvest, net, pareto, delay, front [default: all].
     #[arg(long, value_delimiter = ',', value_name = "FIGURE")]
     pub only: Vec<String>,
-    /// Draw pareto once for each preset and length of runs, with a line for each policy under each setting, for example
-    /// for q-learning with tables of several weights. Other figures are drawn for each setting, as always.
+    /// Draw pareto and delay once for each preset and length of runs, with a line for each policy under each setting,
+    /// for example for q-learning with tables of several weights. Other figures are drawn for each setting, as always.
     #[arg(long)]
     pub together: bool,
     /// The pictures.
@@ -60,6 +60,50 @@ pub enum FiguresCommand {
     Learning(LearningArgs),
     /// Learned tables for one N as heat maps: what sensing is worth, or what waking is worth.
     QTable(QTableArgs),
+    /// A sweep of your own: any metric against any field that was swept.
+    ///
+    /// A line for each policy, or for each value of another field; a picture for each combination of the other fields
+    /// in which the runs differ.
+    #[command(
+        after_help = "Examples:\n  reveille figures sweep mine --x harvest.lambda --y energy_per_device_tti\n  \
+        reveille figures sweep mine --x harvest.lambda --by devices --where policy=knn --log x"
+    )]
+    Sweep(SweepFigureArgs),
+}
+
+/// `reveille figures sweep`.
+#[derive(Args)]
+pub struct SweepFigureArgs {
+    /// Result tables of `reveille sweep`, or the folders of finished sweeps; runs that two of them hold count once.
+    #[arg(required = true, value_name = "TABLE")]
+    pub tables: Vec<PathBuf>,
+    /// The field along x: one that was swept, such as harvest.lambda, or devices, or ttis.
+    #[arg(long, value_name = "FIELD")]
+    pub x: String,
+    /// The metric along y, such as energy_per_device_tti; docs/results.md lists them.
+    #[arg(long, value_name = "METRIC", default_value = "info_p1")]
+    pub y: String,
+    /// The field of whose values each has a line.
+    #[arg(long, value_name = "FIELD", default_value = "policy")]
+    pub by: String,
+    /// Only runs in which a field has this value. May be repeated.
+    #[arg(long = "where", value_name = "FIELD=VALUE", value_parser = parse_field)]
+    pub only: Vec<(String, String)>,
+    /// The axes that are logarithmic, separated by commas.
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "AXIS")]
+    pub log: Vec<AxisArg>,
+    /// The pictures.
+    #[command(flatten)]
+    pub pictures: PictureArgs,
+}
+
+/// An axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum AxisArg {
+    /// From left to right.
+    X,
+    /// From bottom to top.
+    Y,
 }
 
 /// `reveille figures learning`.
@@ -137,15 +181,4 @@ pub struct TimelineArgs {
     /// The pictures.
     #[command(flatten)]
     pub pictures: PictureArgs,
-}
-
-/// `reveille report`.
-#[derive(Args)]
-pub struct ReportArgs {
-    /// Result tables of `reveille sweep`, or the folders of finished sweeps, of the presets paper and paper-literal.
-    #[arg(required = true, value_name = "TABLE")]
-    pub tables: Vec<PathBuf>,
-    /// The folder for report.html and report.md; it is made if need be.
-    #[arg(long, short, default_value = "report")]
-    pub out: PathBuf,
 }

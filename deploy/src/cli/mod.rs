@@ -3,6 +3,7 @@
 mod analyse;
 mod figures;
 mod parse;
+mod report;
 mod run;
 mod sweep;
 mod tools;
@@ -14,9 +15,10 @@ use reveille_common::logging::LogFormat;
 
 pub use analyse::{AnalyseCommand, BatteryArgs, HarvestArgs, IminArgs, RuntimeArgs, StudyArgs, TransitionsArgs};
 pub use figures::{
-    DeploymentArgs, FiguresArgs, FiguresCommand, FormatArg, LearningArgs, PictureArgs, QTableArgs, RankingArg,
-    ReportArgs, TimelineArgs,
+    AxisArg, DeploymentArgs, FiguresArgs, FiguresCommand, FormatArg, LearningArgs, PictureArgs, QTableArgs, RankingArg,
+    SweepFigureArgs, TimelineArgs,
 };
+pub use report::{ReportArgs, ReportCommand, SearchArgs};
 pub use run::{BsArgs, DeviceArgs, DriveArgs, OnLossArg, OutputArgs, RunArgs, ScenarioArgs, UpArgs};
 pub use sweep::{MergeArgs, SweepArgs};
 pub use tools::{
@@ -116,11 +118,17 @@ pub enum Command {
         subcommand_negates_reqs = true,
         after_help = "Examples:\n  reveille figures results/table.parquet --out figures\n  \
         reveille figures results/table.parquet --only information,energy --format svg\n  \
+        reveille figures sweep results/table.parquet --x harvest.lambda --y energy_per_device_tti\n  \
         reveille figures deployment --policy knn -n 80\n  reveille figures timeline --policy random --show 3,7"
     )]
     Figures(FiguresArgs),
     /// Hold result tables against every claim of the paper: a page of HTML and one of Markdown.
-    #[command(after_help = "Example:\n  reveille report results/paper.parquet results/literal.parquet --out report")]
+    #[command(
+        args_conflicts_with_subcommands = true,
+        subcommand_negates_reqs = true,
+        after_help = "Examples:\n  reveille report results/paper.parquet results/literal.parquet --out report\n  \
+        reveille report search unstated --out report"
+    )]
     Report(ReportArgs),
     /// Work through the paper's analysis: closed forms and Markov chains beside what the machines do.
     #[command(subcommand)]

@@ -45,6 +45,19 @@ pub(super) fn parse_whole(text: &str) -> Result<u64, String> {
         .map_err(|_| format!("must be a whole number from 0 to {}", i64::MAX))
 }
 
+/// Reads a number of things of which there is one at least.
+pub(super) fn parse_count(text: &str) -> Result<usize, String> {
+    let count = text.parse().ok().filter(|count| *count > 0);
+    count.ok_or_else(|| "must be a whole number from 1".to_owned())
+}
+
+/// Reads a field with its value.
+pub(super) fn parse_field(text: &str) -> Result<(String, String), String> {
+    let pair = text.split_once('=').filter(|(field, _)| !field.is_empty());
+    let pair = pair.map(|(field, value)| (field.trim().to_owned(), value.trim().to_owned()));
+    pair.ok_or_else(|| "must be FIELD=VALUE, such as devices=50".to_owned())
+}
+
 pub(super) fn parse_device(text: &str) -> Result<u32, String> {
     let number = text.trim().parse();
     number.map_err(|_| "must be the number of a device, a whole number from 0, such as 3".to_owned())

@@ -32,10 +32,10 @@ pub struct TuneArgs {
     /// What to make large.
     #[arg(long, value_enum, default_value = "balance")]
     pub objective: ObjectiveArg,
-    /// Balance: information per event that one unit per device and TTI is worth.
+    /// Balance: information (P1) that one unit per device and TTI is worth.
     #[arg(long, default_value_t = 1.0, value_name = "WEIGHT")]
     pub energy_weight: f64,
-    /// Balance: information per event that a misdetected share of 1 is worth, beyond what those events lack.
+    /// Balance: information (P1) that a misdetected share of 1 is worth, beyond what those events lack.
     #[arg(long, default_value_t = 1.0, value_name = "WEIGHT")]
     pub miss_weight: f64,
     /// Least and largest μ1.
@@ -94,9 +94,9 @@ pub struct TuneArgs {
 /// An objective.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum ObjectiveArg {
-    /// Information per event − energy weight × units per device and TTI − miss weight × share misdetected.
+    /// Information (P1) − energy weight × units per device and TTI − miss weight × share misdetected.
     Balance,
-    /// Information per event.
+    /// Information, the objective of P1.
     Information,
     /// Information per unit spent.
     Efficiency,

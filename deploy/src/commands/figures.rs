@@ -1,28 +1,23 @@
 //! `reveille figures`: pictures as SVG and PNG.
 
+mod sweep;
+
 use std::collections::BTreeSet;
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use anyhow::{Context as _, anyhow};
+use anyhow::anyhow;
 use reveille_bs::policy::q_learning::learned::{Entry, Learned};
 use reveille_common::io::Disk;
 use reveille_common::scenario::WakeUpRanking;
-use reveille_lab::io::replace;
-use reveille_lab::table::Table;
 use reveille_study::figures::results::{Condition, Results};
-use reveille_study::figures::scene::Scene;
 use reveille_study::figures::timeline::Timeline;
-use reveille_study::figures::{deployment, energy, learning, pareto, png, q_table, study, svg, timeline};
+use reveille_study::figures::{deployment, energy, front, learning, pareto, q_table, study, timeline};
 
-use super::paths::table_of;
+use super::pictures::{as_file, read, save, write};
 use super::resolution::resolve;
-use crate::cli::{
-    DeploymentArgs, FiguresArgs, FiguresCommand, FormatArg, LearningArgs, PictureArgs, QTableArgs, RankingArg,
-    TimelineArgs,
-};
-use crate::display::{self, note};
+use crate::cli::{DeploymentArgs, FiguresArgs, FiguresCommand, LearningArgs, QTableArgs, RankingArg, TimelineArgs};
+use crate::display::note;
 
 /// Draws what is asked for.
 pub fn run(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
@@ -31,13 +26,15 @@ pub fn run(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
         Some(FiguresCommand::Timeline(args)) => draw_timeline(args),
         Some(FiguresCommand::Learning(args)) => draw_learning(args),
         Some(FiguresCommand::QTable(args)) => draw_q_table(args),
+        Some(FiguresCommand::Sweep(args)) => sweep::run(args),
         None => draw_study(args),
     }
 }
 
 fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
     let [harvest, net] = energy::NAMES;
-    let chosen = study::chosen(&args.only, &[harvest, net, pareto::NAME])?;
+    let [pareto, delay] = pareto::TRADES.map(|trade| trade.name);
+    let chosen = study::chosen(&args.only, &[harvest, net, pareto, delay, front::NAME])?;
     let results = read(&args.tables)?;
     for (condition, label) in results.conditions.iter().zip(results.file_labels()) {
         for figure in &chosen {
@@ -68,14 +65,15 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
             draw_energy(args, &label, condition)?;
         }
         if !args.together {
-            draw_pareto(args, &label, &[condition])?;
+            draw_trades(args, &label, &[condition])?;
         }
     }
     hint(&results);
-    if args.together {
-        for (label, conditions) in results.together() {
-            draw_pareto(args, &label, &conditions)?;
+    for (label, conditions) in results.together() {
+        if args.together {
+            draw_trades(args, &label, &conditions)?;
         }
+        draw_fronts(args, label.trim_end_matches("-together"), &conditions)?;
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -101,22 +99,39 @@ fn is_chosen(args: &FiguresArgs, name: &str) -> bool {
     args.only.is_empty() || args.only.iter().any(|only| only == name)
 }
 
-/// Information against energy.
-fn draw_pareto(args: &FiguresArgs, label: &str, conditions: &[&Condition]) -> anyhow::Result<()> {
-    if !is_chosen(args, pareto::NAME) {
+/// Information and delay against energy.
+fn draw_trades(args: &FiguresArgs, label: &str, conditions: &[&Condition]) -> anyhow::Result<()> {
+    for trade in pareto::TRADES.iter().filter(|trade| is_chosen(args, trade.name)) {
+        let name = format!("{}-{label}", trade.name);
+        let Some(chart) = trade.chart(conditions) else {
+            note!("{name}: not drawn, no run has both {} and {}", trade.y, pareto::ENERGY);
+            continue;
+        };
+        write(&args.pictures, &name, &chart.scene())?;
+        save(
+            &args.pictures.out,
+            &format!("{name}.csv"),
+            trade.csv(conditions).as_bytes(),
+        )?;
+    }
+    Ok(())
+}
+
+/// Information against energy for each N at which a policy has several settings.
+fn draw_fronts(args: &FiguresArgs, label: &str, conditions: &[&Condition]) -> anyhow::Result<()> {
+    if !is_chosen(args, front::NAME) {
         return Ok(());
     }
-    let name = format!("{}-{label}", pareto::NAME);
-    let Some(chart) = pareto::chart(conditions) else {
-        note!("{name}: not drawn, no run has both information and energy");
-        return Ok(());
-    };
-    write(&args.pictures, &name, &chart.scene())?;
-    save(
-        &args.pictures.out,
-        &format!("{name}.csv"),
-        pareto::csv(conditions).as_bytes(),
-    )
+    for front in front::fronts(conditions) {
+        let mut name = format!("{}-{label}", front::NAME);
+        for (field, value) in &front.world {
+            name = format!("{name}-{field}-{value}");
+        }
+        let name = as_file(&format!("{name}-n{}", front.n));
+        write(&args.pictures, &name, &front.chart.scene())?;
+        save(&args.pictures.out, &format!("{name}.csv"), front.csv.as_bytes())?;
+    }
+    Ok(())
 }
 
 /// Figs. 13 and 14.
@@ -151,16 +166,6 @@ fn draw_energy(args: &FiguresArgs, label: &str, condition: &Condition) -> anyhow
         }
     }
     Ok(())
-}
-
-/// Reads the tables and puts them together.
-pub fn read(paths: &[PathBuf]) -> anyhow::Result<Results> {
-    let read = |given: &PathBuf| -> anyhow::Result<(String, Table)> {
-        let path = table_of(given)?;
-        Ok((path.display().to_string(), Table::read(&path)?))
-    };
-    let tables = paths.iter().map(read).collect::<Result<Vec<_>, _>>()?;
-    Ok(Results::new(&tables, &Disk)?)
 }
 
 fn draw_deployment(args: &DeploymentArgs) -> anyhow::Result<ExitCode> {
@@ -250,25 +255,4 @@ fn learned(path: &Path) -> anyhow::Result<Learned> {
 fn stem(path: &Path) -> String {
     let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
     stem.unwrap_or_default()
-}
-
-/// Writes a picture in all formats asked for, and says where.
-pub fn write(args: &PictureArgs, name: &str, scene: &Scene) -> anyhow::Result<()> {
-    for format in &args.format {
-        let (ending, bytes) = match format {
-            FormatArg::Svg => ("svg", svg::svg(scene, name).into_bytes()),
-            FormatArg::Png => ("png", png::png(scene)),
-        };
-        save(&args.out, &format!("{name}.{ending}"), &bytes)?;
-    }
-    Ok(())
-}
-
-/// Writes a file into `folder`, which is made if need be, and says so.
-pub fn save(folder: &Path, name: &str, bytes: &[u8]) -> anyhow::Result<()> {
-    fs::create_dir_all(folder).with_context(|| format!("{}: the folder cannot be made", folder.display()))?;
-    let path = folder.join(name);
-    replace(&path, bytes).with_context(|| format!("{}: cannot be written", path.display()))?;
-    display::out(&format!("{}\n", path.display()))?;
-    Ok(())
 }

@@ -1,5 +1,5 @@
 //! One file for each subcommand, and those with what several of them do: `resolution` at the start, `conclusion` at the
-//! end, `paths` for what the command line names.
+//! end, `paths` for what the command line names, `pictures` for the files of tables and pictures.
 
 pub mod analyse;
 pub mod bs;
@@ -10,6 +10,7 @@ pub mod figures;
 pub mod inspect;
 pub mod merge;
 mod paths;
+mod pictures;
 pub mod report;
 mod resolution;
 pub mod run;

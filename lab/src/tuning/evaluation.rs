@@ -9,7 +9,7 @@ pub struct Evaluation {
     pub objective: f64,
     /// Half the width of its 95 % interval; NaN for a single run.
     pub objective_half: f64,
-    /// Information per event, `[0, Ψ]`.
+    /// Information, the objective of P1.
     pub information: f64,
     /// Half the width of its 95 % interval; NaN for a single run.
     pub information_half: f64,
@@ -26,7 +26,7 @@ impl Evaluation {
     pub const NAMES: [&str; 7] = [
         "objective",
         "objective_half_width",
-        "info_per_event",
+        "info_p1",
         "info_half_width",
         "misdetection_pct",
         "energy_per_device_tti",

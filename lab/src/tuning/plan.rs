@@ -222,7 +222,7 @@ impl Plan {
         if objective.runs == 0 {
             return Err(TuningError::NoEvent { ttis: self.ttis });
         }
-        let information = over(&|m| m.info_per_event);
+        let information = over(&|m| m.info_p1);
         Ok(Evaluation {
             objective: objective.mean,
             objective_half: objective.half_width,

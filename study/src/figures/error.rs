@@ -104,4 +104,85 @@ pub enum FigureError {
         /// The most that it can show.
         limit: usize,
     },
+    /// The runs have no such field.
+    #[error("field `{name}`: the runs have none of that name; they have {known}")]
+    Field {
+        /// The field asked for.
+        name: String,
+        /// The fields that they have.
+        known: String,
+    },
+    /// There is no such metric.
+    #[error("metric `{name}`: there is none of that name; there are {known}")]
+    Metric {
+        /// The metric asked for.
+        name: String,
+        /// All metrics.
+        known: String,
+    },
+    /// No run has this value of a field.
+    #[error("{field} = {value}: no run has that; the values are {known}")]
+    Value {
+        /// The field.
+        field: String,
+        /// The value asked for.
+        value: String,
+        /// The values that runs have.
+        known: String,
+    },
+    /// No run is left.
+    #[error("--x {x}: no run that has a value of it has all of {only}")]
+    Nothing {
+        /// The field along x.
+        x: String,
+        /// What was asked for.
+        only: String,
+    },
+    /// A field along x whose values are no numbers.
+    #[error(
+        "--x {field}: {value} is no number, so that it has no place on an axis; draw a line for each with --by {field}"
+    )]
+    Words {
+        /// The field.
+        field: String,
+        /// One of its values.
+        value: String,
+    },
+    /// The same field twice.
+    #[error("--x {field} --by {field}: a line would be a point; name another field with --by")]
+    Twice {
+        /// The field.
+        field: String,
+    },
+    /// Too many lines for a picture that can be read.
+    #[error("--by {field}: {count} lines, and {most} can be told apart; choose some runs with --where FIELD=VALUE")]
+    Lines {
+        /// The field.
+        field: String,
+        /// How many values it has.
+        count: usize,
+        /// The most lines.
+        most: usize,
+    },
+    /// Too many pictures.
+    #[error(
+        "--x {x} --by {by}: the runs differ in {fields} as well, which would be more than {most} pictures; choose some \
+         with --where FIELD=VALUE"
+    )]
+    Facets {
+        /// The most pictures.
+        most: usize,
+        /// The fields.
+        fields: String,
+        /// The field along x.
+        x: String,
+        /// The field that has the lines.
+        by: String,
+    },
+    /// No run has a value of the metric.
+    #[error("metric `{metric}`: no run has a value of it, as where there was no event")]
+    Undefined {
+        /// The metric.
+        metric: String,
+    },
 }

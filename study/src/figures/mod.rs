@@ -2,7 +2,7 @@
 //! `q-learning` has learned, and of a tuning of its weights.
 //!
 //! ```text
-//! tables ─► study ─► chart ┐
+//! tables ─► study, sweep, pareto, front ─► chart ┐
 //! analysis::harvest ─► chart ├─► scene ─► svg, png
 //! run ─► witness ─► deployment, timeline ┤
 //! Learned ─► learning, q_table ┤
@@ -16,7 +16,9 @@ mod contour;
 pub mod deployment;
 pub mod energy;
 mod error;
+pub mod floor;
 pub mod font;
+pub mod front;
 pub mod heat;
 pub mod layout;
 pub mod learning;
@@ -33,6 +35,7 @@ mod stated;
 pub mod study;
 pub mod style;
 pub mod svg;
+pub mod sweep;
 pub mod timeline;
 pub mod tuning;
 pub mod witness;

@@ -9,7 +9,9 @@ use super::{FigureError, deployment, energy, png, study, svg, timeline};
 use reveille_lab::table::{Hash, Table};
 
 mod learned;
+mod own;
 mod swept;
+mod traded;
 mod tuned;
 
 const RUNS: [(&str, u32, &[f64]); 8] = [

@@ -65,6 +65,7 @@ fn ours(stated: &Stated, is_most: bool, end: StatedEnd, column: &Column<'_>) -> 
         verdict: Verdict::NotRun,
         firm: true,
         why,
+        off: f64::INFINITY,
     };
     let condition = column.condition;
     let Some(spent) = condition.estimate(end.policy, stated.devices, SPENT) else {
@@ -141,6 +142,7 @@ fn judge((e_b, tau): (f64, f64), end: StatedEnd, spent: &Estimate) -> Ours {
                 number(spent.mean),
                 number(most)
             ),
+            off: f64::INFINITY,
         };
     };
     let fits = about(found, stated);
@@ -171,5 +173,10 @@ fn judge((e_b, tau): (f64, f64), end: StatedEnd, spent: &Estimate) -> Ours {
         verdict: verdict_of(fits).unwrap_or(Verdict::NotReproduced),
         firm,
         why,
+        off: if fits == Tier::Yes {
+            0.0
+        } else {
+            libm::log(found / stated).abs()
+        },
     }
 }

@@ -18,6 +18,9 @@ pub struct Ours {
     pub firm: bool,
     /// Why it is not met, as far as that is known; empty where it is met.
     pub why: String,
+    /// How far our figures are from what is stated, to compare settings by: 0 where it is met, infinite where nothing
+    /// can be said. See [`super::search`].
+    pub off: f64,
 }
 
 /// A claim and what became of it.

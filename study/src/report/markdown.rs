@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 
 use super::judge::Verdict;
+use super::parts::{Part, wrapped};
 use super::remarks::{RULE, absent, origins, remarks, runs, verdict};
 use super::{Line, Report};
 
@@ -33,6 +34,41 @@ pub fn markdown(report: &Report<'_>, figures: &[(String, String)], command: &str
     }
     out.push_str(&made(report, command));
     out
+}
+
+/// The report as parts of a page, whose headings are below those of the second level.
+pub fn parts(report: &Report<'_>, command: &str) -> Vec<Part> {
+    let sections = report.sections().into_iter();
+    let sections = sections.map(|(source, lines)| {
+        let rows = lines.iter().map(|line| row(line));
+        lower(&head(report, source)) + &rows.collect::<String>()
+    });
+    let [against, readings] = remarks(report);
+    vec![
+        Part::list("runs", runs(report).into_iter().chain(absent(report))),
+        Part::new("rule", wrapped(RULE, "")),
+        Part::new("tally", tally(report)),
+        Part::new("claims", sections.collect()),
+        Part::list("why", reasons(report)),
+        Part::list("contradictions", against.items),
+        Part::list("readings", readings.items),
+        Part::new("made", folded(&made(report, command))),
+    ]
+}
+
+/// Headings of the second level as those of the third.
+pub(super) fn lower(text: &str) -> String {
+    text.replace("\n## ", "\n### ")
+}
+
+/// What a page says of how it was made, without its heading, lists no wider than a page.
+pub(super) fn folded(text: &str) -> String {
+    let lines = text.lines().filter(|line| !line.starts_with("## "));
+    let fold = |line: &str| match line.strip_prefix("- ") {
+        Some(_) => wrapped(line, "  "),
+        None => format!("{line}\n"),
+    };
+    lines.map(fold).collect()
 }
 
 fn tally(report: &Report<'_>) -> String {
@@ -81,6 +117,15 @@ fn row(line: &Line) -> String {
 
 fn why(report: &Report<'_>) -> String {
     let mut out = String::from("\n## Why\n\n");
+    for reason in reasons(report) {
+        let _ = writeln!(out, "- {reason}");
+    }
+    out
+}
+
+/// Why claims are not met, as far as that is known, a sentence or more each.
+fn reasons(report: &Report<'_>) -> Vec<String> {
+    let mut reasons = Vec::new();
     for line in report.lines.iter().filter(|line| line.is_run()) {
         for (column, ours) in report.columns.iter().zip(&line.ours) {
             if !ours.why.is_empty() && ours.verdict != Verdict::NotRun {
@@ -92,18 +137,18 @@ fn why(report: &Report<'_>) -> String {
                     paper,
                     ..
                 } = line;
-                let _ = writeln!(
-                    out,
-                    "- {source}, {policy}, {sites}, {about} {paper}, under `{}`: {}",
+                reasons.push(format!(
+                    "{source}, {policy}, {sites}, {about} {paper}, under `{}`: {}",
                     column.label, ours.why
-                );
+                ));
             }
         }
     }
-    out
+    reasons
 }
 
-fn made(report: &Report<'_>, command: &str) -> String {
+/// How the page was made: the command, the tables, and their experiments.
+pub(super) fn made(report: &Report<'_>, command: &str) -> String {
     let mut out = format!(
         "\n## How it was made\n\nBy Reveille {}: `{command}`\n\n",
         env!("CARGO_PKG_VERSION")
@@ -118,6 +163,6 @@ fn made(report: &Report<'_>, command: &str) -> String {
 }
 
 /// Text as it may stand in a cell of a table.
-fn cell(text: &str) -> String {
+pub(super) fn cell(text: &str) -> String {
     text.replace('|', "\\|")
 }

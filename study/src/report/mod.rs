@@ -8,8 +8,11 @@ pub mod judge;
 mod lambda;
 mod lines;
 pub mod markdown;
+mod off;
 pub mod page;
+pub mod parts;
 mod remarks;
+pub mod search;
 mod why;
 mod words;
 
@@ -174,6 +177,7 @@ fn ours(topic: &Topic, claim: &Claim, condition: &Condition) -> Ours {
         verdict: judgement.verdict,
         firm: judgement.firm,
         why: why::why(topic, claim, &judgement, condition),
+        off: off::off(claim, &judgement.findings),
     }
 }
 

@@ -451,3 +451,17 @@ fn each_ranking_has_a_column_and_the_papers_is_that_of_the_preset() {
     let drawn: Vec<Vec<&str>> = report.drawn().map(Condition::policies).collect();
     assert_eq!(drawn, [["knn", "knn+posterior", "random"]], "one picture with both");
 }
+
+#[test]
+fn the_parts_of_a_page_hold_every_claim_that_was_run() {
+    let results = results();
+    let report = Report::new(&results);
+    let parts = super::markdown::parts(&report, "command");
+    let part = |name: &str| &parts.iter().find(|part| part.name == name).expect("a part").body;
+    let rows = part("claims")
+        .lines()
+        .filter(|line| line.starts_with("| ") && !line.starts_with("| |"));
+    assert_eq!(rows.count(), report.lines.iter().filter(|line| line.is_run()).count());
+    assert!(part("claims").contains("\n### Fig. 8\n") && part("runs").contains("paper: 2 runs"));
+    assert!(part("made").contains("`command`") && part("why").contains("E_WuR"));
+}

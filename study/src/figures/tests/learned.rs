@@ -201,7 +201,7 @@ fn information_is_drawn_against_energy_with_intervals_in_both_directions() {
     ];
     let results = Results::new(&[fixtures::table("paper", "info_p1", &runs)], &NoFiles).expect("runs");
     let condition = &results.conditions[0];
-    let chart = pareto::chart(&[condition]).expect("a picture");
+    let chart = pareto::INFORMATION.chart(&[condition]).expect("a picture");
     check("pareto", &chart.scene());
     let names: Vec<&str> = chart.series.iter().map(|s| s.name.as_str()).collect();
     assert_eq!(names, ["knn", "q-learning"], "dt has no information");
@@ -223,10 +223,14 @@ fn information_is_drawn_against_energy_with_intervals_in_both_directions() {
         "{}",
         chart.caption
     );
-    let csv = pareto::csv(&[condition]);
+    let csv = pareto::INFORMATION.csv(&[condition]);
     assert_eq!(csv.lines().count(), 4);
     let none = fixtures::table("paper", "info_p1", &[("knn", 10, &[f64::NAN])]);
-    assert!(pareto::chart(&[&Results::new(&[none], &NoFiles).expect("runs").conditions[0]]).is_none());
+    assert!(
+        pareto::INFORMATION
+            .chart(&[&Results::new(&[none], &NoFiles).expect("runs").conditions[0]])
+            .is_none()
+    );
 }
 
 #[test]
@@ -237,7 +241,7 @@ fn each_setting_has_its_own_pareto_picture() {
     let captions = results
         .conditions
         .iter()
-        .filter_map(|condition| pareto::chart(&[condition]))
+        .filter_map(|condition| pareto::INFORMATION.chart(&[condition]))
         .map(|chart| chart.caption);
     let captions: Vec<String> = captions.collect();
     assert!(captions[0].starts_with("Preset paper;") && captions[1].starts_with("Preset paper-literal;"));
@@ -273,7 +277,7 @@ fn settings_drawn_together_have_a_line_for_each_policy_and_shared_runs_once() {
     let groups = results.together();
     let labels: Vec<(&str, usize)> = groups.iter().map(|(label, all)| (label.as_str(), all.len())).collect();
     assert_eq!(labels, [("paper-together", 2), ("paper-literal-together", 1)]);
-    let chart = pareto::chart(&groups[0].1).expect("a picture");
+    let chart = pareto::INFORMATION.chart(&groups[0].1).expect("a picture");
     check("pareto-together", &chart.scene());
     let names: Vec<&str> = chart.series.iter().map(|s| s.name.as_str()).collect();
     assert_eq!(
@@ -283,7 +287,7 @@ fn settings_drawn_together_have_a_line_for_each_policy_and_shared_runs_once() {
     );
     let [_, a, b] = &chart.series[..] else { unreachable!() };
     assert!(a.style.paint == b.style.paint && a.style.marker != b.style.marker && a.style.dashes != b.style.dashes);
-    assert_eq!(pareto::csv(&groups[0].1).lines().count(), 4);
+    assert_eq!(pareto::INFORMATION.csv(&groups[0].1).lines().count(), 4);
     assert!(
         chart
             .caption

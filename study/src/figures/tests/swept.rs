@@ -50,7 +50,7 @@ fn rankings_are_series_of_one_picture() {
             .csv(condition, &drawing)
             .contains("measured,paper,knn+posterior,10,info_p1,0.31")
     );
-    let pareto = pareto::chart(&[condition]).expect("a picture");
+    let pareto = pareto::INFORMATION.chart(&[condition]).expect("a picture");
     assert_eq!(pareto.series.len(), 3);
 }
 
@@ -97,7 +97,7 @@ fn settings_that_are_not_the_papers_have_neither_its_titles_nor_its_marks() {
             figure.draw(condition).expect("a figure").chart,
             energy::harvest_chart(condition, &points),
             energy::net_chart(condition, &points).expect("both were run"),
-            pareto::chart(&[condition]).expect("a picture"),
+            pareto::INFORMATION.chart(&[condition]).expect("a picture"),
         ];
         for chart in &charts {
             assert_eq!(chart.title.contains("Fig"), marked, "{}", chart.title);

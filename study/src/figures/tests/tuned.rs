@@ -7,10 +7,7 @@ use reveille_lab::tuning::{Evaluation, History, Pair, Point, Ranges, Surface};
 
 fn history(pairs: &[Pair], of: impl Fn(Pair) -> f64) -> History {
     let header = [
-        (
-            "objective",
-            "balance: information per event − 1 × energy − 1 × share missed",
-        ),
+        ("objective", "balance: information (P1) − 1 × energy − 1 × share missed"),
         ("devices", "100"),
         ("mu1", "0.5 to 20"),
         ("mu2", "1 to 5"),

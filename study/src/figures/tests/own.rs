@@ -1,0 +1,187 @@
+//! Pictures of anybody's own sweep.
+
+use reveille_common::declare::NoFiles;
+use reveille_lab::table::{Table, Value};
+
+use super::super::FigureError;
+use super::super::results::{Results, fixtures};
+use super::super::sweep::{Picture, Wish};
+use super::check;
+
+/// λ of 0.05, 0.1 and 0.4 for knn and random at two N; the energy is 10 λ, and 1 more with each factor of 10 in N.
+fn table() -> (String, Table) {
+    let energy = |lambda: f64, n: u32| 10.0 * lambda + f64::from(n) / 10.0;
+    let mut runs: Vec<(&str, u32, Value, Vec<f64>)> = Vec::new();
+    // Not in order, as a sweep that was put together may be.
+    for lambda in [0.4, 0.05, 0.1] {
+        for policy in ["knn", "random"] {
+            for n in [10, 100] {
+                let mean = energy(lambda, n) + if policy == "random" { 0.5 } else { 0.0 };
+                runs.push((policy, n, Value::Float(lambda), vec![mean - 0.1, mean + 0.1]));
+            }
+        }
+    }
+    let runs: Vec<(&str, u32, Value, &[f64])> = runs
+        .iter()
+        .map(|(policy, n, lambda, values)| (*policy, *n, lambda.clone(), values.as_slice()))
+        .collect();
+    fixtures::swept("paper", "energy_per_device_tti", "harvest.lambda", &runs)
+}
+
+fn wish(x: &str, by: &str, only: &[(&str, &str)]) -> Wish {
+    let owned = |(field, value): &(&str, &str)| ((*field).to_owned(), (*value).to_owned());
+    Wish {
+        x: x.to_owned(),
+        y: "energy_per_device_tti".to_owned(),
+        by: by.to_owned(),
+        only: only.iter().map(owned).collect(),
+        is_log_x: false,
+        is_log_y: false,
+    }
+}
+
+fn draw(wish: &Wish) -> Result<Vec<Picture>, FigureError> {
+    wish.draw(&Results::new(&[table()], &NoFiles).expect("runs"))
+}
+
+#[test]
+fn a_metric_is_drawn_against_any_field_with_its_interval() {
+    let pictures = draw(&wish("harvest.lambda", "policy", &[("devices", "100")])).expect("a picture");
+    let [picture] = &pictures[..] else {
+        panic!("{pictures:?}")
+    };
+    assert!(picture.facet.is_empty());
+    let chart = &picture.chart;
+    let names: Vec<&str> = chart.series.iter().map(|line| line.name.as_str()).collect();
+    assert_eq!(names, ["knn", "random"]);
+    for (line, more) in chart.series.iter().zip([0.0, 0.5]) {
+        let xs: Vec<f64> = line.samples.iter().map(|sample| sample.x).collect();
+        assert_eq!(xs, [0.05, 0.1, 0.4], "rising");
+        for sample in &line.samples {
+            assert!((sample.y - (10.0 * sample.x + 10.0 + more)).abs() < 1e-12);
+            // Of two values 0.2 apart: t(1) · 0.1414 / √2.
+            assert!((sample.half - 12.706_205 * 0.1).abs() < 1e-5, "{sample:?}");
+        }
+    }
+    assert!(chart.marks.is_empty() && chart.spans.is_empty());
+    assert!(
+        !chart.title.contains("Fig") && !chart.caption.contains("aper states"),
+        "{chart:?}"
+    );
+    assert!(
+        chart.caption.contains("devices = 100") && chart.caption.contains("2 runs"),
+        "{}",
+        chart.caption
+    );
+    assert!(
+        picture
+            .csv
+            .starts_with("policy,harvest.lambda,metric,mean,half_width_95,runs\nknn,0.05,")
+    );
+    assert_eq!(picture.csv.lines().count(), 7);
+    check("own-sweep", &chart.scene());
+}
+
+#[test]
+fn other_fields_have_a_picture_for_each_of_their_values() {
+    let pictures = draw(&wish("harvest.lambda", "policy", &[])).expect("pictures");
+    let facets: Vec<_> = pictures.iter().map(|picture| picture.facet.clone()).collect();
+    let devices = |n: &str| vec![("devices".to_owned(), n.to_owned())];
+    assert_eq!(facets, [devices("10"), devices("100")]);
+    assert!((pictures[0].chart.series[0].samples[0].y - 1.5).abs() < 1e-12);
+    assert!((pictures[1].chart.series[0].samples[0].y - 10.5).abs() < 1e-12);
+    assert!(
+        pictures[1].csv.contains("\n100,knn,0.05,energy_per_device_tti,10.5,"),
+        "{}",
+        pictures[1].csv
+    );
+}
+
+#[test]
+fn any_field_has_the_lines() {
+    let wish = Wish {
+        is_log_x: true,
+        is_log_y: true,
+        ..wish("devices", "harvest.lambda", &[("policy", "knn")])
+    };
+    let pictures = draw(&wish).expect("a picture");
+    let [picture] = &pictures[..] else {
+        panic!("{pictures:?}")
+    };
+    let names: Vec<&str> = picture.chart.series.iter().map(|line| line.name.as_str()).collect();
+    assert_eq!(
+        names,
+        ["harvest.lambda 0.4", "harvest.lambda 0.05", "harvest.lambda 0.1"]
+    );
+    let ys: Vec<f64> = picture.chart.series[1].samples.iter().map(|sample| sample.y).collect();
+    assert!((ys[0] - 1.5).abs() < 1e-12 && (ys[1] - 10.5).abs() < 1e-12);
+    assert_eq!(picture.chart.x.ends(), (10.0, 100.0));
+    assert!(picture.chart.caption.contains("policy = knn"));
+    check("own-sweep-log", &picture.chart.scene());
+}
+
+#[test]
+fn wishes_that_cannot_be_drawn_say_what_there_is() {
+    let refused = |wish: Wish, parts: &[&str]| {
+        let error = draw(&wish).expect_err("nothing to draw").to_string();
+        assert!(parts.iter().all(|part| error.contains(part)), "{error}");
+    };
+    let all = "preset, policy, devices, ttis, harvest.lambda";
+    refused(wish("harvest.lamda", "policy", &[]), &["`harvest.lamda`", all]);
+    refused(wish("devices", "colour", &[]), &["`colour`", all]);
+    refused(wish("devices", "policy", &[("colour", "red")]), &["`colour`", all]);
+    refused(wish("policy", "devices", &[]), &["knn is no number", "--by policy"]);
+    refused(wish("devices", "devices", &[]), &["--x devices --by devices"]);
+    refused(
+        wish("devices", "policy", &[("harvest.lambda", "0.2")]),
+        &["harvest.lambda = 0.2", "0.4, 0.05, 0.1"],
+    );
+    let speed = Wish {
+        y: "speed".to_owned(),
+        ..wish("devices", "policy", &[])
+    };
+    refused(speed, &["`speed`", "info_p1, info_per_event"]);
+}
+
+#[test]
+fn a_number_is_chosen_however_it_is_written() {
+    let pictures = draw(&wish("devices", "policy", &[("harvest.lambda", "0.40")])).expect("a picture");
+    assert!((pictures[0].chart.series[0].samples[0].y - 5.0).abs() < 1e-12);
+}
+
+#[test]
+fn too_many_lines_or_pictures_are_refused() {
+    let runs: Vec<(&str, u32, Value, &[f64])> = (1..=30)
+        .map(|i| ("knn", 10 + i % 2, Value::Float(f64::from(i) / 100.0), &[1.0, 2.0][..]))
+        .collect();
+    let table = fixtures::swept("paper", "energy_per_device_tti", "harvest.lambda", &runs);
+    let results = Results::new(&[table], &NoFiles).expect("runs");
+    let error = |wish: Wish| wish.draw(&results).expect_err("too many").to_string();
+    let lines = error(wish("devices", "harvest.lambda", &[]));
+    assert!(lines.contains("30 lines") && lines.contains("--where"), "{lines}");
+    let pictures = error(wish("devices", "policy", &[]));
+    assert!(
+        pictures.contains("harvest.lambda as well") && pictures.contains("24 pictures"),
+        "{pictures}"
+    );
+}
+
+#[test]
+fn rankings_are_lines_beside_each_other_or_a_field() {
+    let text = |value: &str| Value::Text(value.to_owned());
+    let runs: [(&str, u32, Value, &[f64]); 4] = [
+        ("knn", 10, text("p42"), &[0.2, 0.22]),
+        ("knn", 50, text("p42"), &[0.25, 0.27]),
+        ("knn", 10, text("posterior"), &[0.3, 0.32]),
+        ("knn", 50, text("posterior"), &[0.4, 0.42]),
+    ];
+    let table = fixtures::swept("paper", "energy_per_device_tti", "bs.ranking", &runs);
+    let results = Results::new(&[table], &NoFiles).expect("runs");
+    let names = |by: &str| -> Vec<String> {
+        let pictures = wish("devices", by, &[]).draw(&results).expect("a picture");
+        assert_eq!(pictures.len(), 1);
+        pictures[0].chart.series.iter().map(|line| line.name.clone()).collect()
+    };
+    assert_eq!(names("policy"), ["knn", "knn+posterior"]);
+    assert_eq!(names("bs.ranking"), ["bs.ranking p42", "bs.ranking posterior"]);
+}

@@ -1,0 +1,113 @@
+//! What is bought with energy: information and delay, through N and through the settings of a knob.
+
+use reveille_common::declare::NoFiles;
+use reveille_lab::table::{Hash, Value};
+
+use super::super::results::Condition;
+use super::super::{front, pareto};
+use super::{Results, check, fixtures};
+
+#[test]
+fn delay_has_a_picture_of_its_own_without_marks() {
+    let runs: [(&str, u32, &[f64]); 3] = [
+        ("knn", 250, &[0.1, 0.2]),
+        ("knn", 10, &[2.0, 2.5]),
+        ("genie", 10, &[0.0, 0.0]),
+    ];
+    let results = Results::new(&[fixtures::table("paper", "detection_delay_ttis", &runs)], &NoFiles).expect("runs");
+    let condition = &results.conditions[0];
+    let chart = pareto::DELAY.chart(&[condition]).expect("a picture");
+    check("delay", &chart.scene());
+    let knn: Vec<f64> = chart.series[0].samples.iter().map(|sample| sample.y).collect();
+    assert!(
+        (knn[0] - 2.25).abs() < 1e-12 && (knn[1] - 0.15).abs() < 1e-12,
+        "{knn:?}"
+    );
+    assert!(
+        chart.marks.is_empty() && chart.title == "Delay of detection against energy",
+        "{}",
+        chart.title
+    );
+    assert!(chart.caption.contains("Down and to the left"), "{}", chart.caption);
+    let csv = pareto::DELAY.csv(&[condition]);
+    assert!(
+        csv.contains(",detection_delay_ttis,delay_half_width_95,") && csv.lines().count() == 4,
+        "{csv}"
+    );
+}
+
+#[test]
+fn the_energy_floor_stands_at_the_information_of_the_genie() {
+    let runs: [(&str, u32, &[f64]); 5] = [
+        ("knn", 250, &[0.4, 0.5]),
+        ("knn", 10, &[0.1, 0.1]),
+        ("genie", 250, &[0.6, 0.62]),
+        ("genie", 100, &[0.4, 0.42]),
+        ("genie", 10, &[0.1, 0.12]),
+    ];
+    let results = Results::new(&[fixtures::table("paper", "info_p1", &runs)], &NoFiles).expect("runs");
+    let chart = pareto::INFORMATION.chart(&[&results.conditions[0]]).expect("a picture");
+    let floor = chart
+        .series
+        .iter()
+        .find(|line| line.name == "energy floor")
+        .expect("a floor");
+    let ys: Vec<f64> = floor.samples.iter().map(|sample| sample.y).collect();
+    // Ten devices cannot harvest what it takes.
+    assert!(
+        ys.len() == 2 && (ys[0] - 0.41).abs() < 1e-12 && (ys[1] - 0.61).abs() < 1e-12,
+        "{ys:?}"
+    );
+    // 16 of 100 sense, and about 14 of 250.
+    let expected = (16.0 + 84.0 / 14.0 + 2.0) / 100.0;
+    assert!((floor.samples[0].x - expected).abs() < 1e-5, "{floor:?}");
+    assert!((0.12..0.14).contains(&floor.samples[1].x), "{floor:?}");
+    let notes: Vec<&str> = chart.notes.iter().map(|note| note.text.as_str()).collect();
+    let hundreds = notes.iter().filter(|text| **text == "100").count();
+    assert_eq!(hundreds, 2, "the genie's and the floor's: {notes:?}");
+    assert!(chart.caption.contains("Energy floor"), "{}", chart.caption);
+    check("pareto-floor", &chart.scene());
+}
+
+#[test]
+fn settings_of_a_knob_are_a_line_for_each_n() {
+    let text = |value: &str| Value::Text(value.to_owned());
+    let runs: [(&str, u32, Value, &[f64]); 6] = [
+        ("random", 50, text("[8, 16]"), &[0.2, 0.22]),
+        ("genie", 50, text("[8, 16]"), &[0.6, 0.62]),
+        ("random", 50, text("[2, 4]"), &[0.4, 0.42]),
+        ("genie", 50, text("[2, 4]"), &[0.6, 0.62]),
+        ("random", 10, text("[2, 4]"), &[0.1, 0.12]),
+        ("genie", 10, text("[2, 4]"), &[0.3, 0.32]),
+    ];
+    let (name, mut table) = fixtures::swept("paper", "info_p1", "policy.random.t_drx", &runs);
+    for row in &mut table.rows {
+        if &*row.policy == "genie" {
+            row.digest = Hash([row.seed as u8; 32]);
+        }
+    }
+    let results = Results::new(&[(name, table)], &NoFiles).expect("runs");
+    let all: Vec<&Condition> = results.conditions.iter().collect();
+    let fronts = front::fronts(&all);
+    let [front] = &fronts[..] else {
+        panic!("{:?}", fronts.iter().map(|f| f.n).collect::<Vec<_>>())
+    };
+    assert_eq!(
+        (front.n, front.world.len()),
+        (50, 0),
+        "one setting at N = 10 is no line"
+    );
+    let names: Vec<&str> = front.chart.series.iter().map(|line| line.name.as_str()).collect();
+    assert_eq!(names, ["random", "genie", "relaxed bound", "energy floor"]);
+    let ys: Vec<f64> = front.chart.series[0].samples.iter().map(|sample| sample.y).collect();
+    assert_eq!(ys.len(), 2);
+    assert_eq!(
+        front.chart.series[1].samples.len(),
+        1,
+        "the genie heeds no knob of random"
+    );
+    let notes: Vec<&str> = front.chart.notes.iter().map(|note| note.text.as_str()).collect();
+    assert_eq!(notes, ["[8, 16]", "[2, 4]"]);
+    assert_eq!(front.csv.lines().count(), 4);
+    check("front", &front.chart.scene());
+}

@@ -1,0 +1,262 @@
+//! The search as Markdown.
+
+use std::fmt::Write as _;
+
+use super::super::judge::Verdict;
+use super::super::markdown::{cell, folded, lower, made};
+use super::super::parts::{Part, wrapped};
+use super::super::remarks::{absent, verdict};
+use super::super::words::number;
+use super::{Half, Search, Setting};
+
+/// How settings are ranked, and what that can tell.
+pub const RULE: &str = "Every claim has a number, in the order of the report. Settings are ranked by the claims with \
+    even numbers alone: by how many are reproduced, then by how many are within 20 %. The claims with odd numbers have \
+    no part in that; how many of those a setting meets tells whether its rank is more than luck. Claims that were not \
+    run count for nobody. Neither verdict looks at another claim. Both halves come from the same runs, and sentences \
+    about several policies are several claims, so that the halves are not independent of each other.";
+
+/// The whole page, with the first `count` settings and the presets.
+pub fn markdown(search: &Search<'_>, count: usize, command: &str) -> String {
+    let mut out = String::from("# Which settings meet most of the paper's claims\n\n");
+    for line in summary(search).into_iter().chain(absent(&search.report)) {
+        let _ = writeln!(out, "- {line}");
+    }
+    let _ = writeln!(out, "\n{RULE}\n\n## Settings\n");
+    out.push_str(&ranking(search, count));
+    out.push_str(&effects(search));
+    out.push_str(&unmet(search));
+    out.push_str(&verdicts(search));
+    out.push_str(&made(&search.report, command));
+    out
+}
+
+/// The search as parts of a page, with the first `count` settings and the presets.
+pub fn parts(search: &Search<'_>, count: usize, command: &str) -> Vec<Part> {
+    let untitled = |text: String| {
+        lower(
+            text.split_once("## ")
+                .and_then(|(_, rest)| rest.split_once('\n'))
+                .map_or("", |(_, body)| body),
+        )
+    };
+    vec![
+        Part::list("search", summary(search).into_iter().chain(absent(&search.report))),
+        Part::new("search-rule", wrapped(RULE, "")),
+        Part::new("search-settings", ranking(search, count)),
+        Part::new("search-effects", untitled(effects(search))),
+        Part::new("search-unmet", untitled(unmet(search))),
+        Part::new("search-claims", untitled(verdicts(search))),
+        Part::new("search-made", folded(&made(&search.report, command))),
+    ]
+}
+
+/// What was searched and what came of it, a sentence each.
+pub fn summary(search: &Search<'_>) -> Vec<String> {
+    let [met, unmet, absent] = search.counts();
+    let runs: usize = search.report.columns.iter().map(|c| c.condition.run_count()).sum();
+    let lines = &search.report.lines;
+    let halves = [Half::Search, Half::HeldOut].map(|half| {
+        let numbered = (1..).zip(lines).filter(|(number, _)| Half::of(*number) == half);
+        numbered.filter(|(_, line)| line.is_run()).count()
+    });
+    let mut sentences = vec![
+        format!(
+            "{} settings, {runs} runs; {} claims, of which {} were run: {} to search by, {} held out.",
+            search.settings.len(),
+            lines.len(),
+            met + unmet,
+            halves[0],
+            halves[1]
+        ),
+        format!("{met} claims are met by some setting, {unmet} by none, {absent} were not run."),
+    ];
+    if let Some(best) = search.settings.first() {
+        sentences.push(format!(
+            "The best of the search half meets {} of {} claims there and {} of {} of those held out, by which it has \
+             place {} of {}.",
+            best.search.met,
+            best.search.judged,
+            best.held_out.met,
+            best.held_out.judged,
+            best.held_out_place,
+            search.settings.len()
+        ));
+    }
+    if let Some(together) = search.correlation() {
+        sentences.push(format!(
+            "Over all settings the numbers of claims met in the two halves correlate by {together:.2}."
+        ));
+    }
+    sentences
+}
+
+/// The heads of the ranking: its own columns, then the fields in which settings differ.
+pub fn heads(search: &Search<'_>) -> Vec<String> {
+    let own = [
+        "place",
+        "met",
+        "within 20 %",
+        "of",
+        "held out: met",
+        "within 20 %",
+        "of",
+        "place",
+    ];
+    let own = own.map(str::to_owned).into_iter();
+    let fields = search.fields().into_iter().map(str::to_owned);
+    own.chain(["setting".to_owned()]).chain(fields).collect()
+}
+
+/// A row of the ranking, in the order of [`heads`].
+pub fn row(search: &Search<'_>, setting: &Setting) -> Vec<String> {
+    let (chosen, checked) = (setting.search, setting.held_out);
+    let numbers = [
+        setting.place,
+        chosen.met,
+        chosen.near,
+        chosen.judged,
+        checked.met,
+        checked.near,
+        checked.judged,
+        setting.held_out_place,
+    ];
+    let condition = search.report.columns[setting.column].condition;
+    let name = if condition.is_plain() {
+        condition.preset.clone()
+    } else {
+        String::new()
+    };
+    let fields = search.fields().into_iter();
+    let values = fields.map(|field| search.value(setting.column, field).unwrap_or("–").to_owned());
+    let numbers = numbers.iter().map(ToString::to_string);
+    numbers.chain([name]).chain(values).collect()
+}
+
+fn table(heads: &[String], rows: impl Iterator<Item = Vec<String>>) -> String {
+    let line = |cells: &[String]| {
+        let cells: Vec<String> = cells.iter().map(|text| cell(text)).collect();
+        format!("| {} |\n", cells.join(" | "))
+    };
+    let mut out = line(heads);
+    let _ = writeln!(out, "|{}", "---|".repeat(heads.len()));
+    rows.for_each(|row| out.push_str(&line(&row)));
+    out
+}
+
+fn ranking(search: &Search<'_>, count: usize) -> String {
+    let shown: Vec<&Setting> = search.shown(count).collect();
+    let mut out = table(&heads(search), shown.iter().map(|setting| row(search, setting)));
+    match search.settings.len() - shown.len() {
+        0 => {}
+        1 => out.push_str("\nOne more setting is not shown.\n"),
+        rest => {
+            let _ = writeln!(out, "\n{rest} more settings are not shown.");
+        }
+    }
+    out
+}
+
+fn effects(search: &Search<'_>) -> String {
+    let effects = search.effects();
+    if effects.is_empty() {
+        return String::new();
+    }
+    let heads = [
+        "field",
+        "value",
+        "settings",
+        "claims met, mean",
+        "best",
+        "held out: met, mean",
+    ]
+    .map(str::to_owned);
+    let rows = effects.into_iter().map(|effect| {
+        vec![
+            format!("`{}`", effect.field),
+            effect.value,
+            effect.settings.to_string(),
+            number(effect.search),
+            effect.best.to_string(),
+            number(effect.held_out),
+        ]
+    });
+    format!(
+        "\n## What each value does\n\nOver all settings that have it.\n\n{}",
+        table(&heads, rows)
+    )
+}
+
+fn unmet(search: &Search<'_>) -> String {
+    let unmet = search.unmet();
+    if unmet.is_empty() {
+        return String::new();
+    }
+    let heads = [
+        "claim", "figure", "policy", "N", "of", "stated", "closest", "verdict", "setting", "why",
+    ];
+    let heads = heads.map(str::to_owned);
+    let rows = unmet.into_iter().map(|unmet| {
+        let (line, closest) = (unmet.line, unmet.closest);
+        let ours = &line.ours[closest];
+        vec![
+            unmet.number.to_string(),
+            line.source.to_owned(),
+            line.policy.clone(),
+            line.sites.clone(),
+            line.about.clone(),
+            line.paper.clone(),
+            ours.found.clone(),
+            verdict(line, closest),
+            search.label(closest).to_owned(),
+            ours.why.clone(),
+        ]
+    });
+    format!("\n## What no setting meets\n\n{}", table(&heads, rows))
+}
+
+/// Every claim with its half and how many settings meet it, and its verdicts under the presets and the best setting.
+fn verdicts(search: &Search<'_>) -> String {
+    let best = search.settings.first().map(|setting| setting.column);
+    let presets = search.shown(0).map(|setting| setting.column);
+    let mut columns: Vec<usize> = presets.collect();
+    columns.sort_unstable();
+    columns.extend(best.filter(|best| !columns.contains(best)));
+    let heads = [
+        "claim",
+        "half",
+        "figure",
+        "policy",
+        "N",
+        "of",
+        "stated",
+        "settings that meet it",
+    ];
+    let mut heads: Vec<String> = heads.map(str::to_owned).to_vec();
+    heads.extend(columns.iter().map(|column| search.label(*column).to_owned()));
+    let lines = (1..).zip(&search.report.lines).filter(|(_, line)| line.is_run());
+    let rows = lines.map(|(at, line)| {
+        let met = line
+            .ours
+            .iter()
+            .filter(|ours| ours.verdict == Verdict::Reproduced)
+            .count();
+        let mut row = vec![
+            at.to_string(),
+            Half::of(at).words().to_owned(),
+            line.source.to_owned(),
+            line.policy.clone(),
+            line.sites.clone(),
+            line.about.clone(),
+            line.paper.clone(),
+            met.to_string(),
+        ];
+        let found = |column: &usize| match verdict(line, *column) {
+            verdict if line.ours[*column].found.is_empty() => verdict,
+            verdict => format!("{verdict}: {}", line.ours[*column].found),
+        };
+        row.extend(columns.iter().map(found));
+        row
+    });
+    format!("\n## Claim by claim\n\n{}", table(&heads, rows))
+}

@@ -1,0 +1,201 @@
+//! Rankings that are known by construction.
+
+use reveille_common::declare::NoFiles;
+use reveille_lab::table::{Table, Value};
+
+use super::*;
+use crate::figures::results::{Results, fixtures};
+use crate::report::search::markdown::markdown;
+
+/// A sweep of α with the energy of knn and random, for N = 10 and 250.
+fn swept(settings: &[(f64, [f64; 4])]) -> (String, Table) {
+    let mut runs: Vec<(&str, u32, Value, Vec<f64>)> = Vec::new();
+    for (alpha, [knn_few, knn_many, random_few, random_many]) in settings {
+        for (policy, n, energy) in [
+            ("knn", 10, knn_few),
+            ("knn", 250, knn_many),
+            ("random", 10, random_few),
+            ("random", 250, random_many),
+        ] {
+            runs.push((policy, n, Value::Float(*alpha), vec![*energy, *energy * 1.001]));
+        }
+    }
+    let runs: Vec<(&str, u32, Value, &[f64])> = runs
+        .iter()
+        .map(|(policy, n, alpha, values)| (*policy, *n, alpha.clone(), values.as_slice()))
+        .collect();
+    fixtures::swept("paper", "energy_per_device_tti", "events.alpha", &runs)
+}
+
+/// As the paper has the energy of both policies; next to that; and nowhere near.
+const AS_STATED: [f64; 4] = [0.5, 0.145, 0.34, 0.19];
+const NEXT_TO_IT: [f64; 4] = [0.5, 0.165, 0.39, 0.25];
+const ELSEWHERE: [f64; 4] = [0.9, 0.95, 0.9, 0.1];
+
+fn results(settings: &[(f64, [f64; 4])]) -> Results {
+    Results::new(&[swept(settings)], &NoFiles).expect("runs")
+}
+
+fn alphas(search: &Search<'_>) -> Vec<String> {
+    let values = search
+        .settings
+        .iter()
+        .map(|setting| search.value(setting.column, "events.alpha"));
+    values.map(|value| value.unwrap_or("–").to_owned()).collect()
+}
+
+#[test]
+fn settings_that_meet_more_claims_stand_first() {
+    let results = results(&[(0.3, ELSEWHERE), (0.1, NEXT_TO_IT), (0.4, AS_STATED)]);
+    let search = Search::new(Report::new(&results));
+    assert_eq!(alphas(&search), ["0.4", "0.1", "0.3"]);
+    let places: Vec<usize> = search.settings.iter().map(|setting| setting.place).collect();
+    assert_eq!(places, [1, 2, 3]);
+    let met: Vec<usize> = search.settings.iter().map(|setting| setting.search.met).collect();
+    assert!(met[0] > met[1] && met[1] > met[2], "{met:?}");
+}
+
+#[test]
+fn a_score_counts_the_verdicts_of_its_half_by_number() {
+    let results = results(&[(0.3, ELSEWHERE), (0.4, AS_STATED)]);
+    let search = Search::new(Report::new(&results));
+    for setting in &search.settings {
+        let (mut even, mut odd) = ([0; 3], [0; 3]);
+        for (index, line) in search.report.lines.iter().enumerate() {
+            // The first claim has the number 1.
+            let half = if index % 2 == 1 { &mut even } else { &mut odd };
+            match line.ours[setting.column].verdict {
+                Verdict::Reproduced => (half[0], half[2]) = (half[0] + 1, half[2] + 1),
+                Verdict::Near => (half[1], half[2]) = (half[1] + 1, half[2] + 1),
+                Verdict::OrderReproduced | Verdict::NotReproduced => half[2] += 1,
+                Verdict::NotRun => {}
+            }
+        }
+        let Score { met, near, judged } = setting.search;
+        assert_eq!([met, near, judged], even);
+        let Score { met, near, judged } = setting.held_out;
+        assert_eq!([met, near, judged], odd);
+        assert!(even[2] > 5 && odd[2] > 5, "both halves were run");
+    }
+}
+
+/// What the ranking says when the verdicts of one half are set to the worst.
+fn ranked_without(search: &Search<'_>, half: Half) -> Vec<usize> {
+    let mut report = search.report.clone();
+    for (number, line) in (1..).zip(&mut report.lines) {
+        if Half::of(number) == half {
+            for ours in &mut line.ours {
+                ours.verdict = Verdict::NotReproduced;
+                ours.off = f64::INFINITY;
+            }
+        }
+    }
+    let settings = Search::new(report).settings;
+    settings.into_iter().map(|setting| setting.column).collect()
+}
+
+#[test]
+fn the_held_out_half_has_no_part_in_the_ranking() {
+    let results = results(&[(0.3, ELSEWHERE), (0.1, NEXT_TO_IT), (0.4, AS_STATED)]);
+    let search = Search::new(Report::new(&results));
+    let ranked: Vec<usize> = search.settings.iter().map(|setting| setting.column).collect();
+    assert_eq!(ranked_without(&search, Half::HeldOut), ranked);
+    let unranked: Vec<usize> = (0..search.settings.len()).collect();
+    assert_eq!(ranked_without(&search, Half::Search), unranked, "nothing else ranks");
+    assert_ne!(ranked, unranked);
+}
+
+#[test]
+fn equal_scores_share_a_place_and_presets_are_always_shown() {
+    // λ = 0.1 is the preset's; two settings before it are better, and equal.
+    let results = results(&[(0.3, AS_STATED), (0.4, AS_STATED), (0.2, ELSEWHERE)]);
+    let search = Search::new(Report::new(&results));
+    let places: Vec<usize> = search.settings.iter().map(|setting| setting.place).collect();
+    assert_eq!(places, [1, 1, 3]);
+    assert_eq!(search.label(search.settings[2].column), "paper");
+    let shown: Vec<usize> = search.shown(1).map(|setting| setting.place).collect();
+    assert_eq!(shown, [1, 3], "the best and the preset");
+    let page = markdown(&search, 1, "reveille report search a");
+    assert!(page.contains("One more setting is not shown"), "{page}");
+}
+
+#[test]
+fn what_none_meets_has_the_figure_that_comes_closest() {
+    let far = [0.5, 0.145, 0.34, 0.10];
+    let near = [0.5, 0.145, 0.34, 0.17];
+    let results = results(&[(0.3, far), (0.4, near)]);
+    let search = Search::new(Report::new(&results));
+    let unmet = search.unmet();
+    let own = unmet
+        .iter()
+        .find(|unmet| unmet.line.policy == "random" && unmet.line.paper == "> 0.18");
+    let own = own.expect("0.1 and 0.17 are not above 0.18");
+    assert_eq!(search.value(own.closest, "events.alpha"), Some("0.4"));
+    assert!(own.line.ours[own.closest].found.starts_with("0.170"), "{own:?}");
+    assert!(search.report.lines[own.number - 1] == *own.line);
+    assert!(
+        !unmet
+            .iter()
+            .any(|unmet| unmet.line.paper == "≈ 0.145" && unmet.line.policy == "knn")
+    );
+    let [met, none, absent] = search.counts();
+    assert_eq!(met + none + absent, search.report.lines.len());
+    assert_eq!(none, unmet.len());
+    let page = markdown(&search, 20, "reveille report search a");
+    assert!(
+        page.contains(&format!("| {} | Fig. 8 | random | N = 250 |", own.number)),
+        "{page}"
+    );
+}
+
+#[test]
+fn a_value_is_told_by_the_mean_of_its_settings() {
+    let results = results(&[(0.3, ELSEWHERE), (0.4, AS_STATED)]);
+    let search = Search::new(Report::new(&results));
+    let effects = search.effects();
+    let [first, second] = &effects[..] else {
+        panic!("{effects:?}")
+    };
+    assert_eq!(
+        (first.field.as_str(), first.value.as_str(), first.settings),
+        ("events.alpha", "0.3", 1)
+    );
+    let best = &search.settings[0];
+    assert_eq!((second.value.as_str(), second.best), ("0.4", best.search.met));
+    assert!((second.search - best.search.met as f64).abs() < 1e-12);
+    assert!((second.held_out - best.held_out.met as f64).abs() < 1e-12);
+}
+
+#[test]
+fn halves_that_rise_together_correlate() {
+    let results = results(&[(0.3, ELSEWHERE), (0.1, NEXT_TO_IT), (0.4, AS_STATED)]);
+    let mut search = Search::new(Report::new(&results));
+    let met = [(1, 2), (2, 4), (3, 9)];
+    for (setting, (chosen, checked)) in search.settings.iter_mut().zip(met) {
+        (setting.search.met, setting.held_out.met) = (chosen, checked);
+    }
+    // Deviations -1, 0, 1 and -3, -1, 4: 7 / √(2 · 26).
+    let found = search.correlation().expect("they differ");
+    assert!((found - 7.0 / 52.0_f64.sqrt()).abs() < 1e-12, "{found}");
+    for setting in &mut search.settings {
+        setting.held_out.met = 5;
+    }
+    assert_eq!(search.correlation(), None);
+}
+
+#[test]
+fn the_parts_of_a_page_hold_what_the_page_of_the_search_holds() {
+    let results = results(&[(0.3, ELSEWHERE), (0.4, AS_STATED)]);
+    let search = Search::new(Report::new(&results));
+    let whole = markdown(&search, 5, "command");
+    for part in super::markdown::parts(&search, 5, "command") {
+        let rows = part.body.lines().filter(|line| line.starts_with("| "));
+        assert!(rows.clone().all(|row| whole.contains(row)), "{}", part.name);
+        assert!(
+            !part.body.trim().is_empty() && !part.body.contains("\n## "),
+            "{}: {}",
+            part.name,
+            part.body
+        );
+    }
+}
