@@ -180,7 +180,7 @@ fn silence_weighs_the_places_of_the_ring() {
             belief.start();
             belief.add_reporter(DeviceId(h), d);
             for place in &belief.places {
-                assert!(place.weight == 1.0, "before the silence is heard");
+                assert!(place.weight.to_bits() == 1f64.to_bits(), "before the silence is heard");
             }
             belief.hear_silence(is_on);
             // Kept places stand for those around them, so their weights are multiples of the definition's.

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use super::judge::Verdict;
 use super::parts::{Part, wrapped};
 use super::remarks::{RULE, absent, origins, remarks, runs, verdict};
-use super::{Line, Report};
+use super::{Column, Line, PRESETS, Report};
 
 /// The whole report.
 pub fn markdown(report: &Report<'_>, figures: &[(String, String)], command: &str) -> String {
@@ -49,7 +49,8 @@ pub fn parts(report: &Report<'_>, command: &str) -> Vec<Part> {
         Part::new("rule", wrapped(RULE, "")),
         Part::new("tally", tally(report)),
         Part::new("claims", sections.collect()),
-        Part::list("why", reasons(report)),
+        // Of other settings the paper states nothing, and why they differ from it fills a page of its own.
+        Part::list("why", reasons(report, |column| PRESETS.contains(&column.label.as_str()))),
         Part::list("contradictions", against.items),
         Part::list("readings", readings.items),
         Part::new("made", folded(&made(report, command))),
@@ -117,17 +118,18 @@ fn row(line: &Line) -> String {
 
 fn why(report: &Report<'_>) -> String {
     let mut out = String::from("\n## Why\n\n");
-    for reason in reasons(report) {
+    for reason in reasons(report, |_| true) {
         let _ = writeln!(out, "- {reason}");
     }
     out
 }
 
-/// Why claims are not met, as far as that is known, a sentence or more each.
-fn reasons(report: &Report<'_>) -> Vec<String> {
+/// Why claims are not met in the columns for which `is_told` holds, as far as that is known, a sentence or more each.
+fn reasons(report: &Report<'_>, is_told: impl Fn(&Column<'_>) -> bool) -> Vec<String> {
     let mut reasons = Vec::new();
     for line in report.lines.iter().filter(|line| line.is_run()) {
-        for (column, ours) in report.columns.iter().zip(&line.ours) {
+        let columns = report.columns.iter().zip(&line.ours);
+        for (column, ours) in columns.filter(|(column, _)| is_told(column)) {
             if !ours.why.is_empty() && ours.verdict != Verdict::NotRun {
                 let Line {
                     source,
