@@ -186,7 +186,7 @@ impl Toy {
             epsilon: (0.1, 0.03),
             seed: 0,
         };
-        let mut trainer = Trainer::new(&self.scenario, &[N as u32], &training).expect("a training");
+        let mut trainer = Trainer::new(&self.scenario, &[N as u32], &[], &training).expect("a training");
         assert!(trainer.train(1, &|_| Ok(()), &()).expect("no file"));
         trainer.learned().entries.swap_remove(0)
     }
@@ -217,9 +217,9 @@ impl Toy {
     }
 }
 
-/// The share of `area` in cells of d_max/10 that nobody at `points` has within d_max = 4 m, corner by corner.
+/// The share of `area` in cells of d_max/15 that nobody at `points` has within d_max = 4 m, corner by corner.
 pub(super) fn uncovered(area: Area, points: &[Point]) -> f64 {
-    let [columns, rows] = [area.width, area.height].map(|length| (length / 4.0 * 10.0).ceil() as u32);
+    let [columns, rows] = [area.width, area.height].map(|length| (length / 4.0 * 15.0).ceil() as u32);
     let (width, height) = (area.width / f64::from(columns), area.height / f64::from(rows));
     let mut missed = 0;
     for cell in 0..columns * rows {

@@ -1,9 +1,9 @@
-//! Training of the `q-learning` policy: episodes in memory, on one deployment after another, for each N.
+//! Training of the `q-learning` policy: episodes in memory, on one deployment after another, for each window and N.
 //!
 //! An episode is a run of the very policy that is used later, with `learn` on, from random batteries. It begins with
-//! the tables that the one before has left. Wake-up rankings take turns, so that both tables are learned. Each N is
-//! trained for itself and in order, so the result depends neither on the number of threads nor on where a training was
-//! interrupted.
+//! the tables that the one before has left. Wake-up rankings take turns, so that both tables are learned. Each
+//! window and N is trained for itself and in order, so the result depends neither on the number of threads nor on where
+//! a training was interrupted.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -12,7 +12,7 @@ use rayon::iter::{IntoParallelRefMutIterator, ParallelIterator};
 use reveille_bs::outcome::Outcome;
 use reveille_bs::policy::contract::Opaque;
 use reveille_bs::policy::q_learning::learned::{
-    CurvePoint, Entry, Learned, LearnedError, Schedule, Setting, Training, Weights,
+    CurvePoint, Entry, LONGEST_WINDOW, Learned, LearnedError, Schedule, Setting, Training, Weights,
 };
 use reveille_bs::policy::q_learning::settings::QLearningSettings;
 use reveille_bs::prepared::Prepared;
@@ -28,6 +28,8 @@ mod io;
 pub(crate) const MADE_BY: &str = concat!("reveille ", env!("CARGO_PKG_VERSION"));
 /// Added to the seeds of episodes: no evaluation comes near them.
 pub(crate) const SEEDS: u64 = 0x7EA1_C0DE_0000_0000;
+/// The most devices that tables are trained for.
+const MOST_DEVICES: u32 = 1_000_000;
 /// The share of an episode that is left out of its point on the curve.
 const WARM_UP: f64 = 0.1;
 /// TTIs between two looks at whether to stop.
@@ -48,6 +50,16 @@ pub enum TrainingError {
         value: String,
         /// What the value may be.
         allowed: &'static str,
+    },
+    /// A list of numbers is empty, or one of them is out of range.
+    #[error("{what} = {numbers:?}: must be a list of numbers from 1 to {most}")]
+    List {
+        /// The name of the list.
+        what: &'static str,
+        /// What it holds.
+        numbers: Vec<u32>,
+        /// The largest that they may be.
+        most: u32,
     },
     /// There is a file already.
     #[error("{}: is there already; --force replaces it", .0.display())]
@@ -91,14 +103,14 @@ pub enum TrainingError {
 
 /// Follows a training. Called from all threads.
 pub trait TrainingProgress: Sync {
-    /// An episode with `devices` devices has ended.
-    fn episode(&self, devices: u32, point: &CurvePoint);
+    /// An episode of `entry`, the last point of its curve, has ended.
+    fn episode(&self, entry: &Entry, point: &CurvePoint);
     /// Whether to stop; what was trained is kept in the checkpoint.
     fn stop(&self) -> bool;
 }
 
 impl TrainingProgress for () {
-    fn episode(&self, _: u32, _: &CurvePoint) {}
+    fn episode(&self, _: &Entry, _: &CurvePoint) {}
     fn stop(&self) -> bool {
         false
     }
@@ -113,11 +125,17 @@ pub struct Trainer {
 }
 
 impl Trainer {
-    /// A training for each N of `devices` on the scenario's ground, with its weights. `training` says how long.
+    /// A training for each of `windows`, or for the scenario's if there are none, and each N of `devices`, on the
+    /// scenario's ground and with its weights. `training` says how long.
     ///
     /// # Errors
     /// The policy is not `q-learning`, or a number is out of its range.
-    pub fn new(scenario: &Scenario, devices: &[u32], training: &Training) -> Result<Self, TrainingError> {
+    pub fn new(
+        scenario: &Scenario,
+        devices: &[u32],
+        windows: &[u32],
+        training: &Training,
+    ) -> Result<Self, TrainingError> {
         let Some(settings) = scenario.policy.settings::<QLearningSettings>() else {
             return Err(TrainingError::Policy(scenario.policy.name().to_owned()));
         };
@@ -126,20 +144,11 @@ impl Trainer {
             value: value.to_string(),
             allowed,
         };
-        let mut devices = devices.to_vec();
-        devices.sort_unstable();
-        devices.dedup();
-        match (devices.first(), devices.last()) {
-            (Some(1..), Some(..=1_000_000)) => {}
-            (least, most) => {
-                let shown = format!("{:?}", [least, most].map(|n| n.copied().unwrap_or(0)));
-                return Err(invalid(
-                    "devices",
-                    &shown,
-                    "must be a list of numbers from 1 to 1 000 000",
-                ));
-            }
-        }
+        let devices = listed("devices", devices, MOST_DEVICES)?;
+        let windows = match windows {
+            [] => vec![settings.window],
+            windows => listed("windows", windows, LONGEST_WINDOW)?,
+        };
         let Training {
             episodes,
             ttis,
@@ -160,28 +169,33 @@ impl Trainer {
             return Err(invalid("epsilon", bad, "must be at least 0 and less than 1"));
         }
         // Rounded as a checkpoint holds them, so that going on from one is the same.
-        let begun = devices.iter().map(|&devices| {
+        let begun = |devices: u32, window: u32| {
             let one = Scenario {
                 devices,
                 ..scenario.clone()
             };
-            let mut entry = Entry::optimistic(
-                &one.site(),
-                &settings.weights,
-                settings.window,
-                settings.schedule.optimism,
-            );
+            let mut entry = Entry::optimistic(&one.site(), &settings.weights, window, settings.schedule.optimism);
             entry.round();
             entry
-        });
+        };
+        let of_window = |&window: &u32| devices.iter().map(move |&n| begun(n, window));
+        let entries = windows.iter().flat_map(of_window).collect();
+        // The first window stands for all: a training says which there are by its entries.
+        let settings = QLearningSettings {
+            window: windows[0],
+            ..settings.clone()
+        };
         Ok(Self {
-            entries: begun.collect(),
+            entries,
             training: Training {
                 seed: scenario.seed,
                 ..training.clone()
             },
-            settings: settings.clone(),
-            scenario: scenario.clone(),
+            scenario: Scenario {
+                policy: scenario.policy.with_settings(settings.clone()),
+                ..scenario.clone()
+            },
+            settings,
         })
     }
 
@@ -201,7 +215,6 @@ impl Trainer {
             made_by: MADE_BY.to_owned(),
             scenario: first.hash_hex(),
             weights: self.settings.weights,
-            window: self.settings.window,
             begun_from: None,
             schedule: self.settings.schedule,
             training: self.training.clone(),
@@ -221,10 +234,7 @@ impl Trainer {
         let differences = [
             (found.made_by != mine.made_by, "another version of Reveille"),
             (found.scenario != mine.scenario, "another scenario"),
-            (
-                !is_same_weights(&found.weights, &mine.weights) || found.window != mine.window,
-                "other weights or another window",
-            ),
+            (!is_same_weights(&found.weights, &mine.weights), "other weights"),
             (
                 !is_same_schedule(&found.schedule, &mine.schedule),
                 "another learning rate or optimism",
@@ -233,7 +243,11 @@ impl Trainer {
                 !is_same_length(&found.training, &mine.training),
                 "other episodes, epsilon or seed",
             ),
-            (ns(&found) != ns(&mine), "other numbers of devices"),
+            (found.windows() != mine.windows(), "other windows"),
+            (
+                found.windows() == mine.windows() && ns(&found) != ns(&mine),
+                "other numbers of devices",
+            ),
         ];
         why.extend(
             differences
@@ -291,13 +305,24 @@ impl Trainer {
                         };
                         **entry = next;
                         keep_with(*index, entry)?;
-                        observer.episode(entry.devices, entry.curve.last().expect("the episode's"));
+                        observer.episode(entry, entry.curve.last().expect("the episode's"));
                     }
                     Ok(true)
                 })
                 .collect::<Result<Vec<bool>, TrainingError>>()
         })?;
         Ok(ended.iter().all(|done| *done))
+    }
+}
+
+/// `numbers` by rising size, each once, if there are any and all are from 1 to `most`.
+fn listed(what: &'static str, numbers: &[u32], most: u32) -> Result<Vec<u32>, TrainingError> {
+    let mut numbers = numbers.to_vec();
+    numbers.sort_unstable();
+    numbers.dedup();
+    match (numbers.first(), numbers.last()) {
+        (Some(1..), Some(last)) if *last <= most => Ok(numbers),
+        _ => Err(TrainingError::List { what, numbers, most }),
     }
 }
 
@@ -334,6 +359,7 @@ fn episode(
     let progress = number as f64 / (training.episodes - 1).max(1) as f64;
     let settings = QLearningSettings {
         learn: true,
+        window: entry.window,
         epsilon: [first + progress * (last - first); 2].into(),
         start: Arc::new(entry.clone()),
         ..settings.clone()
@@ -375,14 +401,13 @@ fn episode(
 pub fn learned_in(scenario: &Scenario, outcome: &Outcome) -> Option<Learned> {
     let settings = scenario.policy.settings::<QLearningSettings>()?;
     let mut entry = left_by(outcome)?;
-    (entry.devices, entry.surface) = (scenario.devices, scenario.area.surface());
+    (entry.devices, entry.surface, entry.window) = (scenario.devices, scenario.area.surface(), settings.window);
     let before = entry.curve.last().map_or(0, |point| point.ttis);
     entry.curve.push(point(outcome, before + outcome.ttis_done));
     Some(Learned {
         made_by: MADE_BY.to_owned(),
         scenario: scenario.hash_hex(),
         weights: settings.weights,
-        window: settings.window,
         begun_from: settings.begun_from.clone(),
         schedule: settings.schedule,
         training: Training {

@@ -30,7 +30,7 @@ fn training(episodes: u64, ttis: u64) -> Training {
 }
 
 fn trained(scenario: &Scenario, devices: u32, episodes: u64, ttis: u64) -> Entry {
-    let mut trainer = Trainer::new(scenario, &[devices], &training(episodes, ttis)).expect("a training");
+    let mut trainer = Trainer::new(scenario, &[devices], &[], &training(episodes, ttis)).expect("a training");
     assert!(
         trainer.train(1, &|_| Ok(()), &()).expect("no file is written"),
         "nobody stops it"
@@ -200,16 +200,16 @@ fn a_training_goes_on_from_any_checkpoint_as_if_nothing_had_been() {
             epsilon: (0.9 * stream.unit(), 0.9 * stream.unit()),
             ..training(3, 60)
         };
-        let new = || Trainer::new(&scenario, &[5, 9], &how).expect("a training");
+        let new = || Trainer::new(&scenario, &[5, 9], &[3, 1], &how).expect("a training");
         let mut whole = new();
         assert!(!whole.resume(&path).expect("none"));
         assert!(whole.train(2, &|_| Ok(()), &()).expect("no file"));
-        let stop = AtEpisode(std::sync::atomic::AtomicU64::new(stream.below(6)));
+        let stop = AtEpisode(std::sync::atomic::AtomicU64::new(stream.below(12)));
         let mut cut = new();
         assert!(!cut.train_keeping(1, &path, &stop).expect("a file") || !path.exists());
         let mut rest = new();
         let resumed = rest.resume(&path).expect("a checkpoint of this training");
-        assert_eq!(resumed, rest.episodes_left() < 6);
+        assert_eq!(resumed, rest.episodes_left() < 12);
         assert!(rest.train_keeping(1, &path, &()).expect("a file"));
         assert!(rest.learned().to_json() == whole.learned().to_json());
         std::fs::remove_file(&path).expect("the checkpoint");
@@ -221,7 +221,7 @@ fn a_training_goes_on_from_any_checkpoint_as_if_nothing_had_been() {
 struct AtEpisode(std::sync::atomic::AtomicU64);
 
 impl TrainingProgress for AtEpisode {
-    fn episode(&self, _: u32, _: &CurvePoint) {
+    fn episode(&self, _: &Entry, _: &CurvePoint) {
         self.0.fetch_sub(1, std::sync::atomic::Ordering::Relaxed);
     }
 

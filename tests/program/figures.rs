@@ -148,7 +148,7 @@ fn learned_tables_that_are_none_or_lack_an_n_are_refused() {
     let end = folder.run("train q-learning --out mine.json -n 10,30 --episodes 1 --episode-ttis 100 --quiet");
     assert_eq!(end.code(), Some(0), "{end}");
     let text = String::from_utf8(folder.bytes("mine.json")).expect("text");
-    folder.write("later.json", &text.replacen("\"version\":2", "\"version\":3", 1));
+    folder.write("later.json", &text.replacen("\"version\":3", "\"version\":4", 1));
     folder.write("short.json", &text[..text.len() / 2]);
     folder.write("junk.json", "{\"rows\": []}");
     let refused = |args: &str, parts: &[&str]| {
@@ -162,7 +162,7 @@ fn learned_tables_that_are_none_or_lack_an_n_are_refused() {
         );
         refused(
             &format!("{command} later.json"),
-            &["later.json: has version 3", "reveille train q-learning"],
+            &["later.json: has version 4", "reveille train q-learning"],
         );
         refused(&format!("{command} short.json"), &["short.json: is damaged"]);
         refused(&format!("{command} nowhere.json"), &["nowhere.json: cannot be read"]);

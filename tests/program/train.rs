@@ -10,7 +10,7 @@ use rustix::process::Signal;
 use sha2::{Digest, Sha256};
 
 /// A training of some seconds, of weights that no file holds to the last digit.
-const TRAINING: &str = "train q-learning --quiet --devices 8,15,30 --episodes 6 --episode-ttis 1500 \
+const TRAINING: &str = "train q-learning --quiet --devices 8,15,30 --windows 1,3 --episodes 4 --episode-ttis 1500 \
     --set policy.q-learning.zeta=0.97 --set policy.q-learning.mu1=11.3 --set area.width=17.3";
 /// A training of hours.
 const ENDLESS: &str = "train q-learning --quiet --devices 20 --episodes 100000 --episode-ttis 300";
@@ -135,7 +135,8 @@ fn the_checkpoint_of_another_training_is_refused() {
         ("--seed 2", "seed"),
         ("--epsilon 0.1,0.05", "epsilon"),
         ("--set policy.q-learning.mu1=3", "other weights"),
-        ("--set policy.q-learning.window=1", "another window"),
+        ("--windows 2", "other windows"),
+        ("--set policy.q-learning.window=3", "other windows"),
         ("--set policy.q-learning.rate_floor=0.01", "another learning rate"),
         (
             "--set policy.q-learning.optimism=0",
@@ -168,7 +169,7 @@ fn sealed(text: &str, change: impl Fn(&str) -> String) -> String {
         let _infallible = write!(sum, "{byte:02x}");
         sum
     });
-    format!("{{\"format\":\"reveille-q-table\",\"version\":2,\"sha256\":\"{sum}\",\"body\":{changed}}}\n")
+    format!("{{\"format\":\"reveille-q-table\",\"version\":3,\"sha256\":\"{sum}\",\"body\":{changed}}}\n")
 }
 
 /// Changes the first value of the file's first table.
@@ -204,8 +205,8 @@ fn tables_that_cannot_be_used_are_refused() {
     let cases: [(&str, String, &[&str]); 12] = [
         (
             "other-version",
-            text.replacen("\"version\":2", "\"version\":7", 1),
-            &["version 7", "reads 2", train],
+            text.replacen("\"version\":3", "\"version\":2", 1),
+            &["version 2", "reads 3", train],
         ),
         ("truncated", text[..text.len() * 2 / 3].to_owned(), &["damaged", train]),
         ("nearly-whole", text[..text.len() - 3].to_owned(), &["damaged", train]),
@@ -273,17 +274,16 @@ fn a_table_for_other_densities_or_weights_is_refused() {
             &["policy.q-learning.table", "5 to 100 devices", &n.to_string(), &hint],
         );
     }
-    for (name, value) in [("mu1", "3.5"), ("mu2", "4"), ("zeta", "0.5"), ("window", "2")] {
+    for (name, value) in [("mu1", "3.5"), ("mu2", "4"), ("zeta", "0.5"), ("window", "3")] {
         let end = folder.run(&format!("{base} -n 20 --set policy.q-learning.{name}={value}"));
         let field = format!("policy.q-learning.{name}");
-        let parts = [
-            &*field,
-            value,
-            "its table was learned",
-            "policy.q-learning.learn = true",
-            "reveille train",
-        ];
-        assert_refused(&end, 1, &parts);
+        assert_refused(&end, 1, &[&field, value, "reveille train q-learning"]);
+        let more = if name == "window" {
+            ["which has those for 1;", "--windows 3"]
+        } else {
+            ["its table was learned", "policy.q-learning.learn = true"]
+        };
+        assert_refused(&end, 1, &more);
         assert!(!folder.join("run").exists(), "no run was begun");
         let out = format!("learns-{name}");
         let end = folder.run(&format!(
@@ -293,12 +293,30 @@ fn a_table_for_other_densities_or_weights_is_refused() {
         assert!(end.is_success(), "a policy that learns may weigh otherwise: {end}");
         // What came of it says what it was begun with.
         let learned = fs::read_to_string(folder.join(&format!("{out}/learned.json"))).expect("a table");
-        let from = "\"begun_from\":\"tables for N = 10, μ1 = 14, μ2 = 1.6, ζ = 0.95 and a window of 4 TTIs, \
+        let from = "\"begun_from\":\"tables for N = 10, μ1 = 14, μ2 = 1, ζ = 0.95 and a window of 1 TTIs, \
             learned in 50 TTIs\"";
         assert!(learned.contains(from), "{learned:.600}");
     }
     let end = folder.run("run -k 60 -n 20 --policy q-learning --set policy.q-learning.table=nothing --out run");
     assert_refused(&end, 1, &["policy.q-learning.table", "learn = true"]);
+}
+
+#[test]
+fn a_window_without_tables_is_answered_with_those_there_are() {
+    let folder = Folder::new();
+    let run = |set: &str| folder.run(&format!("run -n 20 -k 60 --policy q-learning {set} --out run --force"));
+    for window in [1, 2, 4] {
+        let end = run(&format!("--set policy.q-learning.window={window}"));
+        assert!(end.is_success() && end.stderr.is_empty(), "{end}");
+    }
+    // How long events last is nothing that tables could be chosen by, or warn of.
+    let end = run("--set events.duration=9");
+    assert!(end.is_success() && end.stderr.is_empty(), "{end}");
+    let end = run("--set events.alpha=0.3");
+    assert!(end.stderr.contains("events.alpha 0.2, here 0.3"), "{end}");
+    let end = run("--set policy.q-learning.window=3");
+    let hint = "reveille train q-learning --windows 3";
+    assert_refused(&end, 1, &["policy.q-learning.window = 3", "those for 1, 2, 4", hint]);
 }
 
 #[test]
@@ -326,7 +344,13 @@ fn unknown_rankings_and_knowledge_are_answered_with_those_there_are() {
 fn nonsense_is_refused_before_anything_is_trained() {
     let folder = Folder::new();
     for (args, parts) in [
-        ("--devices 0", &["devices"][..]),
+        ("--devices 0", &["devices = [0]", "from 1 to 1000000"][..]),
+        ("--devices 5 --windows 1,0", &["windows = [0, 1]", "from 1 to 1000"]),
+        ("--devices 5 --windows 1001", &["windows = [1001]", "from 1 to 1000"]),
+        (
+            "--devices 5 --windows 1 --set policy.q-learning.window=2",
+            &["policy.q-learning.window=2", "from --windows"],
+        ),
         ("--devices 5 --episodes 0", &["episodes = 0", "at least 1"]),
         ("--devices 5 --episode-ttis 9", &["episode-ttis = 9", "at least 10"]),
         (

@@ -12,6 +12,7 @@ mod harvest;
 mod least;
 mod plane;
 mod policy;
+mod q_learning;
 mod search;
 mod world;
 
@@ -21,6 +22,7 @@ use reveille_common::scenario::Scenario;
 pub use clusters::clusters;
 pub use least::least_information;
 pub use policy::Policy;
+pub use q_learning::Sequential;
 pub use search::own_search;
 use world::{Ground, play};
 pub use world::{Run, State};

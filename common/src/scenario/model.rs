@@ -127,7 +127,6 @@ impl Scenario {
             alpha: self.events.alpha,
             bs: self.bs,
             classes: classes.collect(),
-            event_duration: self.events.duration,
         }
     }
 

@@ -27,7 +27,12 @@ pub struct ClassKnowledge<'s> {
 ///     site.seed
 /// }
 /// ```
-/// from the event process beyond α,
+/// from how long events last or from their process beyond α,
+/// ```compile_fail
+/// fn peek(site: &reveille_common::scenario::Site<'_>) -> u64 {
+///     site.events.duration
+/// }
+/// ```
 /// ```compile_fail
 /// fn peek(site: &reveille_common::scenario::Site<'_>) -> f64 {
 ///     site.events.alpha
@@ -43,7 +48,21 @@ pub struct ClassKnowledge<'s> {
 ///     site.events.duration_kind
 /// }
 /// ```
-/// or from what a class will harvest; this is what it can do:
+/// or from what a class will harvest:
+/// ```compile_fail
+/// fn peek(site: &reveille_common::scenario::Site<'_>) {
+///     let _ = &site.classes[0].harvest;
+/// }
+/// ```
+/// This is all that there is, so that whoever adds to it passes by here,
+/// ```
+/// use reveille_common::scenario::Site;
+///
+/// fn all(site: Site<'_>) {
+///     let Site { devices: _, area: _, layout: _, sensing: _, alpha: _, bs: _, classes: _ } = site;
+/// }
+/// ```
+/// and what it can do:
 /// ```
 /// fn known(site: &reveille_common::scenario::Site<'_>) -> f64 {
 ///     site.alpha + site.classes[0].mean_harvest.units()
@@ -66,7 +85,4 @@ pub struct Site<'s> {
     pub bs: BsSettings,
     /// The device classes, at least one.
     pub classes: Vec<ClassKnowledge<'s>>,
-    /// How long events last, TTIs. No base station can know it. The one exception: `q-learning` takes from it the
-    /// tables that fit best, and its window where neither tables nor scenario give one.
-    pub event_duration: u64,
 }

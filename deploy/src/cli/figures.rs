@@ -126,6 +126,9 @@ pub struct QTableArgs {
     /// The N of the tables to draw, or several, separated by commas.
     #[arg(long, short = 'n', value_delimiter = ',', required = true, value_name = "N")]
     pub devices: Vec<u32>,
+    /// The window of the tables to draw, TTIs [default: the shortest that the file has].
+    #[arg(long, short, value_name = "TTIS")]
+    pub window: Option<u32>,
     /// Draw the wake-up table for this ranking, not the duty cycling.
     #[arg(long, value_enum, value_name = "RANKING")]
     pub wake: Option<RankingArg>,

@@ -12,9 +12,10 @@ use super::run::ScenarioArgs;
 /// What to train.
 #[derive(Subcommand)]
 pub enum TrainCommand {
-    /// Learn who senses and whom to wake, for each N, and write the tables to a file.
+    /// Learn who senses and whom to wake, for each window and N, and write the tables to a file.
     #[command(after_help = "Examples:\n  reveille train q-learning --out mine.json\n  \
-        reveille train q-learning --devices 700 --set policy.q-learning.mu1=5 --out mine.json\n\
+        reveille train q-learning --devices 700 --set policy.q-learning.mu1=5 --out mine.json\n  \
+        reveille train q-learning --windows 1,2,4 --out mine.json\n\
         Then:\n  reveille run --policy q-learning --set policy.q-learning.table=mine.json\n\n\
         A training that was cut short, even by kill -9, goes on when the same command is given again.")]
     QLearning(TrainArgs),
@@ -37,6 +38,10 @@ pub struct TrainArgs {
         default_value = "10,20,40,60,80,100,130,160,200,250"
     )]
     pub devices: Vec<u32>,
+    /// Windows to train for, TTIs within which the area is to be covered once, separated by commas [default: the
+    /// scenario's policy.q-learning.window].
+    #[arg(long, short, value_delimiter = ',')]
+    pub windows: Vec<u32>,
     #[command(flatten)]
     pub episodes: EpisodeArgs,
     /// The file for the tables.
@@ -53,6 +58,10 @@ pub struct TrainArgs {
 impl TrainArgs {
     /// The scenario's options.
     pub fn scenario(&self) -> anyhow::Result<ScenarioArgs> {
+        let is_window = |set: &&String| set.split('=').next().map(str::trim) == Some("policy.q-learning.window");
+        if let Some(set) = self.set.iter().find(is_window).filter(|_| !self.windows.is_empty()) {
+            bail!("--set {set}: a training takes it from --windows; leave one of them out");
+        }
         self.episodes.scenario(&self.scenario, &self.set, None)
     }
 }

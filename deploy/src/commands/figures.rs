@@ -213,10 +213,11 @@ fn draw_learning(args: &LearningArgs) -> anyhow::Result<ExitCode> {
 
 fn draw_q_table(args: &QTableArgs) -> anyhow::Result<ExitCode> {
     let (file, learned) = (args.file.display().to_string(), learned(&args.file)?);
-    let entry = |devices: &u32| q_table::entry(&file, &learned, *devices);
+    let entry = |devices: &u32| q_table::entry(&file, &learned, *devices, args.window);
     let entries = args.devices.iter().map(entry).collect::<Result<Vec<&Entry>, _>>()?;
     for entry in entries {
-        let name = format!("q-table-{}-n{}", stem(&args.file), entry.devices);
+        let window = args.window.map_or_else(String::new, |window| format!("-w{window}"));
+        let name = format!("q-table-{}-n{}{window}", stem(&args.file), entry.devices);
         let Some(ranking) = args.wake else {
             write(&args.pictures, &name, &q_table::duty_scene(&learned, entry))?;
             for (name, csv) in [

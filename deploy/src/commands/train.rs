@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::bail;
 use indicatif::ProgressBar;
-use reveille_bs::policy::q_learning::learned::CurvePoint;
+use reveille_bs::policy::q_learning::learned::{CurvePoint, Entry};
 use reveille_bs::scenario::Scenario;
 use reveille_lab::io::replace;
 use reveille_lab::training::{Trainer, TrainingError, TrainingProgress, checkpoint};
@@ -38,7 +38,7 @@ fn q_learning(args: &TrainArgs) -> anyhow::Result<ExitCode> {
             largest.devices
         );
     }
-    let mut trainer = Trainer::new(&scenario, &args.devices, &training)?;
+    let mut trainer = Trainer::new(&scenario, &args.devices, &args.windows, &training)?;
     if args.out.exists() && !args.force {
         bail!(TrainingError::Taken(args.out.clone()));
     }
@@ -98,8 +98,8 @@ fn q_learning(args: &TrainArgs) -> anyhow::Result<ExitCode> {
             }) = entry.curve.last()
             {
                 display::out(&format!(
-                    "N = {:<5} reward {reward:.4}  information {information:.4}  energy {energy:.4}\n",
-                    entry.devices
+                    "window {:<4} N = {:<5} reward {reward:.4}  information {information:.4}  energy {energy:.4}\n",
+                    entry.window, entry.devices
                 ))?;
             }
         }
@@ -136,12 +136,13 @@ struct Shown {
 }
 
 impl TrainingProgress for Shown {
-    fn episode(&self, devices: u32, point: &CurvePoint) {
+    fn episode(&self, entry: &Entry, point: &CurvePoint) {
         let CurvePoint {
             reward, information, ..
         } = point;
         self.bar.set_message(format!(
-            "N = {devices}: reward {reward:.3}, information {information:.3}"
+            "window {}, N = {}: reward {reward:.3}, information {information:.3}",
+            entry.window, entry.devices
         ));
         self.bar.inc(1);
     }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use rayon::ThreadPool;
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
-use reveille_bs::policy::q_learning::learned::{CurvePoint, Training, Weights};
+use reveille_bs::policy::q_learning::learned::{CurvePoint, Entry, Training, Weights};
 use reveille_bs::policy::q_learning::settings::QLearningSettings;
 use reveille_bs::prepared::Prepared;
 use reveille_common::scenario::{MAX_TTIS, Scenario};
@@ -72,7 +72,7 @@ impl Plan {
     /// # Errors
     /// The policy is not `q-learning`, or a number is out of its range.
     pub fn check(&self) -> Result<(), TuningError> {
-        Trainer::new(&self.scenario, &[self.scenario.devices], &self.training)?;
+        Trainer::new(&self.scenario, &[self.scenario.devices], &[], &self.training)?;
         let invalid = |what, value: &dyn std::fmt::Display, allowed: &str| {
             Err(TuningError::Invalid {
                 what,
@@ -197,7 +197,7 @@ impl Plan {
             policy: self.scenario.policy.with_settings(settings),
             ..self.scenario.clone()
         };
-        let mut trainer = Trainer::new(&with(settings.clone()), &[self.scenario.devices], &self.training)?;
+        let mut trainer = Trainer::new(&with(settings.clone()), &[self.scenario.devices], &[], &self.training)?;
         if !trainer.train(1, &|_| Ok(()), &Episodes(observer))? {
             return Ok(None);
         }
@@ -253,7 +253,7 @@ pub(super) fn pool(threads: usize) -> Result<ThreadPool, TrainingError> {
 struct Episodes<'a, O>(&'a O);
 
 impl<O: TuningProgress> TrainingProgress for Episodes<'_, O> {
-    fn episode(&self, _: u32, _: &CurvePoint) {
+    fn episode(&self, _: &Entry, _: &CurvePoint) {
         self.0.episode();
     }
 

@@ -77,16 +77,20 @@ pub enum FigureError {
     },
     /// The file has no table for this number of devices.
     #[error(
-        "N = {devices}: {file} has tables for {known} devices; reveille train q-learning --devices {devices} --out \
-            FILE learns others"
+        "N = {devices}: {file} has tables for {known} devices with a window of {window}, and windows of {windows}; \
+            reveille train q-learning --devices {devices} --windows {window} --out FILE learns others"
     )]
     NoEntry {
         /// N asked for.
         devices: u32,
+        /// The window, TTIs.
+        window: u32,
         /// The file.
         file: String,
-        /// Every N that it has.
+        /// Every N that it has for that window.
         known: String,
+        /// Every window that it has.
+        windows: String,
     },
     /// The file does not tell how its training went.
     #[error("{file}: holds no learning curve; reveille train q-learning --out FILE writes tables with theirs")]

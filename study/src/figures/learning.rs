@@ -1,10 +1,11 @@
-//! Learning curves of tables: reward and information, episode by episode, a row of panels for each N.
+//! Learning curves of tables: reward and information, episode by episode, a row of panels for each N and
+//! window.
 //!
 //! Rewards of few and of many devices lie far apart and each moves little, so every panel has its own axis.
 
 use std::fmt::Write as _;
 
-use reveille_bs::policy::q_learning::learned::{CurvePoint, Learned};
+use reveille_bs::policy::q_learning::learned::{CurvePoint, Entry, Learned};
 
 use super::error::FigureError;
 use super::font::{Weight, width, wrap};
@@ -48,21 +49,52 @@ const QUANTITIES: [Quantity; 2] = [
 /// A file of tables, and its name.
 pub type Source = (String, Learned);
 
-/// The N of all curves of `sources`, each with its area in m², by rising density.
-fn rows(sources: &[Source]) -> Vec<(u32, f64)> {
+/// What the curves of one row of panels have in common.
+#[derive(Clone, Copy, PartialEq)]
+struct Row {
+    window: u32,
+    devices: u32,
+    /// The area, m².
+    surface: f64,
+}
+
+impl Row {
+    const fn of(entry: &Entry) -> Self {
+        Self {
+            window: entry.window,
+            devices: entry.devices,
+            surface: entry.surface,
+        }
+    }
+
+    /// The same window and area, whatever N.
+    fn is_beside(&self, other: &Self) -> [bool; 2] {
+        [
+            self.window == other.window,
+            self.surface.to_bits() == other.surface.to_bits(),
+        ]
+    }
+}
+
+/// The rows of all curves of `sources`, by rising window, area and N.
+fn rows(sources: &[Source]) -> Vec<Row> {
     let entries = sources.iter().flat_map(|(_, learned)| &learned.entries);
     let drawn = entries.filter(|entry| !entry.curve.is_empty());
-    let mut rows: Vec<(u32, f64)> = drawn.map(|entry| (entry.devices, entry.surface)).collect();
-    rows.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
+    let mut rows: Vec<Row> = drawn.map(Row::of).collect();
+    let order = |a: &Row, b: &Row| {
+        let by_window = a.window.cmp(&b.window).then(a.surface.total_cmp(&b.surface));
+        by_window.then(a.devices.cmp(&b.devices))
+    };
+    rows.sort_by(order);
     rows.dedup();
     rows
 }
 
-fn curve(learned: &Learned, (devices, surface): (u32, f64)) -> &[CurvePoint] {
-    let is_own = |entry: &&reveille_bs::policy::q_learning::learned::Entry| {
-        entry.devices == devices && entry.surface.to_bits() == surface.to_bits()
-    };
-    learned.entries.iter().find(is_own).map_or(&[], |entry| &entry.curve)
+fn curve(learned: &Learned, row: Row) -> &[CurvePoint] {
+    let mut entries = learned.entries.iter();
+    entries
+        .find(|entry| Row::of(entry) == row)
+        .map_or(&[], |entry| &entry.curve)
 }
 
 /// The picture: a row for each N, a line for each of `sources`.
@@ -96,10 +128,13 @@ pub fn scene(sources: &[Source]) -> Result<Scene, FigureError> {
     }
     let last = sources.iter().flat_map(|(_, l)| &l.entries).flat_map(|e| &e.curve);
     let x = Scale::linear([0.0, last.map(|p| p.ttis as f64).fold(1.0, f64::max)], true);
-    let is_one_area = rows.windows(2).all(|pair| pair[0].1.to_bits() == pair[1].1.to_bits());
+    let are_one = rows.windows(2).fold([true; 2], |[window, area], pair| {
+        let [same_window, same_area] = pair[0].is_beside(&pair[1]);
+        [window && same_window, area && same_area]
+    });
     let mut top = y + 7.0;
     for (i, row) in rows.iter().enumerate() {
-        name(&mut scene, *row, is_one_area, top);
+        name(&mut scene, *row, are_one, top);
         for (left, quantity) in lefts.iter().zip(&QUANTITIES) {
             let panel = Panel {
                 corners: [*left, top, left + wide, top + PANEL.0],
@@ -119,16 +154,22 @@ pub fn scene(sources: &[Source]) -> Result<Scene, FigureError> {
     Ok(scene)
 }
 
-/// N beside a row, with its area if not all rows have the same.
-fn name(scene: &mut Scene, (devices, surface): (u32, f64), is_one_area: bool, top: f64) {
-    let middle = top + 0.5 * PANEL.0;
-    scene.text(Text::new(format!("N = {devices}"), (EDGE, middle + 0.36 * SMALL), SMALL).bold());
-    if !is_one_area {
-        scene.text(Text::new(
-            format!("{surface} m²"),
-            (EDGE, middle + 0.36 * SMALL + LEADING),
-            SMALL,
-        ));
+/// N beside a row, with its window and area if not all rows have the same.
+fn name(scene: &mut Scene, row: Row, [is_one_window, is_one_area]: [bool; 2], top: f64) {
+    let Row {
+        window,
+        devices,
+        surface,
+    } = row;
+    let mut y = top + 0.5 * PANEL.0 + 0.36 * SMALL;
+    scene.text(Text::new(format!("N = {devices}"), (EDGE, y), SMALL).bold());
+    let more = [
+        (!is_one_window).then(|| format!("window {window}")),
+        (!is_one_area).then(|| format!("{surface} m²")),
+    ];
+    for text in more.into_iter().flatten() {
+        y += LEADING;
+        scene.text(Text::new(text, (EDGE, y), SMALL));
     }
 }
 
@@ -176,7 +217,7 @@ fn caption(sources: &[Source]) -> String {
         if sources.len() > 1 {
             let _ = write!(text, " {}:", fit(file, WIDE - 8.0 * EDGE));
         }
-        let _ = write!(text, " {}", trained(learned, "for each N"));
+        let _ = write!(text, " {}", trained(learned, &learned.windows(), "for each N"));
         if !is_one_setting {
             let _ = write!(text, " {}", setting(learned));
         }
@@ -196,7 +237,7 @@ struct Panel {
 }
 
 impl Panel {
-    fn draw(&self, scene: &mut Scene, sources: &[Source], row: (u32, f64), quantity: &Quantity) {
+    fn draw(&self, scene: &mut Scene, sources: &[Source], row: Row, quantity: &Quantity) {
         let [left, top, right, bottom] = self.corners;
         let points = || sources.iter().flat_map(|(_, learned)| curve(learned, row));
         let scale = Scale::linear(points().map(quantity.of), false);
@@ -257,7 +298,7 @@ impl Panel {
 
 /// What is drawn, as CSV.
 pub fn csv(sources: &[Source]) -> String {
-    let mut out = String::from("file,n,surface,ttis,reward_per_tti,info_per_event,energy_per_device_tti\n");
+    let mut out = String::from("file,window,n,surface,ttis,reward_per_tti,info_per_event,energy_per_device_tti\n");
     for (file, learned) in sources {
         let file = csv_cell(file);
         for entry in &learned.entries {
@@ -268,8 +309,11 @@ pub fn csv(sources: &[Source]) -> String {
                     information,
                     energy,
                 } = point;
-                let (n, surface) = (entry.devices, entry.surface);
-                let _ = writeln!(out, "{file},{n},{surface},{ttis},{reward},{information},{energy}");
+                let (window, n, surface) = (entry.window, entry.devices, entry.surface);
+                let _ = writeln!(
+                    out,
+                    "{file},{window},{n},{surface},{ttis},{reward},{information},{energy}"
+                );
             }
         }
     }

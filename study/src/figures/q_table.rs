@@ -28,18 +28,35 @@ const INFORMATION: [f64; INFORMATIONS + 1] = [0.0, 0.03, 0.08, 0.15, 0.25, 0.4, 
 /// From which battery bucket on a device can sense and report.
 const ABLE: usize = 2;
 
-/// The entry of `learned`, read from `file`, for `devices` devices.
+/// The entry of `learned`, read from `file`, for `devices` devices and `window`, or the shortest window that it has.
 ///
 /// # Errors
 /// It has none.
-pub fn entry<'l>(file: &str, learned: &'l Learned, devices: u32) -> Result<&'l Entry, FigureError> {
-    let found = learned.entries.iter().find(|entry| entry.devices == devices);
+pub fn entry<'l>(
+    file: &str,
+    learned: &'l Learned,
+    devices: u32,
+    window: Option<u32>,
+) -> Result<&'l Entry, FigureError> {
+    let windows = learned.windows();
+    let shortest = windows.first().copied().unwrap_or(1);
+    let mut of_window = learned.entries.iter();
+    let own = window.unwrap_or(shortest);
+    let found = of_window.find(|entry| entry.window == own && entry.devices == devices);
     found.ok_or_else(|| {
-        let known: Vec<String> = learned.entries.iter().map(|entry| entry.devices.to_string()).collect();
+        let same = learned.entries.iter().filter(|entry| entry.window == own);
+        let known: Vec<String> = same.map(|entry| entry.devices.to_string()).collect();
+        let windows: Vec<String> = windows.iter().map(u32::to_string).collect();
         FigureError::NoEntry {
             devices,
+            window: own,
             file: file.to_owned(),
-            known: known.join(", "),
+            known: if known.is_empty() {
+                "no".to_owned()
+            } else {
+                known.join(", ")
+            },
+            windows: windows.join(", "),
         }
     })
 }
@@ -239,23 +256,28 @@ fn learned_on(learned: &Learned, entry: &Entry) -> String {
     let (n, surface) = (entry.devices, entry.surface);
     format!(
         "{} {}",
-        trained(learned, &format!("with N = {n} on {surface} m²")),
+        trained(learned, &[entry.window], &format!("with N = {n} on {surface} m²")),
         setting(learned)
     )
 }
 
-/// By whom a file was learned, how, and for which weights; `place` says on how many devices or how large an area.
-pub(super) fn trained(learned: &Learned, place: &str) -> String {
+/// By whom a file was learned, how, and for which weights and `windows`; `place` says on how many devices or how large
+/// an area.
+pub(super) fn trained(learned: &Learned, windows: &[u32], place: &str) -> String {
+    let lengths: Vec<String> = windows.iter().map(u32::to_string).collect();
     let (weights, schedule, training) = (learned.weights, &learned.schedule, &learned.training);
     let (first, last) = training.epsilon;
     format!(
-        "Learned by {} for μ1 = {}, μ2 = {}, ζ = {} and a window of {} TTIs, in {} episodes of {} TTIs {place}, ε from \
+        "Learned by {} for μ1 = {}, μ2 = {}, ζ = {} and {}, in {} episodes of {} TTIs {place}, ε from \
          {first} to {last}, learning rate max((n + 4)^−{}, {}), optimism {}, seed {}{}.",
         learned.made_by,
         weights.mu1,
         weights.mu2,
         weights.zeta,
-        learned.window,
+        match windows {
+            [window] => format!("a window of {window} TTIs"),
+            _ => format!("windows of {} TTIs", lengths.join(", ")),
+        },
         training.episodes,
         training.ttis,
         schedule.rate_decay,

@@ -1,9 +1,9 @@
 //! Who senses: sequential choice by a table, and learning it.
 
-use std::collections::binary_heap::PeekMut;
-use std::collections::{BinaryHeap, VecDeque};
+use std::collections::VecDeque;
 
-use super::learned::{AREAS, BATTERIES, DutyTable, NODES, Rates, Schedule, Weights, area_bucket, battery_bucket};
+use super::choice::Choice;
+use super::learned::{DutyTable, NODES, Rates, Schedule, Weights, battery_bucket};
 use reveille_common::geometry::{Area, Point};
 use reveille_common::ids::DeviceId;
 use reveille_common::rng::Stream;
@@ -36,20 +36,12 @@ pub struct Duty {
     rates: Rates,
     /// What a device that alone covers the whole area adds to N r(k) until it has to be covered again.
     worth: f64,
-    /// Sensing discs that make up the area.
-    discs: f64,
     energies: Vec<EnergyModel>,
-    coverage: Coverage,
+    choice: Choice,
     /// Who sensed in each of the last `window` − 1 TTIs, the latest at the end.
     recent: VecDeque<Vec<DeviceId>>,
-    /// Candidates by [`Duty::key`].
-    heap: BinaryHeap<u64>,
-    /// By battery and area bucket: the place of the advantage among all advantages, 0 for one that is no advantage.
-    places: [[u8; AREAS]; BATTERIES],
-    /// The area bucket of newly covered parts of the area.
-    areas: Vec<u8>,
-    /// The battery bucket of each device in this TTI.
-    batteries: Vec<u8>,
+    /// TTIs over which the choice is still to be spread.
+    spread: usize,
     /// What was decided last, while it is to be learned from.
     last: Option<Decision>,
 }
@@ -93,7 +85,6 @@ impl Duty {
             window,
         } = terms;
         let coverage = Coverage::new(positions, area, sensing);
-        let (most, area_parts) = coverage.most_parts();
         let discs = area.surface() / (std::f64::consts::PI * sensing.d_max * sensing.d_max);
         let mut duty = Self {
             values: [0.0; NODES],
@@ -101,16 +92,10 @@ impl Duty {
             worth: weights.covering(positions.len() as u32, alpha, window),
             rates: schedule.rates(),
             terms,
-            discs,
-            batteries: vec![0; energies.len()],
+            choice: Choice::new(coverage, discs, positions.len()),
             energies,
-            coverage,
             recent: VecDeque::from(vec![Vec::new(); window as usize - 1]),
-            heap: BinaryHeap::new(),
-            places: [[0; AREAS]; BATTERIES],
-            areas: (0..=most)
-                .map(|parts| area_bucket(f64::from(parts) / area_parts * discs) as u8)
-                .collect(),
+            spread: window as usize,
             last: None,
         };
         duty.refresh();
@@ -122,74 +107,56 @@ impl Duty {
         &self.table
     }
 
-    /// Chooses who senses in the next TTI, given the batteries: devices one after the other, each time the one whose
-    /// table gives sensing the largest advantage, while one has any. Gives them by rising number.
-    ///
-    /// Gains never rise while others are added, and advantages never fall with the gain, so a candidate whose gain is
-    /// still what it was is the best of all, and few have to be looked at twice.
+    /// Chooses who senses in the next TTI, given the batteries: devices one after the other. Gives them by rising
+    /// number.
     pub fn choose(&mut self, levels: &[Energy]) -> Vec<DeviceId> {
         self.begin(levels);
-        let mut chosen = Vec::new();
-        if self.coverage.uncovered() > 0.0 {
-            self.greedily(|_| true, &mut chosen);
-        }
+        let chosen = self.among(|_| true, &[]);
         self.remember(chosen)
     }
 
-    /// Adds the best of the devices for which `is_free` holds, one after the other, to those `chosen`.
-    fn greedily(&mut self, is_free: impl Fn(usize) -> bool, chosen: &mut Vec<DeviceId>) {
-        let mut keys = std::mem::take(&mut self.heap).into_vec();
-        keys.clear();
-        let free = (0..self.energies.len()).filter(|&j| is_free(j));
-        keys.extend(free.filter_map(|j| self.key(j)));
-        self.heap = BinaryHeap::from(keys);
-        while let Some(mut best) = self.heap.peek_mut() {
-            let j = NUMBERS - (*best & u64::from(NUMBERS)) as u32;
-            let key = key_of(&self.coverage, &self.places, &self.areas, &self.batteries, j as usize);
-            match key {
-                Some(now) if now == *best => {
-                    PeekMut::pop(best);
-                    self.coverage.add(j as usize);
-                    chosen.push(DeviceId(j));
-                }
-                Some(now) => *best = now,
-                None => {
-                    PeekMut::pop(best);
-                }
-            }
+    /// Those for whom `is_free` holds that are chosen beside those of `set`, who are added.
+    fn among(&mut self, is_free: impl Fn(usize) -> bool, set: &[DeviceId]) -> Vec<DeviceId> {
+        let mut chosen = self.choice.choose(is_free);
+        let covering = || self.recent.iter().flatten().chain(set).copied();
+        self.choice.spare(&mut chosen, covering);
+        // What is looked at now comes due all at once a window later. So that this is not everything in one TTI and
+        // nothing in the next, the first window begins with a part of the choice: those that are far apart.
+        if self.spread > 1 {
+            chosen = chosen.into_iter().step_by(self.spread).collect();
         }
+        chosen
     }
 
     /// The same, and at random with probability `epsilon` for each device; what comes of it is learned from by
     /// [`Self::learn`].
     pub fn explore(&mut self, levels: &[Energy], epsilon: f64, stream: &mut Stream) -> Vec<DeviceId> {
         self.begin(levels);
-        let of = |(&battery, &level): (&u8, &Energy)| Share {
-            battery,
+        let of = |(j, &level): (usize, &Energy)| Share {
+            battery: self.choice.battery(j),
             level,
             ..Share::default()
         };
-        let mut shares: Vec<Share> = self.batteries.iter().zip(levels).map(of).collect();
-        let mut is_free: Vec<bool> = self.batteries.iter().map(|&battery| battery >= 2).collect();
+        let mut shares: Vec<Share> = levels.iter().enumerate().map(of).collect();
+        let mut is_free: Vec<bool> = (0..levels.len()).map(|j| self.choice.is_able(j)).collect();
         let mut chosen = Vec::new();
         // Devices that decide at random come first, so that what they cover counts for the others.
         for (j, is_free) in is_free.iter_mut().enumerate() {
             if stream.unit() < epsilon && *is_free {
                 *is_free = false;
                 if stream.unit() < 0.5 {
-                    shares[j].decide(true, &self.coverage, j, self.discs);
-                    self.coverage.add(j);
+                    self.choice.add(j);
                     chosen.push(DeviceId(j as u32));
                 }
             }
         }
-        let by_chance = chosen.len();
-        self.greedily(|j| is_free[j], &mut chosen);
-        self.gains_of(&chosen, by_chance, &mut shares);
+        let others = self.among(|j| is_free[j], &chosen);
+        chosen.extend(others);
+        self.gains_of(&chosen, &mut shares);
         for (j, share) in shares.iter_mut().enumerate().filter(|(_, share)| !share.on) {
-            share.decide(false, &self.coverage, j, self.discs);
+            share.decide(false, self.choice.gain(j));
         }
-        let uncovered = self.coverage.uncovered();
+        let uncovered = self.choice.uncovered();
         let credits = self.credits(&chosen);
         self.last = Some(Decision {
             shares,
@@ -199,15 +166,13 @@ impl Duty {
         self.remember(chosen)
     }
 
-    /// Fills in what those `chosen` from the `first`-th on have newly covered, each at its turn.
-    fn gains_of(&mut self, chosen: &[DeviceId], first: usize, shares: &mut [Share]) {
-        self.cover_recent();
-        for (turn, device) in chosen.iter().enumerate() {
+    /// Fills in what those `chosen` have newly covered, each at its turn.
+    fn gains_of(&mut self, chosen: &[DeviceId], shares: &mut [Share]) {
+        self.choice.cover(self.recent.iter().flatten().copied());
+        for device in chosen {
             let j = device.index();
-            if turn >= first {
-                shares[j].decide(true, &self.coverage, j, self.discs);
-            }
-            self.coverage.add(j);
+            shares[j].decide(true, self.choice.gain(j));
+            self.choice.add(j);
         }
     }
 
@@ -215,11 +180,11 @@ impl Duty {
     /// window, with `chosen`, in this order, in the last TTI of it.
     fn credits(&mut self, chosen: &[DeviceId]) -> Vec<f64> {
         let mut credits = vec![0.0; self.energies.len()];
-        self.coverage.clear();
+        self.choice.cover(std::iter::empty());
         for device in self.recent.iter().flatten().chain(chosen) {
             let j = device.index();
-            credits[j] += self.coverage.gain(j);
-            self.coverage.add(j);
+            credits[j] += self.choice.gain(j).0;
+            self.choice.add(j);
         }
         credits
     }
@@ -253,13 +218,8 @@ impl Duty {
 
     /// Makes what is looked up anew from the table.
     fn refresh(&mut self) {
-        let advantages = self.table.advantages();
+        self.choice.set_advantages(&self.table.advantages());
         self.values = self.table.values();
-        let mut sorted: Vec<f64> = advantages.iter().flatten().copied().filter(|a| *a > 0.0).collect();
-        sorted.sort_unstable_by(f64::total_cmp);
-        sorted.dedup();
-        let place = |advantage: f64| sorted.partition_point(|a| *a <= advantage) as u8;
-        self.places = advantages.map(|row| row.map(|a| if a > 0.0 { place(a) } else { 0 }));
     }
 
     /// r(k) of the last exploration, and the devices' shares of it, which add up to it.
@@ -280,23 +240,9 @@ impl Duty {
     }
 
     fn begin(&mut self, levels: &[Energy]) {
-        for ((battery, &level), energy) in self.batteries.iter_mut().zip(levels).zip(&self.energies) {
-            *battery = battery_bucket(level, energy) as u8;
-        }
-        self.cover_recent();
-    }
-
-    /// Covers what was covered in the last TTIs, and nothing else.
-    fn cover_recent(&mut self) {
-        self.coverage.clear();
-        for device in self.recent.iter().flatten() {
-            self.coverage.add(device.index());
-        }
-    }
-
-    /// The rank of the `j`-th device among the candidates, if it can report and sensing is worth more than sleep.
-    fn key(&self, j: usize) -> Option<u64> {
-        key_of(&self.coverage, &self.places, &self.areas, &self.batteries, j)
+        let buckets = levels.iter().zip(&self.energies);
+        let buckets = buckets.map(|(&level, energy)| battery_bucket(level, energy));
+        self.choice.begin(buckets, self.recent.iter().flatten().copied());
     }
 
     fn remember(&mut self, mut chosen: Vec<DeviceId>) -> Vec<DeviceId> {
@@ -304,41 +250,16 @@ impl Duty {
             self.recent.pop_front();
             self.recent.push_back(chosen.clone());
         }
+        self.spread = self.spread.saturating_sub(1);
         chosen.sort_unstable();
         chosen
     }
 }
 
-/// The largest number of a device within a key.
-const NUMBERS: u32 = (1 << 24) - 1;
-
-/// The advantage's place, what is newly covered, and the number counted down, one below the other: the largest key has
-/// the largest advantage, among those the largest area, and among those the lowest number. A gain never rises while
-/// others are added, so neither does the key.
-#[inline]
-fn key_of(
-    coverage: &Coverage,
-    places: &[[u8; AREAS]; BATTERIES],
-    areas: &[u8],
-    batteries: &[u8],
-    j: usize,
-) -> Option<u64> {
-    let battery = usize::from(batteries[j]);
-    if battery < 2 {
-        return None;
-    }
-    let parts = coverage.parts(j);
-    let place = places[battery][usize::from(areas[parts as usize])];
-    let number = NUMBERS - j as u32;
-    (place > 0 && parts > 0).then(|| u64::from(place) << 56 | u64::from(parts) << 24 | u64::from(number))
-}
-
 impl Share {
-    /// The `j`-th device decides, with `coverage` as it is before.
-    fn decide(&mut self, on: bool, coverage: &Coverage, j: usize, discs: f64) {
-        let gain = coverage.gain(j);
-        (self.on, self.gain) = (on, gain);
-        self.area = area_bucket(gain * discs) as u8;
+    /// The device decides where it would newly cover `gain` of the area, in this bucket.
+    fn decide(&mut self, on: bool, (gain, area): (f64, u8)) {
+        (self.on, self.gain, self.area) = (on, gain, area);
     }
 }
 

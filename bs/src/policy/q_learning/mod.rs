@@ -1,8 +1,8 @@
 //! Q-learning (Sec. V-B): a table says who senses, another whom to wake after a report. Both may go on learning.
 //!
 //! # Factorisation
-//! A joint action δ(k) of N devices has 2^N values. Devices are therefore considered one after the other, and each has
-//! its own share of the paper's reward.
+//! A joint action δ(k) of N devices has 2^N values. Devices are therefore considered one after the other, as
+//! [`duty::Duty::choose`] says, and each has its own share of the paper's reward.
 //!
 //! A place is covered in TTI k if some device that detects an event there senses in k or did in one of the `window` − 1
 //! TTIs before it: an event that ends there in k is then reported. With U(k) for the share of the area that is not
@@ -26,6 +26,7 @@
 //!
 //! Tables hold N times these shares, and leave out α μ1, the part that is the same whatever a device does.
 
+mod choice;
 pub mod duty;
 pub mod learned;
 pub mod settings;

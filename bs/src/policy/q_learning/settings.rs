@@ -11,7 +11,7 @@ use reveille_common::declare::{
 use reveille_common::scenario::{PolicySettings, Site};
 
 use super::learned::{Entry, LONGEST_WINDOW, Learned, Schedule, Setting, Weights};
-use crate::beliefs::coverage::CELLS_PER_RANGE;
+use crate::beliefs::coverage;
 
 /// The most cells of the raster on which the covered area is counted.
 const MOST_CELLS: f64 = 16_777_216.0;
@@ -42,15 +42,13 @@ declare! {
             .source("Sec. V-B, 0.5 to 20"),
         /// Weight μ2 of information in the reward of a wake-up. Unless the policy learns, that of the tables.
         mu2: Option<f64> = number(NOT_NEGATIVE, DEFAULT.mu2)
-            .derived("that of the tables, or 1.6")
+            .derived("that of the tables, or 1")
             .source("Sec. V-B, 1 to 5"),
         /// Discount ζ of the duty cycling. Unless the policy learns, that of the tables.
         zeta: Option<f64> = number(DISCOUNT, DEFAULT.zeta).derived("that of the tables, or 0.95").source("Sec. V-B"),
-        /// Time within which the area is to be covered once; with 1 it is to be covered in every TTI. Unless the policy
-        /// learns, that of the tables.
-        window: Option<u32> = whole(1, LONGEST_WINDOW as u64, 1)
-            .unit("TTIs")
-            .derived("that of the tables, or the duration of an event"),
+        /// Delay budget of the application: the area is to be covered once within this time, with 1 in every TTI.
+        /// Unless the policy learns, there must be tables for it; `shipped` ones are for 1, 2 and 4.
+        window: u32 = whole(1, LONGEST_WINDOW as u64, 1).unit("TTIs"),
         /// Whether the policy goes on learning in the run.
         learn: bool = switch(false),
         /// Probability that a decision is made at random while the policy learns, in the first TTI.
@@ -69,7 +67,7 @@ declare! {
 /// The weights where neither the scenario nor a table says otherwise.
 const DEFAULT: Weights = Weights {
     mu1: 14.0,
-    mu2: 1.6,
+    mu2: 1.0,
     zeta: 0.95,
 };
 
@@ -89,8 +87,8 @@ pub enum TableSource {
 pub struct QLearningSettings {
     /// μ1, μ2 and ζ. Those of the tables, unless the policy learns.
     pub weights: Weights,
-    /// TTIs within which the area is to be covered once, `1 ..= `[`LONGEST_WINDOW`]; by default that of the tables, or
-    /// the duration of an event. With 1 the area is to be covered in every TTI.
+    /// Delay budget of the application: TTIs within which the area is to be covered once, `1 ..= `[`LONGEST_WINDOW`].
+    /// With 1 the area is to be covered in every TTI.
     pub window: u32,
     /// Where the tables come from.
     pub source: TableSource,
@@ -139,7 +137,7 @@ impl PolicySettings for QLearningSettings {
             mu1: Some(self.weights.mu1),
             mu2: Some(self.weights.mu2),
             zeta: Some(self.weights.zeta),
-            window: Some(self.window),
+            window: self.window,
             learn: self.learn,
             epsilon: self.epsilon.0,
             epsilon_last: self.epsilon.1,
@@ -150,13 +148,18 @@ impl PolicySettings for QLearningSettings {
         fields.visit(sink);
     }
 
+    fn delay_budget(&self) -> Option<(&'static str, u64)> {
+        Some(("policy.q-learning.window", u64::from(self.window)))
+    }
+
     fn warnings(&self) -> Vec<String> {
         if self.foreign.is_empty() {
             return Vec::new();
         }
         vec![format!(
-            "the tables of q-learning were learned on another setting ({}); for tables of its own: reveille train \
-             q-learning --out FILE, with the same --scenario and --set",
+            "the tables of q-learning were learned on another setting, and what is worth doing there may not be worth \
+             it here ({}); for tables of its own: reveille train q-learning --out FILE, with the same --scenario and \
+             --set",
             self.foreign.join("; ")
         )]
     }
@@ -164,8 +167,7 @@ impl PolicySettings for QLearningSettings {
 
 /// The covered area is counted on cells of a size that follows from d_max; there may be too many.
 fn check_raster(reader: &Reader<'_>, site: &Site<'_>) -> Result<(), ScenarioError> {
-    let (area, d_max) = (site.area, site.sensing.d_max);
-    let cells = (area.width / d_max * CELLS_PER_RANGE).ceil() * (area.height / d_max * CELLS_PER_RANGE).ceil();
+    let (d_max, cells) = (site.sensing.d_max, coverage::cells(site.area, site.sensing));
     if cells <= MOST_CELLS {
         return Ok(());
     }
@@ -184,7 +186,8 @@ fn settle(reader: &Reader<'_>, site: &Site<'_>) -> Result<QLearningSettings, Sce
         let allowed = "needs policy.q-learning.learn = true, or nothing is ever known; or name a table";
         return Err(reader.refuse("policy.q-learning.table", name, allowed));
     }
-    let (weights, window) = terms(reader, &fields, learned.as_deref(), site)?;
+    let window = fields.window;
+    let weights = weights(reader, &fields, learned.as_deref())?;
     let schedule = Schedule {
         rate_decay: fields.rate_decay,
         rate_floor: fields.rate_floor,
@@ -192,7 +195,7 @@ fn settle(reader: &Reader<'_>, site: &Site<'_>) -> Result<QLearningSettings, Sce
     };
     let start = match &learned {
         None => Arc::new(Entry::optimistic(site, &weights, window, schedule.optimism)),
-        Some(tables) => Arc::new(entry(reader, name, tables, site)?),
+        Some(tables) => Arc::new(entry(reader, &fields, tables, site)?),
     };
     Ok(QLearningSettings {
         weights,
@@ -207,14 +210,9 @@ fn settle(reader: &Reader<'_>, site: &Site<'_>) -> Result<QLearningSettings, Sce
     })
 }
 
-/// The weights and the window: those of the scenario, of the tables, or the usual ones. A policy that does not learn
-/// has to take those of its tables.
-fn terms(
-    reader: &Reader<'_>,
-    fields: &Fields,
-    learned: Option<&Learned>,
-    site: &Site<'_>,
-) -> Result<(Weights, u32), ScenarioError> {
+/// The weights: those of the scenario, of the tables, or the usual ones. A policy that does not learn has to take those
+/// of its tables.
+fn weights(reader: &Reader<'_>, fields: &Fields, learned: Option<&Learned>) -> Result<Weights, ScenarioError> {
     let known = learned.map(|tables| tables.weights);
     let as_learned = |name: &str, known: Option<f64>, value: f64| match known {
         Some(known) if (known - value).abs() > 1e-9 && !fields.learn => {
@@ -230,16 +228,11 @@ fn terms(
         let known = known.as_ref().map(of);
         as_learned(name, known, given.or(known).unwrap_or(of(&DEFAULT)))
     };
-    let weights = Weights {
+    Ok(Weights {
         mu1: weight("mu1", fields.mu1, |w| w.mu1)?,
         mu2: weight("mu2", fields.mu2, |w| w.mu2)?,
         zeta: weight("zeta", fields.zeta, |w| w.zeta)?,
-    };
-    let known = learned.map(|tables| tables.window);
-    let usual = || site.event_duration.min(u64::from(LONGEST_WINDOW)) as u32;
-    let window = fields.window.or(known).unwrap_or_else(usual);
-    as_learned("window", known.map(f64::from), f64::from(window))?;
-    Ok((weights, window))
+    })
 }
 
 fn tables(
@@ -265,15 +258,27 @@ fn tables(
     })
 }
 
-/// The entry of `tables` for the scenario's density.
-fn entry(reader: &Reader<'_>, name: &str, tables: &Learned, site: &Site<'_>) -> Result<Entry, ScenarioError> {
-    let surface = site.area.surface();
-    tables.closest(site.devices, surface).cloned().ok_or_else(|| {
-        let (least, most) = tables.range(surface);
+/// The entry of `tables` for the scenario's window and density. A policy that learns may go on from another window's.
+fn entry(reader: &Reader<'_>, fields: &Fields, tables: &Learned, site: &Site<'_>) -> Result<Entry, ScenarioError> {
+    let (name, surface) = (fields.table.as_deref().unwrap_or("shipped"), site.area.surface());
+    let nearest = tables.nearest_window(fields.window).unwrap_or(fields.window);
+    if nearest != fields.window && !fields.learn {
+        let windows: Vec<String> = tables.windows().iter().map(u32::to_string).collect();
         let allowed = format!(
-            "serves {least} to {most} devices on {surface} m², not {n}; train for yours: reveille train q-learning \
-             --devices {n} --out FILE, with the same --scenario and --set",
-            n = site.devices
+            "has no tables in {name}, which has those for {windows}; set one of these, or train for yours: reveille \
+             train q-learning --windows {own} --out FILE, with the same --scenario and --set",
+            windows = windows.join(", "),
+            own = fields.window
+        );
+        return Err(reader.refuse("policy.q-learning.window", fields.window, allowed));
+    }
+    tables.closest(nearest, site.devices, surface).cloned().ok_or_else(|| {
+        let (least, most) = tables.range(nearest, surface);
+        let allowed = format!(
+            "serves {least} to {most} devices on {surface} m² with a window of {nearest}, not {n}; train for yours: \
+             reveille train q-learning --devices {n} --windows {own} --out FILE, with the same --scenario and --set",
+            n = site.devices,
+            own = fields.window
         );
         reader.refuse("policy.q-learning.table", name, allowed)
     })

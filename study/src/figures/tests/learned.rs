@@ -49,7 +49,6 @@ fn learned(sizes: &[u32], episodes: u64) -> Learned {
         made_by: "reveille 0.1.0".to_owned(),
         scenario: "00".to_owned(),
         weights,
-        window: 4,
         begun_from: None,
         schedule: Schedule::default(),
         training: Training {
@@ -100,9 +99,20 @@ fn learning_curves_are_drawn_for_one_n_and_for_ten_of_several_files() {
             );
         }
     }
+    // Windows are told apart.
+    let mut two = source("two.json", &[50], 2);
+    let mut other = two.1.entries[0].clone();
+    other.window = 7;
+    two.1.entries.push(other);
+    let text = super::svg::svg(&learning::scene(&[two]).expect("a picture"), "learning");
+    assert!(
+        ["window 4", "window 7", "windows of 4, 7 TTIs"]
+            .iter()
+            .all(|part| text.contains(part))
+    );
     let csv = learning::csv(&[source("a,b.json", &[10, 50], 3)]);
     assert_eq!(csv.lines().count(), 7);
-    assert!(csv.contains("\"a,b.json\",50,400,6000,0.941,0.1,0.3\n"), "{csv}");
+    assert!(csv.contains("\"a,b.json\",4,50,400,6000,0.941,0.1,0.3\n"), "{csv}");
 }
 
 #[test]
@@ -139,7 +149,7 @@ fn tables_are_drawn_whether_little_or_nothing_was_learned() {
 #[test]
 fn a_cell_is_the_advantage_and_is_framed_where_the_policy_senses() {
     let learned = learned(&[10], 1);
-    let entry = q_table::entry("a.json", &learned, 10).expect("an entry");
+    let entry = q_table::entry("a.json", &learned, 10, None).expect("an entry");
     let map = q_table::duty_map(&learned, entry);
     // 10 · (area − 7.5): negative up to area 7.
     let row = &map.cells[5];
@@ -184,10 +194,16 @@ fn a_cell_is_the_advantage_and_is_framed_where_the_policy_senses() {
 
 #[test]
 fn an_n_without_tables_is_refused_with_those_there_are() {
-    let refused = q_table::entry("a.json", &learned(&[10, 250], 1), 50).expect_err("no entry");
+    let refused = q_table::entry("a.json", &learned(&[10, 250], 1), 50, Some(4)).expect_err("no entry");
     assert!(matches!(refused, FigureError::NoEntry { devices: 50, .. }));
     let text = refused.to_string();
     assert!(text.contains("N = 50: a.json has tables for 10, 250 devices"), "{text}");
+    let other = q_table::entry("a.json", &learned(&[10], 1), 10, Some(2)).expect_err("no entry");
+    let text = other.to_string();
+    assert!(
+        text.contains("no devices with a window of 2") && text.contains("windows of 4"),
+        "{text}"
+    );
 }
 
 #[test]

@@ -14,7 +14,7 @@ use super::{DutyTable, Entry, LONGEST_WINDOW, Learned, Schedule, Setting, Traini
 /// What the file says that it is.
 pub const FORMAT: &str = "reveille-q-table";
 /// The version of its form that this program reads and writes.
-pub const VERSION: u32 = 2;
+pub const VERSION: u32 = 3;
 /// The longest file that is read, bytes.
 const LONGEST: u64 = 64 << 20;
 
@@ -26,6 +26,18 @@ const SHIPPED: [&str; 2] = [
 
 fn shipped(text: &str) -> Learned {
     Learned::parse(text).expect("a test reads the shipped tables")
+}
+
+/// What the tables in the file's `text` were learned on, without reading the tables themselves.
+fn setting_of(text: &str) -> Setting {
+    #[derive(Deserialize)]
+    struct Front {
+        setting: Setting,
+    }
+    let body = text.split_once(BODY).map_or("", |(_, body)| body);
+    let front = body.split_once(ENTRIES).map_or("", |(front, _)| front);
+    let front: Front = serde_json::from_str(&format!("{front}}}")).expect("a test reads the shipped tables");
+    front.setting
 }
 
 /// Learned tables that cannot be used, and why.
@@ -60,6 +72,8 @@ struct Head {
 
 /// Where the body begins.
 const BODY: &str = ",\"body\":";
+/// What comes last in it.
+const ENTRIES: &str = ",\"entries\":[";
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -67,7 +81,6 @@ struct Body {
     made_by: String,
     scenario: String,
     weights: Weights,
-    window: u32,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     begun_from: Option<String>,
     schedule: Schedule,
@@ -79,9 +92,8 @@ struct Body {
 impl Learned {
     /// The shipped tables that were learned on what is most like `setting`.
     pub fn shipped(setting: &Setting) -> Self {
-        let all = SHIPPED.map(shipped).into_iter();
-        let fewest = all.min_by_key(|tables| tables.setting.differences(setting).len());
-        fewest.expect("some tables are shipped")
+        let differences = |text: &&str| setting_of(text).differences(setting).len();
+        shipped(SHIPPED.into_iter().min_by_key(differences).unwrap_or(SHIPPED[0]))
     }
 
     /// The shipped tables called `name`: `shipped` or `shipped-paper`, those of the preset `paper`, or
@@ -141,7 +153,6 @@ impl Learned {
             made_by: body.made_by,
             scenario: body.scenario,
             weights: body.weights,
-            window: body.window,
             begun_from: body.begun_from,
             schedule: body.schedule,
             training: body.training,
@@ -166,7 +177,6 @@ impl Learned {
             made_by: self.made_by.clone(),
             scenario: self.scenario.clone(),
             weights: self.weights,
-            window: self.window,
             begun_from: self.begun_from.clone(),
             schedule: self.schedule,
             training: self.training.clone(),
@@ -175,7 +185,7 @@ impl Learned {
         };
         let body = serde_json::to_string(&body).expect("numbers and words");
         let body = body
-            .replace(",\"entries\":[", ",\"entries\":[\n")
+            .replace(ENTRIES, &format!("{ENTRIES}\n"))
             .replace("},{\"devices\"", "},\n{\"devices\"");
         let sum = sha256(&body);
         format!("{{\"format\":\"{FORMAT}\",\"version\":{VERSION},\"sha256\":\"{sum}\"{BODY}{body}}}\n")
@@ -186,9 +196,6 @@ impl Learned {
         let Weights { mu1, mu2, zeta } = self.weights;
         if ![mu1, mu2].iter().all(|mu| mu.is_finite() && *mu >= 0.0) || !(0.0..1.0).contains(&zeta) {
             return Err(format!("its weights are mu1 {mu1}, mu2 {mu2}, zeta {zeta}"));
-        }
-        if !(1..=LONGEST_WINDOW).contains(&self.window) {
-            return Err(format!("its window is {} TTIs", self.window));
         }
         let Schedule {
             rate_decay,
@@ -208,11 +215,15 @@ impl Learned {
             let Entry {
                 devices,
                 surface,
+                window,
                 duty,
                 wake_p42,
                 wake_posterior,
                 ..
             } = entry;
+            if !(1..=LONGEST_WINDOW).contains(window) {
+                return Err(format!("it has an entry for a window of {window} TTIs"));
+            }
             if *devices == 0 || !surface.is_finite() || *surface <= 0.0 {
                 return Err(format!("it has an entry for {devices} devices on {surface} m²"));
             }
@@ -226,12 +237,9 @@ impl Learned {
                 ));
             }
         }
-        if self
-            .entries
-            .windows(2)
-            .any(|pair| pair[0].density() >= pair[1].density())
-        {
-            return Err("its entries are not in the order of their densities".to_owned());
+        let is_before = |a: &Entry, b: &Entry| a.window < b.window || a.window == b.window && a.density() < b.density();
+        if !self.entries.is_sorted_by(is_before) {
+            return Err("its entries are not in the order of their windows and densities".to_owned());
         }
         Ok(())
     }
@@ -255,6 +263,7 @@ impl Entry {
         let Self {
             devices,
             surface,
+            window,
             duty: DutyTable { q, outcomes, value },
             wake_p42,
             wake_posterior,
@@ -263,6 +272,7 @@ impl Entry {
         let mut sum = Sha256::new();
         sum.update(devices.to_le_bytes());
         sum.update(surface.to_bits().to_le_bytes());
+        sum.update(window.to_le_bytes());
         for cell in q
             .iter()
             .chain(outcomes)
@@ -301,11 +311,16 @@ mod tests {
             words: vec![("layout.kind".to_owned(), "uniform".to_owned())],
             numbers: vec![("events.alpha".to_owned(), 0.1)],
         };
-        let entry = |n: u32| {
+        let entry = |(window, n): (u32, u32)| {
             let devices = Override::parse(&format!("devices={n}")).expect("an override");
-            Entry::optimistic(&load("paper", &[devices]).expect("a scenario").site(), &weights, 4, 1.0)
+            Entry::optimistic(
+                &load("paper", &[devices]).expect("a scenario").site(),
+                &weights,
+                window,
+                1.0,
+            )
         };
-        let mut entries: Vec<Entry> = [10, 50].map(entry).to_vec();
+        let mut entries: Vec<Entry> = [(1, 10), (1, 50), (4, 20)].map(entry).to_vec();
         entries[0]
             .duty
             .at_mut(3, 4, true)
@@ -314,7 +329,6 @@ mod tests {
             made_by: "reveille 0.1.0".to_owned(),
             scenario: "00".to_owned(),
             weights,
-            window: 4,
             begun_from: None,
             schedule: Schedule::default(),
             training: Training {
@@ -352,7 +366,10 @@ mod tests {
     fn files_of_another_kind_version_or_content_are_refused() {
         let text = learned().to_json();
         refused("devices = 5", "not a file of learned tables");
-        refused(&text.replace("\"version\":2", "\"version\":3"), "has version 3");
+        for version in [2, 4] {
+            let other = text.replace("\"version\":3", &format!("\"version\":{version}"));
+            refused(&other, &format!("has version {version}"));
+        }
         refused(
             "{\"format\":\"reveille-q-table\",\"version\":9,\"made\":1}",
             "has version 9",
@@ -379,8 +396,8 @@ mod tests {
         refused(&sealed(&body.replacen("[20.0,0],", "", 1)), "another size");
         refused(&sealed(&body.replacen("\"zeta\":0.95", "\"zeta\":1.5", 1)), "zeta 1.5");
         refused(
-            &sealed(&body.replacen("\"window\":4", "\"window\":0", 1)),
-            "window is 0",
+            &sealed(&body.replacen("\"window\":1", "\"window\":0", 1)),
+            "a window of 0 TTIs",
         );
         for (field, value) in [
             ("rate_decay\":0.7", "-7.0"),
@@ -391,29 +408,43 @@ mod tests {
             let other = format!("{name}\":{value}");
             refused(&sealed(&body.replacen(field, &other, 1)), "its schedule is");
         }
-        refused(
-            &sealed(&body.replacen("\"devices\":10", "\"devices\":90", 1)),
-            "order of their densities",
-        );
+        for (own, other) in [("devices\":10", "devices\":90"), ("window\":4", "window\":1")] {
+            refused(
+                &sealed(&body.replacen(own, other, 1)),
+                "order of their windows and densities",
+            );
+        }
     }
 
     #[test]
     fn the_nearest_density_serves_within_a_factor_of_two() {
         let learned = learned();
-        let of = |n: u32, surface: f64| learned.closest(n, surface).map(|entry| entry.devices);
+        let of = |n: u32, surface: f64| learned.closest(1, n, surface).map(|entry| entry.devices);
         assert_eq!(
             [of(5, 400.0), of(20, 400.0), of(26, 400.0), of(100, 400.0)],
             [Some(10), Some(10), Some(50), Some(50)]
         );
         assert_eq!([of(4, 400.0), of(101, 400.0), of(1000, 4000.0)], [None, None, Some(50)]);
-        assert_eq!(learned.range(400.0), (5, 100));
+        assert_eq!([1, 4].map(|window| learned.range(window, 400.0)), [(5, 100), (10, 40)]);
+        assert_eq!(learned.closest(4, 40, 400.0).map(|entry| entry.devices), Some(20));
+        assert!(learned.closest(4, 41, 400.0).is_none() && learned.closest(2, 20, 400.0).is_none());
+        assert_eq!(learned.windows(), [1, 4]);
+        assert_eq!(
+            [1, 3, 5].map(|window| learned.nearest_window(window)),
+            [1, 4, 4].map(Some)
+        );
     }
 
     #[test]
     fn the_shipped_tables_are_those_of_a_training_with_the_presets_as_they_are() {
-        for (preset, tables) in ["paper", "paper-literal"].into_iter().zip(SHIPPED.map(shipped)) {
-            assert!(tables.entries.len() >= 10);
-            assert_eq!(tables.range(400.0).0, 5);
+        for (preset, text) in ["paper", "paper-literal"].into_iter().zip(SHIPPED) {
+            let tables = shipped(text);
+            assert_eq!(setting_of(text), tables.setting);
+            assert_eq!(tables.windows(), [1, 2, 4]);
+            for window in tables.windows() {
+                let (least, most) = tables.range(window, 400.0);
+                assert!(least == 5 && most >= 500, "{preset}, window {window}");
+            }
             let set = ["name=q-learning", "q-learning.learn=true", "q-learning.table=nothing"];
             let set = set.map(|set| Override::parse(&format!("policy.{set}")).expect("an override"));
             let mut scenario = load(preset, &set).expect("a preset");

@@ -1,8 +1,9 @@
 //! What the `q-learning` policy has learned: its tables, and the file that they are kept in.
 //!
 //! The joint action of N devices is factorised (docs/q-learning.md): one table for duty cycling and one for each
-//! wake-up ranking serve all devices of a deployment. They depend on how dense the devices stand, so a file holds an
-//! [`Entry`] for each N that was trained.
+//! wake-up ranking serve all devices of a deployment. They depend on how dense the devices stand and on
+//! the window within which the area is to be covered, so a file holds an [`Entry`] for each window and N that was
+//! trained.
 
 mod file;
 mod tables;
@@ -64,7 +65,6 @@ impl Setting {
         let sensing = site.sensing;
         let mut numbers = vec![
             number("events.alpha", site.alpha),
-            number("events.duration", site.event_duration as f64),
             number("sensing.d_max", sensing.d_max),
             number("sensing.eta", sensing.eta),
             number("sensing.psi", sensing.psi),
@@ -143,7 +143,7 @@ pub struct CurvePoint {
     pub energy: f64,
 }
 
-/// The tables for one density of devices.
+/// The tables for one window and one density of devices.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Entry {
@@ -151,6 +151,8 @@ pub struct Entry {
     pub devices: u32,
     /// The area ξ of the training, m².
     pub surface: f64,
+    /// TTIs within which the area was to be covered once, `1 ..= `[`LONGEST_WINDOW`].
+    pub window: u32,
     /// The table of who senses.
     pub duty: DutyTable,
     /// The table of whom to wake, for candidates ranked by `P_4,2`.
@@ -171,6 +173,7 @@ impl Entry {
         Self {
             devices,
             surface,
+            window,
             duty: DutyTable::optimistic(1.0 / (1.0 - weights.zeta), |area| whole * area_edge(area)),
             wake_p42: WakeTable::optimistic(optimism),
             wake_posterior: WakeTable::optimistic(optimism),
@@ -207,8 +210,6 @@ pub struct Learned {
     pub scenario: String,
     /// What it was learned for.
     pub weights: Weights,
-    /// TTIs within which the area was to be covered once.
-    pub window: u32,
     /// What it went on from, in words; nothing for a training from the start.
     pub begun_from: Option<String>,
     /// How values were learned.
@@ -217,7 +218,7 @@ pub struct Learned {
     pub training: Training,
     /// What it was learned on.
     pub setting: Setting,
-    /// At least one, by rising density.
+    /// At least one, by rising window, and for each window by rising density.
     pub entries: Vec<Entry>,
 }
 
@@ -233,7 +234,7 @@ impl Learned {
         format!(
             "tables for N = {}, μ1 = {mu1}, μ2 = {mu2}, ζ = {zeta} and a window of {} TTIs, \
              learned in {ttis} TTIs{before}",
-            entry.devices, self.window
+            entry.devices, entry.window
         )
     }
 
@@ -243,18 +244,36 @@ impl Learned {
         self.entries.iter().any(is_short)
     }
 
-    /// The entry for `devices` on `surface` m²: the nearest density, if it is within a factor of 2.
-    pub fn closest(&self, devices: u32, surface: f64) -> Option<&Entry> {
+    /// The windows that there are tables for, by rising length.
+    pub fn windows(&self) -> Vec<u32> {
+        let mut windows: Vec<u32> = self.entries.iter().map(|entry| entry.window).collect();
+        windows.dedup();
+        windows
+    }
+
+    /// Those of [`Self::windows`] that is nearest to `window` in ratio.
+    pub fn nearest_window(&self, window: u32) -> Option<u32> {
+        let apart = |own: &u32| libm::log(f64::from(*own) / f64::from(window)).abs();
+        let windows = self.windows().into_iter();
+        windows.min_by(|a, b| apart(a).total_cmp(&apart(b)))
+    }
+
+    fn of_window(&self, window: u32) -> impl Iterator<Item = &Entry> {
+        self.entries.iter().filter(move |entry| entry.window == window)
+    }
+
+    /// The entry for `window` and `devices` on `surface` m²: the nearest density, if it is within a factor of 2.
+    pub fn closest(&self, window: u32, devices: u32, surface: f64) -> Option<&Entry> {
         let density = f64::from(devices) / surface;
         let apart = |entry: &Entry| libm::log(entry.density() / density).abs();
-        let nearest = self.entries.iter().min_by(|a, b| apart(a).total_cmp(&apart(b)))?;
+        let nearest = self.of_window(window).min_by(|a, b| apart(a).total_cmp(&apart(b)))?;
         (apart(nearest) <= libm::log(REACH) + 1e-9).then_some(nearest)
     }
 
-    /// The least and the largest N on `surface` m² that some entry serves.
-    pub fn range(&self, surface: f64) -> (u32, u32) {
+    /// The least and the largest N on `surface` m² that some entry for `window` serves.
+    pub fn range(&self, window: u32, surface: f64) -> (u32, u32) {
         let at = |entry: Option<&Entry>| entry.map_or(0.0, Entry::density) * surface;
-        let (least, most) = (at(self.entries.first()), at(self.entries.last()));
+        let (least, most) = (at(self.of_window(window).next()), at(self.of_window(window).last()));
         ((least / REACH).ceil().max(1.0) as u32, (most * REACH).floor() as u32)
     }
 }

@@ -1,0 +1,150 @@
+//! Coverage where detection is certain within d_max: a bit for each cell.
+
+use reveille_common::geometry::Point;
+
+use super::raster::Raster;
+
+/// The most rows, and columns, of cells that a device covers. With c = ⌈15 w/d_max⌉ cells along a width w, either c ≤
+/// 30, or 2·d_max is at most 30·c/(c − 1) ≤ 31 cells long and holds no more whole ones.
+const SIDE: usize = 32;
+
+/// Which cells are covered by somebody, and which by several.
+///
+/// Columns lie in tiles of 64 bits that overlap by half, so that the cells of a device always lie in one of them and
+/// its rows are words one after the other. There is a tile too many at either end, and [`SIDE`] empty rows above each:
+/// nothing has to be tested for its end.
+#[derive(Clone, Debug)]
+pub(super) struct Bits {
+    /// Words of a tile.
+    stride: usize,
+    covered: Vec<u64>,
+    twice: Vec<u64>,
+    discs: Vec<Disc>,
+    /// Covered cells.
+    count: u32,
+}
+
+/// The cells that a device covers: those of `rows[i]` are `first.1 + bit` in row `first.0 + i`.
+#[derive(Clone, Debug)]
+struct Disc {
+    first: (u32, u32),
+    /// The word of the first row, and where in it the first column is, less than 32.
+    word: u32,
+    shift: u32,
+    count: u32,
+    rows: [u32; SIDE],
+}
+
+impl Disc {
+    fn new(raster: &Raster, stride: usize, p: Point, d_max: f64) -> Self {
+        let [south_to_north, west_to_east] = raster.around(p, d_max);
+        let inside = |row: usize, column: usize| raster.distances(row, column, p).0 <= d_max;
+        let cells: Vec<(usize, usize)> = south_to_north
+            .flat_map(|row| west_to_east.clone().map(move |column| (row, column)))
+            .filter(|&(row, column)| inside(row, column))
+            .collect();
+        let row = cells.iter().map(|cell| cell.0).min().unwrap_or(0);
+        let column = cells.iter().map(|cell| cell.1).min().unwrap_or(0);
+        let mut rows = [0; SIDE];
+        for cell in &cells {
+            rows[cell.0 - row] |= 1 << (cell.1 - column);
+        }
+        Self {
+            first: (row as u32, column as u32),
+            word: ((1 + column / 32) * stride + row) as u32,
+            shift: (column % 32) as u32,
+            count: cells.len() as u32,
+            rows,
+        }
+    }
+}
+
+impl Bits {
+    pub(super) fn new(raster: &Raster, positions: &[Point], d_max: f64) -> Self {
+        let stride = raster.rows + SIDE;
+        let words = (raster.columns.div_ceil(32) + 2) * stride;
+        Self {
+            stride,
+            covered: vec![0; words],
+            twice: vec![0; words],
+            discs: positions.iter().map(|&p| Disc::new(raster, stride, p, d_max)).collect(),
+            count: 0,
+        }
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.covered.fill(0);
+        self.twice.fill(0);
+        self.count = 0;
+    }
+
+    /// The cells that the `j`-th device covers.
+    pub(super) fn own(&self, j: usize) -> u32 {
+        self.discs[j].count
+    }
+
+    /// Those that nobody covers.
+    #[inline]
+    pub(super) fn gain(&self, j: usize) -> u32 {
+        outside(&self.covered, &self.discs[j])
+    }
+
+    /// Those that nobody else covers, if it was added.
+    pub(super) fn lost(&self, j: usize) -> u32 {
+        outside(&self.twice, &self.discs[j])
+    }
+
+    /// Adds a device that was not added.
+    pub(super) fn add(&mut self, j: usize) {
+        let Self {
+            stride,
+            covered,
+            twice,
+            discs,
+            count,
+        } = self;
+        let disc = &discs[j];
+        *count += outside(covered, disc);
+        let (word, shift) = (disc.word as usize, disc.shift);
+        // The same cells in the tile to the west, in their own, and in that to the east.
+        for (begin, to_east, to_west) in [(word - *stride, 32, 0), (word, 0, 0), (word + *stride, 0, 32)] {
+            let covered = covered[begin..].first_chunk_mut::<SIDE>().expect(ROOM);
+            let twice = twice[begin..].first_chunk_mut::<SIDE>().expect(ROOM);
+            for i in 0..SIDE {
+                let cells = u64::from(disc.rows[i]) << shift << to_east >> to_west;
+                twice[i] |= covered[i] & cells;
+                covered[i] |= cells;
+            }
+        }
+    }
+
+    pub(super) const fn covered(&self) -> u32 {
+        self.count
+    }
+
+    /// Whether the `j`-th device covers the cell.
+    #[inline]
+    pub(super) fn reaches(&self, j: usize, row: u32, column: u32) -> bool {
+        let Disc { first, rows, .. } = &self.discs[j];
+        let (row, column) = (row.wrapping_sub(first.0) as usize, column.wrapping_sub(first.1));
+        row < SIDE && column < 32 && rows[row] >> column & 1 == 1
+    }
+
+    /// Bits of the cells that nobody covers in `row`, from `column` on: the first is the lowest, and there are at least
+    /// 33 of them.
+    #[inline]
+    pub(super) fn open(&self, row: u32, column: u32) -> u64 {
+        !self.covered[(1 + column as usize / 32) * self.stride + row as usize] >> (column % 32)
+    }
+}
+
+const ROOM: &str = "there are empty rows above";
+
+/// The cells of `disc` that are not in `words`.
+#[inline]
+fn outside(words: &[u64], disc: &Disc) -> u32 {
+    let words = words[disc.word as usize..].first_chunk::<SIDE>().expect(ROOM);
+    let rows = words.iter().zip(&disc.rows);
+    rows.map(|(word, cells)| (!((word >> disc.shift) as u32) & cells).count_ones())
+        .sum()
+}

@@ -1,0 +1,126 @@
+//! Who senses under `q-learning`: the choice of the policy beside that of the second implementation.
+
+use proptest::prelude::*;
+use reveille_bs::policy::q_learning::duty::{Duty, Terms};
+use reveille_bs::policy::q_learning::learned::{AREAS, DutyTable, Schedule, Weights};
+use reveille_bs::policy::q_learning::settings::QLearningSettings;
+use reveille_bs::scenario::{EnergyModel, Override, load};
+use reveille_common::geometry::{Area, Layout, place};
+use reveille_common::rng::{Purpose, Stream};
+use reveille_common::sensing::{DetectionKind, Fusion, Sensing};
+use reveille_common::units::Energy;
+use reveille_tests::reference::Sequential;
+
+const GROUNDS: [(f64, f64); 4] = [(20.0, 20.0), (31.0, 7.3), (3.0, 1.0), (9.0, 14.0)];
+
+fn units(x: f64) -> Energy {
+    Energy::from_units(x).expect("an energy")
+}
+
+fn energy() -> EnergyModel {
+    EnergyModel {
+        e_max: units(100.0),
+        e_idle: units(1.0),
+        e_wur: units(0.1),
+        e_tx: units(10.0),
+        initial: units(50.0),
+    }
+}
+
+fn terms(window: u32) -> Terms {
+    Terms {
+        schedule: Schedule::default(),
+        weights: Weights {
+            mu1: 10.0,
+            mu2: 1.0,
+            zeta: 0.9,
+        },
+        alpha: 0.2,
+        window,
+    }
+}
+
+/// A table in which each value is drawn at random; sensing is worth more the more is covered, in some tables hardly
+/// anything and in some nearly everything.
+fn table(stream: &mut Stream, bias: f64) -> DutyTable {
+    let mut table = DutyTable::optimistic(0.0, |_| 1.0);
+    for (index, cell) in table.q.iter_mut().enumerate() {
+        cell.value = 20.0 + 4.0 * (stream.unit() - 0.5);
+        cell.visits = stream.below(5000) as u32;
+        if index % 2 == 1 {
+            cell.value += bias + (index / 2 % AREAS) as f64 * 0.2;
+        }
+    }
+    table
+}
+
+/// One in five cannot sense.
+fn levels(devices: usize, stream: &mut Stream) -> Vec<Energy> {
+    let level = |u: f64| units(if u < 0.2 { 50.0 * u } else { 100.0 * u });
+    (0..devices).map(|_| level(stream.unit())).collect()
+}
+
+fn numbers(chosen: &[reveille_common::ids::DeviceId]) -> Vec<usize> {
+    chosen.iter().map(|device| device.index()).collect()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(120) })]
+
+    #[test]
+    fn the_choice_is_that_of_the_second_implementation(
+        chance in prop::bool::weighted(0.3), window in prop::sample::select(vec![1_u32, 2, 4]),
+        ground in 0_usize..4, devices in 1_u32..40, seed: u64, bias in -2.5..1.0_f64,
+    ) {
+        let (width, height) = GROUNDS[ground];
+        let area = Area { width, height };
+        let sensing = Sensing {
+            kind: if chance { DetectionKind::Probabilistic } else { DetectionKind::Range },
+            d_max: 4.0,
+            eta: 0.3,
+            psi: 1.0,
+            g: Fusion::Max,
+        };
+        let points = place(&Layout::Uniform, area, devices, seed);
+        let mut stream = Stream::new(seed, Purpose::Training, 1);
+        let table = table(&mut stream, bias);
+        let energies = vec![energy(); devices as usize];
+        let mut duty = Duty::new(table.clone(), terms(window), &points, energies, area, &sensing);
+        let mut reference = Sequential::new(&points, area, &sensing, energy(), window as usize);
+        for k in 0..6 {
+            let levels = levels(devices as usize, &mut stream);
+            let chosen = numbers(&duty.choose(&levels));
+            prop_assert_eq!(chosen, reference.choose(&table, &levels), "TTI {}, {:?}", k, sensing.kind);
+        }
+    }
+}
+
+/// With the tables that come with the program, at full size.
+#[test]
+fn shipped_tables_choose_as_the_second_implementation_does() {
+    let mut sensing_devices = 0;
+    for (window, devices) in [(1, 250), (2, 100), (4, 100)] {
+        let set = [
+            "policy.name=q-learning".to_owned(),
+            format!("devices={devices}"),
+            format!("policy.q-learning.window={window}"),
+        ];
+        let set = set.map(|text| Override::parse(&text).expect("an override"));
+        let scenario = load("paper", &set).expect("a scenario");
+        let settings = scenario.policy.settings::<QLearningSettings>().expect("q-learning");
+        let (area, sensing, energy) = (scenario.area, &scenario.sensing, scenario.classes[0].energy);
+        let points = place(&scenario.layout, area, devices, 9);
+        let table = settings.start.duty.clone();
+        let energies = vec![energy; devices as usize];
+        let mut duty = Duty::new(table.clone(), terms(window), &points, energies, area, sensing);
+        let mut reference = Sequential::new(&points, area, sensing, energy, window as usize);
+        let mut stream = Stream::new(u64::from(window), Purpose::Training, 1);
+        for k in 0..2 * window {
+            let levels = levels(devices as usize, &mut stream);
+            let chosen = numbers(&duty.choose(&levels));
+            sensing_devices += chosen.len();
+            assert_eq!(chosen, reference.choose(&table, &levels), "window {window}, TTI {k}");
+        }
+    }
+    assert!(sensing_devices > 60, "{sensing_devices} are too few to tell");
+}
