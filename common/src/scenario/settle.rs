@@ -61,6 +61,7 @@ pub(super) fn settle(
     scenario.policy = PolicyChoice::new(kind, kind.settle(&reader.of_policy(kind.name()), &scenario.site())?);
     bounded(reader, &scenario)?;
     scenario.warnings = warnings.take();
+    scenario.warnings.extend(scenario.policy.warnings());
     Ok(scenario)
 }
 
