@@ -63,6 +63,7 @@ pub(super) fn settle(
     bounded(reader, &scenario)?;
     scenario.warnings = warnings.take();
     scenario.warnings.extend(over_before_a_look(&scenario));
+    scenario.warnings.extend(scenario.policy.warnings());
     Ok(scenario)
 }
 
