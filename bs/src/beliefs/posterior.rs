@@ -124,15 +124,16 @@ impl Belief {
         }
     }
 
-    /// `device` has reported an event `d` metres away, 0 ..= d_max.
-    pub fn add_reporter(&mut self, device: DeviceId, d: f64) {
+    /// `device` has reported an event `d` metres away, 0 ..= d_max. `prior` tells how likely an event at a place is
+    /// before anything is heard of it, up to a factor; see [`evenly`].
+    pub fn add_reporter(&mut self, device: DeviceId, d: f64, prior: impl Fn(Point) -> f64) {
         let at = self.positions[device.index()];
         let slack = TOLERANCE * self.sensing.d_max;
         // Two devices at one place tell the same.
         if self.rings.iter().all(|(centre, _)| centre.distance(at) > slack) {
             match self.rings.len() {
                 0 => self.places = self.ring(at, d),
-                1 => self.meet(at, d),
+                1 => self.meet(at, d, prior),
                 _ => self.keep_nearest(at, d),
             }
             self.rings.push((at, d));
@@ -153,8 +154,8 @@ impl Belief {
     }
 
     /// Weighs the devices in S1, those for which `is_sensing` holds, that could have reported and did not. To be called
-    /// once, after the first reports.
-    pub fn hear_silence(&mut self, is_sensing: impl Fn(DeviceId) -> bool) {
+    /// once, after the first reports. `prior` as in [`Belief::add_reporter`].
+    pub fn hear_silence(&mut self, is_sensing: impl Fn(DeviceId) -> bool, prior: impl Fn(Point) -> f64) {
         let Some(&(centre, d)) = self.rings.first() else { return };
         let Self {
             buckets,
@@ -172,7 +173,8 @@ impl Belief {
         });
         found.sort_unstable();
         silent.extend(found.into_iter().map(|j| positions[j]));
-        let likelihoods: Vec<Likelihood> = self.places.iter().map(|place| self.likelihood_of(place.at)).collect();
+        let weigh = |place: &Place| self.likelihood_of(place.at, prior(place.at));
+        let likelihoods: Vec<Likelihood> = self.places.iter().map(weigh).collect();
         for (place, likelihood) in self.places.iter_mut().zip(likelihoods) {
             place.likelihood = likelihood;
         }
@@ -300,7 +302,7 @@ impl Belief {
     }
 
     /// The points where the first ring meets the one around `centre`.
-    fn meet(&mut self, centre: Point, d: f64) {
+    fn meet(&mut self, centre: Point, d: f64, prior: impl Fn(Point) -> f64) {
         let (first, d_first) = self.rings[0];
         let gamma = first.distance(centre);
         let (east, north) = ((centre.x - first.x) / gamma, (centre.y - first.y) / gamma);
@@ -319,7 +321,7 @@ impl Belief {
         let places: Vec<Place> = meeting
             .into_iter()
             .filter(|&at| is_near(at))
-            .map(|at| Place::new(at, self.likelihood_of(at)))
+            .map(|at| Place::new(at, self.likelihood_of(at, prior(at))))
             .collect();
         if !places.is_empty() {
             self.places = places;
@@ -336,8 +338,8 @@ impl Belief {
         self.weigh();
     }
 
-    /// How likely those who did not report make an event at `at`, up to a factor.
-    fn likelihood_of(&self, at: Point) -> Likelihood {
+    /// How likely those who did not report make an event at `at`, up to a factor, if it was as likely as `prior` before.
+    fn likelihood_of(&self, at: Point, prior: f64) -> Likelihood {
         let Sensing { d_max, .. } = self.sensing;
         let of = |device: &Point| {
             let d = device.distance(at);
@@ -351,8 +353,13 @@ impl Belief {
         };
         let ruled_out = self.far.iter().filter(|device| device.distance(at) <= d_max);
         let factors = self.silent.iter().map(of).chain(ruled_out.map(|_| RULED_OUT));
-        factors.fold(Likelihood::CERTAIN, Likelihood::times)
+        factors.fold(Likelihood::CERTAIN.times(prior), Likelihood::times)
     }
+}
+
+/// The prior of an event that may be anywhere.
+pub fn evenly(_: Point) -> f64 {
+    1.0
 }
 
 /// cos φ and sin φ of the `i`-th place on a ring.
@@ -405,7 +412,7 @@ mod tests {
             let mut information: f64 = 0.0;
             for &j in near.iter().rev().take(3) {
                 let d = points[j].distance(event);
-                belief.add_reporter(DeviceId(j as u32), d);
+                belief.add_reporter(DeviceId(j as u32), d, evenly);
                 information = information.max(sensing.p(d));
             }
             assert!(
@@ -437,8 +444,8 @@ mod tests {
             for (h, d) in [(5, 3.0), (60, 1.2), (119, 4.0), (33, 0.0)] {
                 let is_on = |j: DeviceId| j.0.is_multiple_of(7);
                 belief.start();
-                belief.add_reporter(DeviceId(h), d);
-                belief.hear_silence(is_on);
+                belief.add_reporter(DeviceId(h), d, evenly);
+                belief.hear_silence(is_on, evenly);
                 let information = sensing.p(d);
                 // More places, and all of them; the weights by the definition.
                 let centre = points[h as usize];
@@ -490,7 +497,7 @@ mod tests {
         let mut belief = Belief::new(&points, AREA, &sensing(Fusion::Max));
         belief.start();
         for (j, places) in [(0, 512), (1, 512), (2, 2), (3, 1)] {
-            belief.add_reporter(DeviceId(j), points[j as usize].distance(event));
+            belief.add_reporter(DeviceId(j), points[j as usize].distance(event), evenly);
             assert_eq!(belief.places.len(), places, "after {j}");
         }
         assert!(belief.places[0].at.distance(event) < 1e-5);
@@ -506,7 +513,7 @@ mod tests {
             };
             let mut belief = Belief::new(&points, AREA, &sensing);
             belief.start();
-            belief.add_reporter(DeviceId(0), 3.0);
+            belief.add_reporter(DeviceId(0), 3.0, evenly);
             belief.add_far(DeviceId(1));
             let weights = |belief: &Belief| -> [f64; 2] {
                 let of = |near: bool| {
@@ -522,7 +529,7 @@ mod tests {
             assert!(near < 1e-9 * far && far > 0.0, "{kind:?}: {near} {far}");
             // A second ring, of two points: one within that reach, one without.
             let left = Point::new(10.0 - 3.0 * 0.8, 10.0 + 3.0 * 0.6);
-            belief.add_reporter(DeviceId(2), points[2].distance(left));
+            belief.add_reporter(DeviceId(2), points[2].distance(left), evenly);
             let [near, far] = weights(&belief);
             assert!(belief.places.len() == 2 && near < 1e-9 * far, "{kind:?}: {near} {far}");
         }
@@ -541,8 +548,8 @@ mod tests {
             let (reporter, d) = (DeviceId(7), 2.5);
             let is_on = |j: DeviceId| j.0.is_multiple_of(2);
             belief.start();
-            belief.add_reporter(reporter, d);
-            belief.hear_silence(is_on);
+            belief.add_reporter(reporter, d, evenly);
+            belief.hear_silence(is_on, evenly);
             let (next, gain) = belief.next(sensing.p(d), |j| !is_on(j)).expect("somebody adds");
             // The definition, with logarithms.
             let centre = points[reporter.index()];
@@ -590,10 +597,10 @@ mod tests {
                 .expect("a place");
             for at in [event, other] {
                 belief.start();
-                belief.add_reporter(reporter, d);
-                belief.hear_silence(is_on);
-                belief.add_reporter(second, points[9].distance(at));
-                belief.add_reporter(DeviceId(11), points[11].distance(at));
+                belief.add_reporter(reporter, d, evenly);
+                belief.hear_silence(is_on, evenly);
+                belief.add_reporter(second, points[9].distance(at), evenly);
+                belief.add_reporter(DeviceId(11), points[11].distance(at), evenly);
                 let found = belief.next(sensing.p(d), |j| !is_on(j)).expect("somebody adds");
                 assert!(points[found.0.index()].distance(at) < 0.5, "{kind:?}: {found:?}");
             }
@@ -607,7 +614,7 @@ mod tests {
         for _ in 0..2 {
             belief.start();
             assert!(belief.next(0.0, |_| true).is_none(), "nothing is known");
-            belief.add_reporter(DeviceId(44), 2.0);
+            belief.add_reporter(DeviceId(44), 2.0, evenly);
             let mut given: Vec<u32> = std::iter::from_fn(|| belief.next(0.0, |_| true))
                 .map(|(j, _)| j.0)
                 .collect();
