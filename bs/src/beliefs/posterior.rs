@@ -338,7 +338,8 @@ impl Belief {
         self.weigh();
     }
 
-    /// How likely those who did not report make an event at `at`, up to a factor, if it was as likely as `prior` before.
+    /// How likely those who did not report make an event at `at`, up to a factor, if it was as likely as `prior`
+    /// before.
     fn likelihood_of(&self, at: Point, prior: f64) -> Likelihood {
         let Sensing { d_max, .. } = self.sensing;
         let of = |device: &Point| {

@@ -1,9 +1,9 @@
 //! How long ago each place was looked at.
 //!
 //! A place has an age: the TTIs in which an event may have started there and gone unnoticed, the coming one included.
-//! Before the first TTI it is 1. A place that a device in S1 looks at is of age 1 in the next TTI, and so are all places
-//! once an event has been found: it is closed, no other was on beside it, and the next can start in the next TTI at the
-//! earliest. Any other place gets one TTI older.
+//! Before the first TTI it is 1. A place that a device in S1 looks at is of age 1 in the next TTI, and so are all
+//! places once an event has been found: it is closed, no other was on beside it, and the next can start in the next TTI
+//! at the earliest. Any other place gets one TTI older.
 //!
 //! Where detection is sure within d_max, a look renews a place altogether. Where it is by chance, a look of a device at
 //! distance d finds an event with probability p(d), and so renews the place with that probability: its age is then the

@@ -2,15 +2,15 @@
 
 use reveille_common::geometry::{Area, Point};
 
-/// Cells along d_max. The middles of at most [`SIDE`] cells are then within a length of 2·d_max, whatever the area: with
-/// c = ⌈7.5 w/d_max⌉ cells along a width w, either c ≤ 16, or 2·d_max is less than 15·c/(c − 1) < 16 cells long.
+/// Cells along d_max. The middles of at most [`SIDE`] cells are then within a length of 2·d_max, whatever the area:
+/// with c = ⌈7.5 w/d_max⌉ cells along a width w, either c ≤ 16, or 2·d_max is less than 15·c/(c − 1) < 16 cells long.
 pub(super) const CELLS_PER_RANGE: f64 = 7.5;
 
 /// The most rows, and columns, of cells within d_max of a device.
 pub(super) const SIDE: usize = 16;
 
-/// The area in cells of about d_max/7.5. Rows are followed by [`SIDE`] cells that are no part of the area, and so is the
-/// last of them by as many rows: wherever a cell is, as many others can be read from it on.
+/// The area in cells of about d_max/7.5. Rows are followed by [`SIDE`] cells that are no part of the area, and so is
+/// the last of them by as many rows: wherever a cell is, as many others can be read from it on.
 #[derive(Clone, Debug)]
 pub(super) struct Raster {
     columns: usize,
@@ -20,8 +20,8 @@ pub(super) struct Raster {
     pub(super) height: f64,
 }
 
-/// The cells of one row of the raster whose middles are within d_max of a device: from `first` on, `count` of them, 1 to
-/// [`SIDE`].
+/// The cells of one row of the raster whose middles are within d_max of a device: from `first` on, `count` of them, 1
+/// to [`SIDE`].
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Stretch {
     pub(super) row: usize,
