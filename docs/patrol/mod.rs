@@ -101,7 +101,7 @@ impl Registered for PatrolKind {
     fn profile(&self) -> Profile {
         Profile {
             wakes: true,
-            ..Profile::plain(6)
+            ..Profile::plain(7)
         }
     }
 

@@ -15,12 +15,9 @@ pub const RANKING: &str = "bs.ranking";
 const WITH: char = '+';
 
 /// The name of the runs of `policy` with `ranking`, beside runs of other rankings: `knn+posterior`. That by P_4,2, as
-/// the paper ranks, is the policy's name, as is that of policies that rank nobody.
+/// the paper ranks, is the policy's name, as is that of policies that do not heed the field.
 pub fn name(policy: &str, ranking: &str) -> String {
-    let ranks = registry::named(policy).is_none_or(|known| {
-        let profile = known.profile();
-        profile.wakes && !profile.is_bound
-    });
+    let ranks = registry::named(policy).is_none_or(|known| known.profile().heeds_ranking);
     if ranks && !is_the_papers(ranking) {
         format!("{policy}{WITH}{ranking}")
     } else {
@@ -147,10 +144,14 @@ mod tests {
             ("random", "posterior", 3),
             ("genie", "posterior", 4),
             ("dt", "posterior", 5),
+            ("age-index", "posterior", 6),
         ]);
         let names = Names::of(&several);
         let told: Vec<String> = several.rows.iter().map(|row| names.name(row)).collect();
-        assert_eq!(told, ["knn", "knn+posterior", "random", "genie", "dt+posterior"]);
+        assert_eq!(
+            told,
+            ["knn", "knn+posterior", "random", "genie", "dt+posterior", "age-index"]
+        );
         assert_eq!(names.told(), Some(1));
         assert_eq!(policy("knn+posterior"), ("knn", true));
         assert_eq!(policy("q-learning"), ("q-learning", false));

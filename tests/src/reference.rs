@@ -5,6 +5,7 @@
 //! Where its own integration rule for `P_4,2` cannot tell two candidates apart, it stops and says in which TTI
 //! ([`Run::ambiguous`]).
 
+mod age_index;
 mod clusters;
 mod estimate;
 mod events;
@@ -19,6 +20,7 @@ mod world;
 use reveille_common::geometry::Point;
 use reveille_common::scenario::Scenario;
 
+pub use age_index::AgeIndex;
 pub use clusters::clusters;
 pub use least::least_information;
 pub use policy::Policy;

@@ -135,6 +135,12 @@ fn settings(policy: &str) -> Vec<&'static [&'static str]> {
                 "bs.battery_knowledge=reported",
             ],
         ],
+        // So dear that places get old enough for events to be missed.
+        "age-index" => vec![
+            &["policy.age-index.price=3"],
+            &["policy.age-index.price=3", "bs.battery_knowledge=reported"],
+            &["sensing.kind=probabilistic", "sensing.eta=0.5"],
+        ],
         _ => vec![&["devices=30"]],
     }
 }

@@ -98,5 +98,5 @@ fn its_settings_are_checked_like_any_others() {
     assert!(POLICIES.iter().all(|policy| policy.name() != PatrolKind.name()));
     let random = Override::parse("policy.name=random").expect("an override");
     run_here(&reveille_bs::scenario::load("quick", &[random]).expect("a scenario"));
-    assert_eq!(PatrolKind.profile().series, 6);
+    assert_eq!(PatrolKind.profile().series, 7);
 }

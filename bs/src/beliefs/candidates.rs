@@ -1,10 +1,11 @@
 //! Whom a policy may wake, best first, by either ranking.
 
+use reveille_common::geometry::Point;
 use reveille_common::ids::DeviceId;
 use reveille_common::message::Report;
 use reveille_common::scenario::WakeUpRanking;
 
-use crate::beliefs::posterior::Belief;
+use crate::beliefs::posterior::{Belief, evenly};
 use crate::beliefs::ranking::{Correlation, Ranking};
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
@@ -22,8 +23,13 @@ enum Order {
 impl Candidates {
     /// Candidates among the devices in `known`, ordered as its settings say.
     pub fn new(known: &Knowledge) -> Self {
+        Self::by(known.bs.ranking, known)
+    }
+
+    /// Candidates among the devices in `known`, by `ranking`.
+    pub fn by(ranking: WakeUpRanking, known: &Knowledge) -> Self {
         let (positions, area, sensing) = (known.positions(), known.area, &known.sensing);
-        Self(match known.bs.ranking {
+        Self(match ranking {
             WakeUpRanking::P42 => {
                 let correlation = Correlation::new(sensing, &known.grids);
                 Order::P42(Ranking::new(&positions, area, correlation))
@@ -35,13 +41,19 @@ impl Candidates {
     /// Begins an event with its first reports. The ranking by the belief also learns from the devices that could have
     /// reported and did not.
     pub fn start(&mut self, seen: &Observation<'_>, reports: &[Report]) {
+        self.start_with(seen, reports, evenly);
+    }
+
+    /// As [`Self::start`], for an event that was more likely at some places than at others before anything was heard of
+    /// it: `prior` tells how likely, up to a factor > 0. The ranking by `P_4,2` does not ask.
+    pub fn start_with(&mut self, seen: &Observation<'_>, reports: &[Report], prior: impl Fn(Point) -> f64) {
         self.clear();
         for report in reports {
-            self.add(seen, report);
+            self.add_with(seen, report, &prior);
         }
         if let Order::Posterior(belief) = &mut self.0 {
             // One that has nothing to report with is silent wherever the event is.
-            belief.hear_silence(|device| !seen.is_asleep(device) && seen.can_report(device));
+            belief.hear_silence(|device| !seen.is_asleep(device) && seen.can_report(device), prior);
         }
     }
 
@@ -55,10 +67,15 @@ impl Candidates {
 
     /// Takes in one more report.
     pub fn add(&mut self, seen: &Observation<'_>, report: &Report) {
+        self.add_with(seen, report, evenly);
+    }
+
+    /// As [`Self::add`], with the prior that the event began with.
+    pub fn add_with(&mut self, seen: &Observation<'_>, report: &Report, prior: impl Fn(Point) -> f64) {
         let distance = seen.known.sensing.distance(report.information);
         match (&mut self.0, distance) {
             (Order::P42(ranking), Some(d)) => ranking.add_reporter(report.device, d),
-            (Order::Posterior(belief), Some(d)) => belief.add_reporter(report.device, d),
+            (Order::Posterior(belief), Some(d)) => belief.add_reporter(report.device, d, prior),
             (Order::Posterior(belief), None) => belief.add_far(report.device),
             (Order::P42(_), None) => {}
         }

@@ -1,5 +1,6 @@
 //! What a base station makes of what it knows: structures that several policies share.
 
+pub mod ages;
 pub mod aim;
 pub mod candidates;
 pub mod clusters;

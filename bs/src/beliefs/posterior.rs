@@ -124,15 +124,16 @@ impl Belief {
         }
     }
 
-    /// `device` has reported an event `d` metres away, 0 ..= d_max.
-    pub fn add_reporter(&mut self, device: DeviceId, d: f64) {
+    /// `device` has reported an event `d` metres away, 0 ..= d_max. `prior` tells how likely an event at a place is
+    /// before anything is heard of it, up to a factor; see [`evenly`].
+    pub fn add_reporter(&mut self, device: DeviceId, d: f64, prior: impl Fn(Point) -> f64) {
         let at = self.positions[device.index()];
         let slack = TOLERANCE * self.sensing.d_max;
         // Two devices at one place tell the same.
         if self.rings.iter().all(|(centre, _)| centre.distance(at) > slack) {
             match self.rings.len() {
                 0 => self.places = self.ring(at, d),
-                1 => self.meet(at, d),
+                1 => self.meet(at, d, prior),
                 _ => self.keep_nearest(at, d),
             }
             self.rings.push((at, d));
@@ -153,8 +154,8 @@ impl Belief {
     }
 
     /// Weighs the devices in S1, those for which `is_sensing` holds, that could have reported and did not. To be called
-    /// once, after the first reports.
-    pub fn hear_silence(&mut self, is_sensing: impl Fn(DeviceId) -> bool) {
+    /// once, after the first reports. `prior` as in [`Belief::add_reporter`].
+    pub fn hear_silence(&mut self, is_sensing: impl Fn(DeviceId) -> bool, prior: impl Fn(Point) -> f64) {
         let Some(&(centre, d)) = self.rings.first() else { return };
         let Self {
             buckets,
@@ -172,7 +173,8 @@ impl Belief {
         });
         found.sort_unstable();
         silent.extend(found.into_iter().map(|j| positions[j]));
-        let likelihoods: Vec<Likelihood> = self.places.iter().map(|place| self.likelihood_of(place.at)).collect();
+        let weigh = |place: &Place| self.likelihood_of(place.at, prior(place.at));
+        let likelihoods: Vec<Likelihood> = self.places.iter().map(weigh).collect();
         for (place, likelihood) in self.places.iter_mut().zip(likelihoods) {
             place.likelihood = likelihood;
         }
@@ -300,7 +302,7 @@ impl Belief {
     }
 
     /// The points where the first ring meets the one around `centre`.
-    fn meet(&mut self, centre: Point, d: f64) {
+    fn meet(&mut self, centre: Point, d: f64, prior: impl Fn(Point) -> f64) {
         let (first, d_first) = self.rings[0];
         let gamma = first.distance(centre);
         let (east, north) = ((centre.x - first.x) / gamma, (centre.y - first.y) / gamma);
@@ -319,7 +321,7 @@ impl Belief {
         let places: Vec<Place> = meeting
             .into_iter()
             .filter(|&at| is_near(at))
-            .map(|at| Place::new(at, self.likelihood_of(at)))
+            .map(|at| Place::new(at, self.likelihood_of(at, prior(at))))
             .collect();
         if !places.is_empty() {
             self.places = places;
@@ -336,8 +338,9 @@ impl Belief {
         self.weigh();
     }
 
-    /// How likely those who did not report make an event at `at`, up to a factor.
-    fn likelihood_of(&self, at: Point) -> Likelihood {
+    /// How likely those who did not report make an event at `at`, up to a factor, if it was as likely as `prior`
+    /// before.
+    fn likelihood_of(&self, at: Point, prior: f64) -> Likelihood {
         let Sensing { d_max, .. } = self.sensing;
         let of = |device: &Point| {
             let d = device.distance(at);
@@ -351,8 +354,13 @@ impl Belief {
         };
         let ruled_out = self.far.iter().filter(|device| device.distance(at) <= d_max);
         let factors = self.silent.iter().map(of).chain(ruled_out.map(|_| RULED_OUT));
-        factors.fold(Likelihood::CERTAIN, Likelihood::times)
+        factors.fold(Likelihood::CERTAIN.times(prior), Likelihood::times)
     }
+}
+
+/// The prior of an event that may be anywhere.
+pub fn evenly(_: Point) -> f64 {
+    1.0
 }
 
 /// cos φ and sin φ of the `i`-th place on a ring.

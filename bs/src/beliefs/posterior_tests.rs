@@ -40,7 +40,7 @@ fn three_reports_find_the_event_and_then_the_closest_device() {
         let mut information: f64 = 0.0;
         for &j in near.iter().rev().take(3) {
             let d = points[j].distance(event);
-            belief.add_reporter(DeviceId(j as u32), d);
+            belief.add_reporter(DeviceId(j as u32), d, evenly);
             information = information.max(sensing.p(d));
         }
         assert!(
@@ -66,6 +66,8 @@ struct Definition<'a> {
     reporter: usize,
     d: f64,
     silent: Vec<usize>,
+    /// How likely an event at a place is before anything is heard of it, up to a factor.
+    prior: fn(Point) -> f64,
 }
 
 impl Definition<'_> {
@@ -91,7 +93,7 @@ impl Definition<'_> {
             };
             1.0 - 0.98 * detects
         };
-        self.silent.iter().map(of).product()
+        (self.prior)(at) * self.silent.iter().map(of).product::<f64>()
     }
 
     /// The expected gain of a report of device `j` above `information`.
@@ -133,13 +135,14 @@ fn without_silence_gains_are_plain_sums_over_the_ring() {
         let points = place(&Layout::JitteredGrid, AREA, 120, case);
         let mut belief = Belief::new(&points, AREA, &sensing);
         belief.start();
-        belief.add_reporter(DeviceId(h), d);
+        belief.add_reporter(DeviceId(h), d, evenly);
         let definition = Definition {
             points: &points,
             sensing: &sensing,
             reporter: h as usize,
             d,
             silent: Vec::new(),
+            prior: evenly,
         };
         let (places, information) = (definition.places(512), sensing.p(d));
         let mut left: Vec<usize> = (0..120).filter(|&j| j != h as usize).collect();
@@ -175,14 +178,15 @@ fn silence_weighs_the_places_of_the_ring() {
                 reporter: h as usize,
                 d,
                 silent: silent.collect(),
+                prior: if seed % 2 == 0 { evenly } else { |at| 0.1 + at.x },
             };
             let mut belief = Belief::new(&points, AREA, &sensing);
             belief.start();
-            belief.add_reporter(DeviceId(h), d);
+            belief.add_reporter(DeviceId(h), d, definition.prior);
             for place in &belief.places {
                 assert!(place.weight.to_bits() == 1f64.to_bits(), "before the silence is heard");
             }
-            belief.hear_silence(is_on);
+            belief.hear_silence(is_on, definition.prior);
             // Kept places stand for those around them, so their weights are multiples of the definition's.
             assert!(belief.places.len() <= 2 * KEPT);
             for place in &belief.places {
@@ -228,7 +232,7 @@ fn devices_at_one_place_tell_the_same_and_a_third_report_finds_the_event() {
     let mut belief = Belief::new(&points, AREA, &sensing(Fusion::Max));
     belief.start();
     for (j, places) in [(0, 512), (1, 512), (2, 2), (3, 1)] {
-        belief.add_reporter(DeviceId(j), points[j as usize].distance(event));
+        belief.add_reporter(DeviceId(j), points[j as usize].distance(event), evenly);
         assert_eq!(belief.places.len(), places, "after {j}");
     }
     assert!(belief.places[0].at.distance(event) < 1e-5);
@@ -244,7 +248,7 @@ fn a_device_that_was_woken_in_vain_rules_its_reach_out() {
         };
         let mut belief = Belief::new(&points, AREA, &sensing);
         belief.start();
-        belief.add_reporter(DeviceId(0), 3.0);
+        belief.add_reporter(DeviceId(0), 3.0, evenly);
         belief.add_far(DeviceId(1));
         let weights = |belief: &Belief| -> [f64; 2] {
             let of = |near: bool| {
@@ -260,7 +264,7 @@ fn a_device_that_was_woken_in_vain_rules_its_reach_out() {
         assert!(near < 1e-9 * far && far > 0.0, "{kind:?}: {near} {far}");
         // A second ring, of two points: one within that reach, one without.
         let left = Point::new(10.0 - 3.0 * 0.8, 10.0 + 3.0 * 0.6);
-        belief.add_reporter(DeviceId(2), points[2].distance(left));
+        belief.add_reporter(DeviceId(2), points[2].distance(left), evenly);
         let [near, far] = weights(&belief);
         assert!(belief.places.len() == 2 && near < 1e-9 * far, "{kind:?}: {near} {far}");
     }
@@ -279,8 +283,8 @@ fn silence_of_hundreds_does_not_end_the_wake_ups() {
         let (reporter, d) = (DeviceId(7), 2.5);
         let is_on = |j: DeviceId| j.0.is_multiple_of(2);
         belief.start();
-        belief.add_reporter(reporter, d);
-        belief.hear_silence(is_on);
+        belief.add_reporter(reporter, d, evenly);
+        belief.hear_silence(is_on, evenly);
         let (next, gain) = belief.next(sensing.p(d), |j| !is_on(j)).expect("somebody adds");
         // The definition, with logarithms.
         let centre = points[reporter.index()];
@@ -328,10 +332,10 @@ fn silence_of_hundreds_does_not_end_the_wake_ups() {
             .expect("a place");
         for at in [event, other] {
             belief.start();
-            belief.add_reporter(reporter, d);
-            belief.hear_silence(is_on);
-            belief.add_reporter(second, points[9].distance(at));
-            belief.add_reporter(DeviceId(11), points[11].distance(at));
+            belief.add_reporter(reporter, d, evenly);
+            belief.hear_silence(is_on, evenly);
+            belief.add_reporter(second, points[9].distance(at), evenly);
+            belief.add_reporter(DeviceId(11), points[11].distance(at), evenly);
             let found = belief.next(sensing.p(d), |j| !is_on(j)).expect("somebody adds");
             assert!(points[found.0.index()].distance(at) < 0.5, "{kind:?}: {found:?}");
         }
@@ -345,7 +349,7 @@ fn nobody_is_given_out_twice_in_an_event() {
     for _ in 0..2 {
         belief.start();
         assert!(belief.next(0.0, |_| true).is_none(), "nothing is known");
-        belief.add_reporter(DeviceId(44), 2.0);
+        belief.add_reporter(DeviceId(44), 2.0, evenly);
         let mut given: Vec<u32> = std::iter::from_fn(|| belief.next(0.0, |_| true))
             .map(|(j, _)| j.0)
             .collect();

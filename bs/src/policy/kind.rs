@@ -11,11 +11,14 @@ use crate::knowledge::Knowledge;
 
 /// Facts about a policy, for those who list, draw and compare policies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(clippy::struct_excessive_bools, reason = "facts that do not depend on each other")]
 pub struct Profile {
     /// Whether it can learn, so that it has tables to train.
     pub learns: bool,
     /// Whether it wakes devices.
     pub wakes: bool,
+    /// Whether it ranks wake-up candidates as `bs.ranking` says.
+    pub heeds_ranking: bool,
     /// Whether it is told where events are: a bound on what others reach, that no base station could run.
     pub is_bound: bool,
     /// Its place in the palette of figures.
@@ -30,6 +33,7 @@ impl Profile {
         Self {
             learns: false,
             wakes: false,
+            heeds_ranking: false,
             is_bound: false,
             series,
             runtime: "–",

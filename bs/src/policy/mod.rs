@@ -5,6 +5,7 @@
 //! tells of itself ([`kind`]). To add one: a folder here and a line in [`registry::POLICIES`].
 
 pub mod adjusted;
+pub mod age_index;
 pub mod contract;
 pub mod genie;
 pub mod kind;

@@ -3,6 +3,7 @@
 use reveille_common::scenario::{PolicyChoice, PolicyKind};
 
 use super::adjusted::AdjustedKind;
+use super::age_index::AgeIndexKind;
 use super::contract::Opaque;
 use super::genie::GenieKind;
 use super::kind::{Profile, Registered};
@@ -17,7 +18,14 @@ use crate::knowledge::Knowledge;
 pub type Registry = &'static [&'static dyn Registered];
 
 /// All policies of this program.
-pub const POLICIES: Registry = &[&KnnKind, &AdjustedKind, &QLearningKind, &RandomKind, &GenieKind];
+pub const POLICIES: Registry = &[
+    &KnnKind,
+    &AdjustedKind,
+    &QLearningKind,
+    &RandomKind,
+    &GenieKind,
+    &AgeIndexKind,
+];
 
 /// All policies as a scenario names them.
 pub fn kinds() -> Vec<&'static dyn PolicyKind> {

@@ -22,6 +22,9 @@ pub const PURPLE: Rgb = Rgb(0xCC, 0x79, 0xA7);
 /// Okabe and Ito's sky blue.
 pub const SKY: Rgb = Rgb(0x56, 0xB4, 0xE9);
 
+/// A grey that stands apart from Okabe and Ito's colours in print.
+pub const GREY: Rgb = Rgb(0x7F, 0x7F, 0x7F);
+
 /// The form of a marker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Marker {
@@ -39,6 +42,8 @@ pub enum Marker {
     Star,
     /// A hexagon.
     Hexagon,
+    /// A pentagon on its tip.
+    Pentagon,
 }
 
 impl Marker {
@@ -52,6 +57,7 @@ impl Marker {
             Self::TriangleDown => Path::polygon((x, y - 0.15 * size), 1.25 * size, 3, -up, 1.0),
             Self::Diamond => Path::polygon((x, y), 1.2 * size, 4, up, 1.0),
             Self::Star => Path::polygon((x, y), 1.4 * size, 5, up, 0.45),
+            Self::Pentagon => Path::polygon((x, y), 1.15 * size, 5, -up, 1.0),
             Self::Hexagon => Path::polygon((x, y), 1.1 * size, 6, up, 1.0),
         }
     }
@@ -73,8 +79,8 @@ pub const MARKER: f64 = 2.4;
 /// The width of lines, points.
 pub const LINE: f64 = 1.1;
 
-/// The palette of policies by their places: six for those of the paper, then a spare one.
-const POLICIES: [Style; 7] = [
+/// The palette of policies by their places: six for those of the paper, one for `age-index`, then a spare one.
+const POLICIES: [Style; 8] = [
     Style::new(Paint::Colour(BLUE), Marker::Circle, &[]),
     Style::new(Paint::Colour(ORANGE), Marker::Square, &[6.0, 2.0]),
     Style::new(Paint::Colour(VERMILION), Marker::TriangleDown, &[2.0, 1.6]),
@@ -82,9 +88,11 @@ const POLICIES: [Style; 7] = [
     Style::new(Paint::Colour(PURPLE), Marker::TriangleUp, &[3.5, 1.6]),
     Style::new(Paint::Ink, Marker::Star, &[1.0, 1.6]),
     Style::new(Paint::Colour(SKY), Marker::Hexagon, &[9.0, 2.5]),
+    Style::new(Paint::Colour(GREY), Marker::Pentagon, &[9.0, 1.8, 1.6, 1.8]),
 ];
 
-/// By how many places the marker and the dashes of a policy with another ranking are those of another policy.
+/// By how many places the marker and the dashes of a policy with another ranking are those of another policy. The spare
+/// one lends none.
 const RANKED: [usize; 2] = [3, 4];
 
 impl Style {
@@ -112,8 +120,8 @@ impl Style {
         if !is_ranked {
             return style;
         }
-        let count = POLICIES.len();
-        let [marker, dashes] = RANKED.map(|shift| POLICIES[(place.min(count - 1) + shift) % count]);
+        let lenders = POLICIES.len() - 1;
+        let [marker, dashes] = RANKED.map(|shift| POLICIES[(place.min(lenders) + shift) % lenders]);
         Self {
             marker: marker.marker,
             dashes: dashes.dashes,

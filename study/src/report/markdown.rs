@@ -50,7 +50,10 @@ pub fn parts(report: &Report<'_>, command: &str) -> Vec<Part> {
         Part::new("tally", tally(report)),
         Part::new("claims", sections.collect()),
         // Of other settings the paper states nothing, and why they differ from it fills a page of its own.
-        Part::list("why", reasons(report, |column| PRESETS.contains(&column.label.as_str()))),
+        Part::list(
+            "why",
+            reasons(report, |column| PRESETS.contains(&column.label.as_str())),
+        ),
         Part::list("contradictions", against.items),
         Part::list("readings", readings.items),
         Part::new("made", folded(&made(report, command))),

@@ -127,6 +127,7 @@ impl Registered for AdjustedKind {
         Profile {
             runtime: "O(ϱ^N)",
             wakes: true,
+            heeds_ranking: true,
             ..Profile::plain(1)
         }
     }

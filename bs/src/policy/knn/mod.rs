@@ -125,6 +125,7 @@ impl Registered for KnnKind {
         Profile {
             runtime: "O(N(N-1)/2)",
             wakes: true,
+            heeds_ranking: true,
             ..Profile::plain(0)
         }
     }

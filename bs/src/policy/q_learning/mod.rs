@@ -257,6 +257,7 @@ impl Registered for QLearningKind {
             learns: true,
             runtime: "O(N²)",
             wakes: true,
+            heeds_ranking: true,
             ..Profile::plain(3)
         }
     }

@@ -1,0 +1,190 @@
+//! Who senses under `age-index`, from the rule that docs/age-index.md states: every place by itself, nothing remembered
+//! between two sums.
+
+use std::f64::consts::PI;
+
+use reveille_common::geometry::Point;
+use reveille_common::scenario::{EnergyModel, Scenario};
+use reveille_common::sensing::DetectionKind;
+
+use super::plane::distance;
+
+/// Two worths for the price closer than this share, or a worth this close to its price, may be ordered otherwise by
+/// sums in another order.
+const CLOSE: f64 = 1e-6;
+
+/// The places of an area and their ages, and the devices that look at them.
+#[derive(Clone, Debug)]
+pub struct AgeIndex {
+    /// By device and place, the probability that the device detects an event there.
+    sees: Vec<Vec<f64>>,
+    ages: Vec<f64>,
+    positions: Vec<Point>,
+    energies: Vec<EnergyModel>,
+    d_max: f64,
+    /// The price of a TTI in S1 in places of age 1.
+    price: f64,
+}
+
+impl AgeIndex {
+    /// For devices at `positions` with these batteries and costs, at `price`. Nothing where a place lies so near to the
+    /// rim of a device's reach that rounding decides.
+    pub fn new(scenario: &Scenario, positions: &[Point], energies: Vec<EnergyModel>, price: f64) -> Option<Self> {
+        let (area, sensing) = (scenario.area, &scenario.sensing);
+        let along = |length: f64| (7.5 * length / sensing.d_max).ceil().max(1.0);
+        let (columns, rows) = (along(area.width), along(area.height));
+        let mut places = Vec::new();
+        for row in 0..rows as u32 {
+            for column in 0..columns as u32 {
+                let x = area.width * (f64::from(column) + 0.5) / columns;
+                places.push(Point::new(x, area.height * (f64::from(row) + 0.5) / rows));
+            }
+        }
+        let mut sees = Vec::new();
+        for position in positions {
+            let mut row = Vec::new();
+            for place in &places {
+                let d = distance(*position, *place);
+                if (d - sensing.d_max).abs() < 1e-9 {
+                    return None;
+                }
+                row.push(match sensing.kind {
+                    _ if d > sensing.d_max => 0.0,
+                    DetectionKind::Range => 1.0,
+                    DetectionKind::Probabilistic => libm::exp(-sensing.eta * d),
+                });
+            }
+            sees.push(row);
+        }
+        let reach = match sensing.kind {
+            DetectionKind::Range => PI * sensing.d_max.powi(2),
+            DetectionKind::Probabilistic => {
+                let x = sensing.eta * sensing.d_max;
+                2.0 * PI / sensing.eta.powi(2) * (1.0 - (1.0 + x) * libm::exp(-x))
+            }
+        };
+        let place = area.width * area.height / (columns * rows);
+        Some(Self {
+            sees,
+            ages: vec![1.0; places.len()],
+            positions: positions.to_vec(),
+            energies,
+            d_max: sensing.d_max,
+            price: price * reach / place,
+        })
+    }
+
+    /// A TTI has passed in which the devices of `looking` sensed.
+    pub fn pass(&mut self, looking: &[usize], is_found: bool) {
+        for place in 0..self.ages.len() {
+            let missed: f64 = looking.iter().map(|&j| 1.0 - self.sees[j][place]).product();
+            let old = if is_found { 0.0 } else { self.ages[place] * missed };
+            self.ages[place] = (old + 1.0).min(255.0);
+        }
+    }
+
+    /// The price of each device at these levels, micro-units; infinite where it may not sense.
+    fn prices(&self, levels: &[u64]) -> Vec<f64> {
+        let extra = |energy: &EnergyModel| energy.e_idle.micro().saturating_sub(energy.e_wur.micro()) as f64;
+        let all: f64 = self.energies.iter().map(extra).sum();
+        let mean = all / self.energies.len() as f64;
+        let of = |(energy, &level): (&EnergyModel, &u64)| {
+            let e_max = energy.e_max.micro() as f64;
+            let reserve = (0.03 * e_max).floor() as u64;
+            if level < energy.e_idle.micro() + energy.e_tx.micro() + reserve {
+                return f64::INFINITY;
+            }
+            let cost = if mean > 0.0 { extra(energy) / mean } else { 0.0 };
+            let price = self.price * cost * (1.0 + 3.0 * (1.0 - level as f64 / e_max).powi(2));
+            price.max(1e-30)
+        };
+        self.energies.iter().zip(levels).map(of).collect()
+    }
+
+    /// What `j` looks at beside `others`.
+    fn worth(&self, j: usize, others: &[usize]) -> f64 {
+        let index = |age: f64| {
+            let age = age.min(22.0);
+            age * (age + 1.0) / 2.0
+        };
+        let mut sum = 0.0;
+        for (place, &age) in self.ages.iter().enumerate() {
+            let below = age.floor();
+            let of_age = index(below) + (age - below) * (index(below + 1.0) - index(below));
+            let missed: f64 = others.iter().map(|&other| 1.0 - self.sees[other][place]).product();
+            sum += of_age * missed * self.sees[j][place];
+        }
+        sum
+    }
+
+    /// Who senses in the coming TTI, batteries being at `levels`. Nothing where that is too close to call.
+    pub fn choose(&self, levels: &[u64]) -> Option<Vec<usize>> {
+        let prices = self.prices(levels);
+        let mut chosen = self.one_after_the_other(&prices)?;
+        for turn in 0..2 * chosen.len() {
+            let place = turn % chosen.len();
+            let Some(j) = chosen[place].take() else { continue };
+            let others: Vec<usize> = chosen.iter().flatten().copied().collect();
+            chosen[place] = self.best_instead(j, &others, &prices)?;
+        }
+        let mut chosen: Vec<usize> = chosen.into_iter().flatten().collect();
+        chosen.sort_unstable();
+        Some(chosen)
+    }
+
+    fn one_after_the_other(&self, prices: &[f64]) -> Option<Vec<Option<usize>>> {
+        let mut chosen: Vec<usize> = Vec::new();
+        loop {
+            let mut ratios = Vec::new();
+            for (j, &price) in prices.iter().enumerate() {
+                if chosen.contains(&j) || price.is_infinite() {
+                    continue;
+                }
+                let worth = self.worth(j, &chosen);
+                if (worth - price).abs() < CLOSE * price.max(CLOSE) && worth > 0.0 {
+                    return None;
+                }
+                if worth > price {
+                    ratios.push((worth / price, j));
+                }
+            }
+            // The largest, and of equal ones the lowest number.
+            ratios.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+            let Some(&(most, best)) = ratios.first() else {
+                return Some(chosen.into_iter().map(Some).collect());
+            };
+            if is_close(most, ratios.get(1).map(|second| second.0)) {
+                return None;
+            }
+            chosen.push(best);
+        }
+    }
+
+    /// Who is worth most beyond its price of `j`, those within d_max that are not among `others`, and nobody.
+    #[expect(clippy::option_option, reason = "too close to call, or nobody")]
+    fn best_instead(&self, j: usize, others: &[usize], prices: &[f64]) -> Option<Option<usize>> {
+        // Before others of the same net worth: nobody, then j, then by number.
+        let mut nets = vec![(0.0, 0, None)];
+        for i in 0..prices.len() {
+            let is_near = distance(self.positions[i], self.positions[j]) <= self.d_max;
+            if others.contains(&i) || !is_near || prices[i].is_infinite() {
+                continue;
+            }
+            let net = self.worth(i, others) - prices[i];
+            nets.push((net, if i == j { 1 } else { 2 + i }, Some(i)));
+        }
+        nets.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        let (most, _, best) = nets[0];
+        let second = nets.get(1).map(|second| second.0);
+        (!is_close(most, second)).then_some(best)
+    }
+}
+
+/// Whether another order of sums might find `second` to be more than `most`. What is exactly equal is so in any order
+/// of whole numbers, which large differences of rounding do not make.
+fn is_close(most: f64, second: Option<f64>) -> bool {
+    second.is_some_and(|second| {
+        let gap = most - second;
+        gap != 0.0 && gap < CLOSE * most.abs().max(CLOSE)
+    })
+}
