@@ -433,7 +433,7 @@ fn point(outcome: &Outcome, ttis: u64) -> CurvePoint {
     CurvePoint {
         ttis,
         reward: reward.map_or(0.0, |(_, reward)| *reward),
-        information: defined(outcome.metrics.info_per_event),
+        information: defined(outcome.metrics.info_p1),
         energy: defined(outcome.metrics.energy_per_device_tti),
     }
 }

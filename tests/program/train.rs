@@ -312,6 +312,11 @@ fn a_window_without_tables_is_answered_with_those_there_are() {
     // How long events last is nothing that tables could be chosen by, or warn of.
     let end = run("--set events.duration=9");
     assert!(end.is_success() && end.stderr.is_empty(), "{end}");
+    // What no base station can know, and whoever asks for a delay should: three of four events are over before a look.
+    let end = run("--set policy.q-learning.window=4 --set events.duration=1");
+    assert!(end.is_success(), "{end}");
+    let told = ["policy.q-learning.window = 4", "events last 1 TTI: about 75 %"];
+    assert!(told.iter().all(|part| end.stderr.contains(part)), "{end}");
     let end = run("--set events.alpha=0.3");
     assert!(end.stderr.contains("events.alpha 0.2, here 0.3"), "{end}");
     let end = run("--set policy.q-learning.window=3");

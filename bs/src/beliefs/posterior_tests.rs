@@ -58,8 +58,8 @@ fn three_reports_find_the_event_and_then_the_closest_device() {
     }
 }
 
-/// What MODEL.md's rule and the module's page say, by plain sums: every place on the ring of the first reporter, weighed
-/// by what those in S1 that were silent leave of it.
+/// The belief after a first report as docs/q-learning.md defines it, by plain sums: every place on the ring of the
+/// reporter, weighed by what those in S1 that were silent leave of it.
 struct Definition<'a> {
     points: &'a [Point],
     sensing: &'a Sensing,

@@ -71,11 +71,14 @@ pub(super) fn settle(
 fn over_before_a_look(scenario: &Scenario) -> Option<String> {
     let (path, budget) = scenario.policy.delay_budget()?;
     let share = 100.0 * scenario.events.over_before_a_look(budget);
+    let lasts = match scenario.events.duration {
+        1 => "1 TTI".to_owned(),
+        several => format!("{several} TTIs"),
+    };
     (share >= 1.0).then(|| {
         format!(
-            "{path} = {budget} lets {budget} TTIs pass between two looks at a place, and events last {} TTIs{}: about \
+            "{path} = {budget} lets {budget} TTIs pass between two looks at a place, and events last {lasts}{}: about \
              {share:.0} % of them can be over before anybody looks, and are missed",
-            scenario.events.duration,
             match scenario.events.duration_kind {
                 DurationKind::Fixed => "",
                 DurationKind::Geometric => " in the mean",

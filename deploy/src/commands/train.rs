@@ -98,7 +98,7 @@ fn q_learning(args: &TrainArgs) -> anyhow::Result<ExitCode> {
             }) = entry.curve.last()
             {
                 display::out(&format!(
-                    "window {:<4} N = {:<5} reward {reward:.4}  information {information:.4}  energy {energy:.4}\n",
+                    "window {:<4} N = {:<5} reward {reward:.4}  info (P1) {information:.4}  energy {energy:.4}\n",
                     entry.window, entry.devices
                 ))?;
             }
@@ -141,7 +141,7 @@ impl TrainingProgress for Shown {
             reward, information, ..
         } = point;
         self.bar.set_message(format!(
-            "window {}, N = {}: reward {reward:.3}, information {information:.3}",
+            "window {}, N = {}: reward {reward:.3}, info (P1) {information:.3}",
             entry.window, entry.devices
         ));
         self.bar.inc(1);

@@ -257,8 +257,8 @@ fn runs_of_another_sweep_are_taken_over_and_change_nothing() {
     let (made, _) = swept(&grid(SMALL).expect("valid"), "1/1", 2, &first.0);
     // Half of its cells and more seeds, and devices that it does not have.
     let other = grid(
-        "policies = [\"knn\"]\ndevices = [12, 20]\nttis = 300\nseeds = { first = 1, count = 10 }\n[grid]\nharvest.lambda = \
-         [1, 0.1, 0.3]\n",
+        "policies = [\"knn\"]\ndevices = [12, 20]\nttis = 300\nseeds = { first = 1, count = 10 }\n[grid]\n\
+         harvest.lambda = [1, 0.1, 0.3]\n",
     );
     let other = other.expect("valid");
     let (_, expected) = swept(&other, "1/1", 2, &fresh.0);

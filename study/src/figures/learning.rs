@@ -41,7 +41,7 @@ const QUANTITIES: [Quantity; 2] = [
         of: |point| point.reward,
     },
     Quantity {
-        title: "information per event",
+        title: "information (P1)",
         of: |point| point.information,
     },
 ];
@@ -208,7 +208,7 @@ fn fit(text: &str, limit: f64) -> String {
 
 fn caption(sources: &[Source]) -> String {
     let mut text = String::from(
-        "A point is an episode on a deployment of its own: its mean reward, and information per event, while the \
+        "A point is an episode on a deployment of its own: its mean reward, and its information (P1), while the \
          policy also tried things out. Episodes rank wake-ups by posterior and by p42 in turn. Every panel has its own \
          axis, which need not start at zero.",
     );
@@ -298,7 +298,7 @@ impl Panel {
 
 /// What is drawn, as CSV.
 pub fn csv(sources: &[Source]) -> String {
-    let mut out = String::from("file,window,n,surface,ttis,reward_per_tti,info_per_event,energy_per_device_tti\n");
+    let mut out = String::from("file,window,n,surface,ttis,reward_per_tti,info_p1,energy_per_device_tti\n");
     for (file, learned) in sources {
         let file = csv_cell(file);
         for entry in &learned.entries {

@@ -165,12 +165,12 @@ impl AgeIndex {
     fn best_instead(&self, j: usize, others: &[usize], prices: &[f64]) -> Option<Option<usize>> {
         // Before others of the same net worth: nobody, then j, then by number.
         let mut nets = vec![(0.0, 0, None)];
-        for i in 0..prices.len() {
+        for (i, price) in prices.iter().enumerate() {
             let is_near = distance(self.positions[i], self.positions[j]) <= self.d_max;
-            if others.contains(&i) || !is_near || prices[i].is_infinite() {
+            if others.contains(&i) || !is_near || price.is_infinite() {
                 continue;
             }
-            let net = self.worth(i, others) - prices[i];
+            let net = self.worth(i, others) - price;
             nets.push((net, if i == j { 1 } else { 2 + i }, Some(i)));
         }
         nets.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));

@@ -104,12 +104,16 @@ fn learning_curves_are_drawn_for_one_n_and_for_ten_of_several_files() {
     let mut other = two.1.entries[0].clone();
     other.window = 7;
     two.1.entries.push(other);
-    let text = super::svg::svg(&learning::scene(&[two]).expect("a picture"), "learning");
+    let scene = learning::scene(&[two]).expect("a picture");
     assert!(
-        ["window 4", "window 7", "windows of 4, 7 TTIs"]
-            .iter()
-            .all(|part| text.contains(part))
+        scene.description.contains("windows of 4, 7 TTIs"),
+        "{}",
+        scene.description
     );
+    for name in ["window 4", "window 7"] {
+        let is_named = |item: &super::Item| matches!(item, super::Item::Text(t) if t.text.contains(name));
+        assert!(scene.items.iter().any(is_named), "{name}");
+    }
     let csv = learning::csv(&[source("a,b.json", &[10, 50], 3)]);
     assert_eq!(csv.lines().count(), 7);
     assert!(csv.contains("\"a,b.json\",4,50,400,6000,0.941,0.1,0.3\n"), "{csv}");

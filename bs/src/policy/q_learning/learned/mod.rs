@@ -137,7 +137,7 @@ pub struct CurvePoint {
     pub ttis: u64,
     /// Mean r(k) of the episode, per TTI.
     pub reward: f64,
-    /// Information per event of the episode, `[0, Ψ]`; 0 without events.
+    /// Information of the episode by the objective of P1, `info_p1`, `[0, Ψ]` or a little above; 0 without events.
     pub information: f64,
     /// Units spent per device and TTI.
     pub energy: f64,
