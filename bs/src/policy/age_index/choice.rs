@@ -47,7 +47,7 @@ impl Choice {
     /// not be chosen. Gives them by rising number.
     ///
     /// First the device with the most worth for its price is chosen, then the next given the first, and so on while one
-    /// is worth more than it costs. Then each is taken out in turn, [`ROUNDS`] times: of itself and of the others
+    /// is worth more than it costs. Then each is taken out in turn, `ROUNDS` times: of itself and of the others
     /// within d_max, the one that is worth most beyond its price takes the place, or nobody if all cost more than they
     /// are worth.
     pub fn choose(&mut self, ages: &mut Ages, prices: &[f64]) -> Vec<DeviceId> {

@@ -13,7 +13,7 @@ use crate::knowledge::Knowledge;
 /// on after that long, and a place that no device reaches counts for nobody anyhow.
 const LEVEL: usize = 22;
 
-/// The worth of a reach whose places are all of age [`LEVEL`] or more: what a look can be worth.
+/// The worth of a reach whose places are all of age `LEVEL` or more: what a look can be worth.
 pub const MOST: f64 = (LEVEL * (LEVEL + 1) / 2) as f64;
 
 /// How much dearer a device is with an empty battery than with a full one. Its price rises with the square of what is
