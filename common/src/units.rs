@@ -55,6 +55,7 @@ impl Energy {
 
     /// `self - other`, or zero where `other` is larger.
     #[must_use]
+    #[inline]
     pub const fn saturating_sub(self, other: Self) -> Self {
         Self(self.0.saturating_sub(other.0))
     }
@@ -64,6 +65,7 @@ impl Energy {
     /// # Panics
     /// If that does not fit in 64 bits.
     #[must_use]
+    #[inline]
     pub const fn times(self, n: u64) -> Self {
         match self.0.checked_mul(n) {
             Some(product) => Self(product),
@@ -96,6 +98,7 @@ impl Add for Energy {
 }
 
 impl AddAssign for Energy {
+    #[inline]
     fn add_assign(&mut self, other: Self) {
         *self = *self + other;
     }
@@ -113,6 +116,7 @@ impl Sub for Energy {
 }
 
 impl SubAssign for Energy {
+    #[inline]
     fn sub_assign(&mut self, other: Self) {
         *self = *self - other;
     }
