@@ -315,7 +315,7 @@ fn a_window_without_tables_is_answered_with_those_there_are() {
     // What no base station can know, and whoever asks for a delay should: three of four events are over before a look.
     let end = run("--set policy.q-learning.window=4 --set events.duration=1");
     assert!(end.is_success(), "{end}");
-    let told = ["policy.q-learning.window = 4", "events last 1 TTI: about 75 %"];
+    let told = ["policy.q-learning.window = 4", "events last 1 TTI: up to 75 %"];
     assert!(told.iter().all(|part| end.stderr.contains(part)), "{end}");
     let end = run("--set events.alpha=0.3");
     assert!(end.stderr.contains("events.alpha 0.2, here 0.3"), "{end}");

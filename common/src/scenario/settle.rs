@@ -77,7 +77,7 @@ fn over_before_a_look(scenario: &Scenario) -> Option<String> {
     };
     (share >= 1.0).then(|| {
         format!(
-            "{path} = {budget} lets {budget} TTIs pass between two looks at a place, and events last {lasts}{}: about \
+            "{path} = {budget} lets {budget} TTIs pass between two looks at a place, and events last {lasts}{}: up to \
              {share:.0} % of them can be over before anybody looks, and are missed",
             match scenario.events.duration_kind {
                 DurationKind::Fixed => "",
