@@ -34,7 +34,7 @@ command -v docker >/dev/null 2>&1 || die "docker is missing: install docker.io"
 version=${VERSION:-$(sed -n 's/^version = "\(.*\)"$/\1/p' "$repository/Cargo.toml" | head -n 1)}
 revision=${REVISION:-$(git -C "$repository" rev-parse HEAD 2>/dev/null || echo unknown)}
 
-context=$(mktemp -d "${TMPDIR:-/tmp}/reveille-image.XXXXXX")
+context=$(mktemp -d)
 trap 'rm -rf "$context"' EXIT
 trap 'exit 130' INT
 trap 'exit 143' TERM HUP

@@ -125,7 +125,7 @@ fi
 [ -n "$ca" ] || ca=$(apt_setting Acquire::https::CAInfo)
 [ -z "$ca" ] || [ -r "$ca" ] || die "cannot read the CA bundle $ca"
 
-work=$(mktemp -d "${TMPDIR:-/tmp}/reveille-base.XXXXXX")
+work=$(mktemp -d)
 root=$work/root
 
 # Runs however the script ends. A killed debootstrap leaves /proc mounted in the chroot: nothing is

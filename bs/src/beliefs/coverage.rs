@@ -2,7 +2,6 @@
 
 mod bits;
 mod places;
-mod raster;
 mod shares;
 
 use reveille_common::geometry::{Area, Point};
@@ -11,8 +10,8 @@ use reveille_common::sensing::{DetectionKind, Sensing};
 use self::bits::Bits;
 pub use self::places::Spot;
 use self::places::{Block, Places};
-use self::raster::Raster;
 use self::shares::Shares;
+use super::raster::{self, Raster};
 
 /// Cells of the raster along d_max. A cell counts as covered by a device that has all of it in range, so the larger the
 /// cells the more of each disc is given away; where cells are covered in part, nothing is.
@@ -25,8 +24,7 @@ const fn per_range(kind: DetectionKind) -> f64 {
 
 /// Cells of the raster on which the covered part of `area` is counted.
 pub fn cells(area: Area, sensing: &Sensing) -> f64 {
-    let along = |length: f64| (length / sensing.d_max * per_range(sensing.kind)).ceil();
-    along(area.width) * along(area.height)
+    raster::cells(area, sensing.d_max, per_range(sensing.kind))
 }
 
 /// Parts of a cell, where it can be covered in part.

@@ -9,3 +9,4 @@ pub mod coverage;
 mod neighbours;
 pub mod posterior;
 pub mod ranking;
+pub(crate) mod raster;

@@ -5,7 +5,7 @@ use std::ops::Range;
 use reveille_common::geometry::Point;
 use reveille_common::sensing::Sensing;
 
-use super::raster::Raster;
+use super::cells::Cells;
 use super::worths::{OLDEST, Worths};
 
 /// Cells of one row that a device may detect an event in: as many of `Chance::detected` from `begin` on as there are in
@@ -40,18 +40,18 @@ const UNIT: f64 = 1.0 / (1_u64 << 32) as f64;
 const SURE: f64 = 64.0;
 
 impl Chance {
-    pub(super) fn new(raster: &Raster, positions: &[Point], sensing: &Sensing, worths: Worths) -> Self {
+    pub(super) fn new(cells: &Cells, positions: &[Point], sensing: &Sensing, worths: Worths) -> Self {
         let (mut starts, mut stretches, mut detected) = (vec![0], Vec::new(), Vec::new());
         for &p in positions {
-            for stretch in raster.within(p, sensing.d_max) {
-                let cell = stretch.row * raster.stride() + stretch.first;
+            for stretch in cells.within(p, sensing.d_max) {
+                let cell = stretch.row * cells.stride() + stretch.first;
                 stretches.push(Stretch {
                     cells: cell..cell + stretch.count,
                     begin: detected.len(),
                 });
                 let columns = stretch.first..stretch.first + stretch.count;
                 detected.extend(columns.map(|column| {
-                    let p = sensing.p(raster.middle(stretch.row, column).distance(p));
+                    let p = sensing.p(cells.middle(stretch.row, column).distance(p));
                     (p, ((-libm::log1p(-p)).min(SURE) / UNIT) as u64)
                 }));
             }
@@ -62,11 +62,11 @@ impl Chance {
             starts,
             stretches,
             detected,
-            ages: vec![0.0; raster.len()],
-            whole: vec![0.0; raster.len()],
-            doubts: vec![0; raster.len()],
-            missed: vec![1.0; raster.len()],
-            cells: raster.all().collect(),
+            ages: vec![0.0; cells.len()],
+            whole: vec![0.0; cells.len()],
+            doubts: vec![0; cells.len()],
+            missed: vec![1.0; cells.len()],
+            cells: cells.all().collect(),
         };
         chance.pass(true);
         chance

@@ -9,16 +9,16 @@
 //! distance d finds an event with probability p(d), and so renews the place with that probability: its age is then the
 //! mean over looks that find and looks that do not.
 
+mod cells;
 mod chance;
-mod raster;
 mod sure;
 mod worths;
 
 use reveille_common::geometry::{Area, Point};
 use reveille_common::sensing::{DetectionKind, Sensing};
 
+use self::cells::Cells;
 use self::chance::Chance;
-use self::raster::{CELLS_PER_RANGE, Raster};
 use self::sure::Sure;
 pub use self::worths::{OLDEST, Worths};
 
@@ -27,7 +27,7 @@ pub use self::worths::{OLDEST, Worths};
 /// In each TTI devices are added, or removed again; [`Ages::pass`] then lets the TTI pass, in which they look.
 #[derive(Clone, Debug)]
 pub struct Ages {
-    raster: Raster,
+    cells: Cells,
     looks: Looks,
 }
 
@@ -41,12 +41,12 @@ impl Ages {
     /// Of `area` before the first TTI, with devices at `positions` and nobody chosen. An age is worth as much as
     /// `worths` says.
     pub fn new(positions: &[Point], area: Area, sensing: &Sensing, worths: Worths) -> Self {
-        let raster = Raster::new(area, sensing.d_max);
+        let cells = Cells::new(area, sensing.d_max);
         let looks = match sensing.kind {
-            DetectionKind::Range => Looks::Sure(Sure::new(&raster, positions, sensing.d_max, worths)),
-            DetectionKind::Probabilistic => Looks::Chance(Chance::new(&raster, positions, sensing, worths)),
+            DetectionKind::Range => Looks::Sure(Sure::new(&cells, positions, sensing.d_max, worths)),
+            DetectionKind::Probabilistic => Looks::Chance(Chance::new(&cells, positions, sensing, worths)),
         };
-        Self { raster, looks }
+        Self { cells, looks }
     }
 
     /// What the `j`-th device would look at beside those chosen: the sum over its cells of the worths of their ages,
@@ -94,7 +94,7 @@ impl Ages {
     /// The age of the place `at` in the coming TTI, TTIs, 1 ..= [`OLDEST`]. Outside of the area: that of the nearest
     /// cell.
     pub fn at(&self, at: Point) -> f64 {
-        let cell = self.raster.cell(at);
+        let cell = self.cells.cell(at);
         match &self.looks {
             Looks::Sure(sure) => f64::from(sure.age(cell)),
             Looks::Chance(chance) => chance.age(cell),
@@ -103,13 +103,13 @@ impl Ages {
 
     /// The surface of a cell, m².
     pub fn cell_surface(&self) -> f64 {
-        self.raster.width * self.raster.height
+        self.cells.surface()
     }
 }
 
 /// How many cells `area` has where devices sense as far as `d_max`.
 pub fn cells(area: Area, d_max: f64) -> f64 {
-    (area.width / d_max * CELLS_PER_RANGE).ceil() * (area.height / d_max * CELLS_PER_RANGE).ceil()
+    Cells::count(area, d_max)
 }
 
 #[cfg(test)]

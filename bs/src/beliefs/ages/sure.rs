@@ -2,7 +2,7 @@
 
 use reveille_common::geometry::Point;
 
-use super::raster::{Raster, SIDE};
+use super::cells::{Cells, SIDE};
 use super::worths::Worths;
 
 /// The cells that a device looks at: of the square of cells from `corner` on, those whose byte has all bits set.
@@ -13,8 +13,8 @@ struct Disc {
 }
 
 impl Disc {
-    fn new(raster: &Raster, centre: Point, d_max: f64) -> Self {
-        let stretches = raster.within(centre, d_max);
+    fn new(cells: &Cells, centre: Point, d_max: f64) -> Self {
+        let stretches = cells.within(centre, d_max);
         let south = stretches.first().map_or(0, |stretch| stretch.row);
         let west = stretches.iter().map(|stretch| stretch.first).min().unwrap_or(0);
         let mut mask = [[0; SIDE]; SIDE];
@@ -23,7 +23,7 @@ impl Disc {
             mask[stretch.row - south][first..first + stretch.count].fill(u8::MAX);
         }
         Self {
-            corner: south * raster.stride() + west,
+            corner: south * cells.stride() + west,
             mask,
         }
     }
@@ -65,17 +65,17 @@ pub(super) struct Sure {
 }
 
 impl Sure {
-    pub(super) fn new(raster: &Raster, positions: &[Point], d_max: f64, worths: Worths) -> Self {
-        let zeros = vec![0; raster.len()];
+    pub(super) fn new(cells: &Cells, positions: &[Point], d_max: f64, worths: Worths) -> Self {
+        let zeros = vec![0; cells.len()];
         let mut sure = Self {
-            stride: raster.stride(),
-            discs: positions.iter().map(|&p| Disc::new(raster, p, d_max)).collect(),
+            stride: cells.stride(),
+            discs: positions.iter().map(|&p| Disc::new(cells, p, d_max)).collect(),
             worths,
             ages: zeros.clone(),
             whole: zeros.clone(),
             left: zeros,
-            lookers: vec![0; raster.len()],
-            cells: raster.all().map(|cell| cell as u32).collect(),
+            lookers: vec![0; cells.len()],
+            cells: cells.all().map(|cell| cell as u32).collect(),
         };
         sure.pass(true);
         sure

@@ -23,9 +23,9 @@ fn triangle() -> Worths {
 
 /// Places evenly spread over the area, finer than cells.
 fn middles(ages: &Ages) -> Vec<(usize, Point)> {
-    let raster = &ages.raster;
-    let of = |cell: usize| raster.middle(cell / raster.stride(), cell % raster.stride());
-    raster.all().map(|cell| (cell, of(cell))).collect()
+    let cells = &ages.cells;
+    let of = |cell: usize| cells.middle(cell / cells.stride(), cell % cells.stride());
+    cells.all().map(|cell| (cell, of(cell))).collect()
 }
 
 /// Ages and worths from their definition, kept cell by cell beside the implementation, in random choices.

@@ -2,7 +2,7 @@
 
 use reveille_common::geometry::Point;
 
-use super::raster::Raster;
+use crate::beliefs::raster::Raster;
 
 /// The most rows, and columns, of cells that a device covers. With c = ⌈15 w/d_max⌉ cells along a width w, either c ≤
 /// 30, or 2·d_max is at most 30·c/(c − 1) ≤ 31 cells long and holds no more whole ones.

@@ -2,7 +2,7 @@
 
 use reveille_common::geometry::Point;
 
-use super::raster::Raster;
+use crate::beliefs::raster::Raster;
 
 /// Cells along the side of a block.
 const BLOCK: usize = 4;

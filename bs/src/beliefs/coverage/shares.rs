@@ -3,7 +3,7 @@
 use reveille_common::geometry::Point;
 use reveille_common::sensing::Sensing;
 
-use super::raster::Raster;
+use crate::beliefs::raster::Raster;
 
 /// Cells that are computed side by side.
 const LANES: usize = 4;

@@ -6,9 +6,7 @@ use reveille_common::scenario::{ClassKnowledge, PolicySettings, Site};
 
 use super::price;
 use crate::beliefs::ages;
-
-/// The most cells of the raster on which ages are kept.
-const MOST_CELLS: f64 = 16_777_216.0;
+use crate::beliefs::raster::MOST_CELLS;
 
 declare! {
     /// Settings of the policy `age-index`.

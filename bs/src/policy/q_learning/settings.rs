@@ -12,9 +12,8 @@ use reveille_common::scenario::{PolicySettings, Site};
 
 use super::learned::{Entry, LONGEST_WINDOW, Learned, Schedule, Setting, Weights};
 use crate::beliefs::coverage;
+use crate::beliefs::raster::MOST_CELLS;
 
-/// The most cells of the raster on which the covered area is counted.
-const MOST_CELLS: f64 = 16_777_216.0;
 /// Beyond it Q-values take too long to learn.
 const DISCOUNT: Range = Range::closed(0.0, 0.999);
 

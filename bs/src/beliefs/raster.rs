@@ -1,8 +1,20 @@
-//! The area in cells.
+//! The area in cells: what covers it and how long ago it was looked at are counted on them.
 
 use std::ops::Range;
 
 use reveille_common::geometry::{Area, Point};
+
+/// The most cells that are counted on.
+pub const MOST_CELLS: f64 = 16_777_216.0;
+
+/// How many cells `area` has with `per_range` of them along `d_max`, or a few more.
+pub(super) fn cells(area: Area, d_max: f64, per_range: f64) -> f64 {
+    along(area.width, d_max, per_range) * along(area.height, d_max, per_range)
+}
+
+fn along(length: f64, d_max: f64, per_range: f64) -> f64 {
+    (length / d_max * per_range).ceil()
+}
 
 /// The area in cells, as many along d_max as asked for or a few more.
 #[derive(Clone, Debug)]
@@ -16,7 +28,7 @@ pub(super) struct Raster {
 
 impl Raster {
     pub(super) fn new(area: Area, d_max: f64, per_range: f64) -> Self {
-        let cells = |length: f64| ((length / d_max * per_range).ceil() as usize).max(1);
+        let cells = |length: f64| (along(length, d_max, per_range) as usize).max(1);
         let (columns, rows) = (cells(area.width), cells(area.height));
         Self {
             columns,
