@@ -83,6 +83,9 @@ struct Account {
     energy: EnergyModel,
     /// Its mean harvest in a TTI.
     harvest: Energy,
+    /// The most by which its level falls in a TTI without a report, micro-units; nothing where E_max may keep it from
+    /// holding E_Tx.
+    fall: Option<u64>,
     /// The first TTI that is not in its level.
     next: Tti,
     doubt: Doubt,
@@ -94,15 +97,35 @@ struct Account {
 
 impl Account {
     fn new(device: &DeviceKnowledge, rate: f64) -> Self {
+        let EnergyModel {
+            e_max,
+            e_idle,
+            e_wur,
+            e_tx,
+            ..
+        } = device.energy;
+        let dearest = e_idle.max(e_wur);
+        let fall = (e_max.saturating_sub(dearest) >= e_tx).then(|| dearest.saturating_sub(device.mean_harvest).micro());
         Self {
             class: device.class,
             energy: device.energy,
             harvest: device.mean_harvest,
+            fall,
             next: Tti::ZERO,
             doubt: Doubt::default(),
             rate,
             silence: 0.0,
         }
+    }
+
+    /// Whether `level` is sure to be E_Tx or more after the TTIs up to and not including `end`, whatever was commanded.
+    /// Mostly it is, and then nothing has to be carried.
+    #[inline]
+    fn is_well(&self, level: Energy, end: Tti) -> bool {
+        let fall = self
+            .fall
+            .and_then(|fall| fall.checked_mul(end.0.saturating_sub(self.next.0)));
+        fall.is_some_and(|fall| level.micro().saturating_sub(fall) >= self.energy.e_tx.micro())
     }
 
     /// `level` after the TTIs up to and not including `end`, in which `device` of `class` did as `plan` says, and how
@@ -202,7 +225,8 @@ impl Levels {
             e_idle, e_wur, e_tx, ..
         } = self.devices[device.index()].energy;
         if !self.is_told {
-            return self.carried(device, plan, k + 1).0 >= e_tx;
+            let (account, level) = (&self.devices[device.index()], self.of[device.index()]);
+            return account.is_well(level, k + 1) || self.carried(device, plan, k + 1).0 >= e_tx;
         }
         let is_on = plan.duty_cycle(device).is_on(k);
         self.of[device.index()] >= e_tx + if is_on { e_idle } else { e_wur }

@@ -147,6 +147,50 @@ fn a_device_that_is_found_empty_again_and_again_is_asked_ever_later() {
     assert_eq!(next, Some(4999 + 27));
 }
 
+/// Whoever is said to be well without a look at the plan is so by the plan.
+#[test]
+fn a_device_can_report_if_what_is_carried_pays_for_it() {
+    let (mut sure, mut others) = (0, [0; 2]);
+    for set in [
+        ["harvest.lambda=0.1", "energy.e_idle=1", "energy.e_max=100"],
+        ["harvest.lambda=1", "energy.e_idle=0.01", "energy.e_max=100"],
+        ["harvest.lambda=0", "energy.e_idle=3", "energy.e_max=30"],
+        ["harvest.lambda=1", "energy.e_idle=5", "energy.e_max=13"],
+    ] {
+        let known = known(&set);
+        let cycle = |j: u32| reveille_common::plan::DutyCycle {
+            t_on: 1 + j % 3,
+            t_drx: 3 + j % 7,
+            offset: j % 3,
+        };
+        let plan = Plan::Periodic((0..50).map(cycle).collect());
+        let mut levels = Levels::reckoned(&known);
+        for k in 0..300 {
+            for j in 0..50 {
+                let (device, level) = (DeviceId(j), levels.of[j as usize]);
+                let pays = levels.carried(device, &plan, Tti(k + 1)).0 >= known.devices[j as usize].energy.e_tx;
+                assert_eq!(
+                    levels.can_report(device, Tti(k), &plan),
+                    pays,
+                    "{set:?}, TTI {k}, device {j}"
+                );
+                let is_well = levels.devices[j as usize].is_well(level, Tti(k + 1));
+                sure += usize::from(is_well);
+                others[usize::from(pays)] += usize::from(!is_well);
+                match (k + u64::from(j)) % 37 {
+                    0 => levels.silent(device, Tti(k), &plan),
+                    1 => levels.heard(device, Tti(k), Energy::from_micro(u64::from(j) * 2_000_000)),
+                    _ => {}
+                }
+            }
+        }
+    }
+    assert!(
+        sure > 5000 && others[0] > 5000 && others[1] > 1000,
+        "{sure}, {others:?}"
+    );
+}
+
 /// The TTIs after which `device`, which alone senses, is taken to be empty.
 fn silent_for(known: &Knowledge, device: u32) -> f64 {
     let mut levels = Levels::new(known);
