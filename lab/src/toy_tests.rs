@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use reveille_bs::policy::q_learning::duty::{Duty, Terms};
-use reveille_bs::policy::q_learning::learned::{Entry, Training, battery_bucket};
+use reveille_bs::policy::q_learning::learned::{Entry, Lookback, Training, battery_bucket};
 use reveille_bs::policy::q_learning::settings::QLearningSettings;
 use reveille_bs::scenario::{EnergyModel, Override, Scenario, load};
 use reveille_common::geometry::{Area, FromFile, Layout, Point};
@@ -204,7 +204,7 @@ impl Toy {
             weights: settings.weights,
             schedule: settings.schedule,
             alpha: ALPHA,
-            window: 1,
+            lookback: Lookback::Window(1),
         };
         let energy = self.energy();
         let (area, sensing) = (self.scenario.area, &self.scenario.sensing);

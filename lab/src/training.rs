@@ -1,4 +1,5 @@
-//! Training of the `q-learning` policy: episodes in memory, on one deployment after another, for each window and N.
+//! Training of the `q-learning` policy: episodes in memory, on one deployment after another, for each window, or for
+//! ages, and each N.
 //!
 //! An episode is a run of the very policy that is used later, with `learn` on, from random batteries. It begins with
 //! the tables that the one before has left. Wake-up rankings take turns, so that both tables are learned. Each
@@ -12,7 +13,7 @@ use rayon::iter::{IntoParallelRefMutIterator, ParallelIterator};
 use reveille_bs::outcome::Outcome;
 use reveille_bs::policy::contract::Opaque;
 use reveille_bs::policy::q_learning::learned::{
-    CurvePoint, Entry, LONGEST_WINDOW, Learned, LearnedError, Schedule, Setting, Training, Weights,
+    CurvePoint, Entry, Learned, LearnedError, Lookback, Schedule, Setting, Training, Weights,
 };
 use reveille_bs::policy::q_learning::settings::QLearningSettings;
 use reveille_bs::prepared::Prepared;
@@ -125,7 +126,7 @@ pub struct Trainer {
 }
 
 impl Trainer {
-    /// A training for each of `windows`, or for the scenario's if there are none, and each N of `devices`, on the
+    /// A training for each of `lookbacks`, or for the scenario's if there are none, and each N of `devices`, on the
     /// scenario's ground and with its weights. `training` says how long.
     ///
     /// # Errors
@@ -133,7 +134,7 @@ impl Trainer {
     pub fn new(
         scenario: &Scenario,
         devices: &[u32],
-        windows: &[u32],
+        lookbacks: &[Lookback],
         training: &Training,
     ) -> Result<Self, TrainingError> {
         let Some(settings) = scenario.policy.settings::<QLearningSettings>() else {
@@ -145,10 +146,12 @@ impl Trainer {
             allowed,
         };
         let devices = listed("devices", devices, MOST_DEVICES)?;
-        let windows = match windows {
-            [] => vec![settings.window],
-            windows => listed("windows", windows, LONGEST_WINDOW)?,
-        };
+        let mut lookbacks = lookbacks.to_vec();
+        if lookbacks.is_empty() {
+            lookbacks.push(settings.lookback());
+        }
+        lookbacks.sort_unstable();
+        lookbacks.dedup();
         let Training {
             episodes,
             ttis,
@@ -169,22 +172,19 @@ impl Trainer {
             return Err(invalid("epsilon", bad, "must be at least 0 and less than 1"));
         }
         // Rounded as a checkpoint holds them, so that going on from one is the same.
-        let begun = |devices: u32, window: u32| {
+        let begun = |devices: u32, lookback: Lookback| {
             let one = Scenario {
                 devices,
                 ..scenario.clone()
             };
-            let mut entry = Entry::optimistic(&one.site(), &settings.weights, window, settings.schedule.optimism);
+            let mut entry = Entry::optimistic(&one.site(), &settings.weights, lookback, settings.schedule.optimism);
             entry.round();
             entry
         };
-        let of_window = |&window: &u32| devices.iter().map(move |&n| begun(n, window));
-        let entries = windows.iter().flat_map(of_window).collect();
-        // The first window stands for all: a training says which there are by its entries.
-        let settings = QLearningSettings {
-            window: windows[0],
-            ..settings.clone()
-        };
+        let each = |&lookback: &Lookback| devices.iter().map(move |&n| begun(n, lookback));
+        let entries = lookbacks.iter().flat_map(each).collect();
+        // The first stands for all: a training says which there are by its entries.
+        let settings = settings.clone().with_lookback(lookbacks[0]);
         Ok(Self {
             entries,
             training: Training {
@@ -243,9 +243,9 @@ impl Trainer {
                 !is_same_length(&found.training, &mine.training),
                 "other episodes, epsilon or seed",
             ),
-            (found.windows() != mine.windows(), "other windows"),
+            (found.lookbacks() != mine.lookbacks(), "other windows"),
             (
-                found.windows() == mine.windows() && ns(&found) != ns(&mine),
+                found.lookbacks() == mine.lookbacks() && ns(&found) != ns(&mine),
                 "other numbers of devices",
             ),
         ];
@@ -359,10 +359,9 @@ fn episode(
     let progress = number as f64 / (training.episodes - 1).max(1) as f64;
     let settings = QLearningSettings {
         learn: true,
-        window: entry.window,
         epsilon: [first + progress * (last - first); 2].into(),
         start: Arc::new(entry.clone()),
-        ..settings.clone()
+        ..settings.clone().with_lookback(entry.lookback)
     };
     let mut one = Scenario {
         devices: entry.devices,
@@ -401,7 +400,7 @@ fn episode(
 pub fn learned_in(scenario: &Scenario, outcome: &Outcome) -> Option<Learned> {
     let settings = scenario.policy.settings::<QLearningSettings>()?;
     let mut entry = left_by(outcome)?;
-    (entry.devices, entry.surface, entry.window) = (scenario.devices, scenario.area.surface(), settings.window);
+    (entry.devices, entry.surface, entry.lookback) = (scenario.devices, scenario.area.surface(), settings.lookback());
     let before = entry.curve.last().map_or(0, |point| point.ttis);
     entry.curve.push(point(outcome, before + outcome.ttis_done));
     Some(Learned {
@@ -444,6 +443,10 @@ pub fn checkpoint(out: &Path) -> PathBuf {
     name.push(".checkpoint");
     PathBuf::from(name)
 }
+
+#[cfg(test)]
+#[path = "small_tests.rs"]
+mod small_tests;
 
 #[cfg(test)]
 #[path = "toy_tests.rs"]

@@ -1,3 +1,4 @@
+use reveille_bs::policy::q_learning::learned::{INFORMATIONS, REPORTS, SCORES, WakeTable, score_edge};
 use reveille_bs::scenario::{Override, load};
 use reveille_common::deployment::Deployment;
 use reveille_common::geometry::Area;
@@ -200,16 +201,17 @@ fn a_training_goes_on_from_any_checkpoint_as_if_nothing_had_been() {
             epsilon: (0.9 * stream.unit(), 0.9 * stream.unit()),
             ..training(3, 60)
         };
-        let new = || Trainer::new(&scenario, &[5, 9], &[3, 1], &how).expect("a training");
+        let lookbacks = [Lookback::Window(3), Lookback::Ages, Lookback::Window(1)];
+        let new = || Trainer::new(&scenario, &[5, 9], &lookbacks, &how).expect("a training");
         let mut whole = new();
         assert!(!whole.resume(&path).expect("none"));
         assert!(whole.train(2, &|_| Ok(()), &()).expect("no file"));
-        let stop = AtEpisode(std::sync::atomic::AtomicU64::new(stream.below(12)));
+        let stop = AtEpisode(std::sync::atomic::AtomicU64::new(stream.below(18)));
         let mut cut = new();
         assert!(!cut.train_keeping(1, &path, &stop).expect("a file") || !path.exists());
         let mut rest = new();
         let resumed = rest.resume(&path).expect("a checkpoint of this training");
-        assert_eq!(resumed, rest.episodes_left() < 12);
+        assert_eq!(resumed, rest.episodes_left() < 18);
         assert!(rest.train_keeping(1, &path, &()).expect("a file"));
         assert!(rest.learned().to_json() == whole.learned().to_json());
         std::fs::remove_file(&path).expect("the checkpoint");
@@ -227,5 +229,60 @@ impl TrainingProgress for AtEpisode {
 
     fn stop(&self) -> bool {
         self.0.load(std::sync::atomic::Ordering::Relaxed) == 0
+    }
+}
+
+/// The mean of r*(k) over the events of two runs with `wake` in place of the table for `ranking`.
+fn waking_reward(entry: &Entry, ranking: WakeUpRanking, wake: &WakeTable) -> f64 {
+    const TTIS: u64 = 2000;
+    let mut entry = entry.clone();
+    (entry.wake_p42, entry.wake_posterior) = (wake.clone(), wake.clone());
+    let mut base = scenario("paper", &["policy.q-learning.mu2=1"]);
+    base.bs.ranking = ranking;
+    let of = |seed: u64| {
+        let scenario = evaluation(&base, &entry, seed, TTIS);
+        let outcome = Run::new(&Prepared::without_pilots(&scenario), Options::default()).finish(&mut ());
+        outcome.metrics.info_per_event - outcome.metrics.wake_ups_per_event / f64::from(entry.devices)
+    };
+    0.5 * (of(7001) + of(7002))
+}
+
+#[test]
+fn no_simple_rule_for_waking_is_better_than_the_shipped_tables() {
+    let shipped = Learned::shipped_as("shipped").expect("tables");
+    let entry = shipped.closest(Lookback::Window(1), 60, 400.0).expect("an entry");
+    assert_eq!(entry.devices, 60);
+    for ranking in [WakeUpRanking::P42, WakeUpRanking::Posterior] {
+        let own = match ranking {
+            WakeUpRanking::P42 => &entry.wake_p42,
+            WakeUpRanking::Posterior => &entry.wake_posterior,
+        };
+        let own = waking_reward(entry, ranking, own);
+        let mut best = f64::MIN;
+        // Wake while the best candidate has this score and there are fewer reports.
+        for (score, reports) in [
+            (2.0, 1),
+            (0.0, 2),
+            (0.0, 4),
+            (0.02, 4),
+            (0.05, 3),
+            (0.1, 4),
+            (0.2, 2),
+            (0.3, 4),
+        ] {
+            let mut rule = WakeTable::optimistic(-1.0);
+            for state in
+                (0..SCORES).flat_map(|s| (0..INFORMATIONS).flat_map(move |i| (0..REPORTS).map(move |r| [s, i, r])))
+            {
+                let [bucket, _, before] = state;
+                if score_edge(bucket) >= score && before + 1 < reports {
+                    rule.at_mut(state).value = 1.0;
+                }
+            }
+            let worth = waking_reward(entry, ranking, &rule);
+            println!("{ranking:?}: from {score} on, fewer than {reports} reports: {worth:.4}, the table {own:.4}");
+            best = best.max(worth);
+        }
+        assert!(own > best - 0.002, "{ranking:?}: {own}, and a simple rule has {best}");
     }
 }

@@ -322,6 +322,35 @@ fn a_window_without_tables_is_answered_with_those_there_are() {
     let end = run("--set policy.q-learning.window=3");
     let hint = "reveille train q-learning --windows 3";
     assert_refused(&end, 1, &["policy.q-learning.window = 3", "those for 1, 2, 4", hint]);
+    let end = run("--set policy.q-learning.ages=true");
+    assert!(end.is_success() && end.stderr.is_empty(), "{end}");
+    let end = run("--set policy.q-learning.ages=true --set policy.q-learning.window=2");
+    assert_refused(
+        &end,
+        1,
+        &["policy.q-learning.window = 2", "policy.q-learning.ages = true"],
+    );
+    let train = "train q-learning --quiet --episode-ttis 50 --episodes 1 -n 20";
+    for (windows, set, known) in [
+        ("ages", "window=1", "those for ages;"),
+        ("4,2", "ages=true", "those for 2, 4;"),
+    ] {
+        let end = folder.run(&format!("{train} --windows {windows} --out one.json --force"));
+        assert!(end.is_success(), "{end}");
+        let end = run(&format!(
+            "--set policy.q-learning.table=one.json --set policy.q-learning.{set}"
+        ));
+        let (field, value) = set.split_once('=').expect("a field");
+        assert_refused(
+            &end,
+            1,
+            &[&format!("policy.q-learning.{field} = {value}"), known, "--windows"],
+        );
+    }
+    for windows in ["0", "1001", "age"] {
+        let end = folder.run(&format!("{train} --windows 1,{windows} --out no.json"));
+        assert_refused(&end, 2, &[windows, "from 1 to 1000, or ages"]);
+    }
 }
 
 #[test]
@@ -350,8 +379,6 @@ fn nonsense_is_refused_before_anything_is_trained() {
     let folder = Folder::new();
     for (args, parts) in [
         ("--devices 0", &["devices = [0]", "from 1 to 1000000"][..]),
-        ("--devices 5 --windows 1,0", &["windows = [0, 1]", "from 1 to 1000"]),
-        ("--devices 5 --windows 1001", &["windows = [1001]", "from 1 to 1000"]),
         (
             "--devices 5 --windows 1 --set policy.q-learning.window=2",
             &["policy.q-learning.window=2", "from --windows"],

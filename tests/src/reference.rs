@@ -24,7 +24,7 @@ pub use age_index::AgeIndex;
 pub use clusters::clusters;
 pub use least::least_information;
 pub use policy::Policy;
-pub use q_learning::Sequential;
+pub use q_learning::{Sequential, choose_by_ages};
 pub use search::own_search;
 use world::{Ground, play};
 pub use world::{Run, State};

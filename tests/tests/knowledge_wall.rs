@@ -117,6 +117,8 @@ fn settings(policy: &str) -> Vec<&'static [&'static str]> {
         // Looks that leave some events alone.
         "q-learning" => vec![
             &["policy.q-learning.window=4"],
+            &["policy.q-learning.ages=true", "sensing.d_max=3"],
+            &["policy.q-learning.ages=true", "sensing.d_max=3", "bs.ranking=posterior"],
             &[
                 "policy.q-learning.window=4",
                 "bs.ranking=posterior",

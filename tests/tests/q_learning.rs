@@ -2,14 +2,14 @@
 
 use proptest::prelude::*;
 use reveille_bs::policy::q_learning::duty::{Duty, Terms};
-use reveille_bs::policy::q_learning::learned::{AREAS, DutyTable, Schedule, Weights};
+use reveille_bs::policy::q_learning::learned::{AREAS, DutyTable, Lookback, Schedule, Weights};
 use reveille_bs::policy::q_learning::settings::QLearningSettings;
 use reveille_bs::scenario::{EnergyModel, Override, load};
 use reveille_common::geometry::{Area, Layout, place};
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::sensing::{DetectionKind, Fusion, Sensing};
 use reveille_common::units::Energy;
-use reveille_tests::reference::Sequential;
+use reveille_tests::reference::{AgeIndex, Sequential, choose_by_ages};
 
 const GROUNDS: [(f64, f64); 4] = [(20.0, 20.0), (31.0, 7.3), (3.0, 1.0), (9.0, 14.0)];
 
@@ -27,7 +27,7 @@ fn energy() -> EnergyModel {
     }
 }
 
-fn terms(window: u32) -> Terms {
+fn terms(lookback: Lookback) -> Terms {
     Terms {
         schedule: Schedule::default(),
         weights: Weights {
@@ -36,7 +36,7 @@ fn terms(window: u32) -> Terms {
             zeta: 0.9,
         },
         alpha: 0.2,
-        window,
+        lookback,
     }
 }
 
@@ -85,7 +85,7 @@ proptest! {
         let mut stream = Stream::new(seed, Purpose::Training, 1);
         let table = table(&mut stream, bias);
         let energies = vec![energy(); devices as usize];
-        let mut duty = Duty::new(table.clone(), terms(window), &points, energies, area, &sensing);
+        let mut duty = Duty::new(table.clone(), terms(Lookback::Window(window)), &points, energies, area, &sensing);
         let mut reference = Sequential::new(&points, area, &sensing, energy(), window as usize);
         for k in 0..6 {
             let levels = levels(devices as usize, &mut stream);
@@ -112,7 +112,14 @@ fn shipped_tables_choose_as_the_second_implementation_does() {
         let points = place(&scenario.layout, area, devices, 9);
         let table = settings.start.duty.clone();
         let energies = vec![energy; devices as usize];
-        let mut duty = Duty::new(table.clone(), terms(window), &points, energies, area, sensing);
+        let mut duty = Duty::new(
+            table.clone(),
+            terms(Lookback::Window(window)),
+            &points,
+            energies,
+            area,
+            sensing,
+        );
         let mut reference = Sequential::new(&points, area, sensing, energy, window as usize);
         let mut stream = Stream::new(u64::from(window), Purpose::Training, 1);
         for k in 0..2 * window {
@@ -123,4 +130,56 @@ fn shipped_tables_choose_as_the_second_implementation_does() {
         }
     }
     assert!(sensing_devices > 60, "{sensing_devices} are too few to tell");
+}
+
+/// With ages, from the rule, the table and plain sums over places.
+#[test]
+fn with_ages_the_choice_is_that_of_the_second_implementation() {
+    let mut compared = [0; 2];
+    for seed in 0..60_u64 {
+        let kind = ["range", "probabilistic"][usize::from(seed % 3 == 0)];
+        let (width, height) = [GROUNDS[0], GROUNDS[1], GROUNDS[3]][seed as usize % 3];
+        let set = [
+            "policy.name=q-learning".to_owned(),
+            format!("sensing.kind={kind}"),
+            format!("area.width={width}"),
+            format!("area.height={height}"),
+            "sensing.eta=0.3".to_owned(),
+        ];
+        let set = set.map(|text| Override::parse(&text).expect("an override"));
+        let scenario = load("paper", &set).expect("a scenario");
+        let mut stream = Stream::new(seed, Purpose::Training, 2);
+        let devices = 2 + stream.below(30) as u32;
+        let points = place(&Layout::Uniform, scenario.area, devices, seed);
+        let energies = vec![energy(); devices as usize];
+        let bias = 4.0 * stream.unit() - 3.0;
+        let table = table(&mut stream, bias);
+        let lookback = terms(Lookback::Ages);
+        let mut duty = Duty::new(
+            table.clone(),
+            lookback,
+            &points,
+            energies.clone(),
+            scenario.area,
+            &scenario.sensing,
+        );
+        let Some(mut places) = AgeIndex::new(&scenario, &points, energies, 1.0) else {
+            continue;
+        };
+        for k in 0..10 {
+            let levels = levels(devices as usize, &mut stream);
+            let chosen = numbers(&duty.choose(&levels));
+            let expected = choose_by_ages(&places, &table, &energy(), &levels);
+            compared[usize::from(expected.is_none())] += 1;
+            if let Some(expected) = expected {
+                assert_eq!(chosen, expected, "seed {seed}, TTI {k}, {kind}");
+            }
+            let is_found = stream.unit() < 0.2;
+            places.pass(&chosen, is_found);
+            if is_found {
+                duty.found();
+            }
+        }
+    }
+    assert!(compared[0] > 400 && compared[1] < 60, "{compared:?}");
 }

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
+use reveille_bs::policy::q_learning::learned::Lookback;
 
 use super::ScenarioArgs;
 use super::parse::{parse_device, parse_field, parse_whole};
@@ -126,9 +127,9 @@ pub struct QTableArgs {
     /// The N of the tables to draw, or several, separated by commas.
     #[arg(long, short = 'n', value_delimiter = ',', required = true, value_name = "N")]
     pub devices: Vec<u32>,
-    /// The window of the tables to draw, TTIs [default: the shortest that the file has].
+    /// The window of the tables to draw, TTIs, or "ages" [default: the shortest that the file has].
     #[arg(long, short, value_name = "TTIS")]
-    pub window: Option<u32>,
+    pub window: Option<Lookback>,
     /// Draw the wake-up table for this ranking, not the duty cycling.
     #[arg(long, value_enum, value_name = "RANKING")]
     pub wake: Option<RankingArg>,

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::bail;
 use clap::{Args, Subcommand};
-use reveille_bs::policy::q_learning::learned::Training;
+use reveille_bs::policy::q_learning::learned::{Lookback, Training};
 
 use super::run::ScenarioArgs;
 
@@ -15,7 +15,7 @@ pub enum TrainCommand {
     /// Learn who senses and whom to wake, for each window and N, and write the tables to a file.
     #[command(after_help = "Examples:\n  reveille train q-learning --out mine.json\n  \
         reveille train q-learning --devices 700 --set policy.q-learning.mu1=5 --out mine.json\n  \
-        reveille train q-learning --windows 1,2,4 --out mine.json\n\
+        reveille train q-learning --windows 1,2,4,ages --out mine.json\n\
         Then:\n  reveille run --policy q-learning --set policy.q-learning.table=mine.json\n\n\
         A training that was cut short, even by kill -9, goes on when the same command is given again.")]
     QLearning(TrainArgs),
@@ -38,10 +38,10 @@ pub struct TrainArgs {
         default_value = "10,20,40,60,80,100,130,160,200,250"
     )]
     pub devices: Vec<u32>,
-    /// Windows to train for, TTIs within which the area is to be covered once, separated by commas [default: the
-    /// scenario's policy.q-learning.window].
+    /// Windows to train for, TTIs within which the area is to be covered once, separated by commas; "ages" for places
+    /// that have ages instead [default: the scenario's policy.q-learning.window, or ages].
     #[arg(long, short, value_delimiter = ',')]
-    pub windows: Vec<u32>,
+    pub windows: Vec<Lookback>,
     #[command(flatten)]
     pub episodes: EpisodeArgs,
     /// The file for the tables.

@@ -99,7 +99,7 @@ fn q_learning(args: &TrainArgs) -> anyhow::Result<ExitCode> {
             {
                 display::out(&format!(
                     "window {:<4} N = {:<5} reward {reward:.4}  info (P1) {information:.4}  energy {energy:.4}\n",
-                    entry.window, entry.devices
+                    entry.lookback, entry.devices
                 ))?;
             }
         }
@@ -142,7 +142,7 @@ impl TrainingProgress for Shown {
         } = point;
         self.bar.set_message(format!(
             "window {}, N = {}: reward {reward:.3}, info (P1) {information:.3}",
-            entry.window, entry.devices
+            entry.lookback, entry.devices
         ));
         self.bar.inc(1);
     }

@@ -1,5 +1,6 @@
 //! What can be wrong with a wish for a picture.
 
+use reveille_bs::policy::q_learning::learned::Lookback;
 use thiserror::Error;
 
 /// Why there is no picture.
@@ -77,14 +78,15 @@ pub enum FigureError {
     },
     /// The file has no table for this number of devices.
     #[error(
-        "N = {devices}: {file} has tables for {known} devices with a window of {window}, and windows of {windows}; \
-            reveille train q-learning --devices {devices} --windows {window} --out FILE learns others"
+        "N = {devices}: {file} has tables for {known} devices with {own}, and windows of {windows}; \
+            reveille train q-learning --devices {devices} --windows {window} --out FILE learns others",
+        own = .window.in_words()
     )]
     NoEntry {
         /// N asked for.
         devices: u32,
         /// The window, TTIs.
-        window: u32,
+        window: Lookback,
         /// The file.
         file: String,
         /// Every N that it has for that window.

@@ -5,7 +5,7 @@
 
 use std::fmt::Write as _;
 
-use reveille_bs::policy::q_learning::learned::{CurvePoint, Entry, Learned};
+use reveille_bs::policy::q_learning::learned::{CurvePoint, Entry, Learned, Lookback};
 
 use super::error::FigureError;
 use super::font::{Weight, width, wrap};
@@ -52,7 +52,7 @@ pub type Source = (String, Learned);
 /// What the curves of one row of panels have in common.
 #[derive(Clone, Copy, PartialEq)]
 struct Row {
-    window: u32,
+    lookback: Lookback,
     devices: u32,
     /// The area, m².
     surface: f64,
@@ -61,7 +61,7 @@ struct Row {
 impl Row {
     const fn of(entry: &Entry) -> Self {
         Self {
-            window: entry.window,
+            lookback: entry.lookback,
             devices: entry.devices,
             surface: entry.surface,
         }
@@ -70,7 +70,7 @@ impl Row {
     /// The same window and area, whatever N.
     fn is_beside(&self, other: &Self) -> [bool; 2] {
         [
-            self.window == other.window,
+            self.lookback == other.lookback,
             self.surface.to_bits() == other.surface.to_bits(),
         ]
     }
@@ -82,7 +82,7 @@ fn rows(sources: &[Source]) -> Vec<Row> {
     let drawn = entries.filter(|entry| !entry.curve.is_empty());
     let mut rows: Vec<Row> = drawn.map(Row::of).collect();
     let order = |a: &Row, b: &Row| {
-        let by_window = a.window.cmp(&b.window).then(a.surface.total_cmp(&b.surface));
+        let by_window = a.lookback.cmp(&b.lookback).then(a.surface.total_cmp(&b.surface));
         by_window.then(a.devices.cmp(&b.devices))
     };
     rows.sort_by(order);
@@ -157,14 +157,17 @@ pub fn scene(sources: &[Source]) -> Result<Scene, FigureError> {
 /// N beside a row, with its window and area if not all rows have the same.
 fn name(scene: &mut Scene, row: Row, [is_one_window, is_one_area]: [bool; 2], top: f64) {
     let Row {
-        window,
+        lookback,
         devices,
         surface,
     } = row;
     let mut y = top + 0.5 * PANEL.0 + 0.36 * SMALL;
     scene.text(Text::new(format!("N = {devices}"), (EDGE, y), SMALL).bold());
     let more = [
-        (!is_one_window).then(|| format!("window {window}")),
+        (!is_one_window).then(|| match lookback {
+            Lookback::Window(window) => format!("window {window}"),
+            Lookback::Ages => lookback.to_string(),
+        }),
         (!is_one_area).then(|| format!("{surface} m²")),
     ];
     for text in more.into_iter().flatten() {
@@ -217,7 +220,7 @@ fn caption(sources: &[Source]) -> String {
         if sources.len() > 1 {
             let _ = write!(text, " {}:", fit(file, WIDE - 8.0 * EDGE));
         }
-        let _ = write!(text, " {}", trained(learned, &learned.windows(), "for each N"));
+        let _ = write!(text, " {}", trained(learned, &learned.lookbacks(), "for each N"));
         if !is_one_setting {
             let _ = write!(text, " {}", setting(learned));
         }
@@ -309,7 +312,7 @@ pub fn csv(sources: &[Source]) -> String {
                     information,
                     energy,
                 } = point;
-                let (window, n, surface) = (entry.window, entry.devices, entry.surface);
+                let (window, n, surface) = (entry.lookback, entry.devices, entry.surface);
                 let _ = writeln!(
                     out,
                     "{file},{window},{n},{surface},{ttis},{reward},{information},{energy}"

@@ -3,8 +3,9 @@
 use std::f64::consts::PI;
 use std::fmt::Write as _;
 
+use reveille_bs::policy::age_index::price;
 use reveille_bs::policy::q_learning::learned::{
-    AREAS, BATTERIES, Cell, Entry, INFORMATIONS, Learned, NODES, REPORTS, SCORES, WakeTable, area_edge, score_edge,
+    AREAS, BATTERIES, Cell, Entry, INFORMATIONS, Learned, Lookback, NODES, REPORTS, SCORES, WakeTable, score_edge,
 };
 use reveille_common::scenario::WakeUpRanking;
 
@@ -36,17 +37,17 @@ pub fn entry<'l>(
     file: &str,
     learned: &'l Learned,
     devices: u32,
-    window: Option<u32>,
+    window: Option<Lookback>,
 ) -> Result<&'l Entry, FigureError> {
-    let windows = learned.windows();
-    let shortest = windows.first().copied().unwrap_or(1);
+    let windows = learned.lookbacks();
+    let shortest = windows.first().copied().unwrap_or(Lookback::Window(1));
     let mut of_window = learned.entries.iter();
     let own = window.unwrap_or(shortest);
-    let found = of_window.find(|entry| entry.window == own && entry.devices == devices);
+    let found = of_window.find(|entry| entry.lookback == own && entry.devices == devices);
     found.ok_or_else(|| {
-        let same = learned.entries.iter().filter(|entry| entry.window == own);
+        let same = learned.entries.iter().filter(|entry| entry.lookback == own);
         let known: Vec<String> = same.map(|entry| entry.devices.to_string()).collect();
-        let windows: Vec<String> = windows.iter().map(u32::to_string).collect();
+        let windows: Vec<String> = windows.iter().map(Lookback::to_string).collect();
         FigureError::NoEntry {
             devices,
             window: own,
@@ -84,12 +85,16 @@ fn battery_ends([e_max, e_idle, e_tx]: [f64; 3]) -> [f64; BATTERIES + 1] {
     })
 }
 
-/// The ends of the area buckets, shares of the sensing disc.
-fn area_ends() -> [f64; AREAS + 1] {
+/// The ends of the buckets of what a device newly looks at, shares of the sensing disc.
+fn area_ends(lookback: Lookback) -> [f64; AREAS + 1] {
+    let most = match lookback {
+        Lookback::Window(_) => 1.0,
+        Lookback::Ages => price::MOST,
+    };
     std::array::from_fn(|end| match end {
         0 => 0.0,
-        AREAS => 1.0,
-        _ => area_edge(end - 1),
+        AREAS => most,
+        _ => lookback.edge(end - 1),
     })
 }
 
@@ -140,13 +145,24 @@ pub fn duty_map(learned: &Learned, entry: &Entry) -> HeatMap {
             (_, None) => format!("sixth {} of the rest", battery - 1),
         }
     };
-    let in_units = |unit: &str, whole: f64| (unit.to_owned(), area_ends().map(|end| short(whole * end)).to_vec());
+    let in_units = |unit: &str, whole: f64| {
+        (
+            unit.to_owned(),
+            area_ends(entry.lookback).map(|end| short(whole * end)).to_vec(),
+        )
+    };
     let mut columns = vec![in_units("% of the disc", 100.0)];
     if let Some(d_max) = field(learned, "sensing.d_max") {
         columns.push(in_units("m²", PI * d_max * d_max));
     }
     HeatMap {
-        x_label: "area that the device would newly cover: share of its sensing disc".to_owned(),
+        x_label: match entry.lookback {
+            Lookback::Window(_) => "area that the device would newly cover: share of its sensing disc",
+            Lookback::Ages => {
+                "what the device would newly look at, places by their ages' worth: share of its disc at age 1"
+            }
+        }
+        .to_owned(),
         y_label: "battery, units".to_owned(),
         columns,
         rows: Rows::Names((0..BATTERIES).map(name).collect()),
@@ -158,10 +174,14 @@ pub fn duty_map(learned: &Learned, entry: &Entry) -> HeatMap {
 
 /// The picture of the duty table of `entry`: advantages, and V beneath them.
 pub fn duty_scene(learned: &Learned, entry: &Entry) -> Scene {
+    let what = match entry.lookback {
+        Lookback::Window(_) => "how much of the area it would newly cover",
+        Lookback::Ages => "what it would newly look at",
+    };
     let title = format!("What sensing is worth with N = {}: Q(s, 1) − Q(s, 0)", entry.devices);
     let map = duty_map(learned, entry);
     let text = format!(
-        "A cell is a state s of a device: its battery, and how much of the area it would newly cover. The number \
+        "A cell is a state s of a device: its battery, and {what}. The number \
          is what it gains if it senses in the next TTI (δ = 1) rather than sleeps, in units of N r(k). Within the \
          bold line the policy lets it sense, those with most to gain first: there the advantage is positive once \
          it is made never to fall with the area, and the battery is enough to sense and report. Colours follow the \
@@ -256,15 +276,15 @@ fn learned_on(learned: &Learned, entry: &Entry) -> String {
     let (n, surface) = (entry.devices, entry.surface);
     format!(
         "{} {}",
-        trained(learned, &[entry.window], &format!("with N = {n} on {surface} m²")),
+        trained(learned, &[entry.lookback], &format!("with N = {n} on {surface} m²")),
         setting(learned)
     )
 }
 
 /// By whom a file was learned, how, and for which weights and `windows`; `place` says on how many devices or how large
 /// an area.
-pub(super) fn trained(learned: &Learned, windows: &[u32], place: &str) -> String {
-    let lengths: Vec<String> = windows.iter().map(u32::to_string).collect();
+pub(super) fn trained(learned: &Learned, windows: &[Lookback], place: &str) -> String {
+    let lengths: Vec<String> = windows.iter().map(Lookback::to_string).collect();
     let (weights, schedule, training) = (learned.weights, &learned.schedule, &learned.training);
     let (first, last) = training.epsilon;
     format!(
@@ -275,7 +295,7 @@ pub(super) fn trained(learned: &Learned, windows: &[u32], place: &str) -> String
         weights.mu2,
         weights.zeta,
         match windows {
-            [window] => format!("a window of {window} TTIs"),
+            [one] => one.in_words(),
             _ => format!("windows of {} TTIs", lengths.join(", ")),
         },
         training.episodes,
@@ -308,7 +328,7 @@ pub fn duty_csv(learned: &Learned, entry: &Entry) -> String {
         "bucket,battery_from,battery_to,area_from,area_to,q_sleep,visits_sleep,q_sense,visits_sense,\
          advantage,used,senses\n",
     );
-    let (areas, batteries) = (area_ends(), energies(learned).map(battery_ends));
+    let (areas, batteries) = (area_ends(entry.lookback), energies(learned).map(battery_ends));
     let used = entry.duty.advantages();
     for (battery, cells) in duty_map(learned, entry).cells.iter().enumerate() {
         let range = batteries.map_or_else(
@@ -451,7 +471,7 @@ pub fn wake_csv(entry: &Entry, ranking: WakeUpRanking) -> String {
 
 #[cfg(test)]
 mod tests {
-    use reveille_bs::policy::q_learning::learned::{area_bucket, battery_bucket, information_bucket, score_bucket};
+    use reveille_bs::policy::q_learning::learned::{battery_bucket, information_bucket, score_bucket};
     use reveille_bs::scenario::load;
     use reveille_common::units::Energy;
 
@@ -473,7 +493,9 @@ mod tests {
     fn the_ends_drawn_are_those_of_the_buckets() {
         agree(&INFORMATION, information_bucket);
         agree(&score_ends(), score_bucket);
-        agree(&area_ends(), area_bucket);
+        for lookback in [Lookback::Window(1), Lookback::Ages] {
+            agree(&area_ends(lookback), |share| lookback.bucket(share));
+        }
         let energy = load("paper", &[]).expect("a preset").classes[0].energy;
         let ends = battery_ends([energy.e_max, energy.e_idle, energy.e_tx].map(Energy::units));
         agree(&ends, |x| {

@@ -24,6 +24,7 @@ pub struct AgeIndex {
     d_max: f64,
     /// The price of a TTI in S1 in places of age 1.
     price: f64,
+    disc: f64,
 }
 
 impl AgeIndex {
@@ -71,6 +72,7 @@ impl AgeIndex {
             energies,
             d_max: sensing.d_max,
             price: price * reach / place,
+            disc: PI * sensing.d_max.powi(2) / place,
         })
     }
 
@@ -119,20 +121,30 @@ impl AgeIndex {
 
     /// Who senses in the coming TTI, batteries being at `levels`. Nothing where that is too close to call.
     pub fn choose(&self, levels: &[u64]) -> Option<Vec<usize>> {
-        let prices = self.prices(levels);
-        let mut chosen = self.one_after_the_other(&prices)?;
-        for turn in 0..2 * chosen.len() {
-            let place = turn % chosen.len();
-            let Some(j) = chosen[place].take() else { continue };
-            let others: Vec<usize> = chosen.iter().flatten().copied().collect();
-            chosen[place] = self.best_instead(j, &others, &prices)?;
-        }
-        let mut chosen: Vec<usize> = chosen.into_iter().flatten().collect();
+        let mut chosen = self.choose_at(&self.prices(levels), &[])?;
         chosen.sort_unstable();
         Some(chosen)
     }
 
-    fn one_after_the_other(&self, prices: &[f64]) -> Option<Vec<Option<usize>>> {
+    /// The places in a sensing disc, π d_max² over the surface of a place.
+    pub const fn disc(&self) -> f64 {
+        self.disc
+    }
+
+    /// Who senses at these prices beside the devices of `set`, in the order of choice. Nothing where that is too close
+    /// to call.
+    pub fn choose_at(&self, prices: &[f64], set: &[usize]) -> Option<Vec<usize>> {
+        let mut chosen = self.one_after_the_other(prices, set)?;
+        for turn in 0..2 * chosen.len() {
+            let place = turn % chosen.len();
+            let Some(j) = chosen[place].take() else { continue };
+            let others: Vec<usize> = chosen.iter().flatten().chain(set).copied().collect();
+            chosen[place] = self.best_instead(j, &others, prices)?;
+        }
+        Some(chosen.into_iter().flatten().collect())
+    }
+
+    fn one_after_the_other(&self, prices: &[f64], set: &[usize]) -> Option<Vec<Option<usize>>> {
         let mut chosen: Vec<usize> = Vec::new();
         loop {
             let mut ratios = Vec::new();
@@ -140,7 +152,7 @@ impl AgeIndex {
                 if chosen.contains(&j) || price.is_infinite() {
                     continue;
                 }
-                let worth = self.worth(j, &chosen);
+                let worth = self.worth(j, &[&chosen, set].concat());
                 if (worth - price).abs() < CLOSE * price.max(CLOSE) && worth > 0.0 {
                     return None;
                 }

@@ -8,6 +8,7 @@ use reveille_common::scenario::EnergyModel;
 use reveille_common::sensing::{DetectionKind, Sensing};
 use reveille_common::units::Energy;
 
+use super::age_index::AgeIndex;
 use super::plane::distance;
 
 /// Cells along the side of a block of places.
@@ -98,23 +99,10 @@ impl Sequential {
         parts > 0 && battery >= 2 && advantages[battery][bucket] > 0.0
     }
 
-    /// Two buckets for those that cannot sense and report, then sixths.
-    fn battery(&self, level: Energy) -> usize {
-        let EnergyModel {
-            e_max, e_idle, e_tx, ..
-        } = self.energy;
-        let needed = e_idle.micro() + e_tx.micro();
-        if level.micro() < needed {
-            return usize::from(level >= e_idle);
-        }
-        let sixths = (level.micro() - needed) * 6 / (e_max.micro() - needed);
-        2 + sixths.min(5) as usize
-    }
-
     /// Who senses in the next TTI, by rising number.
     pub fn choose(&mut self, table: &DutyTable, levels: &[Energy]) -> Vec<usize> {
         let advantages = advantages(table);
-        let batteries: Vec<usize> = levels.iter().map(|&level| self.battery(level)).collect();
+        let batteries: Vec<usize> = levels.iter().map(|&level| battery(&self.energy, level)).collect();
         let from = self.past.len().saturating_sub(self.window - 1);
         let mut before = self.past[from..].concat();
         before.sort_unstable();
@@ -174,6 +162,51 @@ impl Sequential {
             chosen.remove(turn);
         }
     }
+}
+
+/// Two buckets for those that cannot sense and report, then sixths.
+fn battery(energy: &EnergyModel, level: Energy) -> usize {
+    let EnergyModel {
+        e_max, e_idle, e_tx, ..
+    } = *energy;
+    let needed = e_idle.micro() + e_tx.micro();
+    if level.micro() < needed {
+        return usize::from(level >= e_idle);
+    }
+    let sixths = (level.micro() - needed) * 6 / (e_max.micro() - needed);
+    2 + sixths.min(5) as usize
+}
+
+/// Who senses beside nobody at the places of `places`, with their ages and devices of `energy` whose batteries are at
+/// `levels`, by rising number. A device must look at more than the first bucket of its battery in which sensing has an
+/// advantage begins with. Nothing where that is too close to call.
+pub fn choose_by_ages(
+    places: &AgeIndex,
+    table: &DutyTable,
+    energy: &EnergyModel,
+    levels: &[Energy],
+) -> Option<Vec<usize>> {
+    let advantages = advantages(table);
+    let first = |battery: usize| (0..AREAS as u32).find(|&bucket| advantages[battery][bucket as usize] > 0.0);
+    let price = |battery: usize| match first(battery) {
+        Some(0) => f64::MIN_POSITIVE,
+        Some(1) => 4.0 * 0.0002 * places.disc(),
+        Some(bucket) => 4.0 * 0.005 * 1.45_f64.powi(bucket.cast_signed() - 2) * places.disc(),
+        None => f64::INFINITY,
+    };
+    let batteries: Vec<usize> = levels.iter().map(|&level| battery(energy, level)).collect();
+    let mut chosen = Vec::new();
+    for least in [5, 2] {
+        let of = |(j, &battery): (usize, &usize)| {
+            let may = battery >= least && !chosen.contains(&j);
+            if may { price(battery) } else { f64::INFINITY }
+        };
+        let prices: Vec<f64> = batteries.iter().enumerate().map(of).collect();
+        let more = places.choose_at(&prices, &chosen)?;
+        chosen.extend(more);
+    }
+    chosen.sort_unstable();
+    Some(chosen)
 }
 
 /// The cells by blocks, and within blocks, with the least room first: the room of a cell is the part of the square of

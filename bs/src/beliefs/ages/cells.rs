@@ -11,8 +11,8 @@ const PER_RANGE: f64 = 7.5;
 /// The most rows, and columns, of cells within d_max of a device.
 pub(super) const SIDE: usize = 16;
 
-/// The area in cells of about d_max/7.5, one row after the other. Rows are followed by [`SIDE`] cells that are no part of
-/// the area, and so is the last of them by as many rows: wherever a cell is, as many others can be read from it on.
+/// The area in cells of about d_max/7.5, one row after the other. Rows are followed by [`SIDE`] cells that are no part
+/// of the area, and so is the last of them by as many rows: wherever a cell is, as many others can be read from it on.
 #[derive(Clone, Debug)]
 pub(super) struct Cells {
     raster: Raster,

@@ -87,6 +87,18 @@ impl Chance {
         sum
     }
 
+    pub(super) fn left(&self) -> f64 {
+        self.whole
+            .iter()
+            .zip(&self.missed)
+            .map(|(whole, missed)| whole * missed)
+            .sum()
+    }
+
+    pub(super) fn all(&self) -> f64 {
+        self.whole.iter().sum()
+    }
+
     pub(super) fn add(&mut self, j: usize) {
         self.change(j, u64::saturating_add);
     }

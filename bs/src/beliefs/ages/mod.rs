@@ -59,6 +59,22 @@ impl Ages {
         }
     }
 
+    /// What those chosen leave to look at: the sum over all cells, in the unit of [`Self::worth`].
+    pub fn left(&self) -> f64 {
+        match &self.looks {
+            Looks::Sure(sure) => sure.left() as f64,
+            Looks::Chance(chance) => chance.left(),
+        }
+    }
+
+    /// The same if nobody was chosen.
+    pub fn all(&self) -> f64 {
+        match &self.looks {
+            Looks::Sure(sure) => sure.all() as f64,
+            Looks::Chance(chance) => chance.all(),
+        }
+    }
+
     /// Chooses the `j`-th device, which is not chosen.
     pub fn add(&mut self, j: usize) {
         match &mut self.looks {

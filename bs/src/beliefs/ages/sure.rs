@@ -93,6 +93,14 @@ impl Sure {
         sum
     }
 
+    pub(super) fn left(&self) -> u64 {
+        self.left.iter().copied().map(u64::from).sum()
+    }
+
+    pub(super) fn all(&self) -> u64 {
+        self.whole.iter().copied().map(u64::from).sum()
+    }
+
     pub(super) fn add(&mut self, j: usize) {
         let disc = &self.discs[j];
         let rows = disc.rows_mut(&mut self.left, self.stride);

@@ -43,8 +43,8 @@ impl Choice {
     }
 
     /// Chooses devices so that the worth of what they look at, less what they cost, is large, and adds them to `ages`,
-    /// in which nobody is chosen. `prices` are in the unit of [`Ages::worth`], above 0, infinite for devices that may
-    /// not be chosen. Gives them by rising number.
+    /// beside those who are chosen there already. `prices` are in the unit of [`Ages::worth`], above 0, infinite for
+    /// devices that may not be chosen. Gives them in the order of choice.
     ///
     /// First the device with the most worth for its price is chosen, then the next given the first, and so on while one
     /// is worth more than it costs. Then each is taken out in turn, `ROUNDS` times: of itself and of the others
@@ -55,9 +55,7 @@ impl Choice {
         self.chosen.clear();
         self.greedily(ages, prices);
         self.improve(ages, prices);
-        let mut chosen: Vec<DeviceId> = self.chosen.iter().flatten().map(|&j| DeviceId(j)).collect();
-        chosen.sort_unstable();
-        chosen
+        self.chosen.iter().flatten().map(|&j| DeviceId(j)).collect()
     }
 
     /// A worth never rises while others are chosen, so a candidate whose worth is still what it was is the best of all,

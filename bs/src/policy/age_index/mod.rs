@@ -77,7 +77,8 @@ impl Policy for AgeIndex {
         if seen.now > Tti::ZERO {
             self.ages.pass(std::mem::take(&mut self.is_found));
         }
-        let chosen = self.choice.choose(&mut self.ages, self.prices.at(seen.batteries));
+        let mut chosen = self.choice.choose(&mut self.ages, self.prices.at(seen.batteries));
+        chosen.sort_unstable();
         self.tally.decisions += 1;
         self.tally.sensing += chosen.len() as u64;
         Plan::from_chosen(seen.known.n(), &chosen)

@@ -1,17 +1,14 @@
 //! Who senses: sequential choice by a table, and learning it.
 
-use std::collections::VecDeque;
-
-use super::choice::Choice;
-use super::learned::{DutyTable, NODES, Rates, Schedule, Weights, battery_bucket};
+use super::ground;
+use super::ground::{ABLE, Gain, Ground};
+use super::learned::{DutyTable, Lookback, NODES, Rates, Schedule, Weights, battery_bucket};
 use reveille_common::geometry::{Area, Point};
 use reveille_common::ids::DeviceId;
 use reveille_common::rng::Stream;
 use reveille_common::scenario::EnergyModel;
 use reveille_common::sensing::Sensing;
 use reveille_common::units::Energy;
-
-use crate::beliefs::coverage::Coverage;
 
 /// What the learner is asked to weigh.
 #[derive(Clone, Copy, Debug)]
@@ -22,12 +19,11 @@ pub struct Terms {
     pub schedule: Schedule,
     /// Probability α that an event starts in a TTI.
     pub alpha: f64,
-    /// TTIs within which the area is to be covered once, ≥ 1.
-    pub window: u32,
+    /// What a look at a place counts for later.
+    pub lookback: Lookback,
 }
 
 /// The duty cycling of a deployment.
-#[derive(Clone, Debug)]
 pub struct Duty {
     table: DutyTable,
     /// V of the table, made monotone.
@@ -37,11 +33,9 @@ pub struct Duty {
     /// What a device that alone covers the whole area adds to N r(k) until it has to be covered again.
     worth: f64,
     energies: Vec<EnergyModel>,
-    choice: Choice,
-    /// Who sensed in each of the last `window` − 1 TTIs, the latest at the end.
-    recent: VecDeque<Vec<DeviceId>>,
-    /// TTIs over which the choice is still to be spread.
-    spread: usize,
+    /// The battery bucket of each device.
+    batteries: Vec<u8>,
+    ground: Box<dyn Ground>,
     /// What was decided last, while it is to be learned from.
     last: Option<Decision>,
 }
@@ -51,10 +45,12 @@ pub struct Duty {
 struct Decision {
     /// The share of each device.
     shares: Vec<Share>,
-    /// By device, the share of the area that counts as covered by it.
+    /// By device, what is looked at thanks to it, a share of the area.
     credits: Vec<f64>,
-    /// U(k), the share that nobody covers.
-    uncovered: f64,
+    /// U(k), what nobody looks at.
+    left: f64,
+    /// What there is to look at: the area, or with ages what it is worth.
+    all: f64,
 }
 
 /// What a device decided in, and did.
@@ -63,7 +59,7 @@ struct Share {
     battery: u8,
     area: u8,
     on: bool,
-    /// The share of the area that it newly covered, or would have.
+    /// What it newly looked at, or would have, a share of the area.
     gain: f64,
     level: Energy,
 }
@@ -82,20 +78,17 @@ impl Duty {
             weights,
             schedule,
             alpha,
-            window,
+            lookback,
         } = terms;
-        let coverage = Coverage::new(positions, area, sensing);
-        let discs = area.surface() / (std::f64::consts::PI * sensing.d_max * sensing.d_max);
         let mut duty = Self {
             values: [0.0; NODES],
             table,
-            worth: weights.covering(positions.len() as u32, alpha, window),
+            worth: weights.covering(positions.len() as u32, alpha, lookback.window()),
             rates: schedule.rates(),
             terms,
-            choice: Choice::new(coverage, discs, positions.len()),
+            batteries: vec![0; positions.len()],
+            ground: ground::new(lookback, positions, area, sensing),
             energies,
-            recent: VecDeque::from(vec![Vec::new(); window as usize - 1]),
-            spread: window as usize,
             last: None,
         };
         duty.refresh();
@@ -111,82 +104,48 @@ impl Duty {
     /// number.
     pub fn choose(&mut self, levels: &[Energy]) -> Vec<DeviceId> {
         self.begin(levels);
-        let chosen = self.among(|_| true, &[]);
+        let chosen = self.ground.choose(&|_| true, &[]);
         self.remember(chosen)
-    }
-
-    /// Those for whom `is_free` holds that are chosen beside those of `set`, who are added.
-    fn among(&mut self, is_free: impl Fn(usize) -> bool, set: &[DeviceId]) -> Vec<DeviceId> {
-        let mut chosen = self.choice.choose(is_free);
-        let covering = || self.recent.iter().flatten().chain(set).copied();
-        self.choice.spare(&mut chosen, covering);
-        // What is looked at now comes due all at once a window later. So that this is not everything in one TTI and
-        // nothing in the next, the first window begins with a part of the choice: those that are far apart.
-        if self.spread > 1 {
-            chosen = chosen.into_iter().step_by(self.spread).collect();
-        }
-        chosen
     }
 
     /// The same, and at random with probability `epsilon` for each device; what comes of it is learned from by
     /// [`Self::learn`].
     pub fn explore(&mut self, levels: &[Energy], epsilon: f64, stream: &mut Stream) -> Vec<DeviceId> {
         self.begin(levels);
-        let of = |(j, &level): (usize, &Energy)| Share {
-            battery: self.choice.battery(j),
+        let of = |(&level, &battery): (&Energy, &u8)| Share {
+            battery,
             level,
             ..Share::default()
         };
-        let mut shares: Vec<Share> = levels.iter().enumerate().map(of).collect();
-        let mut is_free: Vec<bool> = (0..levels.len()).map(|j| self.choice.is_able(j)).collect();
+        let mut shares: Vec<Share> = levels.iter().zip(&self.batteries).map(of).collect();
+        let mut is_free: Vec<bool> = self.batteries.iter().map(|&battery| battery >= ABLE).collect();
         let mut chosen = Vec::new();
-        // Devices that decide at random come first, so that what they cover counts for the others.
+        // Devices that decide at random come first, so that what they look at counts for the others.
         for (j, is_free) in is_free.iter_mut().enumerate() {
             if stream.unit() < epsilon && *is_free {
                 *is_free = false;
                 if stream.unit() < 0.5 {
-                    self.choice.add(j);
+                    self.ground.add(j);
                     chosen.push(DeviceId(j as u32));
                 }
             }
         }
-        let others = self.among(|j| is_free[j], &chosen);
+        let others = self.ground.choose(&|j| is_free[j], &chosen);
         chosen.extend(others);
-        self.gains_of(&chosen, &mut shares);
-        for (j, share) in shares.iter_mut().enumerate().filter(|(_, share)| !share.on) {
-            share.decide(false, self.choice.gain(j));
+        // Each at its turn, and then those who were not chosen.
+        for (device, gain) in chosen.iter().zip(self.ground.gains(&chosen)) {
+            shares[device.index()].decide(true, gain);
         }
-        let uncovered = self.choice.uncovered();
-        let credits = self.credits(&chosen);
+        for (j, share) in shares.iter_mut().enumerate().filter(|(_, share)| !share.on) {
+            share.decide(false, self.ground.gain(j));
+        }
         self.last = Some(Decision {
             shares,
-            credits,
-            uncovered,
+            left: self.ground.left(),
+            all: self.ground.all(),
+            credits: self.ground.credits(&chosen),
         });
         self.remember(chosen)
-    }
-
-    /// Fills in what those `chosen` have newly covered, each at its turn.
-    fn gains_of(&mut self, chosen: &[DeviceId], shares: &mut [Share]) {
-        self.choice.cover(self.recent.iter().flatten().copied());
-        for device in chosen {
-            let j = device.index();
-            shares[j].decide(true, self.choice.gain(j));
-            self.choice.add(j);
-        }
-    }
-
-    /// The share of the area that counts as covered by each device: each place is its who covered it first in the
-    /// window, with `chosen`, in this order, in the last TTI of it.
-    fn credits(&mut self, chosen: &[DeviceId]) -> Vec<f64> {
-        let mut credits = vec![0.0; self.energies.len()];
-        self.choice.cover(std::iter::empty());
-        for device in self.recent.iter().flatten().chain(chosen) {
-            let j = device.index();
-            credits[j] += self.choice.gain(j).0;
-            self.choice.add(j);
-        }
-        credits
     }
 
     /// Learns from the last exploration, after which the batteries are at `levels`.
@@ -218,7 +177,7 @@ impl Duty {
 
     /// Makes what is looked up anew from the table.
     fn refresh(&mut self) {
-        self.choice.set_advantages(&self.table.advantages());
+        self.ground.set_advantages(&self.table.advantages());
         self.values = self.table.values();
     }
 
@@ -227,39 +186,47 @@ impl Duty {
         let Decision {
             shares,
             credits,
-            uncovered,
+            left,
+            all,
         } = self.last.as_ref()?;
         let n = shares.len() as f64;
         let on = shares.iter().filter(|share| share.on).count() as f64;
         let weight = self.terms.alpha * self.terms.weights.mu1;
         let of = move |(share, credit): (&Share, &f64)| {
             let asleep = if share.on { 0.0 } else { 1.0 / n };
-            asleep + weight * (credit - 1.0 / n)
+            asleep + weight * (credit - all / n)
         };
-        Some((1.0 - on / n - weight * uncovered, shares.iter().zip(credits).map(of)))
+        Some((1.0 - on / n - weight * left, shares.iter().zip(credits).map(of)))
     }
 
     fn begin(&mut self, levels: &[Energy]) {
-        let buckets = levels.iter().zip(&self.energies);
-        let buckets = buckets.map(|(&level, energy)| battery_bucket(level, energy));
-        self.choice.begin(buckets, self.recent.iter().flatten().copied());
+        for ((bucket, &level), energy) in self.batteries.iter_mut().zip(levels).zip(&self.energies) {
+            *bucket = battery_bucket(level, energy) as u8;
+        }
+        self.ground.begin(&self.batteries);
+    }
+
+    /// An event was reported in the TTI that was decided on last.
+    pub fn found(&mut self) {
+        self.ground.found();
+    }
+
+    /// How likely an event that was reported is to be at a place, up to a factor.
+    pub fn prior(&self, at: Point) -> f64 {
+        self.ground.prior(at)
     }
 
     fn remember(&mut self, mut chosen: Vec<DeviceId>) -> Vec<DeviceId> {
-        if self.terms.window > 1 {
-            self.recent.pop_front();
-            self.recent.push_back(chosen.clone());
-        }
-        self.spread = self.spread.saturating_sub(1);
+        self.ground.remember(&chosen);
         chosen.sort_unstable();
         chosen
     }
 }
 
 impl Share {
-    /// The device decides where it would newly cover `gain` of the area, in this bucket.
-    fn decide(&mut self, on: bool, (gain, area): (f64, u8)) {
-        (self.on, self.gain, self.area) = (on, gain, area);
+    /// The device decides where it would newly look at `gain`.
+    fn decide(&mut self, on: bool, gain: Gain) {
+        (self.on, self.gain, self.area) = (on, gain.share, gain.bucket);
     }
 }
 

@@ -1,3 +1,5 @@
+use std::collections::VecDeque;
+
 use reveille_common::geometry::{Layout, place};
 use reveille_common::rng::Purpose;
 use reveille_common::sensing::{DetectionKind, Fusion};
@@ -125,11 +127,15 @@ impl Case {
     }
 
     fn learner(&self, table: DutyTable, weights: Weights, alpha: f64) -> Duty {
+        self.learner_of(Lookback::Window(self.window), table, weights, alpha)
+    }
+
+    fn learner_of(&self, lookback: Lookback, table: DutyTable, weights: Weights, alpha: f64) -> Duty {
         let terms = Terms {
             schedule: Schedule::default(),
             weights,
             alpha,
-            window: self.window,
+            lookback,
         };
         let energies = vec![energy(); self.devices as usize];
         Duty::new(
@@ -232,6 +238,109 @@ fn the_shares_add_up_to_the_papers_reward_in_every_tti() {
     );
 }
 
+/// The places of an area and their ages, by docs/age-index.md alone.
+struct Places {
+    kind: DetectionKind,
+    middles: Vec<Point>,
+    ages: Vec<f64>,
+    positions: Vec<Point>,
+}
+
+impl Places {
+    fn new(case: &Case) -> Self {
+        let along = |length: f64| (7.5 * length / 4.0).ceil().max(1.0);
+        let (columns, rows) = (along(case.area.width), along(case.area.height));
+        let mut middles = Vec::new();
+        for row in 0..rows as u32 {
+            for column in 0..columns as u32 {
+                let middle = |at: u32, count: f64, length: f64| (f64::from(at) + 0.5) * length / count;
+                middles.push(Point::new(
+                    middle(column, columns, case.area.width),
+                    middle(row, rows, case.area.height),
+                ));
+            }
+        }
+        Self {
+            kind: case.kind,
+            ages: vec![1.0; middles.len()],
+            middles,
+            positions: case.positions(),
+        }
+    }
+
+    /// The probability that nobody of `looking` detects an event at a place.
+    fn missed(&self, place: usize, looking: &[DeviceId]) -> f64 {
+        let detects = |j: &DeviceId| match self.positions[j.index()].distance(self.middles[place]) {
+            d if d > 4.0 => 0.0,
+            _ if self.kind == DetectionKind::Range => 1.0,
+            d => libm::exp(-0.3 * d),
+        };
+        looking.iter().map(|j| 1.0 - detects(j)).product()
+    }
+
+    /// The mean over all places of a(a + 1)/2, as far as nobody of `looking` looks.
+    fn left(&self, looking: &[DeviceId]) -> f64 {
+        let index = |age: f64| age * (age + 1.0) / 2.0;
+        let worth = |age: f64| {
+            let (below, above) = (age.floor().min(22.0), (age.floor() + 1.0).min(22.0));
+            index(below) + (age - age.floor()) * (index(above) - index(below))
+        };
+        let each = (0..self.middles.len()).map(|place| worth(self.ages[place]) * self.missed(place, looking));
+        each.sum::<f64>() / self.middles.len() as f64
+    }
+
+    fn pass(&mut self, looking: &[DeviceId], is_found: bool) {
+        for place in 0..self.middles.len() {
+            let old = if is_found {
+                0.0
+            } else {
+                self.ages[place] * self.missed(place, looking)
+            };
+            self.ages[place] = old + 1.0;
+        }
+    }
+}
+
+#[test]
+fn with_ages_the_shares_add_up_to_the_reward_by_what_places_are_worth() {
+    let mut older = 0;
+    for case in cases() {
+        let n = f64::from(case.devices);
+        let mut stream = Stream::new(case.seed, Purpose::Training, 4);
+        let (alpha, mu1) = (0.05 + stream.unit(), 20.0 * stream.unit());
+        let weights = Weights {
+            mu1,
+            mu2: 1.0,
+            zeta: 0.9,
+        };
+        let mut duty = case.learner_of(Lookback::Ages, random_table(&mut stream), weights, alpha);
+        let mut places = Places::new(&case);
+        for k in 0..30 {
+            let levels = random_levels(case.devices as usize, &mut stream);
+            let mut dice = Stream::new(case.seed, Purpose::Exploration, k);
+            let plan = duty.explore(&levels, stream.unit(), &mut dice);
+            let left = places.left(&plan);
+            older += usize::from(places.left(&[]) > 2.0);
+            let expected = 1.0 - plan.len() as f64 / n - alpha * mu1 * left;
+            let (reward, shares) = duty.rewards().expect("an exploration");
+            let sum: f64 = shares.sum();
+            let what = format!("{:?}, {} m, TTI {k}", case.kind, case.area.width);
+            let bound = 1e-6 * (1.0 + expected.abs());
+            assert!((sum - expected).abs() < bound, "{what}: shares {sum}, not {expected}");
+            assert!((reward - expected).abs() < bound, "{what}: {reward}, not {expected}");
+            let is_found = stream.unit() < 0.1;
+            places.pass(&plan, is_found);
+            if is_found {
+                duty.found();
+            }
+            let at = Point::new(stream.unit() * case.area.width, stream.unit() * case.area.height);
+            assert!(duty.prior(at) >= 1.0);
+            duty.learn(&random_levels(case.devices as usize, &mut stream));
+        }
+    }
+    assert!(older > 300, "{older} are too few to tell");
+}
+
 #[test]
 fn without_dice_a_policy_that_learns_chooses_as_one_that_does_not() {
     for case in cases() {
@@ -241,13 +350,14 @@ fn without_dice_a_policy_that_learns_chooses_as_one_that_does_not() {
             mu2: 1.0,
             zeta: 0.9,
         };
-        let mut duty = case.learner(random_table(&mut stream), weights, 0.2);
-        for k in 0..6 {
-            let levels = random_levels(case.devices as usize, &mut stream);
-            let explored = duty
-                .clone()
-                .explore(&levels, 0.0, &mut Stream::new(case.seed, Purpose::Exploration, k));
-            assert_eq!(duty.choose(&levels), explored, "{:?}, TTI {k}", case.kind);
+        let table = random_table(&mut stream);
+        for lookback in [Lookback::Window(case.window), Lookback::Ages] {
+            let [mut duty, mut learner] = [(); 2].map(|()| case.learner_of(lookback, table.clone(), weights, 0.2));
+            for k in 0..6 {
+                let levels = random_levels(case.devices as usize, &mut stream);
+                let explored = learner.explore(&levels, 0.0, &mut Stream::new(case.seed, Purpose::Exploration, k));
+                assert_eq!(duty.choose(&levels), explored, "{:?}, {lookback}, TTI {k}", case.kind);
+            }
         }
     }
 }

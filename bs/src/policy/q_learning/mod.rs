@@ -21,13 +21,17 @@
 //! the choice is made: a place that somebody else had covered earlier falls to j as well once that has run out, and is
 //! left out.
 //!
+//! With ages ([`learned::Lookback::Ages`]) places count by their ages a: U(k) is the mean of a(a + 1)/2 over all
+//! places, 0 where somebody looks, and Ā that mean over all of them. Then r_j(k) = (1 − δ_j)/N + α μ1 (c_j − Ā/N), and
+//! the sum of c_j over all devices is Ā − U.
+//!
 //! Wake-ups are decided one after the other too: the m-th of a TTI has the share μ2 (Î_m − Î_{m−1}) − 1/N. These
 //! telescope to r*(k) = μ2 I_i − δ*·1/N, but for μ2 Î_0, the information that came without a wake-up.
 //!
 //! Tables hold N times these shares, and leave out α μ1, the part that is the same whatever a device does.
 
-mod choice;
 pub mod duty;
+mod ground;
 pub mod learned;
 pub mod settings;
 pub mod wake;
@@ -83,7 +87,7 @@ impl QLearning {
             weights: settings.weights,
             schedule: settings.schedule,
             alpha: known.alpha,
-            window: settings.window,
+            lookback: settings.lookback(),
         };
         let wake_table = match known.bs.ranking {
             WakeUpRanking::P42 => start.wake_p42.clone(),
@@ -172,7 +176,9 @@ impl Policy for QLearning {
                 .streams
                 .unit_for_pair(PolicyPurpose::Exploration, seen.now.0, 1)
                 < self.epsilon(seen);
-        self.candidates.start(seen, reports);
+        self.duty.found();
+        let Self { duty, candidates, .. } = self;
+        candidates.start_with(seen, reports, |place| duty.prior(place));
     }
 
     fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId> {
@@ -192,7 +198,8 @@ impl Policy for QLearning {
         self.wake.answered(seen.information);
         if let Some(report) = report {
             self.reports += 1;
-            self.candidates.add(seen, report);
+            let Self { duty, candidates, .. } = self;
+            candidates.add_with(seen, report, |place| duty.prior(place));
         }
     }
 

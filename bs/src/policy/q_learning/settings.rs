@@ -10,7 +10,7 @@ use reveille_common::declare::{
 };
 use reveille_common::scenario::{PolicySettings, Site};
 
-use super::learned::{Entry, LONGEST_WINDOW, Learned, Schedule, Setting, Weights};
+use super::learned::{Entry, LONGEST_WINDOW, Learned, Lookback, Schedule, Setting, Weights};
 use crate::beliefs::coverage;
 use crate::beliefs::raster::MOST_CELLS;
 
@@ -48,6 +48,9 @@ declare! {
         /// Delay budget of the application: the area is to be covered once within this time, with 1 in every TTI.
         /// Unless the policy learns, there must be tables for it; `shipped` ones are for 1, 2 and 4.
         window: u32 = whole(1, LONGEST_WINDOW as u64, 1).unit("TTIs"),
+        /// Whether what a device would newly look at is weighed by the age of its places, as under `age-index`, so that
+        /// the table says what a place may wait for. The window is then 1.
+        ages: bool = switch(false),
         /// Whether the policy goes on learning in the run.
         learn: bool = switch(false),
         /// Probability that a decision is made at random while the policy learns, in the first TTI.
@@ -61,6 +64,16 @@ declare! {
         /// Optimism of the start, 1 for the most that an action brings at once.
         optimism: f64 = number(NOT_NEGATIVE, Schedule::USUAL.optimism),
     }
+}
+
+impl Fields {
+    const fn lookback(&self) -> Lookback {
+        lookback(self.window, self.ages)
+    }
+}
+
+const fn lookback(window: u32, ages: bool) -> Lookback {
+    if ages { Lookback::Ages } else { Lookback::Window(window) }
 }
 
 /// The weights where neither the scenario nor a table says otherwise.
@@ -89,6 +102,8 @@ pub struct QLearningSettings {
     /// Delay budget of the application: TTIs within which the area is to be covered once, `1 ..= `[`LONGEST_WINDOW`].
     /// With 1 the area is to be covered in every TTI.
     pub window: u32,
+    /// Whether places have ages; the window is then 1.
+    pub ages: bool,
     /// Where the tables come from.
     pub source: TableSource,
     /// Whether the policy goes on learning in the run.
@@ -109,6 +124,18 @@ pub struct QLearningSettings {
 impl QLearningSettings {
     /// Its fields as they are declared.
     pub const SECTION: &'static Section = Fields::SECTION;
+
+    /// What a look at a place counts for later.
+    pub const fn lookback(&self) -> Lookback {
+        lookback(self.window, self.ages)
+    }
+
+    /// These with another lookback.
+    #[must_use]
+    pub fn with_lookback(self, lookback: Lookback) -> Self {
+        let (window, ages) = (lookback.window(), lookback == Lookback::Ages);
+        Self { window, ages, ..self }
+    }
 
     /// The settings that `reader` has, for a base station that knows `site`.
     ///
@@ -137,6 +164,7 @@ impl PolicySettings for QLearningSettings {
             mu2: Some(self.weights.mu2),
             zeta: Some(self.weights.zeta),
             window: self.window,
+            ages: self.ages,
             learn: self.learn,
             epsilon: self.epsilon.0,
             epsilon_last: self.epsilon.1,
@@ -148,7 +176,8 @@ impl PolicySettings for QLearningSettings {
     }
 
     fn delay_budget(&self) -> Option<(&'static str, u64)> {
-        Some(("policy.q-learning.window", u64::from(self.window)))
+        // Ages promise nothing: how long a place waits depends on what looking at it costs.
+        (!self.ages).then(|| ("policy.q-learning.window", u64::from(self.window)))
     }
 
     fn warnings(&self) -> Vec<String> {
@@ -180,12 +209,16 @@ fn settle(reader: &Reader<'_>, site: &Site<'_>) -> Result<QLearningSettings, Sce
     let fields = Fields::read(reader)?;
     let name = fields.table.as_deref().unwrap_or("shipped");
     let setting = Setting::of(site);
-    let (source, learned) = tables(reader, name, &setting)?;
+    let (source, learned) = tables(reader, &fields, name, &setting)?;
     if learned.is_none() && !fields.learn {
         let allowed = "needs policy.q-learning.learn = true, or nothing is ever known; or name a table";
         return Err(reader.refuse("policy.q-learning.table", name, allowed));
     }
-    let window = fields.window;
+    let (window, ages) = (fields.window, fields.ages);
+    if ages && window > 1 {
+        let allowed = "must be 1 with policy.q-learning.ages = true: a place's age says how long it has waited";
+        return Err(reader.refuse("policy.q-learning.window", window, allowed));
+    }
     let weights = weights(reader, &fields, learned.as_deref())?;
     let schedule = Schedule {
         rate_decay: fields.rate_decay,
@@ -193,12 +226,13 @@ fn settle(reader: &Reader<'_>, site: &Site<'_>) -> Result<QLearningSettings, Sce
         optimism: fields.optimism,
     };
     let start = match &learned {
-        None => Arc::new(Entry::optimistic(site, &weights, window, schedule.optimism)),
+        None => Arc::new(Entry::optimistic(site, &weights, fields.lookback(), schedule.optimism)),
         Some(tables) => Arc::new(entry(reader, &fields, tables, site)?),
     };
     Ok(QLearningSettings {
         weights,
         window,
+        ages,
         source,
         learn: fields.learn,
         epsilon: (fields.epsilon, fields.epsilon_last),
@@ -236,12 +270,16 @@ fn weights(reader: &Reader<'_>, fields: &Fields, learned: Option<&Learned>) -> R
 
 fn tables(
     reader: &Reader<'_>,
+    fields: &Fields,
     name: &str,
     setting: &Setting,
 ) -> Result<(TableSource, Option<Arc<Learned>>), ScenarioError> {
     let field = "policy.q-learning.table";
     Ok(match name {
-        "shipped" => (TableSource::Shipped, Some(Arc::new(Learned::shipped(setting)))),
+        "shipped" => (
+            TableSource::Shipped,
+            Some(Arc::new(Learned::shipped(setting, fields.ages))),
+        ),
         "nothing" => (TableSource::Nothing, None),
         file => {
             let path = reader.file(field, file)?;
@@ -257,27 +295,38 @@ fn tables(
     })
 }
 
-/// The entry of `tables` for the scenario's window and density. A policy that learns may go on from another window's.
+/// The entry of `tables` for what the scenario asks for and its density. A policy that learns may go on from another
+/// window's.
 fn entry(reader: &Reader<'_>, fields: &Fields, tables: &Learned, site: &Site<'_>) -> Result<Entry, ScenarioError> {
     let (name, surface) = (fields.table.as_deref().unwrap_or("shipped"), site.area.surface());
-    let nearest = tables.nearest_window(fields.window).unwrap_or(fields.window);
-    if nearest != fields.window && !fields.learn {
-        let windows: Vec<String> = tables.windows().iter().map(u32::to_string).collect();
+    let own = fields.lookback();
+    let known = tables.lookbacks();
+    let lookback = if known.contains(&own) {
+        own
+    } else if fields.learn
+        && own != Lookback::Ages
+        && let Some(nearest) = tables.nearest_window(own.window())
+    {
+        Lookback::Window(nearest)
+    } else {
+        let known: Vec<String> = known.iter().map(Lookback::to_string).collect();
         let allowed = format!(
-            "has no tables in {name}, which has those for {windows}; set one of these, or train for yours: reveille \
+            "has no tables in {name}, which has those for {known}; set one of these, or train for yours: reveille \
              train q-learning --windows {own} --out FILE, with the same --scenario and --set",
-            windows = windows.join(", "),
-            own = fields.window
+            known = known.join(", "),
         );
-        return Err(reader.refuse("policy.q-learning.window", fields.window, allowed));
-    }
-    tables.closest(nearest, site.devices, surface).cloned().ok_or_else(|| {
-        let (least, most) = tables.range(nearest, surface);
+        return Err(match own {
+            Lookback::Window(window) => reader.refuse("policy.q-learning.window", window, allowed),
+            Lookback::Ages => reader.refuse("policy.q-learning.ages", true, allowed),
+        });
+    };
+    tables.closest(lookback, site.devices, surface).cloned().ok_or_else(|| {
+        let (least, most) = tables.range(lookback, surface);
         let allowed = format!(
-            "serves {least} to {most} devices on {surface} m² with a window of {nearest}, not {n}; train for yours: \
-             reveille train q-learning --devices {n} --windows {own} --out FILE, with the same --scenario and --set",
+            "serves {least} to {most} devices on {surface} m² with {}, not {n}; train for yours: reveille train \
+             q-learning --devices {n} --windows {own} --out FILE, with the same --scenario and --set",
+            lookback.in_words(),
             n = site.devices,
-            own = fields.window
         );
         reader.refuse("policy.q-learning.table", name, allowed)
     })

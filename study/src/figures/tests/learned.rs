@@ -1,7 +1,7 @@
 //! Pictures of learned tables, and information against energy.
 
 use reveille_bs::policy::q_learning::learned::{
-    BATTERIES, CurvePoint, Entry, Learned, Schedule, Setting, Training, Weights,
+    BATTERIES, CurvePoint, Entry, Learned, Lookback, Schedule, Setting, Training, Weights,
 };
 use reveille_common::declare::NoFiles;
 use reveille_common::scenario::WakeUpRanking;
@@ -12,7 +12,12 @@ use super::{FigureError, Results, check, fixtures, scenario};
 
 /// The start of a training with `n` devices.
 fn untrained(n: u32, weights: &Weights) -> Entry {
-    Entry::optimistic(&scenario(&[&format!("devices={n}")]).site(), weights, 4, 1.0)
+    Entry::optimistic(
+        &scenario(&[&format!("devices={n}")]).site(),
+        weights,
+        Lookback::Window(4),
+        1.0,
+    )
 }
 
 /// Tables for each of `sizes` with a curve of `episodes` points, of which some cells were learned.
@@ -102,7 +107,7 @@ fn learning_curves_are_drawn_for_one_n_and_for_ten_of_several_files() {
     // Windows are told apart.
     let mut two = source("two.json", &[50], 2);
     let mut other = two.1.entries[0].clone();
-    other.window = 7;
+    other.lookback = Lookback::Window(7);
     two.1.entries.push(other);
     let scene = learning::scene(&[two]).expect("a picture");
     assert!(
@@ -198,11 +203,12 @@ fn a_cell_is_the_advantage_and_is_framed_where_the_policy_senses() {
 
 #[test]
 fn an_n_without_tables_is_refused_with_those_there_are() {
-    let refused = q_table::entry("a.json", &learned(&[10, 250], 1), 50, Some(4)).expect_err("no entry");
+    let refused =
+        q_table::entry("a.json", &learned(&[10, 250], 1), 50, Some(Lookback::Window(4))).expect_err("no entry");
     assert!(matches!(refused, FigureError::NoEntry { devices: 50, .. }));
     let text = refused.to_string();
     assert!(text.contains("N = 50: a.json has tables for 10, 250 devices"), "{text}");
-    let other = q_table::entry("a.json", &learned(&[10], 1), 10, Some(2)).expect_err("no entry");
+    let other = q_table::entry("a.json", &learned(&[10], 1), 10, Some(Lookback::Window(2))).expect_err("no entry");
     let text = other.to_string();
     assert!(
         text.contains("no devices with a window of 2") && text.contains("windows of 4"),

@@ -9,7 +9,7 @@ use reveille_common::declare::{FileError, Files};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use super::{DutyTable, Entry, LONGEST_WINDOW, Learned, Schedule, Setting, Training, WakeTable, Weights};
+use super::{DutyTable, Entry, LONGEST_WINDOW, Learned, Lookback, Schedule, Setting, Training, WakeTable, Weights};
 
 /// What the file says that it is.
 pub const FORMAT: &str = "reveille-q-table";
@@ -18,11 +18,19 @@ pub const VERSION: u32 = 3;
 /// The longest file that is read, bytes.
 const LONGEST: u64 = 64 << 20;
 
-/// The tables that come with the program, learned under the presets `paper` and `paper-literal`.
-const SHIPPED: [&str; 2] = [
-    include_str!("shipped-paper.json"),
-    include_str!("shipped-paper-literal.json"),
+/// The tables that come with the program, by their names: learned under the presets `paper` and `paper-literal`, for
+/// windows and for ages.
+const SHIPPED: [(&str, &str); 4] = [
+    ("shipped-paper", include_str!("shipped-paper.json")),
+    ("shipped-paper-literal", include_str!("shipped-paper-literal.json")),
+    ("shipped-paper-ages", include_str!("shipped-paper-ages.json")),
+    (
+        "shipped-paper-literal-ages",
+        include_str!("shipped-paper-literal-ages.json"),
+    ),
 ];
+/// How names of tables for ages end.
+const AGES: &str = "-ages";
 
 fn shipped(text: &str) -> Learned {
     Learned::parse(text).expect("a test reads the shipped tables")
@@ -90,21 +98,19 @@ struct Body {
 }
 
 impl Learned {
-    /// The shipped tables that were learned on what is most like `setting`.
-    pub fn shipped(setting: &Setting) -> Self {
-        let differences = |text: &&str| setting_of(text).differences(setting).len();
-        shipped(SHIPPED.into_iter().min_by_key(differences).unwrap_or(SHIPPED[0]))
+    /// The shipped tables, with ages or for windows, that were learned on what is most like `setting`.
+    pub fn shipped(setting: &Setting, ages: bool) -> Self {
+        let of_kind = SHIPPED.into_iter().filter(|(name, _)| name.ends_with(AGES) == ages);
+        let differences = |(_, text): &(&str, &str)| setting_of(text).differences(setting).len();
+        shipped(of_kind.min_by_key(differences).unwrap_or(SHIPPED[0]).1)
     }
 
     /// The shipped tables called `name`: `shipped` or `shipped-paper`, those of the preset `paper`, or
-    /// `shipped-paper-literal`.
+    /// `shipped-paper-literal`; with `-ages` at the end those for ages.
     pub fn shipped_as(name: &str) -> Option<Self> {
-        let [paper, literal] = SHIPPED;
-        match name {
-            "shipped" | "shipped-paper" => Some(shipped(paper)),
-            "shipped-paper-literal" => Some(shipped(literal)),
-            _ => None,
-        }
+        let name = if name == "shipped" { SHIPPED[0].0 } else { name };
+        let found = SHIPPED.into_iter().find(|(own, _)| *own == name)?;
+        Some(shipped(found.1))
     }
 
     /// Reads the file at `path`.
@@ -215,14 +221,14 @@ impl Learned {
             let Entry {
                 devices,
                 surface,
-                window,
+                lookback,
                 duty,
                 wake_p42,
                 wake_posterior,
                 ..
             } = entry;
-            if !(1..=LONGEST_WINDOW).contains(window) {
-                return Err(format!("it has an entry for a window of {window} TTIs"));
+            if !(1..=LONGEST_WINDOW).contains(&lookback.window()) {
+                return Err(format!("it has an entry for {}", lookback.in_words()));
             }
             if *devices == 0 || !surface.is_finite() || *surface <= 0.0 {
                 return Err(format!("it has an entry for {devices} devices on {surface} m²"));
@@ -237,7 +243,8 @@ impl Learned {
                 ));
             }
         }
-        let is_before = |a: &Entry, b: &Entry| a.window < b.window || a.window == b.window && a.density() < b.density();
+        let is_before =
+            |a: &Entry, b: &Entry| a.lookback < b.lookback || a.lookback == b.lookback && a.density() < b.density();
         if !self.entries.is_sorted_by(is_before) {
             return Err("its entries are not in the order of their windows and densities".to_owned());
         }
@@ -263,7 +270,7 @@ impl Entry {
         let Self {
             devices,
             surface,
-            window,
+            lookback,
             duty: DutyTable { q, outcomes, value },
             wake_p42,
             wake_posterior,
@@ -272,6 +279,10 @@ impl Entry {
         let mut sum = Sha256::new();
         sum.update(devices.to_le_bytes());
         sum.update(surface.to_bits().to_le_bytes());
+        let window = match lookback {
+            Lookback::Window(window) => *window,
+            Lookback::Ages => 0,
+        };
         sum.update(window.to_le_bytes());
         for cell in q
             .iter()
@@ -299,6 +310,7 @@ fn sha256(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::policy::q_learning::settings::QLearningSettings;
     use crate::scenario::{Override, load};
 
     fn learned() -> Learned {
@@ -316,7 +328,7 @@ mod tests {
             Entry::optimistic(
                 &load("paper", &[devices]).expect("a scenario").site(),
                 &weights,
-                window,
+                Lookback::Window(window),
                 1.0,
             )
         };
@@ -419,15 +431,27 @@ mod tests {
     #[test]
     fn the_nearest_density_serves_within_a_factor_of_two() {
         let learned = learned();
-        let of = |n: u32, surface: f64| learned.closest(1, n, surface).map(|entry| entry.devices);
+        let of = |n: u32, surface: f64| {
+            learned
+                .closest(Lookback::Window(1), n, surface)
+                .map(|entry| entry.devices)
+        };
         assert_eq!(
             [of(5, 400.0), of(20, 400.0), of(26, 400.0), of(100, 400.0)],
             [Some(10), Some(10), Some(50), Some(50)]
         );
         assert_eq!([of(4, 400.0), of(101, 400.0), of(1000, 4000.0)], [None, None, Some(50)]);
-        assert_eq!([1, 4].map(|window| learned.range(window, 400.0)), [(5, 100), (10, 40)]);
-        assert_eq!(learned.closest(4, 40, 400.0).map(|entry| entry.devices), Some(20));
-        assert!(learned.closest(4, 41, 400.0).is_none() && learned.closest(2, 20, 400.0).is_none());
+        assert_eq!(
+            [1, 4].map(|window| learned.range(Lookback::Window(window), 400.0)),
+            [(5, 100), (10, 40)]
+        );
+        let of = |window: u32, n: u32| {
+            learned
+                .closest(Lookback::Window(window), n, 400.0)
+                .map(|entry| entry.devices)
+        };
+        assert_eq!([of(4, 40), of(4, 41), of(2, 20)], [Some(20), None, None]);
+        assert!(learned.closest(Lookback::Ages, 20, 400.0).is_none());
         assert_eq!(learned.windows(), [1, 4]);
         assert_eq!(
             [1, 3, 5].map(|window| learned.nearest_window(window)),
@@ -437,17 +461,30 @@ mod tests {
 
     #[test]
     fn the_shipped_tables_are_those_of_a_training_with_the_presets_as_they_are() {
-        for (preset, text) in ["paper", "paper-literal"].into_iter().zip(SHIPPED) {
+        for (name, text) in SHIPPED {
             let tables = shipped(text);
             assert_eq!(setting_of(text), tables.setting);
-            assert_eq!(tables.windows(), [1, 2, 4]);
-            for window in tables.windows() {
-                let (least, most) = tables.range(window, 400.0);
-                assert!(least == 5 && most >= 500, "{preset}, window {window}");
+            let mut set = vec!["name=q-learning", "q-learning.learn=true", "q-learning.table=nothing"];
+            if name.ends_with(AGES) {
+                assert_eq!(tables.lookbacks(), [Lookback::Ages]);
+                set.push("q-learning.mu1=1");
+            } else {
+                assert_eq!(tables.lookbacks(), [1, 2, 4].map(Lookback::Window));
             }
-            let set = ["name=q-learning", "q-learning.learn=true", "q-learning.table=nothing"];
-            let set = set.map(|set| Override::parse(&format!("policy.{set}")).expect("an override"));
+            for lookback in tables.lookbacks() {
+                let (least, most) = tables.range(lookback, 400.0);
+                assert!(least == 5 && most >= 500, "{name}, window {lookback}");
+            }
+            let set: Vec<Override> = set
+                .iter()
+                .map(|set| Override::parse(&format!("policy.{set}")).expect("an override"))
+                .collect();
+            let preset = name.trim_start_matches("shipped-").trim_end_matches(AGES);
             let mut scenario = load(preset, &set).expect("a preset");
+            // A training takes what there are tables for from its own options.
+            let settings = scenario.policy.settings::<QLearningSettings>().expect("q-learning");
+            let settings = settings.clone().with_lookback(tables.lookbacks()[0]);
+            scenario.policy = scenario.policy.with_settings(settings);
             assert!(
                 Setting::of(&scenario.site()).differences(&tables.setting).is_empty(),
                 "{preset}"

@@ -14,7 +14,9 @@ pub use tables::{
     area_edge, battery_bucket, information_bucket, score_bucket, score_edge,
 };
 
+use std::fmt;
 use std::fmt::Display;
+use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
@@ -25,6 +27,107 @@ pub const LONGEST_WINDOW: u32 = 1000;
 
 /// How far N per area may lie from that of the nearest entry, as a factor.
 const REACH: f64 = 2.0;
+
+/// What a look at a place counts for later.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(try_from = "Written", into = "Written")]
+pub enum Lookback {
+    /// The place counts as covered for so many TTIs, `1 ..= `[`LONGEST_WINDOW`], the look's own included.
+    Window(u32),
+    /// The place is of age 1 again, and gets older.
+    Ages,
+}
+
+/// How files write what a look counts for later.
+#[derive(Serialize, Deserialize)]
+#[serde(untagged)]
+enum Written {
+    Window(u32),
+    Word(String),
+}
+
+impl TryFrom<Written> for Lookback {
+    type Error = String;
+
+    fn try_from(written: Written) -> Result<Self, String> {
+        match written {
+            Written::Window(window) => Ok(Self::Window(window)),
+            Written::Word(word) => word.parse(),
+        }
+    }
+}
+
+impl From<Lookback> for Written {
+    fn from(lookback: Lookback) -> Self {
+        match lookback {
+            Lookback::Window(window) => Self::Window(window),
+            Lookback::Ages => Self::Word(lookback.to_string()),
+        }
+    }
+}
+
+/// `ages`, or a window by its TTIs.
+impl FromStr for Lookback {
+    type Err = String;
+
+    fn from_str(word: &str) -> Result<Self, String> {
+        match word.trim() {
+            "ages" => Ok(Self::Ages),
+            number => match number.parse() {
+                Ok(window @ 1..=LONGEST_WINDOW) => Ok(Self::Window(window)),
+                _ => Err(format!(
+                    "must be a number of TTIs from 1 to {LONGEST_WINDOW}, or ages, not {word:?}"
+                )),
+            },
+        }
+    }
+}
+
+impl Lookback {
+    /// As a phrase: "a window of 4 TTIs".
+    pub fn in_words(self) -> String {
+        match self {
+            Self::Window(window) => format!("a window of {window} TTIs"),
+            Self::Ages => "places with ages".to_owned(),
+        }
+    }
+
+    /// The bucket of what a device would newly look at: an area, or with ages the sum over its places of what their
+    /// ages are worth; a share of its sensing disc with places of age 1. `0 .. AREAS`; 0 is as good as nothing.
+    pub fn bucket(self, share: f64) -> usize {
+        area_bucket(share / self.stretch())
+    }
+
+    /// The end of the `bucket`-th of these buckets, but for the last, which with ages is open.
+    pub fn edge(self, bucket: usize) -> f64 {
+        area_edge(bucket) * self.stretch()
+    }
+
+    /// How much wider than those of areas its buckets are: old places are worth more than their area.
+    const fn stretch(self) -> f64 {
+        match self {
+            Self::Window(_) => 1.0,
+            Self::Ages => 4.0,
+        }
+    }
+
+    /// TTIs for which a place counts as covered altogether.
+    pub const fn window(self) -> u32 {
+        match self {
+            Self::Window(window) => window,
+            Self::Ages => 1,
+        }
+    }
+}
+
+impl Display for Lookback {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Window(window) => window.fmt(f),
+            Self::Ages => f.pad("ages"),
+        }
+    }
+}
 
 /// The weights that the tables were learned for.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -151,8 +254,9 @@ pub struct Entry {
     pub devices: u32,
     /// The area ξ of the training, m².
     pub surface: f64,
-    /// TTIs within which the area was to be covered once, `1 ..= `[`LONGEST_WINDOW`].
-    pub window: u32,
+    /// What a look counted for later.
+    #[serde(rename = "window")]
+    pub lookback: Lookback,
     /// The table of who senses.
     pub duty: DutyTable,
     /// The table of whom to wake, for candidates ranked by `P_4,2`.
@@ -166,15 +270,15 @@ pub struct Entry {
 impl Entry {
     /// The optimistic start for the devices of `site`: what an action brings at once is known,
     /// `optimism` times that for sensing; what it costs later is not. Every wake-up is worth a try.
-    pub fn optimistic(site: &Site<'_>, weights: &Weights, window: u32, optimism: f64) -> Self {
+    pub fn optimistic(site: &Site<'_>, weights: &Weights, lookback: Lookback, optimism: f64) -> Self {
         let (devices, surface) = (site.devices, site.area.surface());
         let disc = std::f64::consts::PI * site.sensing.d_max * site.sensing.d_max;
-        let whole = optimism * weights.covering(devices, site.alpha, window) * disc / surface;
+        let whole = optimism * weights.covering(devices, site.alpha, lookback.window()) * disc / surface;
         Self {
             devices,
             surface,
-            window,
-            duty: DutyTable::optimistic(1.0 / (1.0 - weights.zeta), |area| whole * area_edge(area)),
+            lookback,
+            duty: DutyTable::optimistic(1.0 / (1.0 - weights.zeta), |area| whole * lookback.edge(area)),
             wake_p42: WakeTable::optimistic(optimism),
             wake_posterior: WakeTable::optimistic(optimism),
             curve: Vec::new(),
@@ -218,7 +322,7 @@ pub struct Learned {
     pub training: Training,
     /// What it was learned on.
     pub setting: Setting,
-    /// At least one, by rising window, and for each window by rising density.
+    /// At least one, by rising window, those with ages last, and for each by rising density.
     pub entries: Vec<Entry>,
 }
 
@@ -232,9 +336,9 @@ impl Learned {
             .as_ref()
             .map_or_else(String::new, |from| format!(", begun from {from}"));
         format!(
-            "tables for N = {}, μ1 = {mu1}, μ2 = {mu2}, ζ = {zeta} and a window of {} TTIs, \
-             learned in {ttis} TTIs{before}",
-            entry.devices, entry.window
+            "tables for N = {}, μ1 = {mu1}, μ2 = {mu2}, ζ = {zeta} and {}, learned in {ttis} TTIs{before}",
+            entry.devices,
+            entry.lookback.in_words()
         )
     }
 
@@ -244,11 +348,20 @@ impl Learned {
         self.entries.iter().any(is_short)
     }
 
+    /// What there are tables for, by rising window, ages last.
+    pub fn lookbacks(&self) -> Vec<Lookback> {
+        let mut lookbacks: Vec<Lookback> = self.entries.iter().map(|entry| entry.lookback).collect();
+        lookbacks.dedup();
+        lookbacks
+    }
+
     /// The windows that there are tables for, by rising length.
     pub fn windows(&self) -> Vec<u32> {
-        let mut windows: Vec<u32> = self.entries.iter().map(|entry| entry.window).collect();
-        windows.dedup();
-        windows
+        let windows = self
+            .lookbacks()
+            .into_iter()
+            .filter(|lookback| *lookback != Lookback::Ages);
+        windows.map(Lookback::window).collect()
     }
 
     /// Those of [`Self::windows`] that is nearest to `window` in ratio.
@@ -258,22 +371,22 @@ impl Learned {
         windows.min_by(|a, b| apart(a).total_cmp(&apart(b)))
     }
 
-    fn of_window(&self, window: u32) -> impl Iterator<Item = &Entry> {
-        self.entries.iter().filter(move |entry| entry.window == window)
+    fn of(&self, lookback: Lookback) -> impl Iterator<Item = &Entry> {
+        self.entries.iter().filter(move |entry| entry.lookback == lookback)
     }
 
-    /// The entry for `window` and `devices` on `surface` m²: the nearest density, if it is within a factor of 2.
-    pub fn closest(&self, window: u32, devices: u32, surface: f64) -> Option<&Entry> {
+    /// The entry for `lookback` and `devices` on `surface` m²: the nearest density, if it is within a factor of 2.
+    pub fn closest(&self, lookback: Lookback, devices: u32, surface: f64) -> Option<&Entry> {
         let density = f64::from(devices) / surface;
         let apart = |entry: &Entry| libm::log(entry.density() / density).abs();
-        let nearest = self.of_window(window).min_by(|a, b| apart(a).total_cmp(&apart(b)))?;
+        let nearest = self.of(lookback).min_by(|a, b| apart(a).total_cmp(&apart(b)))?;
         (apart(nearest) <= libm::log(REACH) + 1e-9).then_some(nearest)
     }
 
-    /// The least and the largest N on `surface` m² that some entry for `window` serves.
-    pub fn range(&self, window: u32, surface: f64) -> (u32, u32) {
+    /// The least and the largest N on `surface` m² that some entry for `lookback` serves.
+    pub fn range(&self, lookback: Lookback, surface: f64) -> (u32, u32) {
         let at = |entry: Option<&Entry>| entry.map_or(0.0, Entry::density) * surface;
-        let (least, most) = (at(self.of_window(window).next()), at(self.of_window(window).last()));
+        let (least, most) = (at(self.of(lookback).next()), at(self.of(lookback).last()));
         ((least / REACH).ceil().max(1.0) as u32, (most * REACH).floor() as u32)
     }
 }
@@ -302,7 +415,7 @@ mod tests {
             let set = Override::parse("devices=250").expect("an override");
             let scenario = load("paper", &[set]).expect("a scenario");
             for optimism in [0.0, 0.5, 2.0] {
-                let entry = Entry::optimistic(&scenario.site(), &weights, window, optimism);
+                let entry = Entry::optimistic(&scenario.site(), &weights, Lookback::Window(window), optimism);
                 // A whole disc of 4 m radius on 20 m × 20 m, with α = 0.2.
                 let most = optimism * expected * std::f64::consts::PI * 16.0 / 400.0;
                 for battery in 0..BATTERIES {

@@ -2,16 +2,12 @@
 
 use reveille_common::ids::DeviceId;
 
-use super::learned::{AREAS, BATTERIES, area_bucket};
+use super::contract::{ABLE, CHARGES, Gain};
 use crate::beliefs::coverage::{Coverage, Spot};
+use crate::policy::q_learning::learned::{AREAS, BATTERIES, area_bucket};
 
 /// The largest number of a device within a key.
 const NUMBERS: u32 = (1 << 24) - 1;
-/// The first battery bucket in which a device can sense and report.
-const ABLE: u8 = 2;
-/// First those at least half charged are chosen from, then all who are able.
-const CHARGES: [u8; 2] = [5, ABLE];
-
 /// Sequential choice among those for whom sensing has an advantage.
 ///
 /// Places are looked after in the order of [`Coverage::blocks`]. If one is open, then of those that reach it with an
@@ -36,6 +32,8 @@ pub struct Choice {
     batteries: Vec<u8>,
     /// What the key of a device is at most: gains never rise while others are added, so neither does a key.
     bounds: Vec<u64>,
+    /// Of those who may cover a place of the block that is looked after, who may still be chosen, by rising number.
+    near: Vec<u32>,
 }
 
 impl Choice {
@@ -52,6 +50,7 @@ impl Choice {
             own,
             batteries: vec![0; devices],
             bounds: vec![0; devices],
+            near: Vec::with_capacity(devices),
             coverage,
         }
     }
@@ -62,10 +61,8 @@ impl Choice {
     }
 
     /// Begins a TTI with these battery buckets, in which so far those of `covering` cover something.
-    pub fn begin(&mut self, batteries: impl Iterator<Item = usize>, covering: impl Iterator<Item = DeviceId>) {
-        for (own, battery) in self.batteries.iter_mut().zip(batteries) {
-            *own = battery as u8;
-        }
+    pub fn begin(&mut self, batteries: &[u8], covering: impl Iterator<Item = DeviceId>) {
+        self.batteries.copy_from_slice(batteries);
         self.cover(covering);
     }
 
@@ -82,20 +79,13 @@ impl Choice {
         self.coverage.add(j);
     }
 
-    /// The battery bucket of the `j`-th device.
-    pub fn battery(&self, j: usize) -> u8 {
-        self.batteries[j]
-    }
-
-    /// Whether the `j`-th device can sense and report.
-    pub fn is_able(&self, j: usize) -> bool {
-        self.batteries[j] >= ABLE
-    }
-
-    /// The share of the area that the `j`-th device would newly cover, and its bucket.
-    pub fn gain(&self, j: usize) -> (f64, u8) {
-        let gain = self.coverage.gain(j);
-        (gain, area_bucket(gain * self.discs) as u8)
+    /// What the `j`-th device would newly cover.
+    pub fn gain(&self, j: usize) -> Gain {
+        let share = self.coverage.gain(j);
+        Gain {
+            share,
+            bucket: area_bucket(share * self.discs) as u8,
+        }
     }
 
     /// The share of the area that nobody covers.
@@ -123,10 +113,16 @@ impl Choice {
             if !self.coverage.has_open(block) {
                 continue;
             }
+            self.near.clear();
+            let may_be_chosen = |j: &&u32| self.bounds[**j as usize] > 0;
+            self.near.extend(self.coverage.near(block).iter().filter(may_be_chosen));
+            if self.near.is_empty() {
+                continue;
+            }
             for i in 0..self.coverage.spots(block).len() {
                 let spot = self.coverage.spots(block)[i];
                 while self.coverage.is_open(spot)
-                    && let Some(j) = self.best(block, spot)
+                    && let Some(j) = self.best(spot)
                 {
                     self.coverage.add(j as usize);
                     self.bounds[j as usize] = 0;
@@ -137,10 +133,10 @@ impl Choice {
     }
 
     /// The best of those who reach a place, if one of them has an advantage.
-    fn best(&mut self, block: usize, spot: Spot) -> Option<u32> {
+    fn best(&mut self, spot: Spot) -> Option<u32> {
         // Whoever was the best when last looked at comes first: most others are then known to be worse.
         let mut first = (0, 0);
-        for &j in self.coverage.near(block) {
+        for &j in &self.near {
             let bound = self.bounds[j as usize];
             if bound > first.0 && self.coverage.reaches(j as usize, spot) {
                 first = (bound, j);
@@ -150,8 +146,8 @@ impl Choice {
             return None;
         }
         let (mut most, mut best) = (self.look(first.1), first.1);
-        for i in 0..self.coverage.near(block).len() {
-            let j = self.coverage.near(block)[i];
+        for i in 0..self.near.len() {
+            let j = self.near[i];
             if self.bounds[j as usize] > most && self.coverage.reaches(j as usize, spot) {
                 let key = self.look(j);
                 if key > most {

@@ -1,0 +1,111 @@
+//! The area is to be covered once within a window.
+
+use std::collections::VecDeque;
+
+use reveille_common::geometry::{Area, Point};
+use reveille_common::ids::DeviceId;
+use reveille_common::sensing::Sensing;
+
+use super::choice::Choice;
+use super::contract::{Gain, Ground, discs};
+use crate::beliefs::coverage::Coverage;
+use crate::policy::q_learning::learned::{AREAS, BATTERIES};
+
+/// What was looked at within the window need not be looked at again.
+pub(super) struct Windowed {
+    choice: Choice,
+    devices: usize,
+    /// TTIs within which the area is to be covered once, ≥ 1.
+    window: usize,
+    /// Who sensed in each of the last `window` − 1 TTIs, the latest at the end.
+    recent: VecDeque<Vec<DeviceId>>,
+    /// TTIs over which the choice is still to be spread.
+    spread: usize,
+}
+
+impl Windowed {
+    pub(super) fn new(window: u32, positions: &[Point], area: Area, sensing: &Sensing) -> Self {
+        let (coverage, window) = (Coverage::new(positions, area, sensing), window as usize);
+        Self {
+            choice: Choice::new(coverage, discs(area, sensing), positions.len()),
+            devices: positions.len(),
+            window,
+            recent: VecDeque::from(vec![Vec::new(); window - 1]),
+            spread: window,
+        }
+    }
+}
+
+impl Ground for Windowed {
+    fn set_advantages(&mut self, advantages: &[[f64; AREAS]; BATTERIES]) {
+        self.choice.set_advantages(advantages);
+    }
+
+    fn begin(&mut self, batteries: &[u8]) {
+        self.choice.begin(batteries, self.recent.iter().flatten().copied());
+    }
+
+    fn add(&mut self, j: usize) {
+        self.choice.add(j);
+    }
+
+    fn choose(&mut self, is_free: &dyn Fn(usize) -> bool, set: &[DeviceId]) -> Vec<DeviceId> {
+        let mut chosen = self.choice.choose(is_free);
+        let covering = || self.recent.iter().flatten().chain(set).copied();
+        self.choice.spare(&mut chosen, covering);
+        // What is looked at now comes due all at once a window later. So that this is not everything in one TTI and
+        // nothing in the next, the first window begins with a part of the choice: those that are far apart.
+        if self.spread > 1 {
+            chosen = chosen.into_iter().step_by(self.spread).collect();
+        }
+        chosen
+    }
+
+    fn gains(&mut self, chosen: &[DeviceId]) -> Vec<Gain> {
+        self.choice.cover(self.recent.iter().flatten().copied());
+        let mut gain = |device: &DeviceId| {
+            let gain = self.choice.gain(device.index());
+            self.choice.add(device.index());
+            gain
+        };
+        chosen.iter().map(&mut gain).collect()
+    }
+
+    fn gain(&self, j: usize) -> Gain {
+        self.choice.gain(j)
+    }
+
+    fn left(&self) -> f64 {
+        self.choice.uncovered()
+    }
+
+    /// Each place is its who covered it first in the window, with `chosen` in the last TTI of it.
+    fn credits(&mut self, chosen: &[DeviceId]) -> Vec<f64> {
+        let mut credits = vec![0.0; self.devices];
+        self.choice.cover(std::iter::empty());
+        for device in self.recent.iter().flatten().chain(chosen) {
+            let j = device.index();
+            credits[j] += self.choice.gain(j).share;
+            self.choice.add(j);
+        }
+        credits
+    }
+
+    fn all(&self) -> f64 {
+        1.0
+    }
+
+    fn remember(&mut self, chosen: &[DeviceId]) {
+        if self.window > 1 {
+            self.recent.pop_front();
+            self.recent.push_back(chosen.to_vec());
+        }
+        self.spread = self.spread.saturating_sub(1);
+    }
+
+    fn found(&mut self) {}
+
+    fn prior(&self, _: Point) -> f64 {
+        1.0
+    }
+}
