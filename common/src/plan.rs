@@ -60,19 +60,16 @@ impl DutyCycle {
     #[inline]
     pub const fn span(self, phase: u32, n: u32) -> (u64, u64, u32) {
         let end = phase + n;
-        let (cycles, rest) = if end < self.t_drx {
-            (0, end)
-        } else {
-            (end / self.t_drx, end % self.t_drx)
-        };
-        let (t_on, before, after) = (
-            self.t_on as u64,
-            least(phase, self.t_on) as u64,
-            least(rest, self.t_on) as u64,
-        );
+        let before = least(phase, self.t_on) as u64;
         // With x counted from the start of the first cycle: how many x before the end have δ = 1, and the sum of those
         // x.
-        let (cycles, cycle) = (cycles as u64, self.t_drx as u64);
+        if end < self.t_drx {
+            let after = least(end, self.t_on) as u64;
+            let on = after - before;
+            return (on, end as u64 * on - (triangle(after) - triangle(before)), end);
+        }
+        let (cycles, rest) = ((end / self.t_drx) as u64, end % self.t_drx);
+        let (t_on, cycle, after) = (self.t_on as u64, self.t_drx as u64, least(rest, self.t_on) as u64);
         let on = cycles * t_on + after - before;
         let full = cycle * t_on * triangle(cycles) + cycles * triangle(t_on);
         let sum = full + cycles * cycle * after + triangle(after) - triangle(before);
@@ -97,7 +94,8 @@ const fn least(a: u32, b: u32) -> u32 {
 
 /// 0 + 1 + … + (n − 1).
 const fn triangle(n: u64) -> u64 {
-    if n == 0 { 0 } else { n * (n - 1) / 2 }
+    // With n = 0 the other factor does not matter.
+    n.wrapping_mul(n.wrapping_sub(1)) / 2
 }
 
 /// What the BS commands: δ for all devices, until the next plan.
