@@ -97,15 +97,10 @@ struct Account {
 
 impl Account {
     fn new(device: &DeviceKnowledge, rate: f64) -> Self {
-        let EnergyModel {
-            e_max,
-            e_idle,
-            e_wur,
-            e_tx,
-            ..
-        } = device.energy;
-        let dearest = e_idle.max(e_wur);
-        let fall = (e_max.saturating_sub(dearest) >= e_tx).then(|| dearest.saturating_sub(device.mean_harvest).micro());
+        let energy = &device.energy;
+        let dearest = energy.e_idle.max(energy.e_wur);
+        let has_room = energy.e_max.saturating_sub(dearest) >= energy.e_tx;
+        let fall = has_room.then(|| dearest.saturating_sub(device.mean_harvest).micro());
         Self {
             class: device.class,
             energy: device.energy,

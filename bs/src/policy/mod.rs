@@ -15,3 +15,4 @@ pub mod pilots;
 pub mod q_learning;
 pub mod random;
 pub mod registry;
+mod tally;

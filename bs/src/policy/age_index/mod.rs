@@ -27,6 +27,7 @@ use self::settings::AgeIndexSettings;
 use super::contract::{Opaque, Policy};
 use super::kind::{Profile, Registered, own};
 use super::mind::Mind;
+use super::tally::Tally;
 use crate::beliefs::ages::Ages;
 use crate::beliefs::candidates::Candidates;
 use crate::knowledge::Knowledge;
@@ -45,13 +46,6 @@ pub struct AgeIndex {
     /// Whether an event was reported in the TTI that was decided on last.
     is_found: bool,
     tally: Tally,
-}
-
-/// What the summary shows.
-#[derive(Clone, Copy, Debug, Default)]
-struct Tally {
-    decisions: u64,
-    sensing: u64,
 }
 
 impl AgeIndex {
@@ -79,9 +73,7 @@ impl Policy for AgeIndex {
         }
         let mut chosen = self.choice.choose(&mut self.ages, self.prices.at(seen.batteries));
         chosen.sort_unstable();
-        self.tally.decisions += 1;
-        self.tally.sensing += chosen.len() as u64;
-        Plan::from_chosen(seen.known.n(), &chosen)
+        self.tally.plan(seen.known.n(), &chosen)
     }
 
     /// Decides in every TTI: places get older.
@@ -112,8 +104,7 @@ impl Policy for AgeIndex {
     }
 
     fn facts(&self) -> Vec<(&'static str, f64)> {
-        let Tally { decisions, sensing } = self.tally;
-        vec![("sensing_per_tti", sensing as f64 / decisions.max(1) as f64)]
+        vec![self.tally.fact()]
     }
 }
 

@@ -50,6 +50,7 @@ use self::settings::QLearningSettings;
 use super::contract::{Opaque, Policy};
 use super::kind::{Profile, Registered, own};
 use super::mind::Mind;
+use super::tally::Tally;
 use crate::beliefs::candidates::Candidates;
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
@@ -68,15 +69,8 @@ pub struct QLearning {
     reports: usize,
     is_exploring: bool,
     tally: Tally,
-}
-
-/// What the summary shows.
-#[derive(Clone, Copy, Debug, Default)]
-struct Tally {
-    decisions: u64,
-    sensing: u64,
-    reward: f64,
-    rewarded: u64,
+    /// The sum of r(k), and over how many TTIs.
+    rewards: (f64, u64),
 }
 
 impl QLearning {
@@ -116,6 +110,7 @@ impl QLearning {
             reports: 0,
             is_exploring: false,
             tally: Tally::default(),
+            rewards: (0.0, 0),
             settings: settings.clone(),
         }
     }
@@ -137,8 +132,8 @@ impl QLearning {
     fn learn_duty(&mut self, seen: &Observation<'_>) {
         if let Some((reward, shares)) = self.duty.rewards() {
             debug_assert!((shares.sum::<f64>() - reward).abs() < 1e-9, "the shares add up to r(k)");
-            self.tally.reward += reward;
-            self.tally.rewarded += 1;
+            self.rewards.0 += reward;
+            self.rewards.1 += 1;
         }
         self.duty.learn(seen.batteries);
     }
@@ -153,9 +148,7 @@ impl Policy for QLearning {
         } else {
             self.duty.choose(seen.batteries)
         };
-        self.tally.decisions += 1;
-        self.tally.sensing += chosen.len() as u64;
-        Plan::from_chosen(seen.known.n(), &chosen)
+        self.tally.plan(seen.known.n(), &chosen)
     }
 
     /// Decides in every TTI: batteries change, and so does who should sense.
@@ -204,18 +197,13 @@ impl Policy for QLearning {
     }
 
     fn facts(&self) -> Vec<(&'static str, f64)> {
-        let Tally {
-            decisions,
-            sensing,
-            reward,
-            rewarded,
-        } = self.tally;
         let mut facts = vec![
             ("learned_for_devices", f64::from(self.settings.start.devices)),
-            ("sensing_per_tti", sensing as f64 / decisions.max(1) as f64),
+            self.tally.fact(),
         ];
-        if rewarded > 0 {
-            facts.push(("reward_per_tti", reward / rewarded as f64));
+        let (sum, ttis) = self.rewards;
+        if ttis > 0 {
+            facts.push(("reward_per_tti", sum / ttis as f64));
         }
         facts
     }
