@@ -13,7 +13,7 @@ use rayon::iter::{IntoParallelRefMutIterator, ParallelIterator};
 use reveille_bs::outcome::Outcome;
 use reveille_bs::policy::contract::Opaque;
 use reveille_bs::policy::q_learning::learned::{
-    CurvePoint, Entry, Learned, LearnedError, Lookback, Schedule, Setting, Training, Weights,
+    CurvePoint, Entry, LONGEST_WINDOW, Learned, LearnedError, Lookback, Schedule, Setting, Training, Weights,
 };
 use reveille_bs::policy::q_learning::settings::QLearningSettings;
 use reveille_bs::prepared::Prepared;
@@ -148,7 +148,13 @@ impl Trainer {
         let devices = listed("devices", devices, MOST_DEVICES)?;
         let mut lookbacks = lookbacks.to_vec();
         if lookbacks.is_empty() {
-            lookbacks.push(settings.lookback());
+            lookbacks.push(settings.lookback);
+        }
+        if let Some(bad) = lookbacks
+            .iter()
+            .find(|one| !(1..=LONGEST_WINDOW).contains(&one.window()))
+        {
+            return Err(invalid("windows", bad, "must be from 1 to 1000"));
         }
         lookbacks.sort_unstable();
         lookbacks.dedup();
@@ -184,7 +190,10 @@ impl Trainer {
         let each = |&lookback: &Lookback| devices.iter().map(move |&n| begun(n, lookback));
         let entries = lookbacks.iter().flat_map(each).collect();
         // The first stands for all: a training says which there are by its entries.
-        let settings = settings.clone().with_lookback(lookbacks[0]);
+        let settings = QLearningSettings {
+            lookback: lookbacks[0],
+            ..settings.clone()
+        };
         Ok(Self {
             entries,
             training: Training {
@@ -361,7 +370,8 @@ fn episode(
         learn: true,
         epsilon: [first + progress * (last - first); 2].into(),
         start: Arc::new(entry.clone()),
-        ..settings.clone().with_lookback(entry.lookback)
+        lookback: entry.lookback,
+        ..settings.clone()
     };
     let mut one = Scenario {
         devices: entry.devices,
@@ -400,7 +410,7 @@ fn episode(
 pub fn learned_in(scenario: &Scenario, outcome: &Outcome) -> Option<Learned> {
     let settings = scenario.policy.settings::<QLearningSettings>()?;
     let mut entry = left_by(outcome)?;
-    (entry.devices, entry.surface, entry.lookback) = (scenario.devices, scenario.area.surface(), settings.lookback());
+    (entry.devices, entry.surface, entry.lookback) = (scenario.devices, scenario.area.surface(), settings.lookback);
     let before = entry.curve.last().map_or(0, |point| point.ttis);
     entry.curve.push(point(outcome, before + outcome.ttis_done));
     Some(Learned {

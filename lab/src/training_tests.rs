@@ -67,12 +67,15 @@ fn sensing_per_tti(outcome: &reveille_bs::outcome::Outcome) -> f64 {
 fn without_a_reward_for_detection_everyone_is_asleep() {
     for preset in ["paper", "paper-literal"] {
         for devices in [10, 60] {
-            let scenario = scenario(preset, &["policy.q-learning.mu1=0"]);
-            let entry = trained(&scenario, devices, 6, 1000);
-            for seed in 1..=3 {
-                let outcome = crate::preparation::run(&evaluation(&scenario, &entry, seed, 1500));
-                let sensing = sensing_per_tti(&outcome);
-                assert!(sensing == 0.0, "{preset}, N = {devices}: {sensing} sense");
+            for ages in [false, true] {
+                let set = ["policy.q-learning.mu1=0", &format!("policy.q-learning.ages={ages}")];
+                let scenario = scenario(preset, &set);
+                let entry = trained(&scenario, devices, 6, 1000);
+                for seed in 1..=3 {
+                    let outcome = crate::preparation::run(&evaluation(&scenario, &entry, seed, 1500));
+                    let sensing = sensing_per_tti(&outcome);
+                    assert!(sensing == 0.0, "{preset}, N = {devices}, ages {ages}: {sensing} sense");
+                }
             }
         }
     }
@@ -81,6 +84,43 @@ fn without_a_reward_for_detection_everyone_is_asleep() {
     let entry = trained(&scenario, 10, 6, 1000);
     let sensing = sensing_per_tti(&crate::preparation::run(&evaluation(&scenario, &entry, 1, 1500)));
     assert!(sensing > 1.0, "{sensing} sense");
+}
+
+/// The same information as `age-index` gathers for the energy, by prices that were learned and not set.
+#[test]
+fn with_ages_little_training_comes_near_to_age_index() {
+    let devices = 60;
+    let learner = scenario("paper", &["policy.q-learning.ages=true", "bs.ranking=posterior"]);
+    let entry = trained(&learner, devices, 6, 1500);
+    let mean = |of: &dyn Fn(u64) -> Scenario| {
+        let runs = (1..=2).map(|seed| crate::preparation::run(&of(seed)).metrics);
+        let sums = runs.fold([0.0; 2], |sum, m| {
+            [sum[0] + m.info_p1, sum[1] + m.energy_per_device_tti]
+        });
+        sums.map(|sum| sum / 2.0)
+    };
+    let [own, energy] = mean(&|seed| evaluation(&learner, &entry, seed, 2000));
+    let line: Vec<[f64; 2]> = [0.2, 0.35, 0.6, 1.0]
+        .iter()
+        .map(|price| {
+            let set = [
+                "policy.name=age-index".to_owned(),
+                format!("policy.age-index.price={price}"),
+                format!("devices={devices}"),
+                "ttis=2000".to_owned(),
+            ];
+            let set = set.map(|text| Override::parse(&text).expect("an override"));
+            let base = load("paper", &set).expect("a scenario");
+            mean(&|seed| Scenario { seed, ..base.clone() })
+        })
+        .collect();
+    // The price at which age-index spends no more than the learner.
+    let [other, spent] = *line.iter().find(|point| point[1] <= energy).expect("a price as dear");
+    println!("N = {devices}: {own:.3} at {energy:.3}, age-index {other:.3} at {spent:.3}");
+    assert!(
+        own > 0.95 * other,
+        "N = {devices}: {own} at {energy}, age-index {other} at {spent}"
+    );
 }
 
 #[test]
@@ -234,7 +274,7 @@ impl TrainingProgress for AtEpisode {
 
 /// The mean of r*(k) over the events of two runs with `wake` in place of the table for `ranking`.
 fn waking_reward(entry: &Entry, ranking: WakeUpRanking, wake: &WakeTable) -> f64 {
-    const TTIS: u64 = 2000;
+    const TTIS: u64 = 1500;
     let mut entry = entry.clone();
     (entry.wake_p42, entry.wake_posterior) = (wake.clone(), wake.clone());
     let mut base = scenario("paper", &["policy.q-learning.mu2=1"]);

@@ -26,7 +26,7 @@ const WAYS: [&str; 9] = [
 const FEW_WAYS: [&str; 4] = ["run", "up -P 0", "up -P 4", "up -P 3 --no-lookahead --window 7"];
 
 /// Settings under which a policy or the world takes other paths, beside the ranking of wake-ups.
-const FURTHER: [(&str, &str); 5] = [
+const FURTHER: [(&str, &str); 6] = [
     (
         "q-learning",
         "--set bs.battery_knowledge=reported --set bs.ranking=posterior",
@@ -39,6 +39,10 @@ const FURTHER: [(&str, &str); 5] = [
     (
         "knn",
         "--set events.process=bursts --set events.duration_kind=geometric",
+    ),
+    (
+        "q-learning",
+        "--set policy.q-learning.ages=true --set bs.ranking=posterior",
     ),
     ("genie", "--set events.process=aftershocks"),
 ];

@@ -279,7 +279,7 @@ fn a_table_for_other_densities_or_weights_is_refused() {
         let field = format!("policy.q-learning.{name}");
         assert_refused(&end, 1, &[&field, value, "reveille train q-learning"]);
         let more = if name == "window" {
-            ["which has those for 1;", "--windows 3"]
+            ["which has those for policy.q-learning.window = 1;", "--windows 3"]
         } else {
             ["its table was learned", "policy.q-learning.learn = true"]
         };
@@ -321,7 +321,15 @@ fn a_window_without_tables_is_answered_with_those_there_are() {
     assert!(end.stderr.contains("events.alpha 0.2, here 0.3"), "{end}");
     let end = run("--set policy.q-learning.window=3");
     let hint = "reveille train q-learning --windows 3";
-    assert_refused(&end, 1, &["policy.q-learning.window = 3", "those for 1, 2, 4", hint]);
+    assert_refused(
+        &end,
+        1,
+        &[
+            "policy.q-learning.window = 3",
+            "policy.q-learning.window = 4; set one of these",
+            hint,
+        ],
+    );
     let end = run("--set policy.q-learning.ages=true");
     assert!(end.is_success() && end.stderr.is_empty(), "{end}");
     let end = run("--set policy.q-learning.ages=true --set policy.q-learning.window=2");
@@ -332,8 +340,12 @@ fn a_window_without_tables_is_answered_with_those_there_are() {
     );
     let train = "train q-learning --quiet --episode-ttis 50 --episodes 1 -n 20";
     for (windows, set, known) in [
-        ("ages", "window=1", "those for ages;"),
-        ("4,2", "ages=true", "those for 2, 4;"),
+        ("ages", "window=1", "those for policy.q-learning.ages = true;"),
+        (
+            "4,2",
+            "ages=true",
+            "those for policy.q-learning.window = 2, policy.q-learning.window = 4;",
+        ),
     ] {
         let end = folder.run(&format!("{train} --windows {windows} --out one.json --force"));
         assert!(end.is_success(), "{end}");
@@ -347,6 +359,29 @@ fn a_window_without_tables_is_answered_with_those_there_are() {
             &[&format!("policy.q-learning.{field} = {value}"), known, "--windows"],
         );
     }
+    for args in [
+        "--windows 1,ages --out no.json",
+        "--windows 2 --set policy.q-learning.ages=true --out no.json",
+    ] {
+        let end = folder.run(&format!("{train} {args}"));
+        assert_refused(&end, 1, &["--windows", "ages"]);
+    }
+    // The weight of misdetections with ages is another than with windows, and is that of the tables.
+    let end = folder.run(&format!("{train} --windows ages --out ages.json"));
+    let learned = fs::read_to_string(folder.join("ages.json")).expect("tables");
+    assert!(end.is_success() && learned.contains("\"mu1\":1.0"), "{end}");
+    let end = run("--set policy.q-learning.ages=true --set policy.q-learning.mu1=14");
+    assert_refused(
+        &end,
+        1,
+        &["policy.q-learning.mu1 = 14", "must be 1", "--windows ages --set"],
+    );
+    // Where nothing is worth a look, that is said: literally, a device alone is worth less than its sleep.
+    let end = folder.run("run -s paper-literal -n 20 -k 200 --policy q-learning");
+    assert!(
+        end.is_success() && end.stderr.contains("no device is ever told to sense"),
+        "{end}"
+    );
     for windows in ["0", "1001", "age"] {
         let end = folder.run(&format!("{train} --windows 1,{windows} --out no.json"));
         assert_refused(&end, 2, &[windows, "from 1 to 1000, or ages"]);

@@ -50,8 +50,10 @@ fn run(set: &[&str], psi: f64) -> (Outcome, Heard) {
 
 #[test]
 fn a_run_scales_with_psi() {
-    let policies: [&[&str]; 4] = [
+    let policies: [&[&str]; 6] = [
         &["policy.name=knn"],
+        &["policy.name=age-index"],
+        &["policy.name=q-learning", "policy.q-learning.ages=true"],
         &[
             "policy.name=adjusted",
             "policy.adjusted.t_drx=[4,8]",

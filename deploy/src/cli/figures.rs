@@ -110,7 +110,8 @@ pub enum AxisArg {
 /// `reveille figures learning`.
 #[derive(Args)]
 pub struct LearningArgs {
-    /// Files of learned tables, at most 6; `shipped` and `shipped-paper-literal` for those that come with the program.
+    /// Files of learned tables, at most 6; `shipped` and `shipped-paper-literal` for those that come with the program,
+    /// with `-ages` after `shipped-paper` or `shipped-paper-literal` for those with ages.
     #[arg(required = true, value_name = "FILE")]
     pub files: Vec<PathBuf>,
     /// The pictures.
@@ -121,7 +122,8 @@ pub struct LearningArgs {
 /// `reveille figures q-table`.
 #[derive(Args)]
 pub struct QTableArgs {
-    /// A file of learned tables; `shipped` or `shipped-paper-literal` for those that come with the program.
+    /// A file of learned tables; `shipped` or `shipped-paper-literal` for those that come with the program, with
+    /// `-ages` after `shipped-paper` or `shipped-paper-literal` for those with ages.
     #[arg(value_name = "FILE")]
     pub file: PathBuf,
     /// The N of the tables to draw, or several, separated by commas.

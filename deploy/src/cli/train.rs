@@ -15,7 +15,8 @@ pub enum TrainCommand {
     /// Learn who senses and whom to wake, for each window and N, and write the tables to a file.
     #[command(after_help = "Examples:\n  reveille train q-learning --out mine.json\n  \
         reveille train q-learning --devices 700 --set policy.q-learning.mu1=5 --out mine.json\n  \
-        reveille train q-learning --windows 1,2,4,ages --out mine.json\n\
+        reveille train q-learning --windows 1,2,4 --out mine.json\n  \
+        reveille train q-learning --windows ages --out ages.json\n\
         Then:\n  reveille run --policy q-learning --set policy.q-learning.table=mine.json\n\n\
         A training that was cut short, even by kill -9, goes on when the same command is given again.")]
     QLearning(TrainArgs),
@@ -58,11 +59,22 @@ pub struct TrainArgs {
 impl TrainArgs {
     /// The scenario's options.
     pub fn scenario(&self) -> anyhow::Result<ScenarioArgs> {
-        let is_window = |set: &&String| set.split('=').next().map(str::trim) == Some("policy.q-learning.window");
+        let fields = ["policy.q-learning.window", "policy.q-learning.ages"];
+        let is_window = |set: &&String| fields.contains(&set.split('=').next().unwrap_or_default().trim());
         if let Some(set) = self.set.iter().find(is_window).filter(|_| !self.windows.is_empty()) {
             bail!("--set {set}: a training takes it from --windows; leave one of them out");
         }
-        self.episodes.scenario(&self.scenario, &self.set, None)
+        let mut set = self.set.clone();
+        if self.windows.contains(&Lookback::Ages) {
+            if self.windows.iter().any(|one| *one != Lookback::Ages) {
+                bail!(
+                    "--windows: tables for ages and for windows are learned for other weights; train those for ages \
+                     with --windows ages, into a file of their own"
+                );
+            }
+            set.push("policy.q-learning.ages=true".to_owned());
+        }
+        self.episodes.scenario(&self.scenario, &set, None)
     }
 }
 

@@ -98,8 +98,9 @@ fn q_learning(args: &TrainArgs) -> anyhow::Result<ExitCode> {
             }) = entry.curve.last()
             {
                 display::out(&format!(
-                    "window {:<4} N = {:<5} reward {reward:.4}  info (P1) {information:.4}  energy {energy:.4}\n",
-                    entry.lookback, entry.devices
+                    "{:<12} N = {:<5} reward {reward:.4}  info (P1) {information:.4}  energy {energy:.4}\n",
+                    entry.lookback.label(),
+                    entry.devices
                 ))?;
             }
         }
@@ -141,8 +142,9 @@ impl TrainingProgress for Shown {
             reward, information, ..
         } = point;
         self.bar.set_message(format!(
-            "window {}, N = {}: reward {reward:.3}, info (P1) {information:.3}",
-            entry.lookback, entry.devices
+            "{}, N = {}: reward {reward:.3}, info (P1) {information:.3}",
+            entry.lookback.label(),
+            entry.devices
         ));
         self.bar.inc(1);
     }

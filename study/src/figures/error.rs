@@ -78,7 +78,7 @@ pub enum FigureError {
     },
     /// The file has no table for this number of devices.
     #[error(
-        "N = {devices}: {file} has tables for {known} devices with {own}, and windows of {windows}; \
+        "N = {devices}: {file} has tables for {known} devices with {own}, and for {windows}; \
             reveille train q-learning --devices {devices} --windows {window} --out FILE learns others",
         own = .window.in_words()
     )]

@@ -164,10 +164,7 @@ fn name(scene: &mut Scene, row: Row, [is_one_window, is_one_area]: [bool; 2], to
     let mut y = top + 0.5 * PANEL.0 + 0.36 * SMALL;
     scene.text(Text::new(format!("N = {devices}"), (EDGE, y), SMALL).bold());
     let more = [
-        (!is_one_window).then(|| match lookback {
-            Lookback::Window(window) => format!("window {window}"),
-            Lookback::Ages => lookback.to_string(),
-        }),
+        (!is_one_window).then(|| lookback.label()),
         (!is_one_area).then(|| format!("{surface} m²")),
     ];
     for text in more.into_iter().flatten() {

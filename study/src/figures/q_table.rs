@@ -3,9 +3,9 @@
 use std::f64::consts::PI;
 use std::fmt::Write as _;
 
-use reveille_bs::policy::age_index::price;
+use reveille_bs::beliefs::ages;
 use reveille_bs::policy::q_learning::learned::{
-    AREAS, BATTERIES, Cell, Entry, INFORMATIONS, Learned, Lookback, NODES, REPORTS, SCORES, WakeTable, score_edge,
+    self, AREAS, BATTERIES, Cell, Entry, INFORMATIONS, Learned, Lookback, NODES, REPORTS, SCORES, WakeTable, score_edge,
 };
 use reveille_common::scenario::WakeUpRanking;
 
@@ -27,7 +27,7 @@ const GAP: f64 = 12.0;
 /// [`reveille_bs::policy::q_learning::learned::information_bucket`].
 const INFORMATION: [f64; INFORMATIONS + 1] = [0.0, 0.03, 0.08, 0.15, 0.25, 0.4, 0.55, 0.75, 1.0];
 /// From which battery bucket on a device can sense and report.
-const ABLE: usize = 2;
+const ABLE: usize = learned::ABLE as usize;
 
 /// The entry of `learned`, read from `file`, for `devices` devices and `window`, or the shortest window that it has.
 ///
@@ -47,7 +47,7 @@ pub fn entry<'l>(
     found.ok_or_else(|| {
         let same = learned.entries.iter().filter(|entry| entry.lookback == own);
         let known: Vec<String> = same.map(|entry| entry.devices.to_string()).collect();
-        let windows: Vec<String> = windows.iter().map(Lookback::to_string).collect();
+        let windows: Vec<String> = windows.iter().map(|own| own.in_words()).collect();
         FigureError::NoEntry {
             devices,
             window: own,
@@ -89,7 +89,7 @@ fn battery_ends([e_max, e_idle, e_tx]: [f64; 3]) -> [f64; BATTERIES + 1] {
 fn area_ends(lookback: Lookback) -> [f64; AREAS + 1] {
     let most = match lookback {
         Lookback::Window(_) => 1.0,
-        Lookback::Ages => price::MOST,
+        Lookback::Ages => ages::MOST,
     };
     std::array::from_fn(|end| match end {
         0 => 0.0,
@@ -284,7 +284,7 @@ fn learned_on(learned: &Learned, entry: &Entry) -> String {
 /// By whom a file was learned, how, and for which weights and `windows`; `place` says on how many devices or how large
 /// an area.
 pub(super) fn trained(learned: &Learned, windows: &[Lookback], place: &str) -> String {
-    let lengths: Vec<String> = windows.iter().map(Lookback::to_string).collect();
+    let lengths: Vec<String> = windows.iter().map(|own| own.in_words()).collect();
     let (weights, schedule, training) = (learned.weights, &learned.schedule, &learned.training);
     let (first, last) = training.epsilon;
     format!(
@@ -294,10 +294,7 @@ pub(super) fn trained(learned: &Learned, windows: &[Lookback], place: &str) -> S
         weights.mu1,
         weights.mu2,
         weights.zeta,
-        match windows {
-            [one] => one.in_words(),
-            _ => format!("windows of {} TTIs", lengths.join(", ")),
-        },
+        lengths.join(", "),
         training.episodes,
         training.ttis,
         schedule.rate_decay,

@@ -188,12 +188,13 @@ pub fn choose_by_ages(
 ) -> Option<Vec<usize>> {
     let advantages = advantages(table);
     let first = |battery: usize| (0..AREAS as u32).find(|&bucket| advantages[battery][bucket as usize] > 0.0);
-    let price = |battery: usize| match first(battery) {
-        Some(0) => f64::MIN_POSITIVE,
-        Some(1) => 4.0 * 0.0002 * places.disc(),
-        Some(bucket) => 4.0 * 0.005 * 1.45_f64.powi(bucket.cast_signed() - 2) * places.disc(),
+    let own = |battery: usize| match first(battery) {
+        Some(0) => 1e-30,
+        Some(1) => 0.0002 * places.disc(),
+        Some(bucket) => 0.2 * 1.6_f64.powi(bucket.cast_signed() - 2) * places.disc(),
         None => f64::INFINITY,
     };
+    let price = |battery: usize| (2..=battery).map(own).fold(f64::INFINITY, f64::min);
     let batteries: Vec<usize> = levels.iter().map(|&level| battery(energy, level)).collect();
     let mut chosen = Vec::new();
     for least in [5, 2] {

@@ -11,6 +11,7 @@
 
 mod cells;
 mod chance;
+pub mod choice;
 mod sure;
 mod worths;
 
@@ -20,7 +21,7 @@ use reveille_common::sensing::{DetectionKind, Sensing};
 use self::cells::Cells;
 use self::chance::Chance;
 use self::sure::Sure;
-pub use self::worths::{OLDEST, Worths};
+pub use self::worths::{FREE, MOST, OLDEST, Worths, reach, worths};
 
 /// The ages of the cells of an area, and what the devices that are chosen for the coming TTI leave to look at.
 ///

@@ -43,11 +43,11 @@ impl AgeIndexSettings {
             return Err(reader.refuse("sensing.d_max", site.sensing.d_max, allowed));
         }
         let Fields { price } = Fields::read(reader)?;
-        if price >= price::MOST {
+        if price >= ages::MOST {
             reader.warn(format!(
                 "policy.age-index.price is {price}, and what a device looks at is worth at most {}: hardly a device is \
                  told to sense, and events are missed",
-                price::MOST
+                ages::MOST
             ));
         }
         site.classes

@@ -1,8 +1,8 @@
 //! Who senses: sequential choice by a table, and learning it.
 
 use super::ground;
-use super::ground::{ABLE, Gain, Ground};
-use super::learned::{DutyTable, Lookback, NODES, Rates, Schedule, Weights, battery_bucket};
+use super::ground::{Gain, Ground};
+use super::learned::{ABLE, DutyTable, Lookback, NODES, Rates, Schedule, Weights, battery_bucket};
 use reveille_common::geometry::{Area, Point};
 use reveille_common::ids::DeviceId;
 use reveille_common::rng::Stream;
@@ -45,7 +45,7 @@ pub struct Duty {
 struct Decision {
     /// The share of each device.
     shares: Vec<Share>,
-    /// By device, what is looked at thanks to it, a share of the area.
+    /// By device, what is looked at thanks to it, a share of `all`'s unit.
     credits: Vec<f64>,
     /// U(k), what nobody looks at.
     left: f64,
@@ -59,7 +59,7 @@ struct Share {
     battery: u8,
     area: u8,
     on: bool,
-    /// What it newly looked at, or would have, a share of the area.
+    /// What it newly looked at, or would have, in that unit.
     gain: f64,
     level: Energy,
 }
@@ -104,7 +104,7 @@ impl Duty {
     /// number.
     pub fn choose(&mut self, levels: &[Energy]) -> Vec<DeviceId> {
         self.begin(levels);
-        let chosen = self.ground.choose(&|_| true, &[]);
+        let chosen = self.ground.choose(&|_| true);
         self.remember(chosen)
     }
 
@@ -130,7 +130,7 @@ impl Duty {
                 }
             }
         }
-        let others = self.ground.choose(&|j| is_free[j], &chosen);
+        let others = self.ground.choose(&|j| is_free[j]);
         chosen.extend(others);
         // Each at its turn, and then those who were not chosen.
         for (device, gain) in chosen.iter().zip(self.ground.gains(&chosen)) {

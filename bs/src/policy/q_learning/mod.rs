@@ -81,7 +81,7 @@ impl QLearning {
             weights: settings.weights,
             schedule: settings.schedule,
             alpha: known.alpha,
-            lookback: settings.lookback(),
+            lookback: settings.lookback,
         };
         let wake_table = match known.bs.ranking {
             WakeUpRanking::P42 => start.wake_p42.clone(),
@@ -131,7 +131,10 @@ impl QLearning {
 
     fn learn_duty(&mut self, seen: &Observation<'_>) {
         if let Some((reward, shares)) = self.duty.rewards() {
-            debug_assert!((shares.sum::<f64>() - reward).abs() < 1e-9, "the shares add up to r(k)");
+            debug_assert!(
+                (shares.sum::<f64>() - reward).abs() < 1e-6 * (1.0 + reward.abs()),
+                "the shares add up to r(k)"
+            );
             self.rewards.0 += reward;
             self.rewards.1 += 1;
         }
@@ -233,7 +236,7 @@ impl PolicyKind for QLearningKind {
     }
 
     fn about(&self) -> &'static str {
-        "Chooses who senses, from battery and newly covered area, and whom to wake, from expected \
+        "Chooses who senses, from battery and what is newly looked at, and whom to wake, from expected \
          gain, with trained tables."
     }
 

@@ -10,9 +10,9 @@ use reveille_common::declare::{
 };
 use reveille_common::scenario::{PolicySettings, Site};
 
-use super::learned::{Entry, LONGEST_WINDOW, Learned, Lookback, Schedule, Setting, Weights};
-use crate::beliefs::coverage;
+use super::learned::{ABLE, AREAS, Entry, LONGEST_WINDOW, Learned, Lookback, Schedule, Setting, Weights};
 use crate::beliefs::raster::MOST_CELLS;
+use crate::beliefs::{ages, coverage};
 
 /// Beyond it Q-values take too long to learn.
 const DISCOUNT: Range = Range::closed(0.0, 0.999);
@@ -37,7 +37,7 @@ declare! {
         table: Option<String> = source(TABLES, "shipped"),
         /// Weight μ1 of misdetections in the reward. Unless the policy learns, that of the tables.
         mu1: Option<f64> = number(NOT_NEGATIVE, DEFAULT.mu1)
-            .derived("that of the tables, or 14")
+            .derived("that of the tables, or 14, with `ages` 1")
             .source("Sec. V-B, 0.5 to 20"),
         /// Weight μ2 of information in the reward of a wake-up. Unless the policy learns, that of the tables.
         mu2: Option<f64> = number(NOT_NEGATIVE, DEFAULT.mu2)
@@ -67,16 +67,27 @@ declare! {
 }
 
 impl Fields {
+    /// What a look at a place counts for later.
     const fn lookback(&self) -> Lookback {
-        lookback(self.window, self.ages)
+        if self.ages {
+            Lookback::Ages
+        } else {
+            Lookback::Window(self.window)
+        }
+    }
+
+    /// The weights where neither the scenario nor a table says otherwise. With ages a misdetection weighs less: what an
+    /// event costs in each TTI that it waits is in the worth of ages.
+    const fn usual(&self) -> Weights {
+        if self.ages {
+            Weights { mu1: 1.0, ..DEFAULT }
+        } else {
+            DEFAULT
+        }
     }
 }
 
-const fn lookback(window: u32, ages: bool) -> Lookback {
-    if ages { Lookback::Ages } else { Lookback::Window(window) }
-}
-
-/// The weights where neither the scenario nor a table says otherwise.
+/// The usual weights for windows.
 const DEFAULT: Weights = Weights {
     mu1: 14.0,
     mu2: 1.0,
@@ -99,11 +110,9 @@ pub enum TableSource {
 pub struct QLearningSettings {
     /// μ1, μ2 and ζ. Those of the tables, unless the policy learns.
     pub weights: Weights,
-    /// Delay budget of the application: TTIs within which the area is to be covered once, `1 ..= `[`LONGEST_WINDOW`].
-    /// With 1 the area is to be covered in every TTI.
-    pub window: u32,
-    /// Whether places have ages; the window is then 1.
-    pub ages: bool,
+    /// What a look at a place counts for later: for the window that is the delay budget of the application, 1 for the
+    /// area to be covered in every TTI; or places have ages.
+    pub lookback: Lookback,
     /// Where the tables come from.
     pub source: TableSource,
     /// Whether the policy goes on learning in the run.
@@ -125,24 +134,11 @@ impl QLearningSettings {
     /// Its fields as they are declared.
     pub const SECTION: &'static Section = Fields::SECTION;
 
-    /// What a look at a place counts for later.
-    pub const fn lookback(&self) -> Lookback {
-        lookback(self.window, self.ages)
-    }
-
-    /// These with another lookback.
-    #[must_use]
-    pub fn with_lookback(self, lookback: Lookback) -> Self {
-        let (window, ages) = (lookback.window(), lookback == Lookback::Ages);
-        Self { window, ages, ..self }
-    }
-
     /// The settings that `reader` has, for a base station that knows `site`.
     ///
     /// # Errors
     /// A value that may not be, or tables that cannot be used.
     pub fn settle(reader: &Reader<'_>, site: &Site<'_>) -> Result<Self, ScenarioError> {
-        check_raster(reader, site)?;
         settle(reader, site)
     }
 }
@@ -163,8 +159,8 @@ impl PolicySettings for QLearningSettings {
             mu1: Some(self.weights.mu1),
             mu2: Some(self.weights.mu2),
             zeta: Some(self.weights.zeta),
-            window: self.window,
-            ages: self.ages,
+            window: self.lookback.window(),
+            ages: self.lookback == Lookback::Ages,
             learn: self.learn,
             epsilon: self.epsilon.0,
             epsilon_last: self.epsilon.1,
@@ -177,7 +173,10 @@ impl PolicySettings for QLearningSettings {
 
     fn delay_budget(&self) -> Option<(&'static str, u64)> {
         // Ages promise nothing: how long a place waits depends on what looking at it costs.
-        (!self.ages).then(|| ("policy.q-learning.window", u64::from(self.window)))
+        match self.lookback {
+            Lookback::Window(window) => Some(("policy.q-learning.window", u64::from(window))),
+            Lookback::Ages => None,
+        }
     }
 
     fn warnings(&self) -> Vec<String> {
@@ -193,16 +192,39 @@ impl PolicySettings for QLearningSettings {
     }
 }
 
-/// The covered area is counted on cells of a size that follows from d_max; there may be too many.
-fn check_raster(reader: &Reader<'_>, site: &Site<'_>) -> Result<(), ScenarioError> {
-    let (d_max, cells) = (site.sensing.d_max, coverage::cells(site.area, site.sensing));
+/// What is looked at is counted on cells of a size that follows from d_max; there may be too many.
+fn check_raster(reader: &Reader<'_>, site: &Site<'_>, lookback: Lookback) -> Result<(), ScenarioError> {
+    let d_max = site.sensing.d_max;
+    let (cells, what) = match lookback {
+        Lookback::Window(_) => (coverage::cells(site.area, site.sensing), "count coverage on"),
+        Lookback::Ages => (ages::cells(site.area, d_max), "keep the ages of"),
+    };
     if cells <= MOST_CELLS {
         return Ok(());
     }
-    let allowed = format!(
-        "is so small against the area that q-learning would count coverage on {cells:.0} cells, more than {MOST_CELLS}"
-    );
+    let allowed =
+        format!("is so small against the area that q-learning would {what} {cells:.0} cells, more than {MOST_CELLS}");
     Err(reader.refuse("sensing.d_max", d_max, allowed))
+}
+
+/// Says so if under the tables of `start` nobody ever senses: nothing that a device can look at is worth it.
+fn warn_of_sleep(reader: &Reader<'_>, site: &Site<'_>, weights: &Weights, start: &Entry) {
+    let lookback = start.lookback;
+    let disc = std::f64::consts::PI * site.sensing.d_max * site.sensing.d_max;
+    let most = ages::reach(site.sensing) / disc * lookback.most();
+    let advantages = start.duty.advantages();
+    let is_worth_it = |row: &[f64; AREAS]| lookback.begin(row).is_some_and(|begin| begin < most);
+    if !advantages.iter().skip(usize::from(ABLE)).any(is_worth_it) {
+        reader.warn(format!(
+            "under these tables of q-learning no device is ever told to sense, and every event is missed: with μ1 = \
+             {mu1}, α = {alpha} and the tables' N = {n}, all that one device can look at is worth less than sleep; \
+             raise policy.q-learning.mu1 and train: reveille train q-learning --windows {lookback} --out FILE, with \
+             the same --scenario and --set",
+            mu1 = weights.mu1,
+            alpha = site.alpha,
+            n = start.devices,
+        ));
+    }
 }
 
 fn settle(reader: &Reader<'_>, site: &Site<'_>) -> Result<QLearningSettings, ScenarioError> {
@@ -215,6 +237,8 @@ fn settle(reader: &Reader<'_>, site: &Site<'_>) -> Result<QLearningSettings, Sce
         return Err(reader.refuse("policy.q-learning.table", name, allowed));
     }
     let (window, ages) = (fields.window, fields.ages);
+    let lookback = fields.lookback();
+    check_raster(reader, site, lookback)?;
     if ages && window > 1 {
         let allowed = "must be 1 with policy.q-learning.ages = true: a place's age says how long it has waited";
         return Err(reader.refuse("policy.q-learning.window", window, allowed));
@@ -226,13 +250,15 @@ fn settle(reader: &Reader<'_>, site: &Site<'_>) -> Result<QLearningSettings, Sce
         optimism: fields.optimism,
     };
     let start = match &learned {
-        None => Arc::new(Entry::optimistic(site, &weights, fields.lookback(), schedule.optimism)),
+        None => Arc::new(Entry::optimistic(site, &weights, lookback, schedule.optimism)),
         Some(tables) => Arc::new(entry(reader, &fields, tables, site)?),
     };
+    if !fields.learn {
+        warn_of_sleep(reader, site, &weights, &start);
+    }
     Ok(QLearningSettings {
         weights,
-        window,
-        ages,
+        lookback,
         source,
         learn: fields.learn,
         epsilon: (fields.epsilon, fields.epsilon_last),
@@ -251,7 +277,8 @@ fn weights(reader: &Reader<'_>, fields: &Fields, learned: Option<&Learned>) -> R
         Some(known) if (known - value).abs() > 1e-9 && !fields.learn => {
             let allowed = format!(
                 "must be {known}, for which its table was learned, unless policy.q-learning.learn = true; for a table \
-                 of your own: reveille train q-learning --set policy.q-learning.{name}={value} --out FILE"
+                 of your own: reveille train q-learning --windows {} --set policy.q-learning.{name}={value} --out FILE",
+                fields.lookback()
             );
             Err(reader.refuse(&format!("policy.q-learning.{name}"), value, allowed))
         }
@@ -259,7 +286,7 @@ fn weights(reader: &Reader<'_>, fields: &Fields, learned: Option<&Learned>) -> R
     };
     let weight = |name: &str, given: Option<f64>, of: fn(&Weights) -> f64| {
         let known = known.as_ref().map(of);
-        as_learned(name, known, given.or(known).unwrap_or(of(&DEFAULT)))
+        as_learned(name, known, given.or(known).unwrap_or(of(&fields.usual())))
     };
     Ok(Weights {
         mu1: weight("mu1", fields.mu1, |w| w.mu1)?,
@@ -309,7 +336,11 @@ fn entry(reader: &Reader<'_>, fields: &Fields, tables: &Learned, site: &Site<'_>
     {
         Lookback::Window(nearest)
     } else {
-        let known: Vec<String> = known.iter().map(Lookback::to_string).collect();
+        let set = |lookback: &Lookback| match lookback {
+            Lookback::Window(window) => format!("policy.q-learning.window = {window}"),
+            Lookback::Ages => "policy.q-learning.ages = true".to_owned(),
+        };
+        let known: Vec<String> = known.iter().map(set).collect();
         let allowed = format!(
             "has no tables in {name}, which has those for {known}; set one of these, or train for yours: reveille \
              train q-learning --windows {own} --out FILE, with the same --scenario and --set",

@@ -111,7 +111,7 @@ fn learning_curves_are_drawn_for_one_n_and_for_ten_of_several_files() {
     two.1.entries.push(other);
     let scene = learning::scene(&[two]).expect("a picture");
     assert!(
-        scene.description.contains("windows of 4, 7 TTIs"),
+        scene.description.contains("a window of 4 TTIs, a window of 7 TTIs"),
         "{}",
         scene.description
     );
@@ -211,7 +211,7 @@ fn an_n_without_tables_is_refused_with_those_there_are() {
     let other = q_table::entry("a.json", &learned(&[10], 1), 10, Some(Lookback::Window(2))).expect_err("no entry");
     let text = other.to_string();
     assert!(
-        text.contains("no devices with a window of 2") && text.contains("windows of 4"),
+        text.contains("no devices with a window of 2") && text.contains("for a window of 4"),
         "{text}"
     );
 }

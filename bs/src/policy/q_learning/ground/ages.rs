@@ -4,14 +4,14 @@ use reveille_common::geometry::{Area, Point};
 use reveille_common::ids::DeviceId;
 use reveille_common::sensing::Sensing;
 
-use super::contract::{ABLE, CHARGES, Gain, Ground, discs};
-use crate::beliefs::ages::Ages;
-use crate::policy::age_index::choice::Choice;
-use crate::policy::age_index::price::worths;
-use crate::policy::q_learning::learned::{AREAS, BATTERIES, Lookback};
+use super::contract::{CHARGES, Gain, Ground, discs};
+use crate::beliefs::ages::choice::Choice;
+use crate::beliefs::ages::{Ages, FREE, worths};
+use crate::policy::q_learning::learned::{ABLE, AREAS, BATTERIES, Lookback};
 
 /// What is looked at is worth the sum over its places of their ages' index. Devices are chosen as `age-index` does, at
-/// prices that were learned: what a device with such a battery must look at so that sensing has an advantage.
+/// prices that were learned: what a device with such a battery, or with less, must look at so that sensing has an
+/// advantage.
 pub(super) struct Aged {
     ages: Ages,
     choice: Choice,
@@ -49,16 +49,14 @@ impl Aged {
 
 impl Ground for Aged {
     fn set_advantages(&mut self, advantages: &[[f64; AREAS]; BATTERIES]) {
-        let of = |(battery, row): (usize, &[f64; AREAS])| match row.iter().position(|&advantage| advantage > 0.0) {
-            Some(bucket) if battery >= usize::from(ABLE) => {
-                // A worth must exceed its price: that of the first bucket is anything at all.
-                let begin = bucket.checked_sub(1).map_or(0.0, |below| Lookback::Ages.edge(below));
-                (begin / self.discs * self.cells).max(f64::MIN_POSITIVE)
+        // What a battery lacks for a price of its own, one that is less full has: nobody is dearer for being fuller.
+        let mut least = f64::INFINITY;
+        for (battery, row) in advantages.iter().enumerate().skip(usize::from(ABLE)) {
+            if let Some(begin) = Lookback::Ages.begin(row) {
+                least = least.min((begin / self.discs * self.cells).max(FREE));
             }
-            _ => f64::INFINITY,
-        };
-        let mut learned = advantages.iter().enumerate().map(of);
-        self.learned = std::array::from_fn(|_| learned.next().unwrap_or(f64::INFINITY));
+            self.learned[battery] = least;
+        }
     }
 
     fn begin(&mut self, batteries: &[u8]) {
@@ -72,7 +70,7 @@ impl Ground for Aged {
         self.ages.add(j);
     }
 
-    fn choose(&mut self, is_free: &dyn Fn(usize) -> bool, _: &[DeviceId]) -> Vec<DeviceId> {
+    fn choose(&mut self, is_free: &dyn Fn(usize) -> bool) -> Vec<DeviceId> {
         let mut chosen: Vec<DeviceId> = Vec::new();
         for least in CHARGES {
             for (j, (price, &battery)) in self.prices.iter_mut().zip(&self.batteries).enumerate() {

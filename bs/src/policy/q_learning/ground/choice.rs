@@ -2,9 +2,9 @@
 
 use reveille_common::ids::DeviceId;
 
-use super::contract::{ABLE, CHARGES, Gain};
+use super::contract::{CHARGES, Gain};
 use crate::beliefs::coverage::{Coverage, Spot};
-use crate::policy::q_learning::learned::{AREAS, BATTERIES, area_bucket};
+use crate::policy::q_learning::learned::{ABLE, AREAS, BATTERIES, area_bucket};
 
 /// The largest number of a device within a key.
 const NUMBERS: u32 = (1 << 24) - 1;

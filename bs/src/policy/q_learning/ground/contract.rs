@@ -4,16 +4,15 @@ use reveille_common::geometry::{Area, Point};
 use reveille_common::ids::DeviceId;
 use reveille_common::sensing::Sensing;
 
-use crate::policy::q_learning::learned::{AREAS, BATTERIES};
+use crate::policy::q_learning::learned::{ABLE, AREAS, BATTERIES};
 
-/// The first battery bucket in which a device can sense and report.
-pub const ABLE: u8 = 2;
 /// First those at least half charged are chosen from, then all who are able.
 pub const CHARGES: [u8; 2] = [5, ABLE];
 
 /// The state of the area and of the devices, from one TTI to the next.
 ///
-/// In each TTI: [`Ground::begin`], then perhaps [`Ground::add`], then [`Ground::choose`], and in the end
+/// In each TTI: [`Ground::begin`], then perhaps [`Ground::add`], then [`Ground::choose`], then, for what is to be
+/// learned from, [`Ground::gains`], [`Ground::gain`], [`Ground::left`] and at last [`Ground::credits`]; and in the end
 /// [`Ground::remember`].
 pub trait Ground: Send {
     /// Chooses by these advantages from now on.
@@ -25,9 +24,9 @@ pub trait Ground: Send {
     /// Chooses the `j`-th device.
     fn add(&mut self, j: usize);
 
-    /// Chooses, among those for whom `is_free` holds, beside those of `set`, who are added. Gives them in the order in
+    /// Chooses, among those for whom `is_free` holds, beside those who are chosen already. Gives them in the order in
     /// which they were chosen.
-    fn choose(&mut self, is_free: &dyn Fn(usize) -> bool, set: &[DeviceId]) -> Vec<DeviceId>;
+    fn choose(&mut self, is_free: &dyn Fn(usize) -> bool) -> Vec<DeviceId>;
 
     /// What each of `chosen` newly looks at, in this order; in the end they, and nobody else, are chosen.
     fn gains(&mut self, chosen: &[DeviceId]) -> Vec<Gain>;

@@ -9,7 +9,7 @@ use reveille_common::geometry::{Area, Point};
 use reveille_common::sensing::Sensing;
 
 use self::ages::Aged;
-pub(super) use self::contract::{ABLE, Gain, Ground};
+pub(super) use self::contract::{Gain, Ground};
 use self::window::Windowed;
 use super::learned::Lookback;
 

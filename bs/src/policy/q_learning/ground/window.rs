@@ -19,6 +19,8 @@ pub(super) struct Windowed {
     window: usize,
     /// Who sensed in each of the last `window` − 1 TTIs, the latest at the end.
     recent: VecDeque<Vec<DeviceId>>,
+    /// Who was added in this TTI.
+    added: Vec<DeviceId>,
     /// TTIs over which the choice is still to be spread.
     spread: usize,
 }
@@ -31,6 +33,7 @@ impl Windowed {
             devices: positions.len(),
             window,
             recent: VecDeque::from(vec![Vec::new(); window - 1]),
+            added: Vec::new(),
             spread: window,
         }
     }
@@ -42,16 +45,18 @@ impl Ground for Windowed {
     }
 
     fn begin(&mut self, batteries: &[u8]) {
+        self.added.clear();
         self.choice.begin(batteries, self.recent.iter().flatten().copied());
     }
 
     fn add(&mut self, j: usize) {
+        self.added.push(DeviceId(j as u32));
         self.choice.add(j);
     }
 
-    fn choose(&mut self, is_free: &dyn Fn(usize) -> bool, set: &[DeviceId]) -> Vec<DeviceId> {
+    fn choose(&mut self, is_free: &dyn Fn(usize) -> bool) -> Vec<DeviceId> {
         let mut chosen = self.choice.choose(is_free);
-        let covering = || self.recent.iter().flatten().chain(set).copied();
+        let covering = || self.recent.iter().flatten().chain(&self.added).copied();
         self.choice.spare(&mut chosen, covering);
         // What is looked at now comes due all at once a window later. So that this is not everything in one TTI and
         // nothing in the next, the first window begins with a part of the choice: those that are far apart.

@@ -310,7 +310,6 @@ fn sha256(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::policy::q_learning::settings::QLearningSettings;
     use crate::scenario::{Override, load};
 
     fn learned() -> Learned {
@@ -452,11 +451,26 @@ mod tests {
         };
         assert_eq!([of(4, 40), of(4, 41), of(2, 20)], [Some(20), None, None]);
         assert!(learned.closest(Lookback::Ages, 20, 400.0).is_none());
-        assert_eq!(learned.windows(), [1, 4]);
+        assert_eq!(learned.lookbacks(), [1, 4].map(Lookback::Window));
         assert_eq!(
             [1, 3, 5].map(|window| learned.nearest_window(window)),
             [1, 4, 4].map(Some)
         );
+    }
+
+    #[test]
+    fn under_shipped_tables_for_ages_whoever_can_report_looks_at_old_places() {
+        for (_, text) in SHIPPED.into_iter().filter(|(name, _)| name.ends_with(AGES)) {
+            for entry in shipped(text).entries {
+                let advantages = entry.duty.advantages();
+                let begins = advantages[2..].iter().map(|row| Lookback::Ages.begin(row));
+                let begins: Vec<Option<f64>> = begins.collect();
+                // A quarter of a disc whose places are as old as counts; devices in corners see no more.
+                let is_met = |begin: &&f64| **begin < 0.25 * Lookback::Ages.most();
+                let met = begins.iter().flatten().filter(is_met).count();
+                assert!(met >= 3, "N = {}: {begins:?}", entry.devices);
+            }
+        }
     }
 
     #[test]
@@ -467,7 +481,7 @@ mod tests {
             let mut set = vec!["name=q-learning", "q-learning.learn=true", "q-learning.table=nothing"];
             if name.ends_with(AGES) {
                 assert_eq!(tables.lookbacks(), [Lookback::Ages]);
-                set.push("q-learning.mu1=1");
+                set.push("q-learning.ages=true");
             } else {
                 assert_eq!(tables.lookbacks(), [1, 2, 4].map(Lookback::Window));
             }
@@ -481,10 +495,6 @@ mod tests {
                 .collect();
             let preset = name.trim_start_matches("shipped-").trim_end_matches(AGES);
             let mut scenario = load(preset, &set).expect("a preset");
-            // A training takes what there are tables for from its own options.
-            let settings = scenario.policy.settings::<QLearningSettings>().expect("q-learning");
-            let settings = settings.clone().with_lookback(tables.lookbacks()[0]);
-            scenario.policy = scenario.policy.with_settings(settings);
             assert!(
                 Setting::of(&scenario.site()).differences(&tables.setting).is_empty(),
                 "{preset}"

@@ -2,16 +2,16 @@
 //!
 //! The joint action of N devices is factorised (docs/q-learning.md): one table for duty cycling and one for each
 //! wake-up ranking serve all devices of a deployment. They depend on how dense the devices stand and on
-//! the window within which the area is to be covered, so a file holds an [`Entry`] for each window and N that was
-//! trained.
+//! the window within which the area is to be covered, so a file holds an [`Entry`] for each window, or for
+//! ages, and each N that was trained.
 
 mod file;
 mod tables;
 
 pub use file::{FORMAT, LearnedError, VERSION};
 pub use tables::{
-    AREAS, BATTERIES, Cell, DutyTable, INFORMATIONS, NODES, REPORTS, Rates, SCORES, Schedule, WakeTable, area_bucket,
-    area_edge, battery_bucket, information_bucket, score_bucket, score_edge,
+    ABLE, AREAS, BATTERIES, Cell, DutyTable, INFORMATIONS, NODES, REPORTS, Rates, SCORES, Schedule, WakeTable,
+    area_bucket, area_edge, battery_bucket, information_bucket, score_bucket, score_edge, worth_edge,
 };
 
 use std::fmt;
@@ -21,6 +21,8 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 
 use reveille_common::scenario::Site;
+
+use crate::beliefs::ages;
 
 /// The longest time within which the area can be asked to be covered once, TTIs.
 pub const LONGEST_WINDOW: u32 = 1000;
@@ -88,26 +90,43 @@ impl Lookback {
     pub fn in_words(self) -> String {
         match self {
             Self::Window(window) => format!("a window of {window} TTIs"),
-            Self::Ages => "places with ages".to_owned(),
+            Self::Ages => self.to_string(),
         }
     }
 
     /// The bucket of what a device would newly look at: an area, or with ages the sum over its places of what their
     /// ages are worth; a share of its sensing disc with places of age 1. `0 .. AREAS`; 0 is as good as nothing.
     pub fn bucket(self, share: f64) -> usize {
-        area_bucket(share / self.stretch())
+        (0..AREAS - 1).take_while(|&bucket| share >= self.edge(bucket)).count()
     }
 
-    /// The end of the `bucket`-th of these buckets, but for the last, which with ages is open.
+    /// The end of the `bucket`-th of these buckets.
     pub fn edge(self, bucket: usize) -> f64 {
-        area_edge(bucket) * self.stretch()
+        match self {
+            Self::Window(_) => area_edge(bucket),
+            Self::Ages => worth_edge(bucket),
+        }
     }
 
-    /// How much wider than those of areas its buckets are: old places are worth more than their area.
-    const fn stretch(self) -> f64 {
+    /// The most that a device can look at, in that unit, if it is sure to detect what is within d_max.
+    pub const fn most(self) -> f64 {
         match self {
             Self::Window(_) => 1.0,
-            Self::Ages => 4.0,
+            Self::Ages => ages::MOST,
+        }
+    }
+
+    /// Where the first bucket begins in which sensing has an advantage, by the advantages of one battery.
+    pub fn begin(self, advantages: &[f64; AREAS]) -> Option<f64> {
+        let first = advantages.iter().position(|&advantage| advantage > 0.0)?;
+        Some(first.checked_sub(1).map_or(0.0, |before| self.edge(before)))
+    }
+
+    /// As a table of them names it: "window 4".
+    pub fn label(self) -> String {
+        match self {
+            Self::Window(window) => format!("window {window}"),
+            Self::Ages => self.to_string(),
         }
     }
 
@@ -355,20 +374,16 @@ impl Learned {
         lookbacks
     }
 
-    /// The windows that there are tables for, by rising length.
-    pub fn windows(&self) -> Vec<u32> {
+    /// Of the windows that there are tables for, the one that is nearest to `window` in ratio.
+    pub fn nearest_window(&self, window: u32) -> Option<u32> {
+        let apart = |own: &u32| libm::log(f64::from(*own) / f64::from(window)).abs();
         let windows = self
             .lookbacks()
             .into_iter()
             .filter(|lookback| *lookback != Lookback::Ages);
-        windows.map(Lookback::window).collect()
-    }
-
-    /// Those of [`Self::windows`] that is nearest to `window` in ratio.
-    pub fn nearest_window(&self, window: u32) -> Option<u32> {
-        let apart = |own: &u32| libm::log(f64::from(*own) / f64::from(window)).abs();
-        let windows = self.windows().into_iter();
-        windows.min_by(|a, b| apart(a).total_cmp(&apart(b)))
+        windows
+            .map(Lookback::window)
+            .min_by(|a, b| apart(a).total_cmp(&apart(b)))
     }
 
     fn of(&self, lookback: Lookback) -> impl Iterator<Item = &Entry> {

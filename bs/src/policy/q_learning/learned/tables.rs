@@ -7,8 +7,12 @@ use serde::{Deserialize, Serialize};
 use reveille_common::scenario::EnergyModel;
 use reveille_common::units::Energy;
 
+use crate::beliefs::ages;
+
 /// Buckets of the battery: too low to sense, too low to report, and six equal parts of the rest.
 pub const BATTERIES: usize = 8;
+/// The first bucket of the battery with which a device can sense and report.
+pub const ABLE: u8 = 2;
 /// Buckets of the area that a device would newly cover.
 pub const AREAS: usize = 16;
 /// Nodes of the value as a function of the battery, evenly over `0 ..= E_max`.
@@ -305,6 +309,21 @@ pub fn area_edge(bucket: usize) -> f64 {
         0 => LEAST_AREA,
         LAST_AREA.. => 1.0,
         _ => FIRST_AREA * (1..bucket).fold(1.0, |edge, _| edge * AREA_RATIO),
+    }
+}
+
+/// Where places have ages, the end of the first bucket that is more than as good as nothing, and the ratio of the ends
+/// after it; the last goes up to all places being as old as counts.
+const FIRST_WORTH: f64 = 0.2;
+const WORTH_RATIO: f64 = 1.6;
+
+/// The end of the `bucket`-th bucket of what a device would look at where places have ages: the sum of their worths, as
+/// a share of a sensing disc of places of age 1.
+pub fn worth_edge(bucket: usize) -> f64 {
+    match bucket {
+        0 => LEAST_AREA,
+        LAST_AREA.. => ages::MOST,
+        _ => FIRST_WORTH * (1..bucket).fold(1.0, |edge, _| edge * WORTH_RATIO),
     }
 }
 

@@ -1,4 +1,4 @@
-//! Who senses: the devices whose looks are worth more than they cost.
+//! Who looks: the devices whose looks are worth more than they cost.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -7,7 +7,7 @@ use std::collections::binary_heap::PeekMut;
 use reveille_common::geometry::{Area, Buckets, Point};
 use reveille_common::ids::DeviceId;
 
-use crate::beliefs::ages::Ages;
+use super::Ages;
 
 /// How often each chosen device is held against others that might take its place. The first time brings most of what
 /// can be had, from the third on hardly anything.

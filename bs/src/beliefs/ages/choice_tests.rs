@@ -2,7 +2,7 @@ use reveille_common::geometry::{Layout, place};
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::sensing::{DetectionKind, Fusion, Sensing};
 
-use super::super::price::worths;
+use super::super::worths;
 use super::*;
 
 const AREA: Area = Area {
