@@ -6,7 +6,7 @@ mod tree;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use circles::Graph;
@@ -430,6 +430,29 @@ fn no_path_of_a_machine_is_named() {
         }
     }
     assert_none("no source names a folder of one machine", &found);
+}
+
+/// Protects: readers of pages, from figures that were to be filled in and never were.
+#[test]
+fn no_page_has_a_gap_to_be_filled_in() {
+    let pages = fs::read_dir(root().join("docs")).expect("docs");
+    let pages = pages.map(|entry| entry.expect("an entry").path());
+    let tops = ["README.md", "CHANGELOG.md", "ARCHITECTURE.md"].map(|name| root().join(name));
+    let mut found = Offenders::new();
+    let is_gap = |word: &str| word.len() > 1 && word.chars().all(|c| c.is_ascii_uppercase() || c == '_');
+    let (mut seen, is_page) = (0, |path: &PathBuf| {
+        path.extension().is_some_and(|ending| ending == "md")
+    });
+    for path in pages.chain(tops).filter(is_page) {
+        let text = fs::read_to_string(&path).expect("a page");
+        seen += 1;
+        // Between two of these signs stands the name of a figure.
+        for word in text.split('@').skip(1).filter(|word| is_gap(word)) {
+            found.insert((path.display().to_string(), format!("@{word}@")));
+        }
+    }
+    assert!(seen > 10, "{seen} pages");
+    assert_none("pages have no gaps", &found);
 }
 
 /// Protects: ARCHITECTURE.md, from which a newcomer finds the file of a change.
