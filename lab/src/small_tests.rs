@@ -2,18 +2,12 @@
 //! count for two TTIs. Value iteration over all battery vectors, and over who sensed last, tries all 2^3 actions; the
 //! learner then plays beside it.
 
-use std::sync::Arc;
-
-use reveille_bs::policy::q_learning::duty::{Duty, Terms};
-use reveille_bs::policy::q_learning::learned::{Entry, Lookback, Training};
-use reveille_bs::policy::q_learning::settings::QLearningSettings;
-use reveille_bs::scenario::{Override, Scenario, load};
-use reveille_common::geometry::{Area, FromFile, Layout, Point};
+use reveille_bs::scenario::Scenario;
+use reveille_common::geometry::{Area, Point};
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::units::Energy;
 
-use super::Trainer;
-use super::toy_tests::uncovered;
+use super::toy_tests::{duty_of, scenario_of, train, uncovered};
 
 const N: usize = 3;
 const SETS: usize = 1 << N;
@@ -58,32 +52,20 @@ fn vector(levels: [usize; N]) -> usize {
 impl Small {
     fn new(alpha: f64, w: f64, lambda: f64, e_tx: usize, window: usize) -> Self {
         let points: Vec<Point> = PLACES.iter().map(|&(x, y)| Point::new(x, y)).collect();
-        let set = [
-            format!("devices={N}"),
-            "policy.name=q-learning".to_owned(),
-            "policy.q-learning.learn=true".to_owned(),
-            "policy.q-learning.table=nothing".to_owned(),
-            format!("policy.q-learning.window={window}"),
-            format!("policy.q-learning.mu1={}", w / alpha),
-            "policy.q-learning.mu2=0".to_owned(),
-            format!("events.alpha={alpha}"),
-            "events.duration=1".to_owned(),
-            format!("area.width={}", AREA.width),
-            format!("area.height={}", AREA.height),
-            format!("energy.e_max={E_MAX}"),
-            "energy.e_idle=1".to_owned(),
-            "energy.e_wur=0".to_owned(),
-            format!("energy.e_tx={e_tx}"),
-            format!("harvest.lambda={lambda}"),
-            "harvest.e_b=1".to_owned(),
-        ]
-        .map(|text| Override::parse(&text).expect("an override"));
-        let mut scenario = load("paper", &set).expect("a scenario");
-        scenario.layout = Layout::File(FromFile {
-            path: "small".into(),
-            points: Arc::new(points.clone()),
-            classes: None,
-        });
+        let scenario = scenario_of(
+            AREA,
+            &points,
+            &[
+                &format!("policy.q-learning.window={window}"),
+                &format!("policy.q-learning.mu1={}", w / alpha),
+                "policy.q-learning.mu2=0",
+                &format!("events.alpha={alpha}"),
+                "events.duration=1",
+                &format!("energy.e_max={E_MAX}"),
+                &format!("energy.e_tx={e_tx}"),
+                &format!("harvest.lambda={lambda}"),
+            ],
+        );
         let missed = |set: usize| {
             let looking: Vec<Point> = (0..N).filter(|j| set >> j & 1 == 1).map(|j| points[j]).collect();
             uncovered(AREA, &looking)
@@ -195,18 +177,6 @@ impl Small {
         panic!("additions settle");
     }
 
-    fn train(&self) -> Entry {
-        let training = Training {
-            episodes: 12,
-            ttis: 3000,
-            epsilon: (0.1, 0.03),
-            seed: 0,
-        };
-        let mut trainer = Trainer::new(&self.scenario, &[N as u32], &[], &training).expect("a training");
-        assert!(trainer.train(1, &|_| Ok(()), &()).expect("no file"));
-        trainer.learned().entries.swap_remove(0)
-    }
-
     /// The mean r(k) of `choose`, which is given the batteries of each TTI and says who senses.
     fn play(&self, mut choose: impl FnMut(&[Energy]) -> usize) -> f64 {
         let mut stream = Stream::new(5, Purpose::Harvest, 1);
@@ -230,22 +200,9 @@ impl Small {
         sum / PLAYED as f64
     }
 
-    /// The mean r(k) of the policy with these tables.
-    fn learned(&self, entry: &Entry) -> f64 {
-        let settings = self
-            .scenario
-            .policy
-            .settings::<QLearningSettings>()
-            .expect("q-learning");
-        let terms = Terms {
-            weights: settings.weights,
-            schedule: settings.schedule,
-            alpha: self.alpha,
-            lookback: Lookback::Window(self.window as u32),
-        };
-        let energies = vec![self.scenario.classes[0].energy; N];
-        let table = entry.duty.clone();
-        let mut duty = Duty::new(table, terms, &self.points, energies, AREA, &self.scenario.sensing);
+    /// The mean r(k) of the learner, trained from nothing.
+    fn learned(&self) -> f64 {
+        let mut duty = duty_of(&self.scenario, &train(&self.scenario), &self.points);
         self.play(|energies| duty.choose(energies).iter().map(|j| 1 << j.index()).sum())
     }
 }
@@ -264,7 +221,7 @@ fn the_learner_comes_close_to_the_optimum_with_reports_and_with_a_longer_window(
         // What there is to be won: r(k) above that of a network asleep.
         let asleep = 1.0 - small.w;
         let best = small.best() - asleep;
-        let own = small.learned(&small.train()) - asleep;
+        let own = small.learned() - asleep;
         // Everyone who could report senses, and nobody cares who looked before.
         let able = |energies: &[Energy]| {
             let is_able = |j: &usize| energies[*j].micro() >= (1 + small.e_tx as u64) * 1_000_000;

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use reveille_bs::policy::q_learning::duty::{Duty, Terms};
-use reveille_bs::policy::q_learning::learned::{Entry, Lookback, Training, battery_bucket};
+use reveille_bs::policy::q_learning::learned::{Entry, Training, battery_bucket};
 use reveille_bs::policy::q_learning::settings::QLearningSettings;
 use reveille_bs::scenario::{EnergyModel, Override, Scenario, load};
 use reveille_common::geometry::{Area, FromFile, Layout, Point};
@@ -42,31 +42,19 @@ impl Toy {
     fn new(area: Area, points: &[(f64, f64)], lambda: f64, w: f64) -> Self {
         let points: Vec<Point> = points.iter().map(|&(x, y)| Point::new(x, y)).collect();
         assert_eq!(points.len(), N);
-        let set = [
-            "devices=6",
-            "policy.name=q-learning",
-            "policy.q-learning.learn=true",
-            "policy.q-learning.table=nothing",
-            "policy.q-learning.window=1",
-            &format!("policy.q-learning.zeta={ZETA}"),
-            &format!("policy.q-learning.mu1={}", w / ALPHA),
-            &format!("events.alpha={ALPHA}"),
-            &format!("area.width={}", area.width),
-            &format!("area.height={}", area.height),
-            &format!("energy.e_max={E_MAX}"),
-            "energy.e_idle=1",
-            "energy.e_wur=0",
-            "energy.e_tx=0",
-            &format!("harvest.lambda={lambda}"),
-            "harvest.e_b=1",
-        ]
-        .map(|text| Override::parse(text).expect("an override"));
-        let mut scenario = load("paper", &set).expect("a scenario");
-        scenario.layout = Layout::File(FromFile {
-            path: "toy".into(),
-            points: Arc::new(points.clone()),
-            classes: None,
-        });
+        let scenario = scenario_of(
+            area,
+            &points,
+            &[
+                "policy.q-learning.window=1",
+                &format!("policy.q-learning.zeta={ZETA}"),
+                &format!("policy.q-learning.mu1={}", w / ALPHA),
+                &format!("events.alpha={ALPHA}"),
+                &format!("energy.e_max={E_MAX}"),
+                "energy.e_tx=0",
+                &format!("harvest.lambda={lambda}"),
+            ],
+        );
         let mut toy = Self {
             p: lambda * libm::exp(-lambda),
             w,
@@ -178,43 +166,79 @@ impl Toy {
         (0..STATES).map(best).collect()
     }
 
-    /// The tables of the learner, trained from nothing.
-    fn train(&self, episodes: u64, ttis: u64) -> Entry {
-        let training = Training {
-            episodes,
-            ttis,
-            epsilon: (0.1, 0.03),
-            seed: 0,
-        };
-        let mut trainer = Trainer::new(&self.scenario, &[N as u32], &[], &training).expect("a training");
-        assert!(trainer.train(1, &|_| Ok(()), &()).expect("no file"));
-        trainer.learned().entries.swap_remove(0)
-    }
-
     fn energy(&self) -> EnergyModel {
         self.scenario.classes[0].energy
     }
 
     /// What the policy with these tables does in each state.
     fn learned(&self, entry: &Entry) -> Vec<usize> {
-        let Some(settings) = self.scenario.policy.settings::<QLearningSettings>() else {
-            panic!("q-learning");
-        };
-        let terms = Terms {
-            weights: settings.weights,
-            schedule: settings.schedule,
-            alpha: ALPHA,
-            lookback: Lookback::Window(1),
-        };
-        let energy = self.energy();
-        let (area, sensing) = (self.scenario.area, &self.scenario.sensing);
-        let mut duty = Duty::new(entry.duty.clone(), terms, &self.points, vec![energy; N], area, sensing);
+        let mut duty = duty_of(&self.scenario, entry, &self.points);
         let choice = |state: usize| {
             let chosen = duty.choose(&levels(state));
             chosen.iter().map(|j| 1 << j.index()).sum()
         };
         (0..STATES).map(choice).collect()
     }
+}
+
+/// A network of the devices at `points` of `area` under `q-learning` from nothing, with the fields in `set`. E_idle is 1,
+/// an arrival brings 1, the wake-up radio costs nothing.
+pub(super) fn scenario_of(area: Area, points: &[Point], set: &[&str]) -> Scenario {
+    let always = [
+        &format!("devices={}", points.len()),
+        "policy.name=q-learning",
+        "policy.q-learning.learn=true",
+        "policy.q-learning.table=nothing",
+        &format!("area.width={}", area.width),
+        &format!("area.height={}", area.height),
+        "energy.e_idle=1",
+        "energy.e_wur=0",
+        "harvest.e_b=1",
+    ];
+    let set = always
+        .iter()
+        .chain(set)
+        .map(|text| Override::parse(text).expect("an override"));
+    let mut scenario = load("paper", &set.collect::<Vec<_>>()).expect("a scenario");
+    scenario.layout = Layout::File(FromFile {
+        path: "toy".into(),
+        points: Arc::new(points.to_vec()),
+        classes: None,
+    });
+    scenario
+}
+
+/// The tables of a learner on `scenario`, trained from nothing.
+pub(super) fn train(scenario: &Scenario) -> Entry {
+    let training = Training {
+        episodes: 12,
+        ttis: 3000,
+        epsilon: (0.1, 0.03),
+        seed: 0,
+    };
+    let mut trainer = Trainer::new(scenario, &[scenario.devices], &[], &training).expect("a training");
+    assert!(trainer.train(1, &|_| Ok(()), &()).expect("no file"));
+    trainer.learned().entries.swap_remove(0)
+}
+
+/// Who senses under the tables of `entry`, for the devices of `scenario` at `points`.
+pub(super) fn duty_of(scenario: &Scenario, entry: &Entry, points: &[Point]) -> Duty {
+    let settings = scenario.policy.settings::<QLearningSettings>().expect("q-learning");
+    let terms = Terms {
+        weights: settings.weights,
+        schedule: settings.schedule,
+        alpha: scenario.events.alpha,
+        lookback: settings.lookback,
+    };
+    let energies = vec![scenario.classes[0].energy; points.len()];
+    Duty::new(
+        entry.duty.clone(),
+        terms,
+        points,
+        energies,
+        scenario.area,
+        &scenario.sensing,
+    )
 }
 
 /// The share of `area` in cells of d_max/15 that nobody at `points` has within d_max = 4 m, corner by corner.
@@ -259,7 +283,7 @@ fn the_learner_comes_close_to_the_optimum() {
             .map(|l| battery_bucket(units(l), &toy.energy()))
             .collect();
         assert_eq!(in_turn, [0, 2, 4, 6, 7], "levels differ to the learner");
-        let learned = toy.learned(&toy.train(12, 3000));
+        let learned = toy.learned(&train(&toy.scenario));
         let greedy = toy.greedy();
         // What there is to be won: r(k) above that of a network asleep.
         let above = |reward: f64| reward - (1.0 - toy.w);
