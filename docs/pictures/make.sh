@@ -1,25 +1,37 @@
 #!/usr/bin/env bash
-# Draws the pictures of the README: an event of a run, and information per event against the number of devices.
+# Draws the pictures of the README, an event of a run and information against the number of devices, and that
+# of docs/age-index.md, information against energy.
 #
-# usage: docs/pictures/make.sh [REVEILLE [FOLDER [TTIS]]]
+# usage: docs/pictures/make.sh [REVEILLE [FOLDER [TTIS [SEEDS]]]]
 #   REVEILLE  the program (target/release/reveille)
-#   FOLDER    where run.svg and result.svg go (the folder of this script)
-#   TTIS      length of each run (4000); the pictures of the README have this length
+#   FOLDER    where run.svg, result.svg and front.svg go (the folder of this script)
+#   TTIS      length of each run (4000); the pictures have this length
+#   SEEDS     runs of each point (8); the pictures have so many
 set -euo pipefail
 
 reveille=${1:-target/release/reveille}
 folder=${2:-$(dirname "$0")}
 ttis=${3:-4000}
+seeds=${4:-8}
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 
 "$reveille" figures deployment --policy knn --devices 50 --ttis "$ttis" --format svg --out "$scratch/run"
-"$reveille" sweep --policies knn,adjusted,random,genie --devices 10,50,100,150,200,250 --ttis "$ttis" --seeds 8 \
+"$reveille" sweep --policies knn,adjusted,random,genie --devices 10,50,100,150,200,250 --ttis "$ttis" --seeds "$seeds" \
   --quiet --out "$scratch/sweep"
 "$reveille" figures --only information --format svg --out "$scratch/result" "$scratch/sweep"
 
+trade() {
+  "$reveille" sweep --devices 250 --ttis "$ttis" --seeds "$seeds" --quiet --out "$scratch/$1" "${@:2}"
+}
+trade prices --policies age-index --grid policy.age-index.price=0.1,0.2,0.35,0.7,1.2
+trade windows --policies q-learning --grid policy.q-learning.window=1,2,4 --grid bs.ranking=p42,posterior
+trade rankings --policies knn,adjusted --grid bs.ranking=p42,posterior
+trade ends --policies genie,random
+"$reveille" figures --only front --format svg --out "$scratch/front" "$scratch"/{prices,windows,rankings,ends}
+
 # Pages with a dark background show them too, so they get a white one of their own.
 mkdir -p "$folder"
-for picture in run result; do
+for picture in run result front; do
   sed 's|^<defs>$|<rect width="100%" height="100%" fill="#fff"/>\n<defs>|' "$scratch/$picture"/*.svg > "$folder/$picture.svg"
 done

@@ -365,7 +365,7 @@ fn tables_without_runs_or_of_another_version_are_refused_and_a_lone_one_is_enoug
 }
 
 #[test]
-fn the_pictures_of_the_readme_can_be_drawn_again() {
+fn the_pictures_of_the_pages_can_be_drawn_again() {
     let folder = Folder::new();
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/pictures/make.sh");
     let mut command = Command::new("bash");
@@ -373,10 +373,10 @@ fn the_pictures_of_the_readme_can_be_drawn_again() {
         .arg(script)
         .arg(reveille())
         .arg(folder.join("pictures"))
-        .arg("1000");
+        .args(["1000", "2"]);
     let end = Process::start(&mut command).finish();
     assert_eq!(end.code(), Some(0), "{end}");
-    for name in ["run", "result"] {
+    for name in ["run", "result", "front"] {
         let text = fs::read_to_string(folder.join(&format!("pictures/{name}.svg"))).expect("a picture");
         assert!(
             text.starts_with("<svg ") && text.contains("fill=\"#fff\"/>\n<defs>"),
