@@ -181,8 +181,8 @@ impl Toy {
     }
 }
 
-/// A network of the devices at `points` of `area` under `q-learning` from nothing, with the fields in `set`. E_idle is 1,
-/// an arrival brings 1, the wake-up radio costs nothing.
+/// A network of the devices at `points` of `area` under `q-learning` from nothing, with the fields in `set`. E_idle is
+/// 1, an arrival brings 1, the wake-up radio costs nothing.
 pub(super) fn scenario_of(area: Area, points: &[Point], set: &[&str]) -> Scenario {
     let always = [
         &format!("devices={}", points.len()),
