@@ -133,7 +133,8 @@ impl Duty {
         let others = self.ground.choose(&|j| is_free[j]);
         chosen.extend(others);
         // Each at its turn, and then those who were not chosen.
-        for (device, gain) in chosen.iter().zip(self.ground.gains(&chosen)) {
+        let gains = self.ground.gains(&chosen);
+        for (device, &gain) in chosen.iter().zip(&gains) {
             shares[device.index()].decide(true, gain);
         }
         for (j, share) in shares.iter_mut().enumerate().filter(|(_, share)| !share.on) {
@@ -143,7 +144,7 @@ impl Duty {
             shares,
             left: self.ground.left(),
             all: self.ground.all(),
-            credits: self.ground.credits(&chosen),
+            credits: self.ground.credits(&chosen, &gains),
         });
         self.remember(chosen)
     }

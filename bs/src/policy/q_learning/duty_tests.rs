@@ -113,6 +113,14 @@ fn random_levels(n: usize, stream: &mut Stream) -> Vec<Energy> {
     (0..n).map(|_| level(stream.unit())).collect()
 }
 
+fn weights(mu1: f64) -> Weights {
+    Weights {
+        mu1,
+        mu2: 1.0,
+        zeta: 0.9,
+    }
+}
+
 struct Case {
     kind: DetectionKind,
     area: Area,
@@ -175,11 +183,7 @@ fn the_shares_add_up_to_the_papers_reward_in_every_tti() {
         let n = case.devices as usize;
         let mut stream = Stream::new(case.seed, Purpose::Training, 3);
         let (alpha, mu1) = (0.05 + stream.unit(), 20.0 * stream.unit());
-        let weights = Weights {
-            mu1,
-            mu2: 1.0,
-            zeta: 0.9,
-        };
+        let weights = weights(mu1);
         let mut duty = case.learner(random_table(&mut stream), weights, alpha);
         let ground = Ground::new(case.area, case.kind, &case.positions());
         let mut plans: Vec<Vec<usize>> = Vec::new();
@@ -308,11 +312,7 @@ fn with_ages_the_shares_add_up_to_the_reward_by_what_places_are_worth() {
         let n = f64::from(case.devices);
         let mut stream = Stream::new(case.seed, Purpose::Training, 4);
         let (alpha, mu1) = (0.05 + stream.unit(), 20.0 * stream.unit());
-        let weights = Weights {
-            mu1,
-            mu2: 1.0,
-            zeta: 0.9,
-        };
+        let weights = weights(mu1);
         let mut duty = case.learner_of(Lookback::Ages, random_table(&mut stream), weights, alpha);
         let mut places = Places::new(&case);
         for k in 0..30 {
@@ -353,11 +353,7 @@ fn with_ages_the_shares_add_up_to_the_reward_by_what_places_are_worth() {
 fn without_dice_a_policy_that_learns_chooses_as_one_that_does_not() {
     for case in cases() {
         let mut stream = Stream::new(case.seed, Purpose::Training, 1);
-        let weights = Weights {
-            mu1: 10.0,
-            mu2: 1.0,
-            zeta: 0.9,
-        };
+        let weights = weights(10.0);
         let table = random_table(&mut stream);
         for lookback in [Lookback::Window(case.window), Lookback::Ages] {
             let [mut duty, mut learner] = [(); 2].map(|()| case.learner_of(lookback, table.clone(), weights, 0.2));
@@ -375,11 +371,7 @@ fn random_tables_choose_some_and_not_all() {
     // What the test above relies on.
     let case = &cases()[0];
     let mut stream = Stream::new(9, Purpose::Training, 1);
-    let weights = Weights {
-        mu1: 10.0,
-        mu2: 1.0,
-        zeta: 0.9,
-    };
+    let weights = weights(10.0);
     let mut counts = Vec::new();
     for _ in 0..40 {
         let mut duty = case.learner(random_table(&mut stream), weights, 0.2);

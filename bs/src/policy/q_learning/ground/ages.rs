@@ -111,9 +111,9 @@ impl Ground for Aged {
         self.ages.left() / self.cells
     }
 
-    fn credits(&mut self, chosen: &[DeviceId]) -> Vec<f64> {
+    fn credits(&mut self, chosen: &[DeviceId], gains: &[Gain]) -> Vec<f64> {
         let mut credits = vec![0.0; self.batteries.len()];
-        for (device, gain) in chosen.iter().zip(self.gains(chosen)) {
+        for (device, gain) in chosen.iter().zip(gains) {
             credits[device.index()] = gain.share;
         }
         credits

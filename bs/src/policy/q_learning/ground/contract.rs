@@ -37,9 +37,9 @@ pub trait Ground: Send {
     /// What nobody looks at, as [`Gain::share`].
     fn left(&self) -> f64;
 
-    /// By device, what is looked at thanks to it, with those of `chosen` in this order. Together with
-    /// [`Ground::left`] that is everything there is.
-    fn credits(&mut self, chosen: &[DeviceId]) -> Vec<f64>;
+    /// By device, what is looked at thanks to it, with those of `chosen` in this order, who newly look at `gains`.
+    /// Together with [`Ground::left`] that is everything there is.
+    fn credits(&mut self, chosen: &[DeviceId], gains: &[Gain]) -> Vec<f64>;
 
     /// Everything there is to look at in this TTI, as [`Gain::share`].
     fn all(&self) -> f64;

@@ -85,7 +85,7 @@ impl Ground for Windowed {
     }
 
     /// Each place is its who covered it first in the window, with `chosen` in the last TTI of it.
-    fn credits(&mut self, chosen: &[DeviceId]) -> Vec<f64> {
+    fn credits(&mut self, chosen: &[DeviceId], _: &[Gain]) -> Vec<f64> {
         let mut credits = vec![0.0; self.devices];
         self.choice.cover(std::iter::empty());
         for device in self.recent.iter().flatten().chain(chosen) {
