@@ -10,7 +10,7 @@ use reveille_common::sensing::{DetectionKind, Sensing};
 use self::bits::Bits;
 pub use self::places::Spot;
 use self::places::{Block, Places};
-use self::shares::Shares;
+use self::shares::{CELL, Shares};
 use super::raster::{self, Raster};
 
 /// Cells of the raster along d_max. A cell counts as covered by a device that has all of it in range, so the larger the
@@ -29,6 +29,9 @@ pub fn cells(area: Area, sensing: &Sensing) -> f64 {
 
 /// Parts of a cell, where it can be covered in part.
 const PARTS: u32 = 64;
+
+/// Shares that make up a part; a whole cell lacks one of being 64 of them.
+const SHARES: u64 = (CELL as u64 + 1) / PARTS as u64;
 
 /// How much of the area is covered by the devices added so far.
 ///
@@ -94,7 +97,7 @@ impl Coverage {
         }
         let cells = match &self.cover {
             Cover::Range(bits) => f64::from(bits.gain(j)),
-            Cover::Chance(shares) => shares.gain(j),
+            Cover::Chance(shares) => shares.gain(j) as f64 / f64::from(CELL),
         };
         cells / self.raster.cells() as f64
     }
@@ -107,7 +110,7 @@ impl Coverage {
         }
         match &self.cover {
             Cover::Range(bits) => bits.gain(j),
-            Cover::Chance(shares) => (shares.gain(j) * f64::from(PARTS)) as u32,
+            Cover::Chance(shares) => (shares.gain(j) / SHARES) as u32,
         }
     }
 
@@ -117,14 +120,6 @@ impl Coverage {
         match &self.cover {
             Cover::Range(bits) => Some(bits.lost(j)),
             Cover::Chance(_) => None,
-        }
-    }
-
-    /// The most that [`Coverage::parts`] can be for the `j`-th device.
-    pub fn own_parts(&self, j: usize) -> u32 {
-        match &self.cover {
-            Cover::Range(bits) => bits.own(j),
-            Cover::Chance(shares) => shares.cells(j) * PARTS,
         }
     }
 
@@ -159,7 +154,7 @@ impl Coverage {
         let cells = self.raster.cells() as f64;
         match &self.cover {
             Cover::Range(bits) => (cells - f64::from(bits.covered())) / cells,
-            Cover::Chance(shares) => shares.uncovered() / cells,
+            Cover::Chance(shares) => shares.uncovered() as f64 / f64::from(CELL) / cells,
         }
     }
 

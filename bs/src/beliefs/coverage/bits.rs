@@ -31,7 +31,6 @@ struct Disc {
     /// The word of the first row, and where in it the first column is, less than 32.
     word: u32,
     shift: u32,
-    count: u32,
     rows: [u32; SIDE],
 }
 
@@ -53,7 +52,6 @@ impl Disc {
             first: (row as u32, column as u32),
             word: ((1 + column / 32) * stride + row) as u32,
             shift: (column % 32) as u32,
-            count: cells.len() as u32,
             rows,
         }
     }
@@ -76,11 +74,6 @@ impl Bits {
         self.covered.fill(0);
         self.twice.fill(0);
         self.count = 0;
-    }
-
-    /// The cells that the `j`-th device covers.
-    pub(super) fn own(&self, j: usize) -> u32 {
-        self.discs[j].count
     }
 
     /// Those that nobody covers.

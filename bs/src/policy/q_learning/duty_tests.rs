@@ -207,8 +207,18 @@ fn the_shares_add_up_to_the_papers_reward_in_every_tti() {
                 "{:?}, {} m, window {}, TTI {k}",
                 case.kind, case.area.width, case.window
             );
-            assert!((sum - expected).abs() < 1e-9, "{what}: shares {sum}, r(k) = {expected}");
-            assert!((reward - expected).abs() < 1e-9, "{what}: {reward}, r(k) = {expected}");
+            // By chance, a look at a cell is counted in 65536ths.
+            let rounded = match case.kind {
+                DetectionKind::Range => 1e-9,
+                DetectionKind::Probabilistic => 1e-9 + window.len() as f64 / 65536.0,
+            };
+            let slack = (alpha * mu1).max(1.0) * rounded;
+            assert!(
+                (sum - expected).abs() < slack,
+                "{what}: shares {sum}, r(k) = {expected}"
+            );
+            assert!((reward - expected).abs() < slack, "{what}: {reward}, r(k) = {expected}");
+            assert!((reward - sum).abs() < 1e-9, "{what}: shares {sum}, {reward}");
             // What is promised at a choice: in each TTI of the window at least what it newly covered, and with a window
             // of one TTI just that.
             let last = duty.last.as_ref().expect("an exploration");
@@ -220,7 +230,7 @@ fn the_shares_add_up_to_the_papers_reward_in_every_tti() {
             for (j, credit) in last.credits.iter().enumerate() {
                 let promised: f64 = gains.iter().map(|then| then[j]).sum();
                 assert!(
-                    *credit > promised - 1e-9,
+                    *credit > promised - rounded,
                     "{what}: {j} has {credit}, promised {promised}"
                 );
                 let is_more = *credit > promised + 1e-9;

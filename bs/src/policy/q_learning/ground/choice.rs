@@ -37,9 +37,9 @@ pub struct Choice {
 }
 
 impl Choice {
-    /// Of the devices of `coverage`, `discs` of whose discs make up the area.
+    /// Of the devices of `coverage`, none of them added yet and `discs` of whose discs make up the area.
     pub fn new(coverage: Coverage, discs: f64, devices: usize) -> Self {
-        let own: Vec<u32> = (0..devices).map(|j| coverage.own_parts(j)).collect();
+        let own: Vec<u32> = (0..devices).map(|j| coverage.parts(j)).collect();
         let (most, all) = (own.iter().copied().max().unwrap_or(0), coverage.all_parts());
         Self {
             discs,
