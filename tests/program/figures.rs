@@ -217,7 +217,7 @@ fn a_sweep_becomes_figures_and_a_report_the_same_twice() {
     }
     let html = String::from_utf8(folder.bytes("report/report.html")).expect("text");
     assert_eq!(html.matches("<svg").count(), 24, "twelve figures for each preset");
-    assert!(!html.contains("src=") && html.contains("not built yet") && html.contains("seeds 1 to 2"));
+    assert!(!html.contains("src=") && html.contains("Not run and left out below") && html.contains("seeds 1 to 2"));
     let markdown = String::from_utf8(folder.bytes("report/report.md")).expect("text");
     for file in folder.list("report").iter().filter(|name| name.contains(".svg")) {
         assert!(markdown.contains(&format!("]({file})")), "{file} is not shown");

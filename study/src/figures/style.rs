@@ -112,8 +112,6 @@ impl Style {
         let (name, is_ranked) = series::policy(series);
         let place = match registry::named(name) {
             Some(policy) => policy.profile().series,
-            // The paper's sixth policy, of which tables may tell.
-            None if name == "dt" => 4,
             None => POLICIES.len(),
         };
         let style = Self::nth_policy(place);

@@ -8,7 +8,7 @@ use reveille_common::scenario::Scenario;
 
 use super::judge::{Tier, Verdict, about, verdict_of};
 use super::lines::{Column, Line, Ours};
-use super::why::not_run;
+use super::why::NOT_RUN;
 use super::words::{number, plain, plus_minus};
 use crate::analysis::harvest::{Reading, STATED, Stated, StatedEnd, positive_net};
 use crate::figures::energy::consumption;
@@ -69,7 +69,7 @@ fn ours(stated: &Stated, is_most: bool, end: StatedEnd, column: &Column<'_>) -> 
     };
     let condition = column.condition;
     let Some(spent) = condition.estimate(end.policy, stated.devices, SPENT) else {
-        return none(not_run(end.policy));
+        return none(NOT_RUN.to_owned());
     };
     let Some(tau) = condition.scenario.as_ref().and_then(tau_of_eq5) else {
         return none(

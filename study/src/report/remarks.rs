@@ -1,6 +1,7 @@
 //! What the report says beside its tables, for both of its forms.
 
 use super::judge::Verdict;
+use super::why::NOT_RUN;
 use super::words::list;
 use super::{Line, PRESETS, Report};
 
@@ -83,18 +84,6 @@ pub(super) fn absent(report: &Report<'_>) -> Vec<String> {
         ));
     }
     sentences.extend(reasons(report));
-    let unbuilt: Vec<&str> = policies
-        .into_iter()
-        .filter(|policy| super::why::not_run(policy).contains("not built"))
-        .collect();
-    if !unbuilt.is_empty() {
-        let (is, policy) = if unbuilt.len() == 1 {
-            ("is", "policy")
-        } else {
-            ("are", "policies")
-        };
-        sentences.push(format!("The {policy} {} {is} not built yet.", list(&unbuilt)));
-    }
     sentences
 }
 
@@ -102,10 +91,9 @@ pub(super) fn absent(report: &Report<'_>) -> Vec<String> {
 fn reasons(report: &Report<'_>) -> Vec<String> {
     let mut reasons: Vec<(String, usize)> = Vec::new();
     for line in report.lines.iter().filter(|line| !line.is_run()) {
-        let policy = line.policy.split(',').next().unwrap_or_default();
         for (column, ours) in report.columns.iter().zip(&line.ours) {
             let reason = (&column.label, &ours.why);
-            if ours.why == super::why::not_run(policy) {
+            if ours.why == NOT_RUN {
                 continue;
             }
             let text = format!("`{}`: # claims: {}", reason.0, reason.1);

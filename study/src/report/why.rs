@@ -1,7 +1,5 @@
 //! What is known of why a claim is not met, in sentences.
 
-use reveille_bs::policy::registry;
-
 use super::found::distance;
 use super::judge::{Judgement, Verdict};
 use super::words::number;
@@ -17,7 +15,7 @@ pub fn why(topic: &Topic, claim: &Claim, judgement: &Judgement, condition: &Cond
     match judgement.verdict {
         Verdict::Reproduced => {}
         Verdict::Near => reasons.extend(distance(claim, &judgement.findings)),
-        Verdict::NotRun => reasons.push(not_run(claim.policy)),
+        Verdict::NotRun => reasons.push(NOT_RUN.to_owned()),
         Verdict::OrderReproduced | Verdict::NotReproduced => {
             reasons.extend(distance(claim, &judgement.findings));
             reasons.extend(order(judgement));
@@ -111,11 +109,5 @@ fn known(topic: &Topic, claim: &Claim, judgement: &Judgement, condition: &Condit
     reasons
 }
 
-/// Why there are no runs of `policy`.
-pub(super) fn not_run(policy: &str) -> String {
-    if registry::named(policy).is_some() {
-        "The tables hold no such runs.".to_owned()
-    } else {
-        format!("The policy {policy} is not built yet.")
-    }
-}
+/// Why there are no runs of a policy.
+pub(super) const NOT_RUN: &str = "The tables hold no such runs.";
