@@ -87,10 +87,15 @@ impl Cycle {
     pub fn with_world(prepared: &Prepared, world: World) -> Self {
         let known = prepared.knowledge();
         let mind = prepared.mind(&known);
+        Self::with_station(prepared, world, Station::new(known, mind))
+    }
+
+    /// As [`Self::with_world`], with a base station of the caller's, such as one whose decisions are recorded.
+    pub fn with_station(prepared: &Prepared, world: World, station: Station) -> Self {
         Self {
             scenario: prepared.scenario.clone(),
             world,
-            station: Station::new(known, mind),
+            station,
             score: Score::new(&prepared.scenario, &prepared.deployment),
             next: Tti::ZERO,
             is_open: false,

@@ -1,5 +1,5 @@
-//! Runs of the Reveille machines in memory, without a bus: one, or a whole sweep with its result table; training and
-//! tuning.
+//! Runs of the Reveille machines in memory, without a bus: one, or a whole sweep with its result table; trajectories,
+//! training and tuning.
 
 pub mod io;
 pub mod preparation;
@@ -10,4 +10,7 @@ pub mod stats;
 pub mod sweep;
 pub mod table;
 pub mod training;
+pub mod trajectories;
+#[cfg(feature = "train-dt")]
+pub mod transformer;
 pub mod tuning;

@@ -52,6 +52,11 @@ impl Run {
 
     /// As [`Self::new`], in a world of the caller's, such as one with scripted events.
     pub fn with_world(prepared: &Prepared, world: World, options: Options) -> Self {
+        Self::with_cycle(prepared, Cycle::with_world(prepared, world), options)
+    }
+
+    /// The run that is `prepared`, before TTI 0, with a base station and a world of the caller's.
+    pub fn with_cycle(prepared: &Prepared, cycle: Cycle, options: Options) -> Self {
         let Prepared {
             scenario, deployment, ..
         } = prepared;
@@ -64,7 +69,7 @@ impl Run {
         );
         let boundaries = Boundaries::new(scenario, options.window);
         Self {
-            cycle: Cycle::with_world(prepared, world),
+            cycle,
             machines: deployment
                 .devices
                 .iter()

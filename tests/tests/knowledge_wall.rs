@@ -143,6 +143,11 @@ fn settings(policy: &str) -> Vec<&'static [&'static str]> {
             &["policy.age-index.price=3", "bs.battery_knowledge=reported"],
             &["sensing.kind=probabilistic", "sensing.eta=0.5"],
         ],
+        "dt" => vec![
+            &["policy.dt.price=3"],
+            &["policy.dt.target=0.3", "bs.battery_knowledge=reported"],
+            &["sensing.kind=probabilistic", "sensing.eta=0.5"],
+        ],
         _ => vec![&["devices=30"]],
     }
 }

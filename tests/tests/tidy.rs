@@ -43,7 +43,7 @@ const LAYERS_OF_COMMON: [&[&str]; 13] = [
 
 /// What may do input and output, know the time and hold global state. All other code is pure: what it does depends on
 /// what it is given alone, which makes one scenario and seed one digest.
-const SHELLS: [&str; 15] = [
+const SHELLS: [&str; 16] = [
     "common/src/bus/",
     "common/src/io.rs",
     "common/src/logging.rs",
@@ -56,6 +56,7 @@ const SHELLS: [&str; 15] = [
     "lab/src/sweep/journal/io.rs",
     "lab/src/table/io.rs",
     "lab/src/training/io.rs",
+    "lab/src/trajectories/io.rs",
     "lab/src/tuning/io.rs",
     "lab/src/tuning/tuner.rs",
     "deploy/",
@@ -96,10 +97,12 @@ const PATH_METHODS: [&str; 10] = [
     "try_exists",
 ];
 
-/// Methods of these names that are none of `Path`: the metadata of a Parquet file, which has been read already.
-const OTHER_METHODS: [(&str, &str); 2] = [
+/// Methods of these names that are none of `Path`: the metadata of a file's bytes, which have been read already.
+const OTHER_METHODS: [(&str, &str); 4] = [
     ("common/src/columns/parquet.rs", "metadata"),
     ("lab/src/table/parquet.rs", "metadata"),
+    ("lab/src/trajectories/parquet.rs", "metadata"),
+    ("bs/src/policy/dt/model/weights.rs", "metadata"),
 ];
 
 /// Types that make a `static` global state: with them one run could leave something behind for the next.

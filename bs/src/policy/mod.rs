@@ -7,6 +7,7 @@
 pub mod adjusted;
 pub mod age_index;
 pub mod contract;
+pub mod dt;
 pub mod genie;
 pub mod kind;
 pub mod knn;

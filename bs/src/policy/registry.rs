@@ -5,6 +5,7 @@ use reveille_common::scenario::{PolicyChoice, PolicyKind};
 use super::adjusted::AdjustedKind;
 use super::age_index::AgeIndexKind;
 use super::contract::Opaque;
+use super::dt::DtKind;
 use super::genie::GenieKind;
 use super::kind::{Profile, Registered};
 use super::knn::KnnKind;
@@ -22,6 +23,7 @@ pub const POLICIES: Registry = &[
     &KnnKind,
     &AdjustedKind,
     &QLearningKind,
+    &DtKind,
     &RandomKind,
     &GenieKind,
     &AgeIndexKind,

@@ -20,11 +20,11 @@ pub use figures::{
 };
 pub use report::{ReportArgs, ReportCommand, SearchArgs};
 pub use run::{BsArgs, DeviceArgs, DriveArgs, OnLossArg, OutputArgs, RunArgs, ScenarioArgs, UpArgs};
-pub use sweep::{MergeArgs, SweepArgs};
+pub use sweep::{GridArgs, MergeArgs, SweepArgs};
 pub use tools::{
     BenchCommand, BusBenchArgs, ClockArgs, InspectCommand, MemoryBenchArgs, ScenarioCommand, TailArgs, TargetArgs,
 };
-pub use train::{TrainArgs, TrainCommand};
+pub use train::{DtArgs, RecordArgs, TrainArgs, TrainCommand};
 #[cfg(feature = "tune")]
 pub use tune::ObjectiveArg;
 pub use tune::TuneArgs;

@@ -8,6 +8,7 @@ use clap::{Args, Subcommand};
 use reveille_bs::policy::q_learning::learned::{Lookback, Training};
 
 use super::run::ScenarioArgs;
+use super::sweep::GridArgs;
 
 /// What to train.
 #[derive(Subcommand)]
@@ -20,6 +21,96 @@ pub enum TrainCommand {
         Then:\n  reveille run --policy q-learning --set policy.q-learning.table=mine.json\n\n\
         A training that was cut short, even by kill -9, goes on when the same command is given again.")]
     QLearning(TrainArgs),
+    /// Record what a base station knew, did and gained in every TTI of many runs, under any policy: what `train dt`
+    /// learns from.
+    #[command(
+        after_help = "Examples:\n  reveille train record -p age-index --grid policy.age-index.price=0.1,0.35,1 \
+        -n 50,250 --seeds 8 --out calm.parquet\n  \
+        reveille train record -p q-learning,knn -n 50,250 --set events.process=bursts --explore 0,0.1 \
+        --out bursts.parquet\n\
+        Then:\n  reveille train dt calm.parquet bursts.parquet --out model.safetensors"
+    )]
+    Record(RecordArgs),
+    /// Train the decision transformer from recorded trajectories alone.
+    #[command(
+        after_help = "Examples:\n  reveille train dt calm.parquet bursts.parquet --out model.safetensors\n\
+        Then:\n  reveille run --policy dt --set policy.dt.model=model.safetensors\n\n\
+        It needs a build with the cargo feature train-dt: cargo run --release --features train-dt -- train dt …"
+    )]
+    Dt(DtArgs),
+}
+
+/// `reveille train dt`.
+#[derive(Args)]
+pub struct DtArgs {
+    /// Trajectories, as `reveille train record` writes them.
+    #[arg(required = true, value_name = "PARQUET")]
+    pub trajectories: Vec<PathBuf>,
+    /// The file for the model.
+    #[arg(long, short)]
+    pub out: PathBuf,
+    /// Replace that file if it is there.
+    #[arg(long)]
+    pub force: bool,
+    /// TTIs Z that a decision attends to.
+    #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=64))]
+    pub memory: u32,
+    /// Width of a token's embedding, a multiple of 4 times --heads.
+    #[arg(long, default_value_t = 32, value_parser = clap::value_parser!(u32).range(4..=256))]
+    pub width: u32,
+    /// Heads of each attention.
+    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=16))]
+    pub heads: u32,
+    /// Devices do not attend to each other.
+    #[arg(long)]
+    pub no_space: bool,
+    /// Steps of the optimiser, at most.
+    #[arg(long, default_value_t = 3000, value_parser = clap::value_parser!(u64).range(1..))]
+    pub steps: u64,
+    /// Device-TTIs of a step's batch, about.
+    #[arg(long, default_value_t = 16_000)]
+    pub batch: u32,
+    /// Learning rate at the start.
+    #[arg(long, default_value_t = 0.002)]
+    pub rate: f64,
+    /// Looks at what is held out, 200 steps apart, without a better one after which the training ends.
+    #[arg(long, default_value_t = 6)]
+    pub patience: u64,
+    /// Seed of everything that is drawn.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// No progress.
+    #[arg(long, short)]
+    pub quiet: bool,
+}
+
+/// `reveille train record`.
+#[derive(Args)]
+pub struct RecordArgs {
+    /// An experiment file, as of `reveille sweep`. Options win over what it says.
+    pub experiment: Option<PathBuf>,
+    /// The runs that are recorded.
+    #[command(flatten)]
+    pub grid: GridArgs,
+    /// TTIs of a chunk: so many are recorded one after the other.
+    #[arg(long, default_value_t = 16, value_name = "TTIS", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub chunk: u32,
+    /// TTIs from the start of one chunk to the start of the next, at least --chunk.
+    #[arg(long, default_value_t = 100, value_name = "TTIS")]
+    pub every: u32,
+    /// Shares of the TTIs in which a device does not do what its policy says, separated by commas; runs take them in
+    /// turn.
+    #[arg(long, value_delimiter = ',', default_value = "0,0.02,0.1", value_name = "SHARE,…")]
+    pub explore: Vec<f64>,
+    /// The Parquet file of the trajectories.
+    #[arg(long, short)]
+    pub out: PathBuf,
+    /// Replace that file if it is there.
+    #[arg(long)]
+    pub force: bool,
+    /// No progress bar.
+    #[arg(long, short)]
+    pub quiet: bool,
 }
 
 /// `reveille train q-learning`.

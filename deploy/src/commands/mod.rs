@@ -6,6 +6,7 @@ pub mod bs;
 pub mod clock;
 mod conclusion;
 pub mod device;
+mod experiment;
 pub mod figures;
 pub mod inspect;
 pub mod merge;

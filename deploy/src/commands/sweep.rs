@@ -1,6 +1,5 @@
 //! `reveille sweep`: many runs in memory.
 
-mod grid;
 mod progress;
 mod report;
 
@@ -16,6 +15,7 @@ use reveille_common::io::Disk;
 use reveille_lab::sweep::{Grid, Known, Shard, Sweep, hash, seeds_in};
 use reveille_lab::table::Table;
 
+use super::experiment::experiment;
 use crate::cli::SweepArgs;
 use crate::display::{self, note};
 use progress::Progress;
@@ -28,7 +28,7 @@ const GRACE: Duration = Duration::from_secs(1);
 
 /// Runs a sweep, or goes on with it.
 pub fn run(args: &SweepArgs) -> anyhow::Result<ExitCode> {
-    let mut grid = Grid::new(grid::experiment(args)?, &Disk)?;
+    let mut grid = Grid::new(experiment(args.experiment.as_deref(), &args.grid)?, &Disk)?;
     let shard = args.shard.unwrap_or(Shard::WHOLE);
     grid.check_shard(shard)?;
     let folder = folder(args, &mut grid, shard);

@@ -12,6 +12,7 @@
 mod cells;
 mod chance;
 pub mod choice;
+pub mod price;
 mod sure;
 mod worths;
 

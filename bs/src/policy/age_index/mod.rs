@@ -3,13 +3,12 @@
 //! Each place of the area has an age ([`crate::beliefs::ages`]): the TTIs in which an event may have begun there and
 //! gone unnoticed. What a device would look at is worth the sum over its places of their ages' index a(a + 1)/2, as far
 //! as nobody who is chosen looks at them already ([`ages::choice`]). A TTI in S1 has a price, the only knob, dearer for
-//! a device whose battery is low ([`price`]).
+//! a device whose battery is low ([`ages::price`]).
 //!
 //! Wake-ups go by the belief over the event's place, whatever `bs.ranking` says, which begins with what the ages tell:
 //! an event that is found at last may have begun in any TTI of the place's age, so a place of twice the age is twice as
 //! likely. The best candidate is woken while it is expected to bring enough.
 
-pub mod price;
 pub mod settings;
 
 use std::sync::Arc;
@@ -20,13 +19,13 @@ use reveille_common::message::Report;
 use reveille_common::plan::Plan;
 use reveille_common::scenario::{PolicyChoice, PolicyKind, PolicySettings, Site, WakeUpRanking};
 
-use self::price::Prices;
 use self::settings::AgeIndexSettings;
 use super::contract::{Opaque, Policy};
 use super::kind::{Profile, Registered, own};
 use super::mind::Mind;
 use super::tally::Tally;
 use crate::beliefs::ages::choice::Choice;
+use crate::beliefs::ages::price::Prices;
 use crate::beliefs::ages::{self, Ages};
 use crate::beliefs::candidates::Candidates;
 use crate::knowledge::Knowledge;

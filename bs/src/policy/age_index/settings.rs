@@ -4,8 +4,7 @@ use reveille_common::declare;
 use reveille_common::declare::{NOT_NEGATIVE, Reader, ScenarioError, Section, Sink, number};
 use reveille_common::scenario::{ClassKnowledge, PolicySettings, Site};
 
-use super::price;
-use crate::beliefs::ages;
+use crate::beliefs::ages::{self, price};
 use crate::beliefs::raster::MOST_CELLS;
 
 declare! {

@@ -1,24 +1,23 @@
 //! The experiment that the command line means.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use reveille_lab::sweep::{Draft, Experiment};
 use toml::Value;
 
-use crate::cli::SweepArgs;
+use crate::cli::GridArgs;
 
-/// What the experiment file says, with the options on top.
-pub fn experiment(args: &SweepArgs) -> anyhow::Result<Experiment> {
-    let file = match &args.experiment {
+/// What the experiment `file` says, if there is one, with the options on top.
+pub fn experiment(file: Option<&Path>, given: &GridArgs) -> anyhow::Result<Experiment> {
+    let file = match file {
         Some(path) => Draft::load(path)?,
         None => Draft::default(),
     };
-    Ok(options(args)?.over(file).finish()?)
+    Ok(options(given)?.over(file).finish()?)
 }
 
-fn options(args: &SweepArgs) -> anyhow::Result<Draft> {
-    let given = &args.grid;
+fn options(given: &GridArgs) -> anyhow::Result<Draft> {
     let mut draft = Draft {
         scenario: given.scenario.clone(),
         base_dir: PathBuf::new(),

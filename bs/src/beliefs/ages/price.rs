@@ -50,12 +50,17 @@ impl Prices {
 
     /// The prices of devices with these battery `levels`.
     pub fn at(&mut self, levels: &[Energy]) -> &[f64] {
+        self.scaled(levels, |_| 1.0)
+    }
+
+    /// The same, that of each device times its `factor`, > 0.
+    pub fn scaled(&mut self, levels: &[Energy], factor: impl Fn(usize) -> f64) -> &[f64] {
         for (j, (now, &level)) in self.now.iter_mut().zip(levels).enumerate() {
             *now = if level < self.needed[j] {
                 f64::INFINITY
             } else {
                 let missing = 1.0 - level.micro() as f64 / self.e_max[j].micro() as f64;
-                (self.full[j] * (1.0 + DEARNESS * missing * missing)).max(FREE)
+                (self.full[j] * (1.0 + DEARNESS * missing * missing) * factor(j)).max(FREE)
             };
         }
         &self.now

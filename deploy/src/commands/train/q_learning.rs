@@ -1,4 +1,4 @@
-//! `reveille train`: learning in memory.
+//! `reveille train q-learning`: tables, learned in memory.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -12,18 +12,13 @@ use reveille_bs::scenario::Scenario;
 use reveille_lab::io::replace;
 use reveille_lab::training::{Trainer, TrainingError, TrainingProgress, checkpoint};
 
-use super::resolution::resolve;
-use crate::cli::{TrainArgs, TrainCommand};
+use crate::cli::TrainArgs;
+use crate::commands::paths::check_place;
+use crate::commands::resolution::resolve;
 use crate::display::{self, note};
 
-/// Trains what is asked for.
-pub fn run(command: &TrainCommand) -> anyhow::Result<ExitCode> {
-    match command {
-        TrainCommand::QLearning(args) => q_learning(args),
-    }
-}
-
-fn q_learning(args: &TrainArgs) -> anyhow::Result<ExitCode> {
+/// Trains the tables that are asked for.
+pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
     let scenario = resolve(&args.scenario()?)?;
     let training = args.episodes.training()?;
     let largest = Scenario {
@@ -42,16 +37,7 @@ fn q_learning(args: &TrainArgs) -> anyhow::Result<ExitCode> {
     if args.out.exists() && !args.force {
         bail!(TrainingError::Taken(args.out.clone()));
     }
-    if args.out.is_dir() {
-        bail!(
-            "{}: is a folder; --out names the file for the tables",
-            args.out.display()
-        );
-    }
-    let folder = args.out.parent().filter(|folder| !folder.as_os_str().is_empty());
-    if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
-        bail!("{}: the folder {} is not there", args.out.display(), folder.display());
-    }
+    check_place(&args.out, "the tables")?;
     let kept = checkpoint(&args.out);
     if trainer.resume(&kept)? && !args.quiet {
         note!(

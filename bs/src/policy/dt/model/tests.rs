@@ -1,0 +1,276 @@
+//! Against a second calculation in double precision that keeps nothing between TTIs, and against bad files.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use reveille_common::rng::{Purpose, Stream};
+use safetensors::tensor::TensorView;
+use safetensors::{Dtype, SafeTensors};
+
+use super::super::senses::COUNT;
+use super::infer::{Forward, LEAST_FEATURE, LIMIT};
+use super::kernel::NORM_EPSILON;
+use super::shape::{HEADS, Shape};
+use super::weights::{KEY, ModelError, Weights, metadata};
+
+type Tensors = BTreeMap<&'static str, (Vec<usize>, Vec<f32>)>;
+
+fn random(shape: Shape) -> Tensors {
+    let tensor = |(id, (name, size)): (u64, (&'static str, Vec<usize>))| {
+        let mut stream = Stream::new(11, Purpose::Training, id);
+        let count = size.iter().product();
+        let values = (0..count).map(|_| (stream.unit() - 0.5) as f32).collect();
+        (name, (size, values))
+    };
+    (0..).zip(shape.tensors()).map(tensor).collect()
+}
+
+fn bytes(shape: Shape, tensors: &Tensors) -> Vec<u8> {
+    let data: Vec<(&str, Vec<usize>, Vec<u8>)> = tensors
+        .iter()
+        .map(|(name, (size, values))| {
+            let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+            (*name, size.clone(), bytes)
+        })
+        .collect();
+    let views = data.iter().map(|(name, size, bytes)| {
+        (
+            *name,
+            TensorView::new(Dtype::F32, size.clone(), bytes).expect("a tensor"),
+        )
+    });
+    let about = [(KEY.to_owned(), metadata(shape, &BTreeMap::new()))];
+    safetensors::serialize(views, Some(about.into_iter().collect())).expect("a file")
+}
+
+fn tokens(n: usize, ttis: usize) -> Vec<Vec<f32>> {
+    let mut stream = Stream::new(12, Purpose::Training, 0);
+    (0..ttis)
+        .map(|_| (0..n * COUNT).map(|_| (2.0 * stream.unit() - 1.0) as f32).collect())
+        .collect()
+}
+
+/// The model in double precision, from all tokens at once.
+struct Reference<'t>(&'t Tensors, Shape);
+
+impl Reference<'_> {
+    fn linear(&self, x: &[f64], weight: &str, bias: Option<&str>) -> Vec<f64> {
+        let (size, weight) = &self.0[weight];
+        (0..size[1])
+            .map(|to| {
+                let sum: f64 = (0..size[0])
+                    .map(|from| x[from] * f64::from(weight[from * size[1] + to]))
+                    .sum();
+                sum + bias.map_or(0.0, |bias| f64::from(self.0[bias].1[to]))
+            })
+            .collect()
+    }
+
+    fn norm(&self, x: &[f64], scale: &str) -> Vec<f64> {
+        let mean = x.iter().map(|x| x * x).sum::<f64>() / x.len() as f64;
+        let inverse = 1.0 / (mean + f64::from(NORM_EPSILON)).sqrt();
+        x.iter()
+            .zip(&self.0[scale].1)
+            .map(|(x, scale)| x * inverse * f64::from(*scale))
+            .collect()
+    }
+
+    fn mix(&self, x: &[f64], of: &str) -> Vec<f64> {
+        let name = |part: &str| format!("{of}.mix.{part}");
+        let mut inner = self.linear(
+            &self.norm(x, &name("norm")),
+            &name("in.weight"),
+            Some(name("in.bias").as_str()),
+        );
+        for x in &mut inner {
+            *x = x.max(0.0);
+        }
+        let outer = self.linear(&inner, &name("out.weight"), Some(name("out.bias").as_str()));
+        x.iter().zip(outer).map(|(x, y)| x + y).collect()
+    }
+
+    fn embed(&self, token: &[f32]) -> Vec<f64> {
+        let token: Vec<f64> = token.iter().copied().map(f64::from).collect();
+        let embedded = self.linear(&token, "embed.weight", Some("embed.bias"));
+        embedded.into_iter().map(|x| x.max(0.0)).collect()
+    }
+
+    /// The state of device `j` in the last of `ttis`, after it has attended to those before.
+    fn in_time(&self, ttis: &[Vec<f32>], j: usize) -> Vec<f64> {
+        let Shape {
+            memory, width, heads, ..
+        } = self.1;
+        let states: Vec<Vec<f64>> = ttis
+            .iter()
+            .rev()
+            .take(memory)
+            .map(|tokens| self.embed(&tokens[j * COUNT..(j + 1) * COUNT]))
+            .collect();
+        let normed: Vec<Vec<f64>> = states.iter().map(|state| self.norm(state, "time.norm")).collect();
+        let query = self.linear(&normed[0], "time.query", None);
+        let own = width / heads;
+        let mut gathered = vec![0.0; width];
+        for head in 0..heads {
+            let of = head * own..(head + 1) * own;
+            let score = |(lag, state): (usize, &Vec<f64>)| {
+                let key = self.linear(state, "time.key", None);
+                let product: f64 = of.clone().map(|i| query[i] * key[i]).sum();
+                libm::exp(product / (own as f64).sqrt() + f64::from(self.0["time.bias"].1[head * memory + lag]))
+            };
+            let scores: Vec<f64> = normed.iter().enumerate().map(score).collect();
+            for (score, state) in scores.iter().zip(&normed) {
+                let value = self.linear(state, "time.value", None);
+                for i in of.clone() {
+                    gathered[i] += score / scores.iter().sum::<f64>() * value[i];
+                }
+            }
+        }
+        let out = self.linear(&gathered, "time.out", None);
+        let attended: Vec<f64> = states[0].iter().zip(out).map(|(x, y)| x + y).collect();
+        self.mix(&attended, "time")
+    }
+
+    /// Its states after devices have attended to each other, by the weight of every pair.
+    fn in_space(&self, states: &[Vec<f64>]) -> Vec<Vec<f64>> {
+        let Shape { width, heads, .. } = self.1;
+        let own = width / heads;
+        let normed: Vec<Vec<f64>> = states.iter().map(|state| self.norm(state, "space.norm")).collect();
+        let feature = |x: Vec<f64>| {
+            x.into_iter()
+                .map(|x| x.max(0.0) + f64::from(LEAST_FEATURE))
+                .collect::<Vec<_>>()
+        };
+        let all = |name: &str| normed.iter().map(|x| self.linear(x, name, None)).collect::<Vec<_>>();
+        let queries: Vec<Vec<f64>> = all("space.query").into_iter().map(feature).collect();
+        let keys: Vec<Vec<f64>> = all("space.key").into_iter().map(feature).collect();
+        let values = all("space.value");
+        let one = |(state, query): (&Vec<f64>, &Vec<f64>)| {
+            let mut gathered = vec![0.0; width];
+            for head in 0..heads {
+                let of = head * own..(head + 1) * own;
+                let weights: Vec<f64> = keys
+                    .iter()
+                    .map(|key| of.clone().map(|i| query[i] * key[i]).sum())
+                    .collect();
+                for (weight, value) in weights.iter().zip(&values) {
+                    for i in of.clone() {
+                        gathered[i] += weight / weights.iter().sum::<f64>() * value[i];
+                    }
+                }
+            }
+            let out = self.linear(&gathered, "space.out", None);
+            let attended: Vec<f64> = state.iter().zip(out).map(|(x, y)| x + y).collect();
+            self.mix(&attended, "space")
+        };
+        states.iter().zip(&queries).map(one).collect()
+    }
+
+    /// The heads of all devices and the price for `target` in the last of `ttis`.
+    fn step(&self, ttis: &[Vec<f32>], n: usize, target: f64) -> (Vec<f64>, f64) {
+        let mut states: Vec<Vec<f64>> = (0..n).map(|j| self.in_time(ttis, j)).collect();
+        if self.1.has_space {
+            states = self.in_space(&states);
+        }
+        let last: Vec<Vec<f64>> = states.iter().map(|state| self.norm(state, "head.norm")).collect();
+        let logs = last
+            .iter()
+            .flat_map(|state| self.linear(state, "head.weight", Some("head.bias")));
+        let logs = logs.map(|x| f64::from(LIMIT) * x / (1.0 + x.abs())).collect();
+        let mut pooled: Vec<f64> = (0..self.1.width)
+            .map(|i| last.iter().map(|state| state[i]).sum::<f64>() / n as f64)
+            .collect();
+        pooled.push(target);
+        let mut inner = self.linear(&pooled, "price.in.weight", Some("price.in.bias"));
+        for x in &mut inner {
+            *x = x.max(0.0);
+        }
+        (logs, self.linear(&inner, "price.out.weight", Some("price.out.bias"))[0])
+    }
+}
+
+#[test]
+fn a_step_is_the_sum_that_it_stands_for() {
+    for (memory, width, heads, has_space, n) in [(4, 16, 2, true, 7), (1, 8, 1, true, 1), (8, 32, 4, false, 5)] {
+        let shape = Shape {
+            memory,
+            width,
+            heads,
+            has_space,
+        };
+        let tensors = random(shape);
+        let weights = Arc::new(Weights::read(&bytes(shape, &tensors)).expect("a model"));
+        let mut forward = Forward::new(weights, n);
+        let ttis = tokens(n, 11);
+        for k in 0..ttis.len() {
+            let logs = forward.step(&ttis[k]).to_vec();
+            assert_eq!(logs.len(), n * HEADS);
+            let price = f64::from(forward.price(0.7));
+            let (expected, expected_price) = Reference(&tensors, shape).step(&ttis[..=k], n, 0.7);
+            for (log, expected) in logs.iter().zip(&expected) {
+                assert!(
+                    (f64::from(*log) - expected).abs() < 1e-4,
+                    "{shape:?}, TTI {k}: {log}, not {expected}"
+                );
+            }
+            assert!((price - expected_price).abs() < 1e-4, "{price}, not {expected_price}");
+            for shares in forward.attended().chunks(memory) {
+                let (seen, unseen) = shares.split_at((k + 1).min(memory));
+                assert!((seen.iter().sum::<f32>() - 1.0).abs() < 1e-5 && unseen.iter().all(|share| *share == 0.0));
+            }
+        }
+    }
+}
+
+#[test]
+fn devices_may_come_in_any_order() {
+    let shape = Shape::USUAL;
+    let weights = Arc::new(Weights::read(&bytes(shape, &random(shape))).expect("a model"));
+    let (mut one, mut other) = (Forward::new(Arc::clone(&weights), 6), Forward::new(weights, 6));
+    for tokens in tokens(6, 5) {
+        let turned: Vec<f32> = tokens.chunks(COUNT).rev().flatten().copied().collect();
+        let logs = one.step(&tokens).to_vec();
+        for (a, b) in logs.chunks(HEADS).rev().flatten().zip(other.step(&turned)) {
+            assert!((a - b).abs() < 1e-5, "{a} and {b}");
+        }
+    }
+}
+
+#[test]
+fn files_that_are_no_model_are_refused() {
+    let shape = Shape::USUAL;
+    let whole = bytes(shape, &random(shape));
+    assert!(Weights::read(&whole).is_ok());
+    for cut in [0, 7, 100, whole.len() / 2, whole.len() - 1] {
+        assert!(
+            matches!(Weights::read(&whole[..cut]), Err(ModelError::Format(_))),
+            "{cut} bytes"
+        );
+    }
+    let changed = |change: &dyn Fn(&mut Tensors)| {
+        let mut tensors = random(shape);
+        change(&mut tensors);
+        Weights::read(&bytes(shape, &tensors)).expect_err("refused").to_string()
+    };
+    let missing = changed(&|tensors| drop(tensors.remove("time.key")));
+    assert!(
+        missing.contains("time.key") && missing.contains("not there"),
+        "{missing}"
+    );
+    let extra = changed(&|tensors| drop(tensors.insert("more", (vec![1], vec![0.0]))));
+    assert!(extra.contains("more"), "{extra}");
+    let wrong = changed(&|tensors| drop(tensors.insert("head.bias", (vec![3], vec![0.0; 3]))));
+    assert!(wrong.contains("head.bias") && wrong.contains("[3]"), "{wrong}");
+    let infinite = changed(&|tensors| tensors.get_mut("embed.bias").expect("there").1[3] = f32::NAN);
+    assert!(
+        infinite.contains("embed.bias") && infinite.contains("not finite"),
+        "{infinite}"
+    );
+    // The tensors of one shape under the name of another, and a file of another program.
+    let other = Shape { memory: 4, ..shape };
+    assert!(Weights::read(&bytes(other, &random(shape))).is_err());
+    let data = [0_u8; 4];
+    let foreign = [("x", TensorView::new(Dtype::F32, vec![1], &data).expect("a tensor"))];
+    let foreign = safetensors::serialize(foreign, None).expect("a file");
+    assert!(SafeTensors::deserialize(&foreign).is_ok());
+    assert!(matches!(Weights::read(&foreign), Err(ModelError::Foreign { .. })));
+}

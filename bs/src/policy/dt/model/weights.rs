@@ -1,0 +1,303 @@
+//! The weights of a model, and the file that holds them.
+//!
+//! A file is in the format safetensors: tensors of 32-bit floating-point numbers by name, and in its metadata what they
+//! were learned from.
+
+use std::collections::BTreeMap;
+
+use safetensors::{Dtype, SafeTensors};
+use sha2::{Digest, Sha256};
+
+use super::super::senses::FEATURES;
+use super::kernel::Linear;
+use super::shape::{EXPANSION, LONGEST_MEMORY, MOST_HEADS, PRICE_WIDTH, Shape, WIDEST};
+
+/// The version of the file format, raised when what features or tensors mean changes.
+pub const VERSION: &str = "1";
+
+/// The only key of the metadata: a JSON object of texts, in the order of their keys, so that the bytes of a file follow
+/// from what is in it.
+pub const KEY: &str = "reveille.dt";
+
+/// The keys of that object, beside those of what a model was learned from.
+mod keys {
+    /// See [`super::VERSION`].
+    pub const VERSION: &str = "version";
+    /// The features of a token, joined by commas.
+    pub const FEATURES: &str = "features";
+    /// Z, d, heads, and whether devices attend to each other, joined by commas.
+    pub const SHAPE: &str = "shape";
+}
+
+/// Why a file is no model.
+#[derive(Debug, thiserror::Error, PartialEq, Eq)]
+pub enum ModelError {
+    /// Not the format, or cut short.
+    #[error("is not a readable safetensors file ({0}); train one: reveille train dt")]
+    Format(String),
+    /// Made by another program, or version.
+    #[error(
+        "is not a model of this program: its metadata has {key} = {found}, not {wanted}; train one: reveille train dt"
+    )]
+    Foreign {
+        /// The key of the metadata.
+        key: &'static str,
+        /// What stands there.
+        found: String,
+        /// What should.
+        wanted: String,
+    },
+    /// A tensor is missing, too many, or of another shape or type.
+    #[error("its tensor {name} is {found}, not {wanted}; the file is damaged or of another program")]
+    Tensor {
+        /// The tensor.
+        name: String,
+        /// What it is.
+        found: String,
+        /// What it should be.
+        wanted: String,
+    },
+    /// A weight is not a number, or infinite.
+    #[error("its tensor {0} holds a value that is not finite: the training has failed")]
+    NotFinite(String),
+}
+
+/// The layer after an attention.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mix {
+    pub(super) norm: Vec<f32>,
+    pub(super) inner: Linear,
+    pub(super) outer: Linear,
+}
+
+/// An attention: queries, keys and values.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Attention {
+    pub(super) norm: Vec<f32>,
+    pub(super) query: Linear,
+    pub(super) key: Linear,
+    pub(super) value: Linear,
+    pub(super) out: Linear,
+    pub(super) mix: Mix,
+}
+
+/// The weights of a model.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Weights {
+    pub(super) shape: Shape,
+    pub(super) embed: Linear,
+    pub(super) time: Attention,
+    /// By head and lag, `[heads, Z]`.
+    pub(super) lags: Vec<f32>,
+    pub(super) space: Option<Attention>,
+    pub(super) head_norm: Vec<f32>,
+    pub(super) head: Linear,
+    pub(super) price_inner: Linear,
+    pub(super) price_outer: Linear,
+    /// What the file says of itself.
+    pub about: BTreeMap<String, String>,
+    /// SHA-256 of the file.
+    pub hash: [u8; 32],
+}
+
+/// Tensors by name.
+type Tensors = BTreeMap<&'static str, Vec<f32>>;
+
+impl Weights {
+    /// The weights in the bytes of a file.
+    ///
+    /// # Errors
+    /// It is not a model of this program, damaged, or holds values that are not finite.
+    pub fn read(bytes: &[u8]) -> Result<Self, ModelError> {
+        let format = |error: safetensors::SafeTensorError| ModelError::Format(error.to_string());
+        let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(format)?;
+        let file = SafeTensors::deserialize(bytes).map_err(format)?;
+        let texts = metadata.metadata().as_ref().and_then(|pairs| pairs.get(KEY));
+        let about: BTreeMap<String, String> = texts
+            .and_then(|texts| serde_json::from_str(texts).ok())
+            .unwrap_or_default();
+        let shape = shape(&about)?;
+        let wanted = shape.tensors();
+        if let Some(name) = file
+            .names()
+            .iter()
+            .find(|name| wanted.iter().all(|(known, _)| known != *name))
+        {
+            return Err(ModelError::Tensor {
+                name: (*name).to_owned(),
+                found: "there".to_owned(),
+                wanted: "part of this shape".to_owned(),
+            });
+        }
+        let mut tensors = Tensors::new();
+        for (name, size) in wanted {
+            tensors.insert(name, tensor(&file, name, &size)?);
+        }
+        Ok(Self::assemble(shape, tensors, about, Sha256::digest(bytes).into()))
+    }
+
+    fn assemble(shape: Shape, mut tensors: Tensors, about: BTreeMap<String, String>, hash: [u8; 32]) -> Self {
+        let (d, wide) = (shape.width, EXPANSION * shape.width);
+        let mut take = |name: &str| tensors.remove(name).expect("all tensors were read");
+        let mut attention = |names: [&str; 10]| {
+            let [
+                norm,
+                query,
+                key,
+                value,
+                out,
+                mix,
+                in_weight,
+                in_bias,
+                out_weight,
+                out_bias,
+            ] = names;
+            Attention {
+                norm: take(norm),
+                query: Linear::plain(d, d, &take(query)),
+                key: Linear::plain(d, d, &take(key)),
+                value: Linear::plain(d, d, &take(value)),
+                out: Linear::plain(d, d, &take(out)),
+                mix: Mix {
+                    norm: take(mix),
+                    inner: Linear::new(d, &take(in_weight), &take(in_bias)),
+                    outer: Linear::new(wide, &take(out_weight), &take(out_bias)),
+                },
+            }
+        };
+        let time = attention([
+            "time.norm",
+            "time.query",
+            "time.key",
+            "time.value",
+            "time.out",
+            "time.mix.norm",
+            "time.mix.in.weight",
+            "time.mix.in.bias",
+            "time.mix.out.weight",
+            "time.mix.out.bias",
+        ]);
+        let space = shape.has_space.then(|| {
+            attention([
+                "space.norm",
+                "space.query",
+                "space.key",
+                "space.value",
+                "space.out",
+                "space.mix.norm",
+                "space.mix.in.weight",
+                "space.mix.in.bias",
+                "space.mix.out.weight",
+                "space.mix.out.bias",
+            ])
+        });
+        let mut linear = |inputs: usize, weight: &str, bias: &str| {
+            let (weight, bias) = (take(weight), take(bias));
+            Linear::new(inputs, &weight, &bias)
+        };
+        Self {
+            embed: linear(FEATURES.len(), "embed.weight", "embed.bias"),
+            head: linear(d, "head.weight", "head.bias"),
+            price_inner: linear(d + 1, "price.in.weight", "price.in.bias"),
+            price_outer: linear(PRICE_WIDTH, "price.out.weight", "price.out.bias"),
+            lags: take("time.bias"),
+            head_norm: take("head.norm"),
+            shape,
+            time,
+            space,
+            about,
+            hash,
+        }
+    }
+
+    /// The shape of the model.
+    pub const fn shape(&self) -> Shape {
+        self.shape
+    }
+}
+
+/// What stands under [`KEY`] in the file of a model of this shape that was learned from `about`.
+pub fn metadata(shape: Shape, about: &BTreeMap<String, String>) -> String {
+    let Shape {
+        memory,
+        width,
+        heads,
+        has_space,
+    } = shape;
+    let own = [
+        (keys::VERSION, VERSION.to_owned()),
+        (keys::FEATURES, FEATURES.join(",")),
+        (keys::SHAPE, format!("{memory},{width},{heads},{}", u8::from(has_space))),
+    ];
+    let own = own.map(|(key, value)| (key.to_owned(), value));
+    let all: BTreeMap<String, String> = about.clone().into_iter().chain(own).collect();
+    serde_json::to_string(&all).expect("texts can be written")
+}
+
+fn shape(about: &BTreeMap<String, String>) -> Result<Shape, ModelError> {
+    let found = |key: &'static str| about.get(key).map_or("nothing", String::as_str);
+    for (key, wanted) in [
+        (keys::VERSION, VERSION.to_owned()),
+        (keys::FEATURES, FEATURES.join(",")),
+    ] {
+        if found(key) != wanted {
+            return Err(ModelError::Foreign {
+                key,
+                found: found(key).to_owned(),
+                wanted,
+            });
+        }
+    }
+    let foreign = || ModelError::Foreign {
+        key: keys::SHAPE,
+        found: found(keys::SHAPE).to_owned(),
+        wanted: format!(
+            "Z from 1 to {LONGEST_MEMORY}, d up to {WIDEST} and a multiple of 4 times the heads, up to {MOST_HEADS} \
+             heads, and 0 or 1"
+        ),
+    };
+    let numbers: Vec<u64> = found(keys::SHAPE)
+        .split(',')
+        .filter_map(|number| number.parse().ok())
+        .collect();
+    let &[memory, width, heads, has_space] = &numbers[..] else {
+        return Err(foreign());
+    };
+    let is_sound = (1..=LONGEST_MEMORY).contains(&memory)
+        && (1..=MOST_HEADS).contains(&heads)
+        && (1..=WIDEST).contains(&width)
+        && width.is_multiple_of(4 * heads)
+        && has_space < 2;
+    is_sound
+        .then_some(Shape {
+            memory: memory as usize,
+            width: width as usize,
+            heads: heads as usize,
+            has_space: has_space == 1,
+        })
+        .ok_or_else(foreign)
+}
+
+fn tensor(file: &SafeTensors<'_>, name: &str, size: &[usize]) -> Result<Vec<f32>, ModelError> {
+    let wrong = |found: String| ModelError::Tensor {
+        name: name.to_owned(),
+        found,
+        wanted: format!("F32 {size:?}"),
+    };
+    let view = file.tensor(name).map_err(|_| wrong("not there".to_owned()))?;
+    if view.dtype() != Dtype::F32 || view.shape() != size {
+        return Err(wrong(format!("{:?} {:?}", view.dtype(), view.shape())));
+    }
+    let values: Vec<f32> = view
+        .data()
+        .as_chunks::<4>()
+        .0
+        .iter()
+        .map(|bytes| f32::from_le_bytes(*bytes))
+        .collect();
+    if values.iter().all(|value| value.is_finite()) {
+        Ok(values)
+    } else {
+        Err(ModelError::NotFinite(name.to_owned()))
+    }
+}

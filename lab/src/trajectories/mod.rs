@@ -1,0 +1,183 @@
+//! Trajectories: what a base station knew, did and gained, TTI by TTI, under any policy; what the decision transformer
+//! is trained from.
+//!
+//! A run is recorded in chunks of consecutive TTIs, far enough from each other to differ. Nothing is in them that a
+//! base station could not know.
+
+mod io;
+mod parquet;
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use rayon::iter::{IntoParallelIterator, ParallelIterator};
+use reveille_bs::cycle::Cycle;
+use reveille_bs::policy::age_index::settings::AgeIndexSettings;
+use reveille_bs::policy::dt::record::{Recorded, Step};
+use reveille_bs::policy::dt::settings::DtSettings;
+use reveille_bs::policy::mind::Mind;
+use reveille_bs::prepared::Prepared;
+use reveille_bs::station::Station;
+use reveille_common::rng::{Purpose, Stream};
+use reveille_common::scenario::Scenario;
+use reveille_common::units::Energy;
+use reveille_common::world::World;
+
+use crate::preparation::Workshop;
+use crate::run::{Options, Run, StopWhen};
+use crate::sweep::Grid;
+
+pub use io::{read, write};
+pub use parquet::TrajectoryError;
+
+/// TTIs over which a return is the mean.
+pub const HORIZON: usize = 20;
+
+/// How runs are recorded.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Recording {
+    /// TTIs of a chunk, ≥ 1.
+    pub length: usize,
+    /// TTIs from the start of one chunk to the start of the next, ≥ `length`.
+    pub stride: usize,
+    /// Probabilities, `[0, 1)`, with which a device does not do what its policy says; runs take them in turn.
+    pub explore: Vec<f64>,
+}
+
+/// Consecutive TTIs of one run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Chunk {
+    /// The run, counted from 0 over all cells and seeds.
+    pub run: u32,
+    /// The policy that was recorded.
+    pub policy: Arc<str>,
+    /// The price θ that it chose by, where it has one.
+    pub price: Option<f32>,
+    /// Number of devices N.
+    pub devices: usize,
+    /// The TTIs, one after the other.
+    pub steps: Vec<Step>,
+    /// By TTI, the mean of [`Step::share`] over the [`HORIZON`] TTIs from it on: the return.
+    pub returns: Vec<f32>,
+}
+
+/// What was recorded.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trajectories {
+    /// Where it comes from: key and value, for the metadata of files.
+    pub about: Vec<(String, String)>,
+    /// By run and TTI.
+    pub chunks: Vec<Chunk>,
+}
+
+/// Records every run of `grid`, on `threads` threads. `None` if `stop` has said so. `ended` hears of each run.
+pub fn record(
+    grid: &Grid,
+    recording: &Recording,
+    stop: &(dyn Fn() -> bool + Sync),
+    ended: &(dyn Fn() + Sync),
+) -> Option<Trajectories> {
+    let seeds = grid.experiment.seeds;
+    let runs: Vec<(usize, u64)> = (0..grid.cells.len())
+        .flat_map(|cell| (0..seeds.count).map(move |index| (cell, index)))
+        .collect();
+    let workshop = Workshop::default();
+    let one = |(cell, index): (usize, u64)| {
+        let run = cell as u64 * seeds.count + index;
+        let explores = recording.explore[(run % recording.explore.len() as u64) as usize];
+        let scenario = grid.cells[cell].with_seed(seeds.first + index);
+        let chunks = record_run(&workshop, &scenario, run as u32, recording, explores, stop);
+        ended();
+        chunks
+    };
+    let chunks: Vec<Option<Vec<Chunk>>> = runs.into_par_iter().map(one).collect();
+    let chunks: Option<Vec<Vec<Chunk>>> = chunks.into_iter().collect();
+    let about = vec![
+        ("experiment".to_owned(), grid.experiment.to_toml()),
+        ("scenarios".to_owned(), grid.fingerprint().to_string()),
+        ("seeds".to_owned(), format!("{} {}", seeds.first, seeds.count)),
+        ("recording".to_owned(), format!("{recording:?}")),
+    ];
+    Some(Trajectories {
+        about,
+        chunks: chunks?.concat(),
+    })
+}
+
+/// The chunks of a run of `scenario` from random batteries.
+fn record_run(
+    workshop: &Workshop,
+    scenario: &Scenario,
+    run: u32,
+    recording: &Recording,
+    explores: f64,
+    stop: &(dyn Fn() -> bool + Sync),
+) -> Option<Vec<Chunk>> {
+    let mut prepared = workshop.prepare(scenario);
+    let mut stream = Stream::new(scenario.seed, Purpose::Training, 0);
+    for device in &mut prepared.deployment.devices {
+        device.energy.initial = Energy::from_micro((stream.unit() * device.energy.e_max.micro() as f64) as u64);
+    }
+    let steps = Arc::new(Mutex::new((Vec::new(), Vec::new())));
+    let sink = {
+        let (steps, recording) = (Arc::clone(&steps), recording.clone());
+        move |step: Step| {
+            let (shares, kept) = &mut *steps.lock().unwrap_or_else(PoisonError::into_inner);
+            shares.push(step.share);
+            // The first TTIs of a run are like no others, and a policy begins in them: they are kept as well.
+            if (step.tti.0 as usize) % recording.stride < recording.length {
+                kept.push(step);
+            }
+        }
+    };
+    let known = prepared.knowledge();
+    let mind = match prepared.mind(&known) {
+        Mind::Policy(policy) => Mind::of(Recorded::new(policy, &known, explores, sink)),
+        Mind::Genie(_) => return Some(Vec::new()),
+    };
+    let world = World::new(&prepared.scenario, &prepared.deployment);
+    let cycle = Cycle::with_station(&prepared, world, Station::new(known, mind));
+    let options = Options {
+        window: 200,
+        ..Options::default()
+    };
+    let outcome = Run::with_cycle(&prepared, cycle, options).finish(&mut StopWhen(stop));
+    outcome.complete.then(|| {
+        let (shares, kept) = std::mem::take(&mut *steps.lock().unwrap_or_else(PoisonError::into_inner));
+        chunks(&prepared, run, recording, &shares, kept)
+    })
+}
+
+fn chunks(prepared: &Prepared, run: u32, recording: &Recording, shares: &[f32], kept: Vec<Step>) -> Vec<Chunk> {
+    let policy = &prepared.scenario.policy;
+    let price = policy
+        .settings::<AgeIndexSettings>()
+        .map(|settings| settings.price)
+        .or_else(|| policy.settings::<DtSettings>().map(|settings| settings.price));
+    let name: Arc<str> = policy.name().into();
+    let mut chunks: Vec<Chunk> = Vec::new();
+    for step in kept {
+        let k = step.tti.0 as usize;
+        // Near the end of a run there is no return.
+        let Some(ahead) = shares.get(k..k + HORIZON) else { break };
+        let mean = ahead.iter().sum::<f32>() / HORIZON as f32;
+        if k.is_multiple_of(recording.stride) {
+            chunks.push(Chunk {
+                run,
+                policy: Arc::clone(&name),
+                price: price.map(|price| price as f32),
+                devices: prepared.deployment.devices.len(),
+                steps: Vec::with_capacity(recording.length),
+                returns: Vec::with_capacity(recording.length),
+            });
+        }
+        let chunk = chunks.last_mut().expect("a run begins with a chunk");
+        chunk.steps.push(step);
+        chunk.returns.push(mean);
+    }
+    // A chunk that the end has cut short is left out.
+    chunks.retain(|chunk| chunk.steps.len() == recording.length);
+    chunks
+}
+
+#[cfg(test)]
+mod tests;

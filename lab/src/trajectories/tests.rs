@@ -1,0 +1,113 @@
+//! What is recorded is what happened, and files hold all of it.
+
+use ::parquet::basic::Type as Physical;
+use ::parquet::file::metadata::KeyValue;
+use ::parquet::file::properties::WriterProperties;
+use ::parquet::file::writer::SerializedFileWriter;
+use ::parquet::schema::types::Type;
+use reveille_bs::policy::dt::senses::{COUNT, FEATURES};
+use reveille_common::declare::NoFiles;
+
+use super::parquet::{KEY, TrajectoryError, from_bytes, to_bytes};
+use super::*;
+use crate::sweep::Draft;
+
+fn grid(text: &str) -> Grid {
+    let draft = Draft::parse(text, "test", std::path::Path::new("")).expect("an experiment");
+    Grid::new(draft.finish().expect("complete"), &NoFiles).expect("a grid")
+}
+
+fn recorded(recording: &Recording) -> Trajectories {
+    let text = "scenario = \"paper\"\npolicies = [\"age-index\", \"knn\"]\ndevices = [30]\nttis = 300\n\
+                seeds = { first = 5, count = 2 }\n";
+    record(&grid(text), recording, &|| false, &|| ()).expect("not stopped")
+}
+
+fn recording(explore: &[f64]) -> Recording {
+    Recording {
+        length: 6,
+        stride: 50,
+        explore: explore.to_vec(),
+    }
+}
+
+#[test]
+fn chunks_are_whole_and_what_they_say_fits_together() {
+    let trajectories = recorded(&recording(&[0.0, 0.3]));
+    // Four runs of six chunks; the last begins at TTI 250.
+    assert_eq!(trajectories.chunks.len(), 24);
+    let (mut found, mut woken, mut explored) = (0, 0, 0);
+    for chunk in &trajectories.chunks {
+        assert_eq!((chunk.devices, chunk.steps.len(), chunk.returns.len()), (30, 6, 6));
+        assert_eq!(chunk.price.is_some(), &*chunk.policy == "age-index");
+        for (step, after) in chunk.steps.iter().zip(&chunk.steps[1..]) {
+            assert_eq!(after.tti, step.tti + 1);
+            let names = |name: &str| FEATURES.iter().position(|known| *known == name).expect("a feature");
+            let (is_found, idle) = (names("found"), names("idle"));
+            let reporters = step.looks.iter().filter(|look| look.found).count();
+            for (j, look) in step.looks.iter().enumerate() {
+                assert!(!look.found || look.on, "who reports first has looked");
+                let next = &after.tokens[j * COUNT..(j + 1) * COUNT];
+                // In the next TTI the base station knows that an event was found, and who has just looked.
+                assert_eq!(next[is_found] > 0.5, reporters > 0);
+                assert_eq!(next[idle] == 0.0, look.on, "TTI {:?}, device {j}", step.tti);
+                woken += usize::from(look.wake_up.is_some());
+            }
+            let asleep = step.looks.iter().filter(|look| !look.on).count() as f32 / 30.0;
+            // r(k) = mean over sleeping devices − αμ1·uncovered (Sec. V-B), α = 0.2 and μ1 = 14.
+            assert!(
+                (step.reward - (asleep - 2.8 * (1.0 - step.share))).abs() < 1e-4,
+                "{step:?}"
+            );
+            found += usize::from(reporters > 0);
+        }
+        explored += usize::from(chunk.run % 2 == 1);
+    }
+    assert!(found > 5 && woken > 3 && explored == 12, "{found} found, {woken} woken");
+}
+
+#[test]
+fn files_hold_all_of_it_and_the_same_runs_give_the_same_bytes() {
+    let trajectories = recorded(&recording(&[0.1]));
+    let bytes = to_bytes(&trajectories).expect("bytes");
+    assert_eq!(bytes, to_bytes(&recorded(&recording(&[0.1]))).expect("bytes"));
+    let (read, _) = from_bytes(bytes).expect("a file");
+    assert_eq!(read, trajectories);
+}
+
+#[test]
+fn files_that_hold_something_else_are_refused() {
+    let mut trajectories = recorded(&recording(&[0.0]));
+    let bytes = to_bytes(&trajectories).expect("bytes");
+    for cut in [0, 10, bytes.len() / 2, bytes.len() - 3] {
+        assert!(
+            matches!(from_bytes(bytes[..cut].to_vec()), Err(TrajectoryError::Format(_))),
+            "{cut} bytes"
+        );
+    }
+    trajectories.chunks[0].steps[0].tokens[3] = f32::NAN;
+    let broken = to_bytes(&trajectories).expect("bytes");
+    assert!(matches!(from_bytes(broken), Err(TrajectoryError::Rows(_))));
+    assert!(matches!(from_bytes(other(None)), Err(TrajectoryError::Foreign(_))));
+    assert!(matches!(from_bytes(other(Some("0"))), Err(TrajectoryError::Foreign(_))));
+    let missing = from_bytes(other(Some("1"))).expect_err("refused").to_string();
+    assert!(
+        missing.contains("run is missing") && missing.contains("train record"),
+        "{missing}"
+    );
+}
+
+/// A Parquet file with another column, which says that it is of `version`.
+fn other(version: Option<&str>) -> Vec<u8> {
+    let column = Type::primitive_type_builder("x", Physical::INT32)
+        .build()
+        .expect("a column");
+    let schema = Type::group_type_builder("other")
+        .with_fields(vec![Arc::new(column)])
+        .build()
+        .expect("a schema");
+    let pairs = version.map(|version| vec![KeyValue::new(KEY.to_owned(), version.to_owned())]);
+    let properties = WriterProperties::builder().set_key_value_metadata(pairs).build();
+    let writer = SerializedFileWriter::new(Vec::new(), Arc::new(schema), Arc::new(properties));
+    writer.and_then(SerializedFileWriter::into_inner).expect("a file")
+}

@@ -1,0 +1,201 @@
+//! The model in the training framework: the same sums as in [`reveille_bs::policy::dt::model`], which can be derived.
+
+use std::collections::BTreeMap;
+
+use candle_core::{D, DType, Device, Result, Tensor, Var};
+use candle_nn::ops::softmax;
+use reveille_bs::policy::dt::model::infer::{LEAST_FEATURE, LIMIT};
+use reveille_bs::policy::dt::model::shape::{HEADS, Shape};
+use reveille_common::rng::{Purpose, Stream};
+
+/// What keeps norms finite.
+use reveille_bs::policy::dt::model::NORM_EPSILON;
+
+/// The weights that are learned.
+pub struct Net {
+    shape: Shape,
+    vars: BTreeMap<&'static str, Var>,
+}
+
+/// What the net makes of a batch.
+pub struct Outputs {
+    /// Logarithms by chunk, TTI, device and head, `[C, T, N, HEADS]`.
+    pub logs: Tensor,
+    /// The logarithm of the price for each chunk and TTI, `[C, T]`.
+    pub price: Tensor,
+}
+
+impl Net {
+    /// A net that expects nothing but what α says, with weights drawn from `seed`.
+    pub fn new(shape: Shape, seed: u64) -> Result<Self> {
+        let mut vars = BTreeMap::new();
+        for (id, (name, size)) in (0..).zip(shape.tensors()) {
+            let count = size.iter().product();
+            let mut stream = Stream::new(seed, Purpose::Training, id);
+            let values: Vec<f32> = if name.ends_with("norm") {
+                vec![1.0; count]
+            } else if name.ends_with("bias") || name == "head.weight" {
+                vec![0.0; count]
+            } else {
+                let bound = (3.0 / size[0] as f64).sqrt();
+                (0..count)
+                    .map(|_| (bound * (2.0 * stream.unit() - 1.0)) as f32)
+                    .collect()
+            };
+            vars.insert(name, Var::from_vec(values, size, &Device::Cpu)?);
+        }
+        Ok(Self { shape, vars })
+    }
+
+    /// The same weights as numbers of another type.
+    #[cfg(test)]
+    pub fn of_type(&self, dtype: DType) -> Result<Self> {
+        let var = |(name, var): (&&'static str, &Var)| -> Result<_> {
+            Ok((*name, Var::from_tensor(&var.as_tensor().to_dtype(dtype)?)?))
+        };
+        Ok(Self {
+            shape: self.shape,
+            vars: self.vars.iter().map(var).collect::<Result<_>>()?,
+        })
+    }
+
+    /// Its weights by name, in a fixed order.
+    pub const fn vars(&self) -> &BTreeMap<&'static str, Var> {
+        &self.vars
+    }
+
+    /// The shape.
+    pub const fn shape(&self) -> Shape {
+        self.shape
+    }
+
+    fn var(&self, name: &str) -> &Tensor {
+        self.vars[name].as_tensor()
+    }
+
+    /// What it makes of `tokens`, `[C, T, N, F]`, with the targets of each chunk and TTI, `[C, T]`.
+    pub fn forward(&self, tokens: &Tensor, targets: &Tensor) -> Result<Outputs> {
+        let (c, t, n, f) = tokens.dims4()?;
+        let d = self.shape.width;
+        let flat = tokens.reshape((c * t * n, f))?;
+        let embedded = self.linear(&flat, "embed.weight", "embed.bias")?.relu()?;
+        let mut state = self.attend_in_time(&embedded, (c, t, n))?;
+        if self.shape.has_space {
+            state = self.attend_in_space(&state, (c, t, n))?;
+        }
+        let last = self.norm(&state, "head.norm")?;
+        let out = self.linear(&last, "head.weight", "head.bias")?;
+        let limited = (out.clone() * f64::from(LIMIT))?.div(&(out.abs()? + 1.0)?)?;
+        // The price is read off what was learned for the rest, and does not change it.
+        let pooled = last.detach().reshape((c * t, n, d))?.mean(1)?;
+        let asked = Tensor::cat(&[&pooled, &targets.reshape((c * t, 1))?], 1)?;
+        let inner = self.linear(&asked, "price.in.weight", "price.in.bias")?.relu()?;
+        let price = self.linear(&inner, "price.out.weight", "price.out.bias")?;
+        Ok(Outputs {
+            logs: limited.reshape((c, t, n, HEADS))?,
+            price: price.reshape((c, t))?,
+        })
+    }
+
+    fn linear(&self, x: &Tensor, weight: &str, bias: &str) -> Result<Tensor> {
+        x.matmul(self.var(weight))?.broadcast_add(self.var(bias))
+    }
+
+    fn norm(&self, x: &Tensor, scale: &str) -> Result<Tensor> {
+        let mean = x.sqr()?.mean_keepdim(D::Minus1)?;
+        let inverse = (mean + f64::from(NORM_EPSILON))?.sqrt()?.recip()?;
+        x.broadcast_mul(&inverse)?.broadcast_mul(self.var(scale))
+    }
+
+    fn mix(&self, x: &Tensor, names: [&str; 5]) -> Result<Tensor> {
+        let [norm, in_weight, in_bias, out_weight, out_bias] = names;
+        let inner = self.linear(&self.norm(x, norm)?, in_weight, in_bias)?.relu()?;
+        x + self.linear(&inner, out_weight, out_bias)?
+    }
+
+    fn attend_in_time(&self, x: &Tensor, (c, t, n): (usize, usize, usize)) -> Result<Tensor> {
+        let (heads, width) = (self.shape.heads, self.shape.head_width());
+        let normed = self.norm(x, "time.norm")?;
+        // [C·N, heads, T, width]
+        let by_device = |name: &str| -> Result<Tensor> {
+            let split = normed.matmul(self.var(name))?.reshape((c, t, n, heads, width))?;
+            split
+                .permute((0, 2, 3, 1, 4))?
+                .reshape((c * n, heads, t, width))?
+                .contiguous()
+        };
+        let (query, key, value) = (
+            by_device("time.query")?,
+            by_device("time.key")?,
+            by_device("time.value")?,
+        );
+        let scale = 1.0 / (width as f64).sqrt();
+        let scores = (query.matmul(&key.t()?.contiguous()?)? * scale)?.broadcast_add(&self.lags(t)?)?;
+        let gathered = softmax(&scores, D::Minus1)?.matmul(&value)?;
+        let gathered = gathered.reshape((c, n, heads, t, width))?.permute((0, 3, 1, 2, 4))?;
+        let gathered = gathered.contiguous()?.reshape((c * t * n, heads * width))?;
+        let attended = (x + gathered.matmul(self.var("time.out"))?)?;
+        self.mix(
+            &attended,
+            [
+                "time.mix.norm",
+                "time.mix.in.weight",
+                "time.mix.in.bias",
+                "time.mix.out.weight",
+                "time.mix.out.bias",
+            ],
+        )
+    }
+
+    /// What the lag between two TTIs adds to a score, `[heads, T, T]`; a TTI attends to the last Z alone.
+    fn lags(&self, t: usize) -> Result<Tensor> {
+        let (heads, z) = (self.shape.heads, self.shape.memory);
+        let bias = self.var("time.bias");
+        let out_of_reach = Tensor::full(-1e9_f32, (heads, 1), &Device::Cpu)?.to_dtype(bias.dtype())?;
+        let lags = Tensor::cat(&[bias, &out_of_reach], 1)?;
+        let index = |now: usize, then: usize| match now.checked_sub(then) {
+            Some(lag) if lag < z => lag as u32,
+            Some(_) | None => z as u32,
+        };
+        let indices: Vec<u32> = (0..t)
+            .flat_map(|now| (0..t).map(move |then| index(now, then)))
+            .collect();
+        let indices = Tensor::from_vec(indices, t * t, &Device::Cpu)?;
+        lags.index_select(&indices, 1)?.reshape((heads, t, t))
+    }
+
+    fn attend_in_space(&self, x: &Tensor, (c, t, n): (usize, usize, usize)) -> Result<Tensor> {
+        let (heads, width) = (self.shape.heads, self.shape.head_width());
+        let normed = self.norm(x, "space.norm")?;
+        // [C·T, heads, N, width]
+        let by_tti = |name: &str| -> Result<Tensor> {
+            let split = normed.matmul(self.var(name))?.reshape((c * t, n, heads, width))?;
+            split.transpose(1, 2)?.contiguous()
+        };
+        let feature = |x: Tensor| x.relu()? + f64::from(LEAST_FEATURE);
+        let (query, key) = (feature(by_tti("space.query")?)?, feature(by_tti("space.key")?)?);
+        let summary = key.t()?.contiguous()?.matmul(&by_tti("space.value")?)?;
+        let all = query.broadcast_mul(&key.sum_keepdim(2)?)?.sum_keepdim(D::Minus1)?;
+        let gathered = query.matmul(&summary)?.broadcast_div(&all)?;
+        let gathered = gathered
+            .transpose(1, 2)?
+            .contiguous()?
+            .reshape((c * t * n, heads * width))?;
+        let attended = (x + gathered.matmul(self.var("space.out"))?)?;
+        self.mix(
+            &attended,
+            [
+                "space.mix.norm",
+                "space.mix.in.weight",
+                "space.mix.in.bias",
+                "space.mix.out.weight",
+                "space.mix.out.bias",
+            ],
+        )
+    }
+
+    /// The values of a weight.
+    pub fn values(&self, name: &str) -> Result<Vec<f32>> {
+        self.var(name).to_dtype(DType::F32)?.flatten_all()?.to_vec1()
+    }
+}

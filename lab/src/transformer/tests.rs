@@ -1,0 +1,194 @@
+//! What is learned is what runs; its gradient is right; and it finds what is there.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use candle_core::{DType, Device, Tensor};
+use reveille_bs::policy::dt::model::infer::Forward;
+use reveille_bs::policy::dt::model::shape::{HEADS, Shape};
+use reveille_bs::policy::dt::model::weights::Weights;
+use reveille_bs::policy::dt::record::{Look, Step};
+use reveille_bs::policy::dt::senses::COUNT;
+use reveille_common::ids::Tti;
+use reveille_common::rng::{Purpose, Stream};
+
+use super::data::Batch;
+use super::*;
+use crate::trajectories::Chunk;
+
+const SHAPE: Shape = Shape {
+    memory: 3,
+    width: 8,
+    heads: 2,
+    has_space: true,
+};
+
+/// A net whose heads say something.
+fn net(seed: u64) -> Net {
+    let net = Net::new(SHAPE, seed).expect("a net");
+    for (id, (name, var)) in (100..).zip(net.vars()) {
+        let mut stream = Stream::new(seed, Purpose::Training, id);
+        let values: Vec<f32> = (0..var.elem_count())
+            .map(|_| (0.6 * (stream.unit() - 0.5)) as f32)
+            .collect();
+        let noise = Tensor::from_vec(values, var.shape(), &Device::Cpu).expect(name);
+        var.set(&(var.as_tensor() + noise).expect(name)).expect(name);
+    }
+    net
+}
+
+/// Chunks in which a device finds `e^m` times as many events as expected where its first feature is above 0, and
+/// `e^-m` times as many elsewhere.
+fn chunks(count: u32, m: f32) -> Vec<Chunk> {
+    let (devices, ttis) = (6, 5);
+    let chunk = |run: u32| {
+        let mut stream = Stream::new(u64::from(run), Purpose::Training, 1);
+        let mut step = |k: u64| {
+            let tokens: Vec<f32> = (0..devices * COUNT)
+                .map(|_| (2.0 * stream.unit() - 1.0) as f32)
+                .collect();
+            let look = |j: usize| {
+                let more = if tokens[j * COUNT] > 0.0 { m } else { -m };
+                let hoped = 0.2 + 0.3 * stream.unit() as f32;
+                Look {
+                    expected: 0.2,
+                    on: stream.unit() < 0.7,
+                    found: stream.unit() < f64::from(0.2 * libm::expf(more)),
+                    wake_up: (stream.unit() < 0.3).then_some((hoped, 0.5 * hoped)),
+                }
+            };
+            Step {
+                tti: Tti(100 + k),
+                looks: (0..devices).map(look).collect(),
+                tokens,
+                share: 0.5,
+                reward: 0.0,
+                wake_reward: 0.0,
+            }
+        };
+        Chunk {
+            run,
+            policy: "age-index".into(),
+            price: Some(0.35),
+            devices,
+            steps: (0..ttis).map(&mut step).collect(),
+            returns: vec![0.8; ttis as usize],
+        }
+    };
+    (0..count).map(chunk).collect()
+}
+
+#[test]
+fn what_is_learned_is_what_runs() {
+    let net = net(3);
+    let bytes = file(&net, &BTreeMap::new()).expect("a file");
+    let weights = Arc::new(Weights::read(&bytes).expect("a model"));
+    let chunks = chunks(2, 0.5);
+    let batch = Batch::of(&chunks.iter().collect::<Vec<_>>(), SHAPE.memory).expect("a batch");
+    let outputs = net.forward(&batch.tokens, &batch.targets).expect("outputs");
+    let (logs, prices) = (outputs.logs.flatten_all(), outputs.price.flatten_all());
+    let logs: Vec<f32> = logs.and_then(|logs| logs.to_vec1()).expect("numbers");
+    let prices: Vec<f32> = prices.and_then(|prices| prices.to_vec1()).expect("numbers");
+    let (mut logs, mut prices) = (logs.chunks(6 * HEADS), prices.into_iter());
+    for chunk in &chunks {
+        let mut forward = Forward::new(Arc::clone(&weights), chunk.devices);
+        for (step, target) in chunk.steps.iter().zip(&chunk.returns) {
+            let own = forward.step(&step.tokens).to_vec();
+            for (a, b) in own.iter().zip(logs.next().expect("a TTI")) {
+                assert!((a - b).abs() < 1e-5, "{a} here, {b} in training");
+            }
+            let (a, b) = (forward.price(*target), prices.next().expect("a TTI"));
+            assert!((a - b).abs() < 1e-5, "{a} here, {b} in training");
+        }
+    }
+}
+
+#[test]
+fn the_gradient_of_each_weight_is_the_slope_of_the_loss() {
+    // In double precision, so that steps are short beside the distance to where a relu bends.
+    let net = net(4);
+    let net = net.of_type(DType::F64).expect("a net");
+    // What the price is read off does not learn from it, so the others are looked at without prices.
+    let priced = chunks(3, 0.5);
+    let mut others = priced.clone();
+    for chunk in &mut others {
+        chunk.price = None;
+    }
+    let batch = |chunks: &[Chunk]| {
+        let batch = Batch::of(&chunks.iter().collect::<Vec<_>>(), SHAPE.memory);
+        batch.and_then(|batch| batch.of_type(DType::F64)).expect("a batch")
+    };
+    let batches = [batch(&others), batch(&priced)];
+    let loss = |batch: &Batch| {
+        let outputs = net.forward(&batch.tokens, &batch.targets).expect("outputs");
+        Sums::of(batch, &outputs).and_then(|sums| sums.loss()).expect("a loss")
+    };
+    for (name, var) in net.vars() {
+        let batch = &batches[usize::from(name.starts_with("price"))];
+        let gradients = loss(batch).backward().expect("gradients");
+        let gradient = gradients.get(var.as_tensor()).expect(name).flatten_all().expect(name);
+        let gradient: Vec<f64> = gradient.to_vec1().expect(name);
+        let values: Vec<f64> = var.flatten_all().and_then(|values| values.to_vec1()).expect(name);
+        let moved = |at: usize, by: f64| {
+            let mut values = values.clone();
+            values[at] += by;
+            var.set(&Tensor::from_vec(values, var.shape(), &Device::Cpu).expect(name))
+                .expect(name);
+            loss(batch).to_scalar::<f64>().expect("a number")
+        };
+        let step = 1e-7;
+        for at in (0..values.len()).step_by(values.len().div_ceil(12)) {
+            let slope = (moved(at, step) - moved(at, -step)) / (2.0 * step);
+            let slack = 1e-4 * slope.abs() + 1e-6;
+            assert!(
+                (gradient[at] - slope).abs() < slack,
+                "{name} {at}: {}, not {slope}",
+                gradient[at]
+            );
+        }
+        moved(0, 0.0);
+        assert!(gradient.iter().any(|one| one.abs() > 1e-4), "{name} is never reached");
+    }
+}
+
+#[test]
+fn a_training_finds_what_is_there_and_gives_the_same_bytes_again() {
+    let training = Training {
+        shape: SHAPE,
+        steps: 120,
+        batch: 600,
+        rate: 0.01,
+        every: 40,
+        patience: 10,
+        seed: 1,
+    };
+    let trajectories = || {
+        vec![Trajectories {
+            about: Vec::new(),
+            chunks: chunks(400, 0.7),
+        }]
+    };
+    let mut last = None;
+    let mut train = || {
+        let about = BTreeMap::from([("data".to_owned(), "a test".to_owned())]);
+        let mut show = |progress: Progress| {
+            last = Some(progress);
+            true
+        };
+        super::train(trajectories(), &training, &about, &mut show).expect("trained")
+    };
+    let bytes = train();
+    assert_eq!(bytes, train());
+    assert_eq!(Weights::read(&bytes).expect("a model").about["data"], "a test");
+    // With half of the tokens on each side, knowing the side is worth m·sinh m − (cosh m − 1) nats an event expected.
+    let worth = 0.7 * libm::sinh(0.7) - (libm::cosh(0.7) - 1.0);
+    let score = last.expect("a look").score;
+    assert!(
+        score.looks > 0.7 * worth && score.looks < 1.3 * worth,
+        "{score:?}, not {worth}"
+    );
+    // All wake-ups bring half of what was hoped for: ln 2/2 − 1/2 + 1 nats less 1/2.
+    let halved = 0.5 - 0.5 * std::f64::consts::LN_2;
+    assert!((score.wakes - halved).abs() < 0.05, "{score:?}, not {halved}");
+    assert!(score.price_error < 0.1, "{score:?}");
+}
