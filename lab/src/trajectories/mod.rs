@@ -60,6 +60,13 @@ pub struct Chunk {
     pub returns: Vec<f32>,
 }
 
+impl Chunk {
+    /// Devices times TTIs.
+    pub const fn device_ttis(&self) -> usize {
+        self.devices * self.steps.len()
+    }
+}
+
 /// What was recorded.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trajectories {

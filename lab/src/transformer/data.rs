@@ -13,6 +13,9 @@ use crate::trajectories::{Chunk, Trajectories};
 /// Of ten runs, as many are held out.
 const HELD_OUT: u32 = 1;
 
+/// Device-TTIs of a look at what is held out, about.
+const JUDGED: usize = 500_000;
+
 /// Chunks to learn from, and chunks of other runs to be judged by, each by N and length.
 pub struct Data {
     groups: Vec<Group>,
@@ -65,13 +68,7 @@ impl Data {
             }
         }
         let groups: Vec<Group> = groups.into_values().filter(|group| !group.learn.is_empty()).collect();
-        let size = |group: &Group| {
-            group
-                .learn
-                .iter()
-                .map(|chunk| (chunk.devices * chunk.steps.len()) as f64)
-                .sum()
-        };
+        let size = |group: &Group| group.learn.iter().map(|chunk| chunk.device_ttis() as f64).sum();
         Self {
             weights: groups.iter().map(size).collect(),
             groups,
@@ -88,9 +85,8 @@ impl Data {
         self.groups.iter().map(|group| group.judge.len()).sum()
     }
 
-    /// A batch of about `device_ttis`, drawn by `stream`. TTIs before the `memory`-th of a chunk are not learned from,
-    /// unless a run begins with it: what was before them is not known.
-    pub fn draw(&self, device_ttis: usize, memory: usize, stream: &mut Stream) -> Result<Batch> {
+    /// Chunks with the same N and length, of about `device_ttis` together, drawn by `stream`.
+    pub fn draw(&self, device_ttis: usize, stream: &mut Stream) -> Vec<&Chunk> {
         let all: f64 = self.weights.iter().sum();
         let mut left = stream.unit() * all;
         let chosen = self.weights.iter().position(|weight| {
@@ -98,29 +94,32 @@ impl Data {
             left < 0.0
         });
         let group = &self.groups[chosen.unwrap_or(self.groups.len() - 1)];
-        let each = group.learn[0].devices * group.learn[0].steps.len();
-        let count = (device_ttis / each).max(1);
-        let chunks: Vec<&Chunk> = (0..count)
+        let count = (device_ttis / group.learn[0].device_ttis()).max(1);
+        (0..count)
             .map(|_| &group.learn[stream.below(group.learn.len() as u64) as usize])
-            .collect();
-        Batch::of(&chunks, memory)
+            .collect()
     }
 
-    /// All that is held out, in batches of about `device_ttis`.
-    pub fn held_out_batches(&self, device_ttis: usize, memory: usize) -> impl Iterator<Item = Result<Batch>> + '_ {
-        self.groups.iter().flat_map(move |group| {
-            let each = group.learn[0].devices * group.learn[0].steps.len();
-            let count = (device_ttis / each).max(1);
-            group.judge.chunks(count).map(move |chunks| {
-                let chunks: Vec<&Chunk> = chunks.iter().collect();
-                Batch::of(&chunks, memory)
-            })
-        })
+    /// What is held out, of each group as much as makes [`JUDGED`] device-TTIs in all, as chunks of batches of about
+    /// `device_ttis`.
+    pub fn held_out_batches(&self, device_ttis: usize) -> Vec<Vec<&Chunk>> {
+        let size = |group: &Group| group.judge.iter().map(Chunk::device_ttis).sum::<usize>();
+        let all: usize = self.groups.iter().map(size).sum();
+        let every = all.div_ceil(JUDGED).max(1);
+        let mut batches = Vec::new();
+        for group in &self.groups {
+            let chunks: Vec<&Chunk> = group.judge.iter().step_by(every).collect();
+            let Some(first) = chunks.first() else { continue };
+            let count = (device_ttis / first.device_ttis()).max(1);
+            batches.extend(chunks.chunks(count).map(<[&Chunk]>::to_vec));
+        }
+        batches
     }
 }
 
 impl Batch {
-    /// Of `chunks`, all with the same N and length.
+    /// Of `chunks`, all with the same N and length. TTIs before the `memory`-th of a chunk are not learned from, unless
+    /// a run begins with it: what was before them is not known.
     pub fn of(chunks: &[&Chunk], memory: usize) -> Result<Self> {
         let (c, t, n) = (chunks.len(), chunks[0].steps.len(), chunks[0].devices);
         let mut tokens = Vec::with_capacity(c * t * n * COUNT);

@@ -49,11 +49,35 @@ impl Sums {
         })
     }
 
-    /// The loss: per event expected, per Ψ hoped for, and per TTI with a price.
-    pub fn loss(&self) -> Result<Tensor> {
+    /// The loss: per event expected, per Ψ hoped for, and per TTI with a price, of all the `whole` that this is a part
+    /// of.
+    pub fn loss(&self, whole: Whole) -> Result<Tensor> {
         let part = |sum: &Tensor, by: f64| sum / by.max(1.0);
-        (part(&self.looks, self.expected)? + (part(&self.wakes, self.hoped)? + part(&self.prices, self.priced)?)?)?
+        (part(&self.looks, whole.expected)? + (part(&self.wakes, whole.hoped)? + part(&self.prices, whole.priced)?)?)?
             .sum_all()
+    }
+}
+
+/// What losses are shared out over.
+#[derive(Clone, Copy, Debug)]
+pub struct Whole {
+    /// Events expected.
+    pub expected: f64,
+    /// What wake-ups were expected to bring.
+    pub hoped: f64,
+    /// TTIs with a price.
+    pub priced: f64,
+}
+
+impl Whole {
+    /// Of all these batches.
+    pub fn of(batches: &[Batch]) -> Result<Self> {
+        let all = |of: fn(&Batch) -> &Tensor| batches.iter().map(|batch| sum(of(batch))).sum::<Result<f64>>();
+        Ok(Self {
+            expected: all(|batch| &batch.expected)?,
+            hoped: all(|batch| &batch.wake_expected)?,
+            priced: all(|batch| &batch.priced)?,
+        })
     }
 }
 
@@ -64,12 +88,17 @@ pub struct Score {
     pub looks: f64,
     /// The same of wake-ups, per Ψ hoped for.
     pub wakes: f64,
+    /// Accuracy: how often, of a look that found an event and one that did not, more was expected of the first. A half
+    /// is chance.
+    pub accuracy: f64,
+    /// The same by age and α alone, which is what there is to beat.
+    pub plain_accuracy: f64,
     /// Root of the mean squared error of ln θ.
     pub price_error: f64,
 }
 
 /// Adds up to a [`Score`].
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Scores {
     looks: f64,
     expected: f64,
@@ -77,18 +106,41 @@ pub struct Scores {
     hoped: f64,
     prices: f64,
     priced: f64,
+    /// Of each look, what was expected without history and with it, and whether it found anything.
+    seen: Vec<(f32, f32, bool)>,
 }
 
 impl Scores {
-    /// One more batch.
-    pub fn add(&mut self, sums: &Sums) -> Result<()> {
-        self.looks -= sum(&sums.looks)?;
-        self.expected += sums.expected;
-        self.wakes -= sum(&sums.wakes)?;
-        self.hoped += sums.hoped;
-        self.prices += sum(&sums.prices)?;
-        self.priced += sums.priced;
-        Ok(())
+    /// Of what the net makes of `batch`.
+    pub fn of(batch: &Batch, outputs: &Outputs) -> Result<Self> {
+        let sums = Sums::of(batch, outputs)?;
+        let logs = outputs.logs.narrow(3, 0, 1)?.flatten_all()?.to_vec1::<f32>()?;
+        let expected = batch.expected.flatten_all()?.to_vec1::<f32>()?;
+        let found = batch.found.flatten_all()?.to_vec1::<f32>()?;
+        let looks = expected.into_iter().zip(logs).zip(found);
+        let looks = looks.filter(|((expected, _), _)| *expected > 0.0);
+        Ok(Self {
+            looks: -sum(&sums.looks)?,
+            expected: sums.expected,
+            wakes: -sum(&sums.wakes)?,
+            hoped: sums.hoped,
+            prices: sum(&sums.prices)?,
+            priced: sums.priced,
+            seen: looks
+                .map(|((expected, log), found)| (expected, expected * libm::expf(log), found > 0.5))
+                .collect(),
+        })
+    }
+
+    /// Those of one more batch.
+    pub fn add(&mut self, more: Self) {
+        self.looks += more.looks;
+        self.expected += more.expected;
+        self.wakes += more.wakes;
+        self.hoped += more.hoped;
+        self.prices += more.prices;
+        self.priced += more.priced;
+        self.seen.extend(more.seen);
     }
 
     /// The score of all of them.
@@ -96,7 +148,29 @@ impl Scores {
         Score {
             looks: self.looks / self.expected.max(1e-9),
             wakes: self.wakes / self.hoped.max(1e-9),
+            accuracy: accuracy(self.seen.iter().map(|(_, with, found)| (*with, *found))),
+            plain_accuracy: accuracy(self.seen.iter().map(|(without, _, found)| (*without, *found))),
             price_error: (self.prices / self.priced.max(1.0)).sqrt(),
         }
+    }
+}
+
+/// How often one that is found has the larger number than one that is not; equal ones count half. A half if there are
+/// none of one kind.
+pub fn accuracy(numbers: impl Iterator<Item = (f32, bool)>) -> f64 {
+    let mut numbers: Vec<(f32, bool)> = numbers.collect();
+    numbers.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+    let (mut below, mut pairs, mut found) = (0.0, 0.0, 0.0);
+    for same in numbers.chunk_by(|a, b| a.0 == b.0) {
+        let hits = same.iter().filter(|(_, found)| *found).count() as f64;
+        let misses = same.len() as f64 - hits;
+        pairs += hits * (below + 0.5 * misses);
+        found += hits;
+        below += misses;
+    }
+    if found * below > 0.0 {
+        pairs / (found * below)
+    } else {
+        0.5
     }
 }

@@ -1,5 +1,6 @@
 //! Training of the decision transformer (Sec. V-C): offline, from recorded trajectories alone.
 
+mod checkpoint;
 mod data;
 mod loss;
 mod net;
@@ -7,18 +8,23 @@ mod optimiser;
 
 use std::collections::BTreeMap;
 
+use rayon::iter::{IntoParallelIterator, IntoParallelRefIterator, ParallelIterator};
 use reveille_bs::policy::dt::model::shape::Shape;
 use reveille_bs::policy::dt::model::weights::{KEY, metadata};
 use reveille_common::rng::{Purpose, Stream};
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 
-use self::data::Data;
+use self::data::{Batch, Data};
 pub use self::loss::Score;
-use self::loss::{Scores, Sums};
-use self::net::Net;
-use self::optimiser::AdamW;
-use crate::trajectories::Trajectories;
+use self::loss::{Scores, Sums, Whole};
+pub use self::net::{Net, Outputs};
+use self::optimiser::{AdamW, ByWeight};
+use crate::trajectories::{Chunk, Trajectories};
+
+/// Parts of a batch, each drawn for itself and computed on a thread of its own if there is one. What is learned depends
+/// on how many there are, and not on the threads.
+const PARTS: usize = 4;
 
 /// How a model is trained.
 #[derive(Clone, Debug, PartialEq)]
@@ -64,13 +70,27 @@ pub enum TransformerError {
     /// The framework has failed.
     #[error("the training framework: {0}")]
     Framework(#[from] candle_core::Error),
-    /// Weights cannot be written.
+    /// Weights cannot be written, or a checkpoint not be read.
     #[error("{0}")]
     Format(#[from] safetensors::SafeTensorError),
+    /// The checkpoint is damaged, or of another training.
+    #[error("{0}")]
+    Checkpoint(String),
+}
+
+/// A training, between two looks at what is held out.
+struct State {
+    net: Net,
+    optimiser: AdamW,
+    /// The file of the best model so far.
+    best: Option<Vec<u8>>,
+    best_loss: f64,
+    looks_since: u64,
 }
 
 /// Trains a model from `trajectories`. `about` goes into the metadata of its file, whose bytes are given. `progress`
-/// hears of each look at what is held out, and says whether to go on.
+/// hears of each look at what is held out, gets the bytes of a checkpoint, and says whether to go on. With such a
+/// checkpoint as `from` a training goes on, and gives the same bytes as one that was never cut short.
 ///
 /// # Errors
 /// See [`TransformerError`].
@@ -78,7 +98,8 @@ pub fn train(
     trajectories: Vec<Trajectories>,
     training: &Training,
     about: &BTreeMap<String, String>,
-    progress: &mut dyn FnMut(Progress) -> bool,
+    from: Option<&[u8]>,
+    progress: &mut dyn FnMut(Progress, &[u8]) -> bool,
 ) -> Result<Vec<u8>, TransformerError> {
     let data = Data::new(trajectories);
     if data.learned_from() == 0 || data.held_out() == 0 {
@@ -88,64 +109,113 @@ pub fn train(
             data.held_out()
         )));
     }
-    let net = Net::new(training.shape, training.seed)?;
-    let mut optimiser = AdamW::new(net.vars())?;
-    let memory = training.shape.memory;
-    let (mut best, mut best_loss, mut looks_since) = (None, f64::INFINITY, 0);
+    let mut state = match from {
+        Some(bytes) => State::from_checkpoint(bytes, training, about)?,
+        None => State::new(training)?,
+    };
     let (mut sum, mut count) = (0.0, 0.0);
-    for step in 0..training.steps {
+    while state.optimiser.steps < training.steps && state.looks_since < training.patience {
+        sum += state.step(&data, training)?;
+        count += 1.0;
+        let step = state.optimiser.steps;
+        if !step.is_multiple_of(training.every) && step != training.steps {
+            continue;
+        }
+        let score = judge(&state.net, &data, training)?;
+        // The head of the price is a reading of the rest and decides nothing.
+        let held_out = -score.looks - score.wakes;
+        let is_best = held_out < state.best_loss;
+        if is_best {
+            (state.best, state.best_loss) = (Some(file(&state.net, about)?), held_out);
+            state.looks_since = 0;
+        } else {
+            state.looks_since += 1;
+        }
+        let now = Progress {
+            step,
+            loss: sum / count,
+            score,
+            is_best,
+        };
+        (sum, count) = (0.0, 0.0);
+        if !progress(now, &state.to_checkpoint(training, about)?) {
+            break;
+        }
+    }
+    state.best.map_or_else(|| file(&state.net, about), Ok)
+}
+
+impl State {
+    fn new(training: &Training) -> Result<Self, TransformerError> {
+        let net = Net::new(training.shape, training.seed)?;
+        Ok(Self {
+            optimiser: AdamW::new(net.vars())?,
+            net,
+            best: None,
+            best_loss: f64::INFINITY,
+            looks_since: 0,
+        })
+    }
+
+    /// One step of the optimiser; gives the loss before it.
+    fn step(&mut self, data: &Data, training: &Training) -> Result<f64, TransformerError> {
+        let step = self.optimiser.steps;
         let mut stream = Stream::new(training.seed ^ 0xDA7A, Purpose::Training, step);
-        let batch = data.draw(training.batch, memory, &mut stream)?;
-        let sums = Sums::of(&batch, &net.forward(&batch.tokens, &batch.targets)?)?;
-        let loss = sums.loss()?;
-        let value = f64::from(loss.to_scalar::<f32>()?);
-        if !value.is_finite() {
+        let draw = |_| Batch::of(&data.draw(training.batch / PARTS, &mut stream), training.shape.memory);
+        let batches: Vec<Batch> = (0..PARTS).map(draw).collect::<Result<_, _>>()?;
+        let whole = Whole::of(&batches)?;
+        let part = |batch: &Batch| -> candle_core::Result<(f64, ByWeight)> {
+            let outputs = self.net.forward(&batch.tokens, &batch.targets)?;
+            let loss = Sums::of(batch, &outputs)?.loss(whole)?;
+            let gradients = loss.backward()?;
+            let mut by_weight = ByWeight::new();
+            for (name, var) in self.net.vars() {
+                let Some(gradient) = gradients.get(var.as_tensor()) else {
+                    candle_core::bail!("no gradient reaches {name}");
+                };
+                by_weight.insert(name, gradient.clone());
+            }
+            Ok((f64::from(loss.to_scalar::<f32>()?), by_weight))
+        };
+        let parts: Vec<(f64, ByWeight)> = batches.par_iter().map(part).collect::<Result<_, _>>()?;
+        let mut parts = parts.into_iter();
+        let (mut loss, mut gradients) = parts.next().expect("several parts");
+        for (more, others) in parts {
+            loss += more;
+            for (sum, other) in gradients.values_mut().zip(others.values()) {
+                *sum = (&*sum + other)?;
+            }
+        }
+        if !loss.is_finite() {
             return Err(TransformerError::Diverged(step));
         }
         let done = step as f64 / training.steps as f64;
         let rate = training.rate * (0.505 + 0.495 * libm::cos(std::f64::consts::PI * done));
-        optimiser.step(
-            net.vars(),
-            &loss.backward()?,
-            rate * (0.02 * (step + 1) as f64).min(1.0),
-        )?;
-        sum += value;
-        count += 1.0;
-        if (step + 1).is_multiple_of(training.every) || step + 1 == training.steps {
-            let score = judge(&net, &data, training)?;
-            let held_out = -score.looks - score.wakes + score.price_error * score.price_error;
-            let is_best = held_out < best_loss;
-            if is_best {
-                (best, best_loss, looks_since) = (Some(file(&net, about)?), held_out, 0);
-            } else {
-                looks_since += 1;
-            }
-            let goes_on = progress(Progress {
-                step: step + 1,
-                loss: sum / count,
-                score,
-                is_best,
-            });
-            (sum, count) = (0.0, 0.0);
-            if !goes_on || looks_since >= training.patience {
-                break;
-            }
-        }
+        let rate = rate * (0.02 * (step + 1) as f64).min(1.0);
+        self.optimiser.step(self.net.vars(), &gradients, rate)?;
+        Ok(loss)
     }
-    best.map_or_else(|| file(&net, about), Ok)
 }
 
 fn judge(net: &Net, data: &Data, training: &Training) -> Result<Score, TransformerError> {
+    let one = |chunks: Vec<&Chunk>| {
+        let batch = Batch::of(&chunks, training.shape.memory)?;
+        Scores::of(&batch, &net.forward(&batch.tokens, &batch.targets)?)
+    };
+    let batches = data.held_out_batches(training.batch / PARTS);
+    let parts: Vec<Scores> = batches.into_par_iter().map(one).collect::<Result<_, _>>()?;
     let mut scores = Scores::default();
-    for batch in data.held_out_batches(training.batch, training.shape.memory) {
-        let batch = batch?;
-        scores.add(&Sums::of(&batch, &net.forward(&batch.tokens, &batch.targets)?)?)?;
+    for part in parts {
+        scores.add(part);
     }
     Ok(scores.score())
 }
 
-/// The bytes of a file of the weights of `net`.
-fn file(net: &Net, about: &BTreeMap<String, String>) -> Result<Vec<u8>, TransformerError> {
+/// The bytes of a file of the weights of `net`, with `about` in its metadata.
+///
+/// # Errors
+/// The framework or the format has failed.
+pub fn file(net: &Net, about: &BTreeMap<String, String>) -> Result<Vec<u8>, TransformerError> {
     let shape = net.shape();
     let mut values = Vec::new();
     for (name, size) in shape.tensors() {

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use candle_core::backprop::GradStore;
 use candle_core::{Result, Tensor, Var};
 
 /// Decay of the running means of gradients, and of their squares.
@@ -13,50 +12,59 @@ const CLIP: f64 = 1.0;
 /// Decay of weights, in learning rates.
 const DECAY: f64 = 0.01;
 
-/// The running means of each weight's gradient.
+/// A tensor for each weight.
+pub type ByWeight = BTreeMap<&'static str, Tensor>;
+
+/// The running means of each weight's gradient, and of its square.
 pub struct AdamW {
-    steps: u64,
-    means: BTreeMap<&'static str, (Tensor, Tensor)>,
+    /// Steps done.
+    pub steps: u64,
+    /// By weight.
+    pub means: ByWeight,
+    /// By weight.
+    pub squares: ByWeight,
 }
 
 impl AdamW {
     /// Before the first step.
     pub fn new(vars: &BTreeMap<&'static str, Var>) -> Result<Self> {
-        let start =
-            |(name, var): (&&'static str, &Var)| -> Result<_> { Ok((*name, (var.zeros_like()?, var.zeros_like()?))) };
+        let zeros = || {
+            vars.iter()
+                .map(|(name, var)| Ok((*name, var.zeros_like()?)))
+                .collect::<Result<_>>()
+        };
         Ok(Self {
             steps: 0,
-            means: vars.iter().map(start).collect::<Result<_>>()?,
+            means: zeros()?,
+            squares: zeros()?,
         })
     }
 
-    /// Goes a step of `rate` against `gradients`. Gives the norm that the gradient had.
+    /// Goes a step of `rate` against `gradients`, one for each weight.
     ///
     /// # Errors
-    /// A weight has no gradient, or the framework has failed.
-    pub fn step(&mut self, vars: &BTreeMap<&'static str, Var>, gradients: &GradStore, rate: f64) -> Result<f64> {
-        let mut squares = 0.0;
-        for (name, var) in vars {
-            let Some(gradient) = gradients.get(var.as_tensor()) else {
-                candle_core::bail!("no gradient reaches {name}");
-            };
-            squares += f64::from(gradient.sqr()?.sum_all()?.to_scalar::<f32>()?);
+    /// The framework has failed.
+    pub fn step(&mut self, vars: &BTreeMap<&'static str, Var>, gradients: &ByWeight, rate: f64) -> Result<()> {
+        let mut sum = 0.0;
+        for gradient in gradients.values() {
+            sum += f64::from(gradient.sqr()?.sum_all()?.to_scalar::<f32>()?);
         }
-        let norm = squares.sqrt();
+        let norm = sum.sqrt();
         let clip = if norm > CLIP { CLIP / norm } else { 1.0 };
         self.steps += 1;
         let (first, second) = BETAS;
         let unbias = |beta: f64| 1.0 - libm::pow(beta, self.steps as f64);
         for (name, var) in vars {
-            let gradient = (gradients.get(var.as_tensor()).expect("looked for above") * clip)?;
-            let (mean, square) = self.means.get_mut(name).expect("a mean for each weight");
-            *mean = ((&*mean * first)? + (&gradient * (1.0 - first))?)?.detach();
-            *square = ((&*square * second)? + (gradient.sqr()? * (1.0 - second))?)?.detach();
-            let size = ((&*square / unbias(second))?.sqrt()? + EPSILON)?;
-            let step = ((&*mean / unbias(first))? / size)?;
+            let gradient = (&gradients[name] * clip)?;
+            let mean = ((&self.means[name] * first)? + (&gradient * (1.0 - first))?)?.detach();
+            let square = ((&self.squares[name] * second)? + (gradient.sqr()? * (1.0 - second))?)?.detach();
+            let size = ((&square / unbias(second))?.sqrt()? + EPSILON)?;
+            let step = ((&mean / unbias(first))? / size)?;
             let kept = (var.as_tensor() * (1.0 - rate * DECAY))?;
             var.set(&(kept - (step * rate)?)?)?;
+            self.means.insert(name, mean);
+            self.squares.insert(name, square);
         }
-        Ok(norm)
+        Ok(())
     }
 }

@@ -13,6 +13,7 @@ use reveille_common::ids::Tti;
 use reveille_common::rng::{Purpose, Stream};
 
 use super::data::Batch;
+use super::loss::Whole;
 use super::*;
 use crate::trajectories::Chunk;
 
@@ -121,7 +122,10 @@ fn the_gradient_of_each_weight_is_the_slope_of_the_loss() {
     let batches = [batch(&others), batch(&priced)];
     let loss = |batch: &Batch| {
         let outputs = net.forward(&batch.tokens, &batch.targets).expect("outputs");
-        Sums::of(batch, &outputs).and_then(|sums| sums.loss()).expect("a loss")
+        let whole = Whole::of(std::slice::from_ref(batch)).expect("sums");
+        Sums::of(batch, &outputs)
+            .and_then(|sums| sums.loss(whole))
+            .expect("a loss")
     };
     for (name, var) in net.vars() {
         let batch = &batches[usize::from(name.starts_with("price"))];
@@ -152,10 +156,38 @@ fn the_gradient_of_each_weight_is_the_slope_of_the_loss() {
 }
 
 #[test]
-fn a_training_finds_what_is_there_and_gives_the_same_bytes_again() {
+fn accuracy_is_the_share_of_pairs_in_order() {
+    let numbers = [
+        (0.1, false),
+        (0.4, true),
+        (0.4, false),
+        (0.2, true),
+        (0.7, true),
+        (0.2, false),
+        (0.3, false),
+    ];
+    let (mut right, mut pairs) = (0.0, 0.0);
+    for (a, _) in numbers.iter().filter(|(_, found)| *found) {
+        for (b, _) in numbers.iter().filter(|(_, found)| !*found) {
+            right += if a > b {
+                1.0
+            } else if a == b {
+                0.5
+            } else {
+                0.0
+            };
+            pairs += 1.0;
+        }
+    }
+    assert_eq!(loss::accuracy(numbers.into_iter()), right / pairs);
+    assert_eq!(loss::accuracy([(1.0, true)].into_iter()), 0.5);
+}
+
+#[test]
+fn a_training_finds_what_is_there_and_goes_on_to_the_same_bytes() {
     let training = Training {
         shape: SHAPE,
-        steps: 120,
+        steps: 160,
         batch: 600,
         rate: 0.01,
         every: 40,
@@ -168,21 +200,33 @@ fn a_training_finds_what_is_there_and_gives_the_same_bytes_again() {
             chunks: chunks(400, 0.7),
         }]
     };
-    let mut last = None;
-    let mut train = || {
-        let about = BTreeMap::from([("data".to_owned(), "a test".to_owned())]);
-        let mut show = |progress: Progress| {
-            last = Some(progress);
-            true
+    let about = BTreeMap::from([("data".to_owned(), "a test".to_owned())]);
+    let train = |from: Option<&[u8]>, most: u64| {
+        let mut last = None;
+        let mut show = |progress: Progress, checkpoint: &[u8]| {
+            last = Some((progress.score, checkpoint.to_vec()));
+            progress.step < most
         };
-        super::train(trajectories(), &training, &about, &mut show).expect("trained")
+        super::train(trajectories(), &training, &about, from, &mut show).map(|bytes| (bytes, last))
     };
-    let bytes = train();
-    assert_eq!(bytes, train());
+    let (bytes, last) = train(None, 1000).expect("trained");
+    let (score, _) = last.expect("a look");
     assert_eq!(Weights::read(&bytes).expect("a model").about["data"], "a test");
+    // Cut short after the first look, and gone on with.
+    let (_, last) = train(None, 40).expect("cut short");
+    let (_, kept) = last.expect("a look");
+    assert_eq!(bytes, train(Some(&kept), 1000).expect("trained").0);
+    for bad in [&kept[..kept.len() - 1], &bytes[..], b""] {
+        assert!(matches!(train(Some(bad), 1000), Err(TransformerError::Checkpoint(_))));
+    }
+    let other = Training {
+        seed: 2,
+        ..training.clone()
+    };
+    let refused = super::train(trajectories(), &other, &about, Some(&kept), &mut |_, _| true);
+    assert!(refused.expect_err("another training").to_string().contains("another"));
     // With half of the tokens on each side, knowing the side is worth m·sinh m − (cosh m − 1) nats an event expected.
     let worth = 0.7 * libm::sinh(0.7) - (libm::cosh(0.7) - 1.0);
-    let score = last.expect("a look").score;
     assert!(
         score.looks > 0.7 * worth && score.looks < 1.3 * worth,
         "{score:?}, not {worth}"
@@ -191,4 +235,6 @@ fn a_training_finds_what_is_there_and_gives_the_same_bytes_again() {
     let halved = 0.5 - 0.5 * std::f64::consts::LN_2;
     assert!((score.wakes - halved).abs() < 0.05, "{score:?}, not {halved}");
     assert!(score.price_error < 0.1, "{score:?}");
+    // Which side a token is on tells; the mean that age and α give is the same for all.
+    assert!(score.accuracy > 0.55 && score.plain_accuracy == 0.5, "{score:?}");
 }

@@ -3,13 +3,14 @@
 //! In each TTI every device has a token of what the BS knows of it ([`senses`]). The [`model`] attends over the last Z
 //! TTIs of each device and then over the devices, and tells how many times as many events each is likely to find as it
 //! would be without history. Devices are then chosen as under `age-index`: while what they would look at is worth its
-//! price, which is the lower the more is expected. A price is given, or the model names the one that goes with a
-//! target return.
+//! price, which is the lower the more is expected; where energy is scarce, the more than usual ([`usual`]). A price is
+//! given, or the model names the one that goes with a target return.
 
 pub mod model;
 pub mod record;
 pub mod senses;
 pub mod settings;
+mod usual;
 
 use std::sync::Arc;
 
@@ -23,6 +24,7 @@ use self::model::infer::Forward;
 use self::model::shape::HEADS;
 use self::senses::Senses;
 use self::settings::DtSettings;
+use self::usual::Usual;
 use super::contract::{Opaque, Policy};
 use super::kind::{Profile, Registered, own};
 use super::mind::Mind;
@@ -47,7 +49,9 @@ pub struct Dt {
     candidates: Candidates,
     /// By device, what history makes of the information that a wake-up is expected to bring.
     wake_factors: Vec<f64>,
+    /// By device, of its price.
     factors: Vec<f64>,
+    usual: Usual,
     tally: Tally,
 }
 
@@ -66,6 +70,7 @@ impl Dt {
             candidates: Candidates::by(WakeUpRanking::Posterior, known),
             wake_factors: vec![1.0; known.n()],
             factors: vec![1.0; known.n()],
+            usual: Usual::new(known.n()),
             tally: Tally::default(),
             senses,
         }
@@ -78,7 +83,9 @@ impl Policy for Dt {
         let expected = self.forward.step(self.senses.tokens());
         for (j, logarithms) in expected.as_chunks::<HEADS>().0.iter().enumerate() {
             let [events, information] = logarithms.map(|log| f64::from(libm::expf(log)));
-            (self.factors[j], self.wake_factors[j]) = (1.0 / events, information);
+            let (level, e_max) = (seen.batteries[j], seen.known.devices[j].energy.e_max);
+            self.factors[j] = self.usual.factor(j, events, level, e_max);
+            self.wake_factors[j] = information;
         }
         if self.target > 0.0 {
             let price = f64::from(libm::expf(self.forward.price(self.target as f32)));

@@ -2,15 +2,19 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
+use std::io::ErrorKind;
+use std::path::Path;
 use std::process::ExitCode;
 use std::sync::atomic::Ordering;
 
 use anyhow::bail;
 use reveille_bs::policy::dt::model::shape::Shape;
 use reveille_lab::io::replace;
+use reveille_lab::training::checkpoint;
 use reveille_lab::trajectories::{Trajectories, read};
-use reveille_lab::transformer::{Progress, Training, train};
+use reveille_lab::transformer::{Progress, Training, TransformerError, train};
 
+use super::q_learning::Interrupted;
 use crate::cli::DtArgs;
 use crate::commands::paths::check_place;
 use crate::display::{self, note};
@@ -26,35 +30,71 @@ pub fn run(args: &DtArgs) -> anyhow::Result<ExitCode> {
     }
     check_place(&args.out, "the model")?;
     let (trajectories, about) = trajectories(args, &training)?;
+    let kept = checkpoint(&args.out);
+    let from = kept_bytes(&kept)?;
+    if from.is_some() && !args.quiet {
+        note!("going on from {}", kept.display());
+    }
     let runtime = crate::wall::runtime(1)?;
     let stop = runtime.block_on(async { crate::interrupt::watch() })?;
     let started = crate::wall::now();
-    let mut show = |now: Progress| {
+    let (mut unwritten, mut complete) = (None, true);
+    let mut show = |now: Progress, bytes: &[u8]| {
         if !args.quiet {
-            let best = if now.is_best { "  best" } else { "" };
-            note!(
-                "step {:>6}  loss {:>8.4}  held out: looks {:.4}, wake-ups {:.4} nats; price off by {:.3}{best}",
-                now.step,
-                now.loss,
-                now.score.looks,
-                now.score.wakes,
-                now.score.price_error
-            );
+            show(&now);
         }
-        !stop.load(Ordering::Relaxed)
+        unwritten = replace(&kept, bytes).err();
+        complete = unwritten.is_none() && !stop.load(Ordering::Relaxed);
+        complete
     };
-    let bytes = train(trajectories, &training, &about, &mut show)?;
-    if stop.load(Ordering::Relaxed) {
-        note!("interrupted: the best model so far is kept");
+    let bytes = match train(trajectories, &training, &about, from.as_deref(), &mut show) {
+        Err(error @ TransformerError::Checkpoint(_)) => bail!(
+            "{}: {error}; finish that, remove the file, or use another --out",
+            kept.display()
+        ),
+        trained => trained?,
+    };
+    if let Some(error) = unwritten {
+        bail!("{}: cannot be written: {error}", kept.display());
+    }
+    if !complete {
+        bail!(Interrupted(kept));
     }
     if let Err(error) = replace(&args.out, &bytes) {
         bail!("{}: cannot be written: {error}", args.out.display());
     }
+    // What is in the file is in the checkpoint's place now.
+    let _ = std::fs::remove_file(&kept);
     if !args.quiet {
         note!("trained in {:.1} s", started.elapsed().as_secs_f64());
     }
     display::out(&format!("{}\n", args.out.display()))?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// The bytes of the checkpoint, if there is one.
+fn kept_bytes(kept: &Path) -> anyhow::Result<Option<Vec<u8>>> {
+    match std::fs::read(kept) {
+        Ok(bytes) => Ok(Some(bytes)),
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
+        Err(error) => bail!("{}: {error}", kept.display()),
+    }
+}
+
+fn show(now: &Progress) {
+    let best = if now.is_best { "  best" } else { "" };
+    let score = &now.score;
+    note!(
+        "step {:>6}  loss {:>8.4}  held out: {:.4} nats, in order {:.1} % (by age {:.1} %), wake-ups {:.4} nats, price \
+         off by {:.3}{best}",
+        now.step,
+        now.loss,
+        score.looks,
+        100.0 * score.accuracy,
+        100.0 * score.plain_accuracy,
+        score.wakes,
+        score.price_error
+    );
 }
 
 fn training(args: &DtArgs) -> anyhow::Result<Training> {

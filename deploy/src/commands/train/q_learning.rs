@@ -98,7 +98,7 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
 
 /// Ctrl-C has ended a training; the file is its checkpoint.
 #[derive(Debug)]
-pub struct Interrupted(PathBuf);
+pub struct Interrupted(pub PathBuf);
 
 impl std::fmt::Display for Interrupted {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -109,7 +109,7 @@ impl std::fmt::Display for Interrupted {
                 "interrupted; what was learned is kept in {kept}: give the same command again to go on"
             )
         } else {
-            f.write_str("interrupted before the first episode was over")
+            f.write_str("interrupted before there was anything to keep")
         }
     }
 }

@@ -6,8 +6,10 @@ use std::sync::atomic::Ordering;
 use anyhow::bail;
 use reveille_common::io::Disk;
 use reveille_lab::sweep::{Grid, Shard};
+use reveille_lab::training::checkpoint;
 use reveille_lab::trajectories::{Recording, record, write};
 
+use super::q_learning::Interrupted;
 use crate::cli::RecordArgs;
 use crate::commands::experiment::experiment;
 use crate::commands::paths::check_place;
@@ -30,7 +32,8 @@ pub fn run(args: &RecordArgs) -> anyhow::Result<ExitCode> {
     let trajectories = record(&grid, &recording, &|| stop.load(Ordering::Relaxed), &|| bar.inc(1));
     bar.finish_and_clear();
     let Some(trajectories) = trajectories else {
-        bail!("interrupted; nothing was written");
+        // There is no checkpoint: a recording is begun anew.
+        bail!(Interrupted(checkpoint(&args.out)));
     };
     if trajectories.chunks.is_empty() {
         bail!(

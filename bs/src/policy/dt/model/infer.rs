@@ -6,7 +6,7 @@
 
 use std::sync::Arc;
 
-use super::kernel::{add, dot, norm, relu};
+use super::kernel::{Part, Summary, Width, add, dot, mean, norm, relu, softmax};
 use super::shape::{EXPANSION, HEADS, PRICE_WIDTH};
 use super::weights::{Attention, Mix, Weights};
 
@@ -19,6 +19,7 @@ pub const LIMIT: f32 = 3.0;
 #[derive(Clone, Debug)]
 pub struct Forward {
     weights: Arc<Weights>,
+    width: Width,
     devices: usize,
     /// TTIs seen so far.
     passed: usize,
@@ -37,8 +38,8 @@ pub struct Forward {
     out: Vec<f32>,
     /// The weights of the last temporal attention, `[N, heads, Z]` by lag.
     attended: Vec<f32>,
-    /// By head, sums over devices: `[heads, d / heads, d / heads + 1]`.
-    summary: Vec<f32>,
+    /// By head.
+    summaries: Vec<Summary>,
     /// The mean over devices, and a target: `[d + 1]`.
     pooled: Vec<f32>,
 }
@@ -50,6 +51,7 @@ impl Forward {
         let (d, z) = (shape.width, shape.memory);
         let tokens = || vec![0.0; devices * d];
         Self {
+            width: Width::fastest(),
             devices,
             passed: 0,
             keys: vec![0.0; z * devices * d],
@@ -63,14 +65,31 @@ impl Forward {
             out: vec![0.0; devices * HEADS],
             attended: vec![0.0; devices * shape.heads * z],
             pooled: vec![0.0; d + 1],
-            summary: vec![0.0; shape.heads * shape.head_width() * (shape.head_width() + 1)],
+            summaries: vec![Summary::new(shape.head_width()); shape.heads],
             weights,
         }
+    }
+
+    /// As before, by instructions of another width.
+    #[must_use]
+    pub fn with_width(self, width: Width) -> Self {
+        Self { width, ..self }
     }
 
     /// One more TTI, with these tokens, `[N, F]`. Gives what is expected of each device, `[N, HEADS]`: logarithms
     /// within ± [`LIMIT`].
     pub fn step(&mut self, tokens: &[f32]) -> &[f32] {
+        let width = self.width;
+        width.run(
+            #[inline(always)]
+            || self.compute(tokens),
+        );
+        self.passed += 1;
+        &self.out
+    }
+
+    #[inline(always)]
+    fn compute(&mut self, tokens: &[f32]) {
         let weights = Arc::clone(&self.weights);
         weights.embed.apply(tokens, &mut self.state);
         relu(&mut self.state);
@@ -83,8 +102,6 @@ impl Forward {
         for out in &mut self.out {
             *out = LIMIT * *out / (1.0 + out.abs());
         }
-        self.passed += 1;
-        &self.out
     }
 
     /// The logarithm of the price that goes with a target in the TTI of the last step.
@@ -111,6 +128,7 @@ impl Forward {
         &self.attended
     }
 
+    #[inline(always)]
     fn attend_in_time(&mut self, weights: &Weights) {
         let shape = weights.shape;
         let (d, z, width) = (shape.width, shape.memory, shape.head_width());
@@ -124,33 +142,29 @@ impl Forward {
             .apply(&self.normed, &mut self.values[slot * size..(slot + 1) * size]);
         let known = (self.passed + 1).min(z);
         let scale = 1.0 / (width as f32).sqrt();
-        for j in 0..self.devices {
-            for head in 0..shape.heads {
-                let at = j * d + head * width;
-                let query = &self.query[at..at + width];
-                let share = &mut self.attended[(j * shape.heads + head) * z..][..z];
-                share.fill(0.0);
-                let place = |lag: usize| ((self.passed - lag) % z) * size + at;
-                for (lag, share) in share[..known].iter_mut().enumerate() {
-                    let key = &self.keys[place(lag)..][..width];
-                    *share = dot(query, key) * scale + weights.lags[head * z + lag];
-                }
-                softmax(&mut share[..known]);
-                let gathered = &mut self.gathered[at..at + width];
-                gathered.fill(0.0);
-                for (lag, share) in share[..known].iter().enumerate() {
-                    let value = &self.values[place(lag)..][..width];
-                    for (gathered, value) in gathered.iter_mut().zip(value) {
-                        *gathered += share * value;
-                    }
-                }
+        // Of each lag, the TTI's place among those that are kept.
+        let place = |lag: usize| ((self.passed - lag) % z) * size;
+        for lag in 0..known {
+            let keys = &self.keys[place(lag)..][..size];
+            let scores = self.attended[lag..].iter_mut().step_by(z);
+            let pairs = self.query.chunks_exact(width).zip(keys.chunks_exact(width));
+            for ((score, (query, key)), head) in scores.zip(pairs).zip((0..shape.heads).cycle()) {
+                *score = dot(query, key) * scale + weights.lags[head * z + lag];
             }
+        }
+        softmax(&mut self.attended, z, known);
+        let heads = self.gathered.chunks_exact_mut(width).zip(self.attended.chunks_exact(z));
+        for ((gathered, shares), at) in heads.zip((0..).step_by(width)) {
+            mean(gathered, &shares[..known], |lag| {
+                &self.values[place(lag) + at..][..width]
+            });
         }
         time.out.apply(&self.gathered, &mut self.added);
         add(&mut self.state, &self.added);
         self.mix(&time.mix);
     }
 
+    #[inline(always)]
     fn attend_in_space(&mut self, space: &Attention) {
         let shape = self.weights.shape;
         let (d, width) = (shape.width, shape.head_width());
@@ -163,58 +177,39 @@ impl Forward {
         for feature in keys.iter_mut().chain(&mut self.query) {
             *feature = feature.max(0.0) + LEAST_FEATURE;
         }
-        self.summary.fill(0.0);
-        for (keys, values) in keys.chunks_exact(d).zip(values.chunks_exact(d)) {
-            let heads = keys.chunks_exact(width).zip(values.chunks_exact(width));
-            for ((keys, values), sums) in heads.zip(self.summary.chunks_exact_mut(width * (width + 1))) {
-                for (key, sums) in keys.iter().zip(sums.chunks_exact_mut(width + 1)) {
-                    let (last, sums) = sums.split_last_mut().expect("a column for the sum of keys");
-                    for (sum, value) in sums.iter_mut().zip(values) {
-                        *sum += key * value;
-                    }
-                    *last += key;
-                }
-            }
+        for (head, summary) in self.summaries.iter_mut().enumerate() {
+            summary.fill(
+                keys,
+                values,
+                Part {
+                    at: head * width,
+                    width,
+                    of: d,
+                },
+            );
         }
-        for (queries, gathered) in self.query.chunks_exact(d).zip(self.gathered.chunks_exact_mut(d)) {
-            let heads = queries.chunks_exact(width).zip(gathered.chunks_exact_mut(width));
-            for ((queries, gathered), sums) in heads.zip(self.summary.chunks_exact(width * (width + 1))) {
-                gathered.fill(0.0);
-                let mut all = 0.0;
-                for (query, sums) in queries.iter().zip(sums.chunks_exact(width + 1)) {
-                    for (gathered, sum) in gathered.iter_mut().zip(sums) {
-                        *gathered += query * sum;
-                    }
-                    all += query * sums[width];
-                }
-                for gathered in gathered {
-                    *gathered /= all;
-                }
-            }
+        for (head, summary) in self.summaries.iter().enumerate() {
+            summary.gather(
+                &self.query,
+                &mut self.gathered,
+                Part {
+                    at: head * width,
+                    width,
+                    of: d,
+                },
+            );
         }
         space.out.apply(&self.gathered, &mut self.added);
         add(&mut self.state, &self.added);
         self.mix(&space.mix);
     }
 
+    #[inline(always)]
     fn mix(&mut self, mix: &Mix) {
         norm(&self.state, &mix.norm, &mut self.normed);
         mix.inner.apply(&self.normed, &mut self.wide);
         relu(&mut self.wide);
         mix.outer.apply(&self.wide, &mut self.added);
         add(&mut self.state, &self.added);
-    }
-}
-
-/// Shares that sum to 1, in proportion to the exponentials of `scores`.
-fn softmax(scores: &mut [f32]) {
-    let most = scores.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-    let mut sum = 0.0;
-    for score in scores.iter_mut() {
-        *score = libm::expf(*score - most);
-        sum += *score;
-    }
-    for score in scores {
-        *score /= sum;
     }
 }

@@ -5,7 +5,7 @@ mod kernel;
 pub mod shape;
 pub mod weights;
 
-pub use kernel::NORM_EPSILON;
+pub use kernel::{NORM_EPSILON, Width};
 
 #[cfg(test)]
 mod tests;

@@ -9,7 +9,7 @@ use safetensors::{Dtype, SafeTensors};
 
 use super::super::senses::COUNT;
 use super::infer::{Forward, LEAST_FEATURE, LIMIT};
-use super::kernel::NORM_EPSILON;
+use super::kernel::{NORM_EPSILON, Width};
 use super::shape::{HEADS, Shape};
 use super::weights::{KEY, ModelError, Weights, metadata};
 
@@ -185,6 +185,28 @@ impl Reference<'_> {
             *x = x.max(0.0);
         }
         (logs, self.linear(&inner, "price.out.weight", Some("price.out.bias"))[0])
+    }
+}
+
+#[test]
+fn every_width_of_instructions_gives_the_same_bits() {
+    let n = 53;
+    let weights = Arc::new(Weights::read(&bytes(Shape::USUAL, &random(Shape::USUAL))).expect("a model"));
+    let run = |width: Width| -> Vec<u32> {
+        let mut forward = Forward::new(Arc::clone(&weights), n).with_width(width);
+        let step = |tokens: &Vec<f32>| {
+            let mut numbers = forward.step(tokens).to_vec();
+            numbers.extend_from_slice(forward.attended());
+            numbers.push(forward.price(0.5));
+            numbers
+        };
+        tokens(n, 12).iter().flat_map(step).map(f32::to_bits).collect()
+    };
+    let widths = Width::here();
+    println!("{widths:?}");
+    let first = run(widths[0]);
+    for width in &widths[1..] {
+        assert!(run(*width) == first, "{width:?}");
     }
 }
 

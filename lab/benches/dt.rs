@@ -1,0 +1,70 @@
+//! How long the decision transformer takes for a TTI: its own inference by each width of instructions and for many N,
+//! beside the same weights run through the training framework over the last Z TTIs, on one thread.
+//!
+//! `RAYON_NUM_THREADS=1 cargo bench -p reveille-lab --features train-dt --bench dt`
+
+use std::collections::BTreeMap;
+use std::hint::black_box;
+use std::sync::Arc;
+
+use candle_core::{Device, Tensor};
+use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
+use reveille_bs::policy::dt::model::Width;
+use reveille_bs::policy::dt::model::infer::Forward;
+use reveille_bs::policy::dt::model::shape::Shape;
+use reveille_bs::policy::dt::model::weights::Weights;
+use reveille_bs::policy::dt::senses::COUNT;
+use reveille_common::rng::{Purpose, Stream};
+use reveille_lab::transformer::{Net, file};
+
+fn tokens(devices: usize, ttis: usize) -> Vec<f32> {
+    let mut stream = Stream::new(1, Purpose::Training, 0);
+    (0..ttis * devices * COUNT)
+        .map(|_| (2.0 * stream.unit() - 1.0) as f32)
+        .collect()
+}
+
+fn inference(criterion: &mut Criterion) {
+    let net = Net::new(Shape::USUAL, 1).expect("a net");
+    let bytes = file(&net, &BTreeMap::new()).expect("a file");
+    let weights = Arc::new(Weights::read(&bytes).expect("a model"));
+    let memory = Shape::USUAL.memory;
+
+    let mut group = criterion.benchmark_group("a TTI of 250 devices");
+    let tti = tokens(250, 1);
+    for width in Width::here() {
+        let mut forward = Forward::new(Arc::clone(&weights), 250).with_width(width);
+        for _ in 0..memory {
+            forward.step(&tti);
+        }
+        let name = format!("{width:?}");
+        let name = name.split(['(', ' ']).next().unwrap_or_default().to_owned();
+        group.bench_function(BenchmarkId::new("here", name), |bencher| {
+            bencher.iter(|| forward.step(black_box(&tti))[0]);
+        });
+    }
+    group.sample_size(20);
+    let window = Tensor::from_vec(tokens(250, memory), (1, memory, 250, COUNT), &Device::Cpu).expect("tokens");
+    let targets = Tensor::full(0.5_f32, (1, memory), &Device::Cpu).expect("targets");
+    group.bench_function("in the framework", |bencher| {
+        bencher.iter(|| net.forward(black_box(&window), &targets).expect("outputs").price);
+    });
+    group.finish();
+
+    let mut group = criterion.benchmark_group("a TTI of N devices");
+    group.sample_size(20);
+    for devices in [10, 50, 250, 1000, 2500] {
+        let tti = tokens(devices, 1);
+        let mut forward = Forward::new(Arc::clone(&weights), devices);
+        for _ in 0..memory {
+            forward.step(&tti);
+        }
+        group.bench_function(BenchmarkId::from_parameter(devices), |bencher| {
+            bencher.iter(|| forward.step(black_box(&tti))[0]);
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, inference);
+criterion_main!(benches);

@@ -1,0 +1,114 @@
+//! The state of a training as a file, from which it goes on as if nothing had been.
+
+use std::collections::BTreeMap;
+
+use candle_core::{Device, Tensor};
+use reveille_bs::policy::dt::model::weights::metadata;
+use safetensors::tensor::TensorView;
+use safetensors::{Dtype, SafeTensors};
+
+use super::{ByWeight, State, Training, TransformerError};
+
+/// The only key of the metadata.
+const KEY: &str = "reveille.dt-training";
+/// The tensors of weights, of the means of their gradients, and of the means of those squared.
+const KINDS: [&str; 3] = ["weight", "mean", "square"];
+/// The file of the best model.
+const BEST: &str = "best";
+
+impl State {
+    /// The bytes of a checkpoint.
+    pub(super) fn to_checkpoint(
+        &self,
+        training: &Training,
+        about: &BTreeMap<String, String>,
+    ) -> Result<Vec<u8>, TransformerError> {
+        let mut values: Vec<(String, Dtype, Vec<usize>, Vec<u8>)> = Vec::new();
+        for (name, size) in self.net.shape().tensors() {
+            let of = [
+                self.net.vars()[name].as_tensor(),
+                &self.optimiser.means[name],
+                &self.optimiser.squares[name],
+            ];
+            for (kind, tensor) in KINDS.iter().zip(of) {
+                let numbers: Vec<f32> = tensor.flatten_all()?.to_vec1()?;
+                let bytes = numbers.into_iter().flat_map(f32::to_le_bytes).collect();
+                values.push((format!("{kind}.{name}"), Dtype::F32, size.clone(), bytes));
+            }
+        }
+        if let Some(best) = &self.best {
+            values.push((BEST.to_owned(), Dtype::U8, vec![best.len()], best.clone()));
+        }
+        let mut tensors = Vec::new();
+        for (name, kind, size, bytes) in &values {
+            tensors.push((name, TensorView::new(*kind, size.clone(), bytes)?));
+        }
+        let counts = [
+            self.optimiser.steps,
+            self.looks_since,
+            // All of its bits.
+            self.best_loss.to_bits(),
+        ];
+        let text = format!(
+            "{}\n{}",
+            counts.map(|count| count.to_string()).join(" "),
+            identity(training, about)
+        );
+        let metadata = [(KEY.to_owned(), text)].into_iter().collect();
+        Ok(safetensors::serialize(tensors, Some(metadata))?)
+    }
+
+    /// The state in the bytes of a checkpoint of this training.
+    ///
+    /// # Errors
+    /// They are damaged, or of another training.
+    pub(super) fn from_checkpoint(
+        bytes: &[u8],
+        training: &Training,
+        about: &BTreeMap<String, String>,
+    ) -> Result<Self, TransformerError> {
+        let damaged = || TransformerError::Checkpoint("is no checkpoint, or damaged".to_owned());
+        let (_, found) = SafeTensors::read_metadata(bytes).map_err(|_| damaged())?;
+        let file = SafeTensors::deserialize(bytes).map_err(|_| damaged())?;
+        let text = found.metadata().as_ref().and_then(|pairs| pairs.get(KEY));
+        let (counts, of) = text.and_then(|text| text.split_once('\n')).ok_or_else(damaged)?;
+        if of != identity(training, about) {
+            return Err(TransformerError::Checkpoint(
+                "is the checkpoint of another training, from other data or with other options".to_owned(),
+            ));
+        }
+        let counts: Vec<u64> = counts.split(' ').filter_map(|count| count.parse().ok()).collect();
+        let &[steps, looks_since, best_loss] = &counts[..] else {
+            return Err(damaged());
+        };
+        let mut state = Self::new(training)?;
+        let mut maps = [ByWeight::new(), ByWeight::new(), ByWeight::new()];
+        for (name, size) in training.shape.tensors() {
+            for (kind, map) in KINDS.iter().zip(&mut maps) {
+                let view = file.tensor(&format!("{kind}.{name}")).map_err(|_| damaged())?;
+                if view.dtype() != Dtype::F32 || view.shape() != size {
+                    return Err(damaged());
+                }
+                let (bytes, _) = view.data().as_chunks::<4>();
+                let numbers: Vec<f32> = bytes.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
+                map.insert(name, Tensor::from_vec(numbers, size.clone(), &Device::Cpu)?);
+            }
+        }
+        let [weights, means, squares] = maps;
+        for (name, var) in state.net.vars() {
+            var.set(&weights[name])?;
+        }
+        state.optimiser.steps = steps;
+        state.optimiser.means = means;
+        state.optimiser.squares = squares;
+        state.best = file.tensor(BEST).ok().map(|best| best.data().to_vec());
+        state.best_loss = f64::from_bits(best_loss);
+        state.looks_since = looks_since;
+        Ok(state)
+    }
+}
+
+/// What a checkpoint must have in common with the training that goes on from it.
+fn identity(training: &Training, about: &BTreeMap<String, String>) -> String {
+    format!("{training:?}\n{}", metadata(training.shape, about))
+}
