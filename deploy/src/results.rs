@@ -31,8 +31,10 @@ use crate::summary::Summary;
 
 const RUNNING: &str = "RUNNING";
 const FAILED: &str = "FAILED";
-const SCENARIO: &str = "scenario.toml";
-const SUMMARY: &str = "summary.json";
+/// The resolved scenario.
+pub const SCENARIO: &str = "scenario.toml";
+/// What the run came to.
+pub const SUMMARY: &str = "summary.json";
 const LEARNED: &str = "learned.json";
 const DEVICES: &str = "devices.csv";
 /// What a run that was killed while it wrote may have left.

@@ -27,7 +27,8 @@ pub enum TrainCommand {
         after_help = "Examples:\n  reveille train record -p age-index --grid policy.age-index.price=0.1,0.35,1 \
         -n 50,250 --seeds 8 --out calm.parquet\n  \
         reveille train record -p q-learning,knn -n 50,250 --set events.process=bursts --explore 0,0.1 \
-        --out bursts.parquet\n\
+        --out bursts.parquet\n  \
+        reveille train record --from runs/monday --from runs/tuesday --out testbed.parquet\n\
         Then:\n  reveille train dt calm.parquet bursts.parquet --out model.safetensors"
     )]
     Record(RecordArgs),
@@ -89,6 +90,10 @@ pub struct DtArgs {
 pub struct RecordArgs {
     /// An experiment file, as of `reveille sweep`. Options win over what it says.
     pub experiment: Option<PathBuf>,
+    /// Record the run in this folder, of `up`, `bs` or `run`, instead of a grid: it is done again in memory, bit for bit,
+    /// from the scenario there, and its digest is compared. May be repeated.
+    #[arg(long, value_name = "FOLDER", conflicts_with_all = ["experiment", "explore", "GridArgs"])]
+    pub from: Vec<PathBuf>,
     /// The runs that are recorded.
     #[command(flatten)]
     pub grid: GridArgs,

@@ -19,6 +19,7 @@ use reveille_bs::prepared::Prepared;
 use reveille_bs::station::Station;
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::scenario::Scenario;
+use reveille_common::score::Digest;
 use reveille_common::units::Energy;
 use reveille_common::world::World;
 
@@ -110,6 +111,21 @@ pub fn record(
     })
 }
 
+/// Records a run of the emulator: what it did follows from its `scenario`, so it is done again in memory. Gives the
+/// digest of what was done, which is that of the run if nothing was changed. `None` if `stop` has said so.
+pub fn record_again(
+    scenario: &Scenario,
+    run: u32,
+    recording: &Recording,
+    stop: &(dyn Fn() -> bool + Sync),
+) -> Option<(Digest, Vec<Chunk>)> {
+    let workshop = Workshop::default();
+    let prepared = workshop.prepare(scenario);
+    let outcome = Run::new(&prepared, options()).finish(&mut StopWhen(stop));
+    let chunks = record_prepared(&prepared, run, recording, 0.0, stop)?;
+    outcome.complete.then_some((outcome.digest, chunks))
+}
+
 /// The chunks of a run of `scenario` from random batteries.
 fn record_run(
     workshop: &Workshop,
@@ -124,6 +140,23 @@ fn record_run(
     for device in &mut prepared.deployment.devices {
         device.energy.initial = Energy::from_micro((stream.unit() * device.energy.e_max.micro() as f64) as u64);
     }
+    record_prepared(&prepared, run, recording, explores, stop)
+}
+
+fn options() -> Options {
+    Options {
+        window: 200,
+        ..Options::default()
+    }
+}
+
+fn record_prepared(
+    prepared: &Prepared,
+    run: u32,
+    recording: &Recording,
+    explores: f64,
+    stop: &(dyn Fn() -> bool + Sync),
+) -> Option<Vec<Chunk>> {
     let steps = Arc::new(Mutex::new((Vec::new(), Vec::new())));
     let sink = {
         let (steps, recording) = (Arc::clone(&steps), recording.clone());
@@ -142,15 +175,11 @@ fn record_run(
         Mind::Genie(_) => return Some(Vec::new()),
     };
     let world = World::new(&prepared.scenario, &prepared.deployment);
-    let cycle = Cycle::with_station(&prepared, world, Station::new(known, mind));
-    let options = Options {
-        window: 200,
-        ..Options::default()
-    };
-    let outcome = Run::with_cycle(&prepared, cycle, options).finish(&mut StopWhen(stop));
+    let cycle = Cycle::with_station(prepared, world, Station::new(known, mind));
+    let outcome = Run::with_cycle(prepared, cycle, options()).finish(&mut StopWhen(stop));
     outcome.complete.then(|| {
         let (shares, kept) = std::mem::take(&mut *steps.lock().unwrap_or_else(PoisonError::into_inner));
-        chunks(&prepared, run, recording, &shares, kept)
+        chunks(prepared, run, recording, &shares, kept)
     })
 }
 

@@ -1,36 +1,39 @@
 //! `reveille train record`: trajectories of many runs in memory.
 
+use std::fmt::Write as _;
+use std::path::Path;
 use std::process::ExitCode;
 use std::sync::atomic::Ordering;
 
 use anyhow::bail;
+use reveille_bs::scenario::load;
 use reveille_common::io::Disk;
 use reveille_lab::sweep::{Grid, Shard};
 use reveille_lab::training::checkpoint;
-use reveille_lab::trajectories::{Recording, record, write};
+use reveille_lab::trajectories::{Recording, Trajectories, record, record_again, write};
 
 use super::q_learning::Interrupted;
 use crate::cli::RecordArgs;
 use crate::commands::experiment::experiment;
 use crate::commands::paths::check_place;
 use crate::display::{self, note};
+use crate::results::{SCENARIO, SUMMARY};
 
 /// Records the runs that are asked for.
 pub fn run(args: &RecordArgs) -> anyhow::Result<ExitCode> {
-    let grid = Grid::new(experiment(args.experiment.as_deref(), &args.grid)?, &Disk)?;
     let recording = recording(args)?;
-    if grid.experiment.until_ci.is_some() {
-        bail!("--until-ci: a recording makes all of its runs; leave it out");
-    }
     if args.out.exists() && !args.force {
         bail!("{}: is there already; --force replaces it", args.out.display());
     }
     check_place(&args.out, "the trajectories")?;
     let runtime = crate::wall::runtime(1)?;
     let stop = runtime.block_on(async { crate::interrupt::watch() })?;
-    let bar = display::bar(grid.share(Shard::WHOLE), "{bar:24} {pos}/{len} runs", args.quiet);
-    let trajectories = record(&grid, &recording, &|| stop.load(Ordering::Relaxed), &|| bar.inc(1));
-    bar.finish_and_clear();
+    let stop = || stop.load(Ordering::Relaxed);
+    let trajectories = if args.from.is_empty() {
+        of_grid(args, &recording, &stop)?
+    } else {
+        of_folders(args, &recording, &stop)?
+    };
     let Some(trajectories) = trajectories else {
         // There is no checkpoint: a recording is begun anew.
         bail!(Interrupted(checkpoint(&args.out)));
@@ -58,6 +61,66 @@ pub fn run(args: &RecordArgs) -> anyhow::Result<ExitCode> {
     }
     display::out(&format!("{}\n", args.out.display()))?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// The runs of a grid.
+fn of_grid(
+    args: &RecordArgs,
+    recording: &Recording,
+    stop: &(dyn Fn() -> bool + Sync),
+) -> anyhow::Result<Option<Trajectories>> {
+    let grid = Grid::new(experiment(args.experiment.as_deref(), &args.grid)?, &Disk)?;
+    if grid.experiment.until_ci.is_some() {
+        bail!("--until-ci: a recording makes all of its runs; leave it out");
+    }
+    let bar = display::bar(grid.share(Shard::WHOLE), "{bar:24} {pos}/{len} runs", args.quiet);
+    let trajectories = record(&grid, recording, stop, &|| bar.inc(1));
+    bar.finish_and_clear();
+    Ok(trajectories)
+}
+
+/// Runs that were made before, from their folders.
+fn of_folders(
+    args: &RecordArgs,
+    recording: &Recording,
+    stop: &(dyn Fn() -> bool + Sync),
+) -> anyhow::Result<Option<Trajectories>> {
+    let (mut chunks, mut runs) = (Vec::new(), String::new());
+    for (run, folder) in (0..).zip(&args.from) {
+        let path = folder.join(SCENARIO);
+        if !path.exists() {
+            bail!("{}: is no run folder: it has no {SCENARIO}", folder.display());
+        }
+        let scenario = load(&path.to_string_lossy(), &[])?;
+        let digest = digest(folder)?;
+        let Some((found, of_run)) = record_again(&scenario, run, recording, stop) else {
+            return Ok(None);
+        };
+        if found.to_string() != digest {
+            bail!(
+                "{}: the scenario there gives the digest {found}, and its summary has {digest}: the run was cut short, \
+                 made by another version, or one of the files was changed",
+                folder.display()
+            );
+        }
+        chunks.extend(of_run);
+        let _ = writeln!(runs, "{digest}");
+    }
+    let about = vec![
+        ("runs".to_owned(), runs),
+        ("recording".to_owned(), format!("{recording:?}")),
+    ];
+    Ok(Some(Trajectories { about, chunks }))
+}
+
+/// The digest in the summary of the run folder.
+fn digest(folder: &Path) -> anyhow::Result<String> {
+    let path = folder.join(SUMMARY);
+    let refuse = |why: String| anyhow::anyhow!("{}: {why}", path.display());
+    let text = std::fs::read_to_string(&path).map_err(|error| refuse(error.to_string()))?;
+    let summary: serde_json::Value = serde_json::from_str(&text).map_err(|error| refuse(error.to_string()))?;
+    let digest = summary["digest"].as_str().map(str::to_owned);
+    digest.ok_or_else(|| refuse("has no digest".to_owned()))
 }
 
 fn recording(args: &RecordArgs) -> anyhow::Result<Recording> {
