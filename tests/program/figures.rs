@@ -29,6 +29,7 @@ fn pictures_of_a_deployment_and_a_timeline_are_the_same_twice() {
     for out in ["a", "b"] {
         for picture in [
             "deployment -n 30 -k 500",
+            "attention -n 30 -k 500 --tti 200 --show 3,4",
             "timeline -n 30 -k 500 --show 3,7 --from 100 --length 60",
         ] {
             let end = folder.run(&format!("figures {picture} --out {out}"));
@@ -36,7 +37,7 @@ fn pictures_of_a_deployment_and_a_timeline_are_the_same_twice() {
         }
     }
     let names = folder.list("a");
-    assert_eq!(names.len(), 4, "{names:?}");
+    assert_eq!(names.len(), 7, "{names:?}");
     for name in names {
         assert_same(&folder, &name);
     }
@@ -57,6 +58,9 @@ fn wishes_that_no_run_can_meet_are_refused() {
         "deployment -k 10 -n 2000",
         &["2000 devices", "1000 at the most", "--devices"],
     );
+    refused("attention --tti 99 -k 100", &["TTI 99", "the last that can be shown is 98"]);
+    refused("attention -p knn", &["--policy knn", "dt alone"]);
+    refused("attention --show 50", &["device 50", "numbered 0 to 49"]);
     refused("timeline -k 500 --show 50", &["device 50", "numbered 0 to 49"]);
     refused("timeline -k 500 --from 450 --length 100", &["450 to 549", "0 to 499"]);
     refused("timeline -k 500 --from 0 --length 5", &["10 to 2000"]);

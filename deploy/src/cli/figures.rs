@@ -57,6 +57,9 @@ pub enum FiguresCommand {
     Deployment(DeploymentArgs),
     /// Battery and states S1 to S4 of some devices, TTI by TTI, with events and wake-ups.
     Timeline(TimelineArgs),
+    /// What a decision of `dt` attended to: what it expected of each device in a TTI, and the TTIs that told it.
+    #[command(after_help = "Example:\n  reveille figures attention --tti 1500 --set events.process=aftershocks")]
+    Attention(AttentionArgs),
     /// Learning curves of tables of `reveille train`: reward and information by TTIs of training, for each N.
     Learning(LearningArgs),
     /// Learned tables for one N as heat maps: what sensing is worth, or what waking is worth.
@@ -158,6 +161,30 @@ pub struct DeploymentArgs {
     /// The number of the event, from 0 [default: the first after the warm-up in which somebody was woken].
     #[arg(long, short, value_parser = parse_whole, allow_negative_numbers = true)]
     pub event: Option<u64>,
+    /// The pictures.
+    #[command(flatten)]
+    pub pictures: PictureArgs,
+}
+
+/// `reveille figures attention`.
+#[derive(Args)]
+pub struct AttentionArgs {
+    /// The scenario; its policy is dt unless said otherwise.
+    #[command(flatten)]
+    pub scenario: ScenarioArgs,
+    /// The TTI of the decision [default: the end of the warm-up].
+    #[arg(long, short, value_parser = parse_whole, allow_negative_numbers = true)]
+    pub tti: Option<u64>,
+    /// Numbers of the devices whose attention is shown, separated by commas [default: the six of which most or least
+    /// was expected].
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "DEVICE",
+        value_parser = parse_device,
+        allow_hyphen_values = true
+    )]
+    pub show: Vec<u32>,
     /// The pictures.
     #[command(flatten)]
     pub pictures: PictureArgs,

@@ -15,8 +15,8 @@ use reveille_common::logging::LogFormat;
 
 pub use analyse::{AnalyseCommand, BatteryArgs, HarvestArgs, IminArgs, RuntimeArgs, StudyArgs, TransitionsArgs};
 pub use figures::{
-    AxisArg, DeploymentArgs, FiguresArgs, FiguresCommand, FormatArg, LearningArgs, PictureArgs, QTableArgs, RankingArg,
-    SweepFigureArgs, TimelineArgs,
+    AttentionArgs, AxisArg, DeploymentArgs, FiguresArgs, FiguresCommand, FormatArg, LearningArgs, PictureArgs,
+    QTableArgs, RankingArg, SweepFigureArgs, TimelineArgs,
 };
 pub use report::{ReportArgs, ReportCommand, SearchArgs};
 pub use run::{BsArgs, DeviceArgs, DriveArgs, OnLossArg, OutputArgs, RunArgs, ScenarioArgs, UpArgs};

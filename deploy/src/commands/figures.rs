@@ -8,15 +8,19 @@ use std::process::ExitCode;
 
 use anyhow::anyhow;
 use reveille_bs::policy::q_learning::learned::{Entry, Learned};
+use reveille_common::ids::Tti;
 use reveille_common::io::Disk;
 use reveille_common::scenario::WakeUpRanking;
+use reveille_study::figures::attention::{self, Attention};
 use reveille_study::figures::results::{Condition, Results};
 use reveille_study::figures::timeline::Timeline;
 use reveille_study::figures::{deployment, energy, front, learning, pareto, q_table, study, timeline};
 
 use super::pictures::{as_file, read, save, write};
 use super::resolution::resolve;
-use crate::cli::{DeploymentArgs, FiguresArgs, FiguresCommand, LearningArgs, QTableArgs, RankingArg, TimelineArgs};
+use crate::cli::{
+    AttentionArgs, DeploymentArgs, FiguresArgs, FiguresCommand, LearningArgs, QTableArgs, RankingArg, TimelineArgs,
+};
 use crate::display::note;
 
 /// Draws what is asked for.
@@ -24,6 +28,7 @@ pub fn run(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
     match &args.command {
         Some(FiguresCommand::Deployment(args)) => draw_deployment(args),
         Some(FiguresCommand::Timeline(args)) => draw_timeline(args),
+        Some(FiguresCommand::Attention(args)) => draw_attention(args),
         Some(FiguresCommand::Learning(args)) => draw_learning(args),
         Some(FiguresCommand::QTable(args)) => draw_q_table(args),
         Some(FiguresCommand::Sweep(args)) => sweep::run(args),
@@ -179,6 +184,18 @@ fn draw_deployment(args: &DeploymentArgs) -> anyhow::Result<ExitCode> {
         moment.event.event.0
     );
     write(&args.pictures, &name, &deployment::scene(&scenario, &moment))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn draw_attention(args: &AttentionArgs) -> anyhow::Result<ExitCode> {
+    let mut given = args.scenario.clone();
+    given.policy.get_or_insert_with(|| "dt".to_owned());
+    let scenario = resolve(&given)?;
+    let tti = args.tti.map_or_else(|| scenario.warm_up_end(), Tti);
+    let attention = Attention::of(&scenario, tti, &args.show)?;
+    let name = format!("attention-n{}-s{}-t{tti}", scenario.devices, scenario.seed);
+    write(&args.pictures, &name, &attention::scene(&scenario, &attention))?;
+    save(&args.pictures.out, &format!("{name}.csv"), attention.csv().as_bytes())?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -17,6 +17,7 @@ use reveille_bs::policy::dt::settings::DtSettings;
 use reveille_bs::policy::mind::Mind;
 use reveille_bs::prepared::Prepared;
 use reveille_bs::station::Station;
+use reveille_common::ids::Tti;
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::scenario::Scenario;
 use reveille_common::score::Digest;
@@ -121,7 +122,7 @@ pub fn record_again(
 ) -> Option<(Digest, Vec<Chunk>)> {
     let workshop = Workshop::default();
     let prepared = workshop.prepare(scenario);
-    let outcome = Run::new(&prepared, options()).finish(&mut StopWhen(stop));
+    let outcome = Run::new(&prepared, Options::default()).finish(&mut StopWhen(stop));
     let chunks = record_prepared(&prepared, run, recording, 0.0, stop)?;
     outcome.complete.then_some((outcome.digest, chunks))
 }
@@ -143,13 +144,6 @@ fn record_run(
     record_prepared(&prepared, run, recording, explores, stop)
 }
 
-fn options() -> Options {
-    Options {
-        window: 200,
-        ..Options::default()
-    }
-}
-
 fn record_prepared(
     prepared: &Prepared,
     run: u32,
@@ -157,30 +151,61 @@ fn record_prepared(
     explores: f64,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Option<Vec<Chunk>> {
-    let steps = Arc::new(Mutex::new((Vec::new(), Vec::new())));
-    let sink = {
-        let (steps, recording) = (Arc::clone(&steps), recording.clone());
-        move |step: Step| {
-            let (shares, kept) = &mut *steps.lock().unwrap_or_else(PoisonError::into_inner);
-            shares.push(step.share);
-            // The first TTIs of a run are like no others, and a policy begins in them: they are kept as well.
-            if (step.tti.0 as usize) % recording.stride < recording.length {
-                kept.push(step);
-            }
+    let (length, stride) = (recording.length, recording.stride);
+    let take = move |(shares, kept): &mut (Vec<f32>, Vec<Step>), step: Step| {
+        shares.push(step.share);
+        // The first TTIs of a run are like no others, and a policy begins in them: they are kept as well.
+        if (step.tti.0 as usize) % stride < length {
+            kept.push(step);
         }
+    };
+    let (shares, kept) = watched(prepared, explores, take, stop)?;
+    Some(chunks(prepared, run, recording, &shares, kept))
+}
+
+/// The TTIs `from` to `last` of a run of `scenario`, as they are recorded. Nothing if its policy is the genie, which
+/// decides by what no base station knows, or if the run ends before.
+pub fn steps(scenario: &Scenario, from: Tti, last: Tti) -> Vec<Step> {
+    // A TTI is complete when the next one begins.
+    let scenario = Scenario {
+        ttis: scenario.ttis.min(last.0 + 2),
+        ..scenario.clone()
+    };
+    let prepared = Workshop::default().prepare(&scenario);
+    let take = move |kept: &mut Vec<Step>, step: Step| {
+        if (from..=last).contains(&step.tti) {
+            kept.push(step);
+        }
+    };
+    watched(&prepared, 0.0, take, &|| false).unwrap_or_default()
+}
+
+/// What `take` has made of the steps of a run, one after the other. `None` if `stop` has said so.
+fn watched<T: Default + Send + 'static>(
+    prepared: &Prepared,
+    explores: f64,
+    take: impl Fn(&mut T, Step) + Send + 'static,
+    stop: &(dyn Fn() -> bool + Sync),
+) -> Option<T> {
+    let taken = Arc::new(Mutex::new(T::default()));
+    let sink = {
+        let taken = Arc::clone(&taken);
+        move |step: Step| take(&mut taken.lock().unwrap_or_else(PoisonError::into_inner), step)
     };
     let known = prepared.knowledge();
     let mind = match prepared.mind(&known) {
         Mind::Policy(policy) => Mind::of(Recorded::new(policy, &known, explores, sink)),
-        Mind::Genie(_) => return Some(Vec::new()),
+        Mind::Genie(_) => return Some(T::default()),
     };
     let world = World::new(&prepared.scenario, &prepared.deployment);
     let cycle = Cycle::with_station(prepared, world, Station::new(known, mind));
-    let outcome = Run::with_cycle(prepared, cycle, options()).finish(&mut StopWhen(stop));
-    outcome.complete.then(|| {
-        let (shares, kept) = std::mem::take(&mut *steps.lock().unwrap_or_else(PoisonError::into_inner));
-        chunks(prepared, run, recording, &shares, kept)
-    })
+    let options = Options {
+        window: 200,
+        ..Options::default()
+    };
+    let outcome = Run::with_cycle(prepared, cycle, options).finish(&mut StopWhen(stop));
+    let taken = std::mem::take(&mut *taken.lock().unwrap_or_else(PoisonError::into_inner));
+    outcome.complete.then_some(taken)
 }
 
 fn chunks(prepared: &Prepared, run: u32, recording: &Recording, shares: &[f32], kept: Vec<Step>) -> Vec<Chunk> {

@@ -161,7 +161,7 @@ pub fn accuracy(numbers: impl Iterator<Item = (f32, bool)>) -> f64 {
     let mut numbers: Vec<(f32, bool)> = numbers.collect();
     numbers.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
     let (mut below, mut pairs, mut found) = (0.0, 0.0, 0.0);
-    for same in numbers.chunk_by(|a, b| a.0 == b.0) {
+    for same in numbers.chunk_by(|a, b| a.0.to_bits() == b.0.to_bits()) {
         let hits = same.iter().filter(|(_, found)| *found).count() as f64;
         let misses = same.len() as f64 - hits;
         pairs += hits * (below + 0.5 * misses);

@@ -27,6 +27,9 @@ pub struct Outputs {
 
 impl Net {
     /// A net that expects nothing but what α says, with weights drawn from `seed`.
+    ///
+    /// # Errors
+    /// The framework has failed.
     pub fn new(shape: Shape, seed: u64) -> Result<Self> {
         let mut vars = BTreeMap::new();
         for (id, (name, size)) in (0..).zip(shape.tensors()) {
@@ -49,7 +52,7 @@ impl Net {
 
     /// The same weights as numbers of another type.
     #[cfg(test)]
-    pub fn of_type(&self, dtype: DType) -> Result<Self> {
+    pub(super) fn of_type(&self, dtype: DType) -> Result<Self> {
         let var = |(name, var): (&&'static str, &Var)| -> Result<_> {
             Ok((*name, Var::from_tensor(&var.as_tensor().to_dtype(dtype)?)?))
         };
@@ -74,6 +77,9 @@ impl Net {
     }
 
     /// What it makes of `tokens`, `[C, T, N, F]`, with the targets of each chunk and TTI, `[C, T]`.
+    ///
+    /// # Errors
+    /// Other shapes.
     pub fn forward(&self, tokens: &Tensor, targets: &Tensor) -> Result<Outputs> {
         let (c, t, n, f) = tokens.dims4()?;
         let d = self.shape.width;
@@ -195,6 +201,9 @@ impl Net {
     }
 
     /// The values of a weight.
+    ///
+    /// # Errors
+    /// The framework has failed.
     pub fn values(&self, name: &str) -> Result<Vec<f32>> {
         self.var(name).to_dtype(DType::F32)?.flatten_all()?.to_vec1()
     }

@@ -169,18 +169,12 @@ fn accuracy_is_the_share_of_pairs_in_order() {
     let (mut right, mut pairs) = (0.0, 0.0);
     for (a, _) in numbers.iter().filter(|(_, found)| *found) {
         for (b, _) in numbers.iter().filter(|(_, found)| !*found) {
-            right += if a > b {
-                1.0
-            } else if a == b {
-                0.5
-            } else {
-                0.0
-            };
+            right += 0.5 * (f64::from(u8::from(a > b)) + f64::from(u8::from(a >= b)));
             pairs += 1.0;
         }
     }
-    assert_eq!(loss::accuracy(numbers.into_iter()), right / pairs);
-    assert_eq!(loss::accuracy([(1.0, true)].into_iter()), 0.5);
+    assert!((loss::accuracy(numbers.into_iter()) - right / pairs).abs() < 1e-12);
+    assert!((loss::accuracy([(1.0, true)].into_iter()) - 0.5).abs() < 1e-12);
 }
 
 #[test]
@@ -236,5 +230,8 @@ fn a_training_finds_what_is_there_and_goes_on_to_the_same_bytes() {
     assert!((score.wakes - halved).abs() < 0.05, "{score:?}, not {halved}");
     assert!(score.price_error < 0.1, "{score:?}");
     // Which side a token is on tells; the mean that age and α give is the same for all.
-    assert!(score.accuracy > 0.55 && score.plain_accuracy == 0.5, "{score:?}");
+    assert!(
+        score.accuracy > 0.55 && (score.plain_accuracy - 0.5).abs() < 1e-9,
+        "{score:?}"
+    );
 }

@@ -4,7 +4,7 @@
 use libm::{cos, sin};
 use reveille_bs::beliefs::ranking::i_min;
 use reveille_common::deployment::Deployment;
-use reveille_common::geometry::{Area, Point, cells};
+use reveille_common::geometry::{Point, cells};
 use reveille_common::ids::DeviceId;
 use reveille_common::message::WakeOutcome;
 use reveille_common::scenario::Scenario;
@@ -14,6 +14,7 @@ use reveille_common::totals::PICO_PER_INFORMATION;
 
 use super::error::FigureError;
 use super::font::{Weight, width, wrap};
+use super::ground::Ground;
 use super::layout::{COLUMN, EDGE, LARGE, LEADING, SMALL};
 use super::map::{self, tints};
 use super::path::Path;
@@ -165,31 +166,7 @@ pub fn scene(scenario: &Scenario, moment: &Moment) -> Scene {
     scene
 }
 
-/// The area on the canvas.
-struct Ground {
-    area: Area,
-    left: f64,
-    top: f64,
-    scale: f64,
-}
-
 impl Ground {
-    fn new(area: Area, top: f64) -> Self {
-        let left = EDGE + 2.0 * LEADING + 5.0;
-        let scale = (COLUMN - EDGE - 3.0 - left) / area.width;
-        // A tall area would leave the page.
-        let scale = scale.min(2.0 * COLUMN / area.height);
-        Self { area, left, top, scale }
-    }
-
-    fn at(&self, p: Point) -> (f64, f64) {
-        (self.left + p.x * self.scale, self.bottom() - p.y * self.scale)
-    }
-
-    fn bottom(&self) -> f64 {
-        self.top + self.area.height * self.scale
-    }
-
     fn cells(&self, scene: &mut Scene, moment: &Moment) {
         let cells = cells(&moment.positions, self.area);
         let border = Stroke::solid(Paint::Ink, 0.5).faded(0.3);
@@ -210,29 +187,6 @@ impl Ground {
                 scene.line(line, Stroke::solid(Paint::Ink, 1.1).faded(0.75));
             }
         }
-    }
-
-    fn axes(&self, scene: &mut Scene) {
-        let (right, top) = self.at(Point::new(self.area.width, self.area.height));
-        let frame = [self.left, top, right, self.bottom()];
-        scene.line(Path::rectangle(frame), Stroke::solid(Paint::Ink, 0.8));
-        for tick in map::ticks(self.area.width) {
-            let (x, y) = self.at(Point::new(tick.value, 0.0));
-            scene.line(Path::segment((x, y), (x, y + 2.5)), Stroke::solid(Paint::Ink, 0.7));
-            scene.text(Text::new(tick.label, (x, y + LEADING), SMALL).anchored(Anchor::Middle));
-        }
-        for tick in map::ticks(self.area.height) {
-            let (x, y) = self.at(Point::new(0.0, tick.value));
-            scene.line(Path::segment((x - 2.5, y), (x, y)), Stroke::solid(Paint::Ink, 0.7));
-            let at = (x - 4.0, y + 0.36 * SMALL);
-            scene.text(Text::new(tick.label, at, SMALL).anchored(Anchor::End));
-        }
-        let below = (0.5 * (self.left + right), self.bottom() + 2.0 * LEADING);
-        scene.text(Text::new("x, metres", below, SMALL).anchored(Anchor::Middle));
-        let beside = (EDGE + 0.76 * SMALL, 0.5 * (top + self.bottom()));
-        let mut label = Text::new("y, metres", beside, SMALL).anchored(Anchor::Middle);
-        label.upwards = true;
-        scene.text(label);
     }
 
     /// The epicentre, and the part of the circle of radius d_max around it that lies in the area.
@@ -278,7 +232,7 @@ impl Ground {
     }
 }
 
-fn epicentre(scene: &mut Scene, at: (f64, f64)) {
+pub(super) fn epicentre(scene: &mut Scene, at: (f64, f64)) {
     let star = Path::polygon(at, 6.0, 8, 0.0, 0.4);
     let border = Stroke::solid(Paint::Ink, 0.6);
     scene.outlined(star, Paint::Colour(VERMILION), border);

@@ -46,6 +46,17 @@ pub enum FigureError {
         /// Length of the run.
         ttis: u64,
     },
+    /// The policy does not attend to anything.
+    #[error("--policy {0}: what a decision attended to is drawn for dt alone; leave the option out")]
+    NoAttention(String),
+    /// The run has no such TTI.
+    #[error("TTI {tti}: the last that can be shown is {last}; give an earlier one, or a longer run with --ttis")]
+    NoTti {
+        /// The TTI asked for.
+        tti: u64,
+        /// The last that can be.
+        last: u64,
+    },
     /// The run has no such device.
     #[error("device {device}: the scenario has {count} devices, numbered 0 to {}", count - 1)]
     NoDevice {

@@ -238,12 +238,13 @@ impl Grid<'_> {
     }
 }
 
-/// Puts the key on `scene`, from `at` to the right: the colours up to ±`largest`, and what marks mean; `framed` says
-/// what the bold line is around, `half` what is known in part if anything is.
-pub fn key(scene: &mut Scene, at: (f64, f64), largest: f64, framed: &str, half: Option<&str>) -> f64 {
-    const BAR: f64 = 132.0;
+/// Length and height of the key's colours, points.
+const BAR: f64 = 132.0;
+const HIGH: f64 = 9.0;
+
+/// Puts the colours up to ±`largest` on `scene`, from `at` to the right. Gives the y below them.
+pub fn ramp(scene: &mut Scene, at: (f64, f64), largest: f64) -> f64 {
     const STEPS: u32 = 66;
-    const HIGH: f64 = 9.0;
     let (left, top) = (at.0 + 13.0, at.1);
     for i in 0..STEPS {
         let place = |i: u32| left + BAR * f64::from(i) / f64::from(STEPS);
@@ -273,7 +274,15 @@ pub fn key(scene: &mut Scene, at: (f64, f64), largest: f64, framed: &str, half: 
         let text = Text::new(number(value), (x, top + HIGH + LEADING), SMALL);
         scene.text(text.anchored(Anchor::Middle));
     }
-    let mut x = left + BAR + 22.0;
+    top + HIGH + LEADING + 0.24 * SMALL
+}
+
+/// Puts the key on `scene`: [`ramp`], and what marks mean; `framed` says what the bold line is around, `half` what is
+/// known in part if anything is.
+pub fn key(scene: &mut Scene, at: (f64, f64), largest: f64, framed: &str, half: Option<&str>) -> f64 {
+    let below = ramp(scene, at, largest);
+    let top = at.1;
+    let mut x = at.0 + 13.0 + BAR + 22.0;
     let base = top + HIGH - 1.5;
     let swatch = |x: f64| [x, top - 0.5, x + 15.0, top + HIGH + 0.5];
     let entry = |scene: &mut Scene, x: &mut f64, words: &str| {
@@ -290,7 +299,7 @@ pub fn key(scene: &mut Scene, at: (f64, f64), largest: f64, framed: &str, half: 
     }
     hatched(scene, swatch(x));
     entry(scene, &mut x, "never visited");
-    top + HIGH + LEADING + 0.24 * SMALL
+    below
 }
 
 fn hatched(scene: &mut Scene, corners: [f64; 4]) {
@@ -306,7 +315,7 @@ fn corner(scene: &mut Scene, [_, top, right, _]: [f64; 4], paint: Paint) {
 }
 
 /// The colour of `value` where ±`largest` are the ends: by the root of its share, so that small values show as well.
-fn colour(value: f64, largest: f64) -> Rgb {
+pub(super) fn colour(value: f64, largest: f64) -> Rgb {
     if largest <= 0.0 {
         return blend(0.0);
     }

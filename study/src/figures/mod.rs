@@ -5,12 +5,14 @@
 //! tables ─► study, sweep, pareto, front ─► chart ┐
 //! analysis::harvest ─► chart ├─► scene ─► svg, png
 //! run ─► witness ─► deployment, timeline ┤
+//! run ─► trajectories ─► attention ┤
 //! Learned ─► learning, q_table ┤
 //! tuning::History ─► tuning (contour) ┘
 //! ```
 //! A [`scene::Scene`] is all that a picture is; [`svg`] and [`png`] only write it down. The same input gives the same
 //! bytes.
 
+pub mod attention;
 pub mod chart;
 mod contour;
 pub mod deployment;
@@ -19,6 +21,7 @@ mod error;
 pub mod floor;
 pub mod font;
 pub mod front;
+pub mod ground;
 pub mod heat;
 pub mod layout;
 pub mod learning;

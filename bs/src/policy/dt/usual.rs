@@ -42,7 +42,10 @@ mod tests {
     fn what_is_usual_counts_with_a_full_battery_alone() {
         let energy = Energy::from_micro;
         let mut usual = Usual::new(2);
-        assert_eq!(usual.factor(0, 1.0, energy(0), energy(100)), 1.0);
+        assert_eq!(
+            usual.factor(0, 1.0, energy(0), energy(100)).to_bits(),
+            1.0_f64.to_bits()
+        );
         for _ in 0..20_000 {
             usual.factor(0, 4.0, energy(100), energy(100));
             usual.factor(1, 0.5, energy(100), energy(100));

@@ -4,6 +4,11 @@
 //! kept, and then the devices attend to each other. For the latter the weight of a pair is a product of two features
 //! and not an exponential of one, so that its time grows with N and not with N². Nothing is allocated in a TTI.
 
+#![expect(
+    clippy::inline_always,
+    reason = "what is not inlined there is not compiled for the instructions that Width::run chooses"
+)]
+
 use std::sync::Arc;
 
 use super::kernel::{Part, Summary, Width, add, dot, mean, norm, relu, softmax};

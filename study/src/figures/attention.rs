@@ -1,0 +1,208 @@
+//! What a decision of `dt` attended to: what it expected of each device in one TTI, as a map, and how much of their
+//! attention some devices gave to each of the last Z TTIs.
+
+use std::fmt::Write as _;
+use std::sync::Arc;
+
+use reveille_bs::policy::dt::model::infer::Forward;
+use reveille_bs::policy::dt::model::shape::{HEADS, Shape};
+use reveille_bs::policy::dt::record::Step;
+use reveille_bs::policy::dt::settings::DtSettings;
+use reveille_common::deployment::Deployment;
+use reveille_common::geometry::{Point, cells};
+use reveille_common::ids::Tti;
+use reveille_common::scenario::Scenario;
+use reveille_lab::trajectories::steps;
+
+use super::error::FigureError;
+use super::font::{Weight, wrap};
+use super::ground::Ground;
+use super::heat::{HeatCell, HeatMap, Known, Rows, colour, ramp};
+use super::layout::{COLUMN, EDGE, LARGE, LEADING, SMALL};
+use super::path::Path;
+use super::scene::{Paint, Scene, Stroke, Text};
+use super::style::{BLUE, VERMILION};
+
+/// Devices whose attention is shown by default.
+const SHOWN: usize = 6;
+/// Height of a row, points.
+const ROW: f64 = 13.0;
+
+/// A decision, and what it came from.
+#[derive(Clone, Debug)]
+pub struct Attention {
+    /// The TTI that was decided on.
+    pub tti: Tti,
+    shape: Shape,
+    positions: Vec<Point>,
+    /// By device, the logarithm of how many times as many events as by age and α it was expected to find.
+    pub logs: Vec<f64>,
+    /// `[N, heads, Z]`, by lag.
+    pub shares: Vec<f32>,
+    /// Whether each device was told to sense.
+    pub on: Vec<bool>,
+    /// For each device that found an event in one of the Z TTIs before, how many TTIs ago.
+    pub found: Vec<Option<usize>>,
+    /// The devices whose attention is shown.
+    pub shown: Vec<usize>,
+}
+
+impl Attention {
+    /// Of the decision on TTI `tti` of `scenario`, whose policy is `dt`, shown for `devices`; by default for those of
+    /// which most or least was expected.
+    ///
+    /// # Errors
+    /// Another policy, or no such TTI or device.
+    pub fn of(scenario: &Scenario, tti: Tti, devices: &[u32]) -> Result<Self, FigureError> {
+        let Some(settings) = scenario.policy.settings::<DtSettings>() else {
+            return Err(FigureError::NoAttention(scenario.policy.name().to_owned()));
+        };
+        if tti.0 + 1 >= scenario.ttis {
+            return Err(FigureError::NoTti {
+                tti: tti.0,
+                last: scenario.ttis.saturating_sub(2),
+            });
+        }
+        if let Some(device) = devices.iter().find(|device| **device >= scenario.devices) {
+            return Err(FigureError::NoDevice {
+                device: *device,
+                count: scenario.devices,
+            });
+        }
+        let shape = settings.weights.shape();
+        let from = Tti((tti.0 + 1).saturating_sub(shape.memory as u64));
+        let window = steps(scenario, from, tti);
+        let mut forward = Forward::new(Arc::clone(&settings.weights), scenario.devices as usize);
+        let mut logs = Vec::new();
+        for step in &window {
+            logs = forward.step(&step.tokens).to_vec();
+        }
+        let logs: Vec<f64> = logs.chunks(HEADS).map(|heads| f64::from(heads[0])).collect();
+        let mut shown: Vec<usize> = devices.iter().map(|device| *device as usize).collect();
+        if shown.is_empty() {
+            shown = (0..logs.len()).collect();
+            shown.sort_by(|a, b| logs[*b].abs().total_cmp(&logs[*a].abs()));
+            shown.truncate(SHOWN);
+        }
+        let now = window.last().map_or(&[][..], |step| &step.looks[..]);
+        Ok(Self {
+            tti,
+            shape,
+            positions: Deployment::new(scenario).positions(),
+            shares: forward.attended().to_vec(),
+            on: now.iter().map(|look| look.on).collect(),
+            found: (0..logs.len()).map(|j| last_found(&window, j)).collect(),
+            logs,
+            shown,
+        })
+    }
+
+    /// One row a device and head: what was expected of it, whether it was told to sense, and its attention by lag.
+    pub fn csv(&self) -> String {
+        let lags: Vec<String> = (0..self.shape.memory).map(|lag| format!("lag_{lag}")).collect();
+        let mut csv = format!("device,on,log_expected,head,{}\n", lags.join(","));
+        let heads = self.shares.chunks(self.shape.memory);
+        for (row, shares) in heads.enumerate() {
+            let (device, head) = (row / self.shape.heads, row % self.shape.heads);
+            let shares: Vec<String> = shares.iter().map(f32::to_string).collect();
+            let (on, log) = (u8::from(self.on[device]), self.logs[device]);
+            let _ = writeln!(csv, "{device},{on},{log},{head},{}", shares.join(","));
+        }
+        csv
+    }
+
+    /// The attention of the devices that are shown, by one head.
+    fn heat(&self, head: usize) -> HeatMap {
+        let z = self.shape.memory;
+        let cell = |device: usize, lag: usize| HeatCell {
+            value: f64::from(self.shares[(device * self.shape.heads + head) * z + lag]),
+            // Before the run began there is nothing to attend to.
+            known: if lag as u64 <= self.tti.0 {
+                Known::Well
+            } else {
+                Known::Never
+            },
+            framed: false,
+        };
+        let row = |device: &usize| (0..z).rev().map(|lag| cell(*device, lag)).collect();
+        HeatMap {
+            x_label: format!("TTIs before the decision, head {}", head + 1),
+            y_label: "device".to_owned(),
+            columns: vec![("TTIs".to_owned(), (0..=z).rev().map(|lag| lag.to_string()).collect())],
+            rows: Rows::Names(self.shown.iter().rev().map(ToString::to_string).collect()),
+            cells: self.shown.iter().rev().map(row).collect(),
+        }
+    }
+}
+
+/// How many TTIs before the last of `window` device `j` found an event, if it did.
+fn last_found(window: &[Step], j: usize) -> Option<usize> {
+    let before = window.iter().rev().skip(1);
+    (1..)
+        .zip(before)
+        .find(|(_, step)| step.looks[j].found)
+        .map(|(lag, _)| lag)
+}
+
+/// The picture of `attention`.
+pub fn scene(scenario: &Scenario, attention: &Attention) -> Scene {
+    let mut scene = Scene::new(COLUMN, 0.0);
+    scene.title = format!("What dt expected in TTI {}, N = {}", attention.tti, scenario.devices);
+    let mut y = EDGE + LARGE;
+    for line in wrap(&scene.title.clone(), Weight::Bold, LARGE, COLUMN - 2.0 * EDGE) {
+        scene.text(Text::new(line, (EDGE, y), LARGE).bold());
+        y += LEADING + 1.0;
+    }
+    let ground = Ground::new(scenario.area, y - 2.0);
+    let largest = attention.logs.iter().fold(0.0, |most: f64, log| most.max(log.abs()));
+    let border = Stroke::solid(Paint::Ink, 0.5).faded(0.3);
+    for (cell, log) in cells(&attention.positions, scenario.area).iter().zip(&attention.logs) {
+        let corners = Path::polyline(cell.iter().map(|p| ground.at(*p)), true);
+        scene.outlined(corners, Paint::Colour(colour(*log, largest)), border);
+    }
+    ground.axes(&mut scene);
+    for (j, place) in attention.positions.iter().enumerate() {
+        let at = ground.at(*place);
+        if attention.on[j] {
+            let blue = Stroke::solid(Paint::Colour(BLUE), 1.2);
+            scene.outlined(Path::circle(at, 2.8), Paint::Paper, blue);
+        } else {
+            scene.area(Path::circle(at, 1.2), Paint::Ink, 1.0);
+        }
+        if attention.found[j].is_some() {
+            let star = Path::polygon(at, 6.0, 8, 0.0, 0.4);
+            scene.outlined(star, Paint::Colour(VERMILION), Stroke::solid(Paint::Ink, 0.6));
+        }
+    }
+    y = ground.bottom() + 2.0 * LEADING + 8.0;
+    y = ramp(&mut scene, (EDGE, y), largest) + 8.0;
+    for head in 0..attention.shape.heads {
+        let heat = attention.heat(head);
+        y = heat.draw(&mut scene, (EDGE, y), (COLUMN - 2.0 * EDGE, ROW), 1.0) + LEADING;
+    }
+    scene.description = caption(scenario, attention);
+    for line in wrap(&scene.description.clone(), Weight::Regular, SMALL, COLUMN - 2.0 * EDGE) {
+        scene.text(Text::new(line, (EDGE, y), SMALL));
+        y += LEADING;
+    }
+    scene.height = (y - LEADING + 0.24 * SMALL + EDGE).ceil();
+    scene
+}
+
+fn caption(scenario: &Scenario, attention: &Attention) -> String {
+    let on = attention.on.iter().filter(|on| **on).count();
+    let ago: Vec<usize> = attention.found.iter().flatten().copied().collect();
+    let found = ago.iter().min().map_or_else(
+        || "Nobody found an event in the TTIs that it attended to.".to_owned(),
+        |least| {
+            let ttis = if *least == 1 { "TTI" } else { "TTIs" };
+            format!("Stars are devices that found an event in those TTIs, the last {least} {ttis} before.")
+        },
+    );
+    format!(
+        "Colours of the Voronoi cells are ln of how many times as many events the device was expected to find as its \
+         places' ages and α say. {on} devices, with circles, were told to sense. Below, by head, the shares of their \
+         attention that devices gave to each of the last {} TTIs. {found} Preset {}, seed {}.",
+        attention.shape.memory, scenario.preset, scenario.seed
+    )
+}
