@@ -65,7 +65,7 @@ fn numbers(chosen: &[reveille_common::ids::DeviceId]) -> Vec<usize> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(120) })]
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(300) })]
 
     #[test]
     fn the_choice_is_that_of_the_second_implementation(

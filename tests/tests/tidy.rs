@@ -98,10 +98,11 @@ const PATH_METHODS: [&str; 10] = [
 ];
 
 /// Methods of these names that are none of `Path`: the metadata of a file's bytes, which have been read already.
-const OTHER_METHODS: [(&str, &str); 4] = [
+const OTHER_METHODS: [(&str, &str); 5] = [
     ("common/src/columns/parquet.rs", "metadata"),
     ("lab/src/table/parquet.rs", "metadata"),
     ("lab/src/trajectories/parquet.rs", "metadata"),
+    ("lab/src/transformer/checkpoint.rs", "metadata"),
     ("bs/src/policy/dt/model/weights.rs", "metadata"),
 ];
 

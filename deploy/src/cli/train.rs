@@ -90,8 +90,8 @@ pub struct DtArgs {
 pub struct RecordArgs {
     /// An experiment file, as of `reveille sweep`. Options win over what it says.
     pub experiment: Option<PathBuf>,
-    /// Record the run in this folder, of `up`, `bs` or `run`, instead of a grid: it is done again in memory, bit for bit,
-    /// from the scenario there, and its digest is compared. May be repeated.
+    /// Record the run in this folder, of `up`, `bs` or `run`, instead of a grid: it is done again in memory, bit for
+    /// bit, from the scenario there, and its digest is compared. May be repeated.
     #[arg(long, value_name = "FOLDER", conflicts_with_all = ["experiment", "explore", "GridArgs"])]
     pub from: Vec<PathBuf>,
     /// The runs that are recorded.

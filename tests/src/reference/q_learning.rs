@@ -78,13 +78,18 @@ impl Sequential {
         if others.contains(&device) {
             return 0;
         }
-        let sum: f64 = self
-            .shares
-            .iter()
-            .map(|of| of[device] * others.iter().map(|&j| 1.0 - of[j]).product::<f64>())
-            .sum();
-        let parts = if self.is_sure() { 1.0 } else { 64.0 };
-        (sum * parts + 1e-6).floor() as u32
+        if self.is_sure() {
+            let is_new = |of: &&Vec<f64>| of[device] > 0.0 && others.iter().all(|&j| of[j] <= 0.0);
+            return self.shares.iter().filter(is_new).count() as u32;
+        }
+        // A cell has 65535 shares. Of what is left of them each device takes its part, in 65536ths and rounded down.
+        let part = |share: f64| (share * 65536.0).round().min(65535.0) as u64;
+        let newly = |of: &Vec<f64>| {
+            let left = others.iter().fold(65535, |left, &j| left - left * part(of[j]) / 65536);
+            left * part(of[device]) / 65536
+        };
+        let sum: u64 = self.shares.iter().map(newly).sum();
+        (sum / 1024) as u32
     }
 
     /// Whether sensing is worth more than sleep to a device with this charge that newly covers so much.
@@ -104,9 +109,13 @@ impl Sequential {
         let advantages = advantages(table);
         let batteries: Vec<usize> = levels.iter().map(|&level| battery(&self.energy, level)).collect();
         let from = self.past.len().saturating_sub(self.window - 1);
-        let mut before = self.past[from..].concat();
-        before.sort_unstable();
-        before.dedup();
+        // Shares are rounded, so it matters who came first; who came twice counts once.
+        let mut before: Vec<usize> = Vec::new();
+        for &j in self.past[from..].iter().flatten() {
+            if !before.contains(&j) {
+                before.push(j);
+            }
+        }
         let mut chosen: Vec<usize> = Vec::new();
         for least in [5, 2] {
             for &place in &self.order {
@@ -141,8 +150,8 @@ impl Sequential {
         self.spare(&advantages, &batteries, &before, &mut chosen);
         let left = self.window.saturating_sub(self.past.len()).max(1);
         let mut plan: Vec<usize> = (0..chosen.len()).step_by(left).map(|turn| chosen[turn]).collect();
-        plan.sort_unstable();
         self.past.push(plan.clone());
+        plan.sort_unstable();
         plan
     }
 
