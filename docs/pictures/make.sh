@@ -1,10 +1,11 @@
 #!/usr/bin/env bash
 # Draws the pictures of the README, an event of a run and information against the number of devices, and that
-# of docs/age-index.md, information against energy.
+# of docs/age-index.md, information against energy, and those of docs/dt.md, what a decision
+# attended to and what a target return does.
 #
 # usage: docs/pictures/make.sh [REVEILLE [FOLDER [TTIS [SEEDS]]]]
 #   REVEILLE  the program (target/release/reveille)
-#   FOLDER    where run.svg, result.svg and front.svg go (the folder of this script)
+#   FOLDER    where run.svg, result.svg, front.svg, attention.svg, target-info.svg and target-energy.svg go (the folder of this script)
 #   TTIS      length of each run (4000); the pictures have this length
 #   SEEDS     runs of each point (8); the pictures have so many
 set -euo pipefail
@@ -30,8 +31,18 @@ trade rankings --policies knn,adjusted --grid bs.ranking=p42,posterior
 trade ends --policies genie,random
 "$reveille" figures --only front --format svg --out "$scratch/front" "$scratch"/{prices,windows,rankings,ends}
 
+"$reveille" figures attention --devices 100 --ttis "$ttis" --tti $((ttis - 100)) --set events.process=aftershocks --format svg \
+  --out "$scratch/attention"
+
+"$reveille" sweep --policies dt --devices 50,100 --ttis "$ttis" --seeds "$seeds" --quiet --out "$scratch/targets" \
+  --grid policy.dt.target=0.1,0.3,0.5,0.7,0.9
+for metric in info_p1 energy_per_device_tti; do
+  "$reveille" figures sweep "$scratch/targets" --x policy.dt.target --y "$metric" --by devices --format svg \
+    --out "$scratch/target-${metric%%_*}"
+done
+
 # Pages with a dark background show them too, so they get a white one of their own.
 mkdir -p "$folder"
-for picture in run result front; do
+for picture in run result front attention target-info target-energy; do
   sed 's|^<defs>$|<rect width="100%" height="100%" fill="#fff"/>\n<defs>|' "$scratch/$picture"/*.svg > "$folder/$picture.svg"
 done

@@ -380,7 +380,7 @@ fn the_pictures_of_the_pages_can_be_drawn_again() {
         .args(["1000", "2"]);
     let end = Process::start(&mut command).finish();
     assert_eq!(end.code(), Some(0), "{end}");
-    for name in ["run", "result", "front"] {
+    for name in ["run", "result", "front", "attention", "target-info", "target-energy"] {
         let text = fs::read_to_string(folder.join(&format!("pictures/{name}.svg"))).expect("a picture");
         assert!(
             text.starts_with("<svg ") && text.contains("fill=\"#fff\"/>\n<defs>"),

@@ -213,7 +213,7 @@ fn chunks(prepared: &Prepared, run: u32, recording: &Recording, shares: &[f32], 
     let price = policy
         .settings::<AgeIndexSettings>()
         .map(|settings| settings.price)
-        .or_else(|| policy.settings::<DtSettings>().map(|settings| settings.price));
+        .or_else(|| policy.settings::<DtSettings>().and_then(DtSettings::fixed_price));
     let name: Arc<str> = policy.name().into();
     let mut chunks: Vec<Chunk> = Vec::new();
     for step in kept {

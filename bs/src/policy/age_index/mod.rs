@@ -27,13 +27,9 @@ use super::tally::Tally;
 use crate::beliefs::ages::choice::Choice;
 use crate::beliefs::ages::price::Prices;
 use crate::beliefs::ages::{self, Ages};
-use crate::beliefs::candidates::Candidates;
+use crate::beliefs::candidates::{Candidates, LEAST_GAIN};
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
-
-/// The least information that a wake-up must be expected to bring, as a share of Ψ. Between a hundredth and three
-/// hundredths it makes no difference to what is gathered for the energy; below, hopeless devices are woken.
-const LEAST_GAIN: f64 = 0.02;
 
 /// The `age-index` policy.
 pub struct AgeIndex {

@@ -32,12 +32,9 @@ use super::tally::Tally;
 use crate::beliefs::ages;
 use crate::beliefs::ages::choice::Choice;
 use crate::beliefs::ages::price::{Prices, needed};
-use crate::beliefs::candidates::Candidates;
+use crate::beliefs::candidates::{Candidates, LEAST_GAIN};
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
-
-/// The least information that a wake-up must be expected to bring, as a share of Ψ.
-const LEAST_GAIN: f64 = 0.02;
 
 /// The `dt` policy.
 pub struct Dt {
@@ -61,7 +58,7 @@ impl Dt {
         let positions = known.positions();
         let senses = Senses::new(known, |j| needed(&known.devices[j].energy));
         let reach = ages::reach(&known.sensing) / senses.ages().cell_surface();
-        let price = if settings.target > 0.0 { 1.0 } else { settings.price };
+        let price = settings.fixed_price().unwrap_or(1.0);
         Self {
             forward: Forward::new(Arc::clone(&settings.weights), known.n()),
             target: settings.target,

@@ -65,6 +65,11 @@ fn shipped() -> Weights {
 }
 
 impl DtSettings {
+    /// The price θ, if no target stands in its place.
+    pub fn fixed_price(&self) -> Option<f64> {
+        (self.target <= 0.0).then_some(self.price)
+    }
+
     /// Its fields as they are declared.
     pub const SECTION: &'static Section = Fields::SECTION;
 

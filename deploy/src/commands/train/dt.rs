@@ -32,15 +32,16 @@ pub fn run(args: &DtArgs) -> anyhow::Result<ExitCode> {
     let (trajectories, about) = trajectories(args, &training)?;
     let kept = checkpoint(&args.out);
     let from = kept_bytes(&kept)?;
-    if from.is_some() && !args.quiet {
-        note!("going on from {}", kept.display());
-    }
     let runtime = crate::wall::runtime(1)?;
     let stop = runtime.block_on(async { crate::interrupt::watch() })?;
     let started = crate::wall::now();
     let (mut unwritten, mut complete) = (None, true);
+    let mut goes_on = from.is_some();
     let mut show = |now: Progress, bytes: &[u8]| {
         if !args.quiet {
+            if std::mem::take(&mut goes_on) {
+                note!("going on from {}", kept.display());
+            }
             show(&now);
         }
         unwritten = replace(&kept, bytes).err();

@@ -1,0 +1,60 @@
+#!/usr/bin/env bash
+# Records, and trains from it, a decision transformer such as the one that comes with the program: first from teachers
+# (age-index at four prices, knn and q-learning), then from them and from what the first model did itself.
+#
+#   cargo build --release --features train-dt
+#   deploy/examples/train-dt.sh target/release/reveille FOLDER
+#
+# A run that was cut short goes on where it was. It needs some 3 GB on the disk and 10 GB of memory; two trainings of a
+# quarter of an hour each on two cores.
+set -euo pipefail
+reveille=${1:?the program}
+folder=${2:?a folder for recordings and models}
+mkdir -p "$folder"
+# The training makes many tensors of a few megabytes and drops them again: asking the kernel for each takes half of the time.
+export MALLOC_MMAP_MAX_=0 MALLOC_TRIM_THRESHOLD_=4000000000
+
+# Families of events, each with a setting that is varied.
+families=(
+    "uniform events.alpha=0.1,0.2,0.4"
+    "bursts events.bursts.busy_ttis=20,40,80"
+    "aftershocks events.aftershocks.radius=1.5,2,3"
+    "hot-spots events.hot-spots.places=1,3,6"
+)
+
+record() { # NAME OPTIONS...
+    local out="$folder/$1.parquet"
+    shift
+    [ -e "$out" ] || "$reveille" train record --set ttis=1800 --chunk 24 --every 150 --quiet "$@" --out "$out"
+}
+
+train() { # NAME SEED
+    local out="$folder/$1.safetensors"
+    [ -e "$out" ] || "$reveille" train dt "$folder"/*.parquet --steps 4000 --rate 0.003 --seed "$2" --out "$out"
+}
+
+thousand=0
+for family in "${families[@]}"; do
+    read -r process varied <<<"$family"
+    thousand=$((thousand + 1000))
+    for size in 250:5 100:8 50:12 20:12; do
+        n=${size%:*} seeds=${size#*:}
+        record "$process-$n-age" -p age-index -n "$n" --set "events.process=$process" --grid "$varied" \
+            --grid policy.age-index.price=0.1,0.35,1,2 --first-seed $((thousand + 1)) --seeds "$seeds"
+        record "$process-$n-other" -p knn,q-learning -n "$n" --set "events.process=$process" \
+            --first-seed $((thousand + 501)) --seeds "$seeds" --explore 0,0.1
+    done
+done
+train teachers 2
+thousand=0
+for family in "${families[@]}"; do
+    read -r process varied <<<"$family"
+    thousand=$((thousand + 1000))
+    for size in 250:4 100:6 50:10 20:10; do
+        n=${size%:*} seeds=${size#*:}
+        record "$process-$n-dt" -p dt -n "$n" --set "policy.dt.model=$folder/teachers.safetensors" \
+            --set "events.process=$process" --grid "$varied" --grid policy.dt.price=0.1,0.35,1,2 \
+            --first-seed $((thousand + 701)) --seeds "$seeds"
+    done
+done
+train model 3

@@ -1,0 +1,182 @@
+//! The decision transformer at the command line: recordings, trainings, models, and clear words for what is none.
+
+use std::fs;
+
+use reveille_tests::process::{Folder, assert_refused};
+
+/// A small recording.
+const RECORD: &str =
+    "train record -p age-index,knn -n 12 -k 400 --seeds 6 --set events.process=bursts --chunk 12 --every 40";
+
+#[test]
+fn a_recording_is_the_same_twice_and_refuses_what_is_none() {
+    let folder = Folder::new();
+    for out in ["a.parquet", "b.parquet"] {
+        let end = folder.run(&format!("{RECORD} --out {out}"));
+        assert!(end.is_success() && end.stderr.contains("device-TTIs"), "{end}");
+    }
+    assert!(folder.bytes("a.parquet") == folder.bytes("b.parquet"));
+    for (args, code, parts) in [
+        (format!("{RECORD} --out a.parquet"), 1, &["a.parquet", "--force"][..]),
+        (
+            "train record -p knn -k 400 --chunk 50 --every 40 --out c.parquet".into(),
+            1,
+            &["--every 40", "--chunk"],
+        ),
+        (
+            format!("{RECORD} --explore 1 --out c.parquet"),
+            1,
+            &["--explore 1", "less than 1"],
+        ),
+        (
+            "train record -p genie -k 400 --out c.parquet".into(),
+            1,
+            &["the genie decides"],
+        ),
+        (
+            "train record -p knn -k 10 --out c.parquet".into(),
+            1,
+            &["must be longer"],
+        ),
+        (format!("{RECORD} --out nowhere/c.parquet"), 1, &["nowhere"]),
+    ] {
+        assert_refused(&folder.run(&args), code, parts);
+    }
+    assert!(!folder.join("c.parquet").exists());
+}
+
+#[test]
+fn a_run_of_the_emulator_is_recorded_from_its_folder() {
+    let folder = Folder::new();
+    let end = folder.run("up -p knn -n 12 -k 300 --processes 2 --quiet --out live");
+    assert!(end.is_success(), "{end}");
+    let record = "train record --from live --chunk 12 --every 40";
+    let end = folder.run(&format!("{record} --out live.parquet"));
+    assert!(end.is_success(), "{end}");
+    // With a grid, or another digest than the run had.
+    assert_refused(
+        &folder.run(&format!("{record} -n 50 --out c.parquet")),
+        2,
+        &["--from", "--devices"],
+    );
+    let summary = folder.join("live").join("summary.json");
+    let text = fs::read_to_string(&summary).expect("a summary");
+    let digest = folder
+        .summary("run -p knn -n 12 -k 300 --out again")
+        .digest()
+        .to_owned();
+    folder.write("live/summary.json", &text.replace(&digest, "0123"));
+    assert_refused(&folder.run(&format!("{record} --out c.parquet")), 1, &[&digest, "0123"]);
+    fs::remove_file(&summary).expect("removed");
+    assert_refused(&folder.run(&format!("{record} --out c.parquet")), 1, &["summary.json"]);
+    let end = folder.run("train record --from . --out c.parquet");
+    assert_refused(&end, 1, &["no run folder", "scenario.toml"]);
+}
+
+#[test]
+fn files_that_are_no_model_are_refused() {
+    let folder = Folder::new();
+    let whole = include_bytes!("../../bs/src/policy/dt/shipped.safetensors");
+    fs::write(folder.join("good.safetensors"), whole).expect("written");
+    fs::write(folder.join("cut.safetensors"), &whole[..whole.len() / 2]).expect("written");
+    folder.write("empty.safetensors", "");
+    folder.write("text.safetensors", "these are no weights");
+    let run = |model: &str| {
+        folder.run(&format!(
+            "run -n 10 -k 50 -p dt --set policy.dt.model={model}.safetensors"
+        ))
+    };
+    let good = run("good");
+    assert!(good.is_success(), "{good}");
+    for bad in ["cut", "empty", "text"] {
+        assert_refused(&run(bad), 1, &[bad, "policy.dt.model", "reveille train dt"]);
+    }
+    assert_refused(&run("missing"), 1, &["missing.safetensors", "cannot be read"]);
+}
+
+#[cfg(not(feature = "train-dt"))]
+#[test]
+fn without_the_feature_it_says_how_to_build_it() {
+    let folder = Folder::new();
+    let end = folder.run("train dt some.parquet --out model.safetensors");
+    assert_refused(&end, 2, &["cargo run --release --features train-dt -- train dt"]);
+}
+
+#[cfg(feature = "train-dt")]
+mod transformer {
+    use super::*;
+    use reveille_tests::process::{PATIENCE, wait_until};
+    use rustix::process::Signal;
+
+    /// A small training.
+    const TRAIN: &str = "train dt a.parquet --steps 600 --batch 600 --width 8 --heads 1 --memory 3 --patience 99";
+
+    fn recorded() -> Folder {
+        let folder = Folder::new();
+        let end = folder.run(&format!("{RECORD} --out a.parquet"));
+        assert!(end.is_success(), "{end}");
+        folder
+    }
+
+    #[test]
+    fn a_training_ends_in_the_same_bytes_after_a_kill_and_its_model_runs() {
+        let folder = recorded();
+        let end = folder.run(&format!("{TRAIN} --out whole.safetensors"));
+        assert!(end.is_success() && end.stderr.contains("held out"), "{end}");
+        for (signal, code) in [(Signal::KILL, None), (Signal::INT, Some(130))] {
+            let training = folder.start(&format!("{TRAIN} --out killed.safetensors"));
+            let before = fs::read(folder.join("killed.safetensors.checkpoint")).unwrap_or_default();
+            wait_until("another look", PATIENCE, || {
+                let now = fs::read(folder.join("killed.safetensors.checkpoint")).unwrap_or_default();
+                (now != before || folder.join("killed.safetensors").exists()).then_some(())
+            });
+            training.signal(signal);
+            let end = training.finish();
+            // On a fast machine it may have ended before.
+            assert!(end.code() == code || end.is_success(), "{end}");
+        }
+        if !folder.join("killed.safetensors").exists() {
+            let other = folder.run(&format!("{TRAIN} --seed 2 --out killed.safetensors"));
+            assert_refused(&other, 1, &["killed.safetensors.checkpoint", "another training"]);
+            let end = folder.run(&format!("{TRAIN} --out killed.safetensors"));
+            assert!(end.is_success(), "{end}");
+        }
+        assert!(folder.bytes("whole.safetensors") == folder.bytes("killed.safetensors"));
+        assert!(!folder.join("killed.safetensors.checkpoint").exists());
+        let run = "run -n 12 -k 100 -p dt --set policy.dt.model=";
+        let own = folder.summary(&format!("{run}whole.safetensors --out own"));
+        let shipped = folder.summary(&format!("{run}shipped --out shipped"));
+        assert_ne!(own.digest(), shipped.digest());
+    }
+
+    #[test]
+    fn files_that_are_no_trajectories_are_refused() {
+        let folder = recorded();
+        let whole = folder.bytes("a.parquet");
+        fs::write(folder.join("cut.parquet"), &whole[..whole.len() / 2]).expect("written");
+        folder.write("text.parquet", "these are no columns");
+        let end = folder.run("sweep -p knn -n 10 -k 50 --seeds 1 --out swept");
+        assert!(end.is_success(), "{end}");
+        for (file, part) in [
+            ("cut.parquet", "cut.parquet"),
+            ("text.parquet", "text.parquet"),
+            ("missing.parquet", "missing.parquet"),
+            ("swept/results.parquet", "trajector"),
+        ] {
+            let end = folder.run(&format!("train dt {file} --out m.safetensors"));
+            assert_refused(&end, 1, &[file, part]);
+        }
+        for (args, part) in [
+            ("--width 10", "--width 10"),
+            ("--rate 0", "--rate 0"),
+            ("--rate nan", "--rate"),
+        ] {
+            assert_refused(
+                &folder.run(&format!("train dt a.parquet --out m.safetensors {args}")),
+                1,
+                &[part],
+            );
+        }
+        assert!(!folder.join("m.safetensors").exists());
+    }
+}
