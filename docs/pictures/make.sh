@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# Draws the pictures of the README, an event of a run and information against the number of devices, and that
-# of docs/age-index.md, information against energy, and those of docs/dt.md, what a decision
-# attended to and what a target return does.
+# Draws the pictures of the README, an event of a run and information against the number of devices; that of
+# docs/age-index.md, information against energy; and those of docs/dt.md, what a decision attended to and what a
+# target return does.
 #
 # usage: docs/pictures/make.sh [REVEILLE [FOLDER [TTIS [SEEDS]]]]
 #   REVEILLE  the program (target/release/reveille)
-#   FOLDER    where run.svg, result.svg, front.svg, attention.svg, target-info.svg and target-energy.svg go (the folder of this script)
-#   TTIS      length of each run (4000); the pictures have this length
+#   FOLDER    where the pictures go (the folder of this script)
+#   TTIS      length of each run (4000), a quarter of it for each target; the pictures have this length
 #   SEEDS     runs of each point (8); the pictures have so many
 set -euo pipefail
 
@@ -34,7 +34,7 @@ trade ends --policies genie,random
 "$reveille" figures attention --devices 100 --ttis "$ttis" --tti $((ttis - 100)) --set events.process=aftershocks --format svg \
   --out "$scratch/attention"
 
-"$reveille" sweep --policies dt --devices 50,100 --ttis "$ttis" --seeds "$seeds" --quiet --out "$scratch/targets" \
+"$reveille" sweep --policies dt --devices 50,100 --ttis $((ttis / 4)) --seeds "$seeds" --quiet --out "$scratch/targets" \
   --grid policy.dt.target=0.1,0.3,0.5,0.7,0.9
 for metric in info_p1 energy_per_device_tti; do
   "$reveille" figures sweep "$scratch/targets" --x policy.dt.target --y "$metric" --by devices --format svg \
