@@ -58,7 +58,10 @@ fn wishes_that_no_run_can_meet_are_refused() {
         "deployment -k 10 -n 2000",
         &["2000 devices", "1000 at the most", "--devices"],
     );
-    refused("attention --tti 99 -k 100", &["TTI 99", "the last that can be shown is 98"]);
+    refused(
+        "attention --tti 99 -k 100",
+        &["TTI 99", "the last that can be shown is 98"],
+    );
     refused("attention -p knn", &["--policy knn", "dt alone"]);
     refused("attention --show 50", &["device 50", "numbered 0 to 49"]);
     refused("timeline -k 500 --show 50", &["device 50", "numbered 0 to 49"]);

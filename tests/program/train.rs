@@ -117,7 +117,11 @@ fn ctrl_c_keeps_what_was_learned() {
     ));
     training.wait_for_handlers();
     training.signal(Signal::INT);
-    assert_refused(&training.finish(), 130, &["interrupted before there was anything to keep"]);
+    assert_refused(
+        &training.finish(),
+        130,
+        &["interrupted before there was anything to keep"],
+    );
     assert_eq!(folder.list("."), ["runtime", "t.json.checkpoint"]);
 }
 

@@ -3,7 +3,7 @@
 //! In each TTI every device has a token of what the BS knows of it ([`senses`]). The [`model`] attends over the last Z
 //! TTIs of each device and then over the devices, and tells how many times as many events each is likely to find as it
 //! would be without history. Devices are then chosen as under `age-index`: while what they would look at is worth its
-//! price, which is the lower the more is expected; where energy is scarce, the more than usual ([`usual`]). A price is
+//! price, which is the lower the more is expected; where energy is scarce, the more than usual (`usual`). A price is
 //! given, or the model names the one that goes with a target return.
 
 pub mod model;
