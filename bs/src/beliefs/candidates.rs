@@ -42,6 +42,16 @@ impl Candidates {
         })
     }
 
+    /// As before, where a wake-up in vain counts as a loss of `in_vain`, ≥ 0, information when devices are compared;
+    /// scores are still the expected gains. The ranking by `P_4,2` does not ask.
+    #[must_use]
+    pub fn charging(self, in_vain: f64) -> Self {
+        Self(match self.0 {
+            Order::P42(ranking) => Order::P42(ranking),
+            Order::Posterior(belief) => Order::Posterior(belief.charging(in_vain)),
+        })
+    }
+
     /// Begins an event with its first reports. The ranking by the belief also learns from the devices that could have
     /// reported and did not.
     pub fn start(&mut self, seen: &Observation<'_>, reports: &[Report]) {

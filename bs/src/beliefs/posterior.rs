@@ -30,6 +30,8 @@ const TOLERANCE: f64 = 1e-6;
 #[derive(Clone, Debug)]
 pub struct Belief {
     sensing: Sensing,
+    /// What a wake-up in vain counts as a loss of, information.
+    in_vain: f64,
     area: Area,
     positions: Vec<Point>,
     buckets: Buckets,
@@ -100,6 +102,7 @@ impl Belief {
     pub fn new(positions: &[Point], area: Area, sensing: &Sensing) -> Self {
         Self {
             sensing: sensing.clone(),
+            in_vain: 0.0,
             area,
             buckets: Buckets::new(positions, area, sensing.d_max),
             is_given_out: vec![false; positions.len()],
@@ -111,6 +114,13 @@ impl Belief {
             given_out: Vec::new(),
             circle: (0..FINE).map(direction).collect(),
         }
+    }
+
+    /// As before, where waking a device that is farther than d_max from the event counts as a loss of `in_vain`, ≥ 0,
+    /// information when devices are compared.
+    #[must_use]
+    pub fn charging(self, in_vain: f64) -> Self {
+        Self { in_vain, ..self }
     }
 
     /// Begins an event.
@@ -218,25 +228,27 @@ impl Belief {
         self.weigh();
     }
 
-    /// Gives out the device with the largest expected gain, among those for which `is_candidate` holds and that were
-    /// not given out, with that gain, if any gains at all; `information` is Î. Ties go to the lower number.
+    /// Gives out the device with the largest expected gain, less what it loses in vain, among those for which
+    /// `is_candidate` holds and that were not given out, with that gain alone, if any gains at all; `information` is Î.
+    /// Ties go to the lower number.
     pub fn next(&mut self, information: f64, is_candidate: impl Fn(DeviceId) -> bool) -> Option<(DeviceId, f64)> {
         let &(centre, d) = self.rings.first()?;
         let sum: f64 = self.places.iter().map(|place| place.weight).sum();
-        let mut best: Option<(f64, DeviceId)> = None;
+        let mut best: Option<(f64, f64, DeviceId)> = None;
         let mut consider = |j: usize| {
             let device = DeviceId(j as u32);
             if self.is_given_out[j] || !is_candidate(device) {
                 return;
             }
-            let gain = self.gain(self.positions[j], information) / sum;
-            let is_better = best.is_none_or(|(most, first)| match gain.total_cmp(&most) {
+            let (gain, missed) = self.outlook(self.positions[j], information);
+            let (gain, score) = (gain / sum, (gain - self.in_vain * missed) / sum);
+            let is_better = best.is_none_or(|(most, _, first)| match score.total_cmp(&most) {
                 Ordering::Greater => true,
                 Ordering::Equal => device < first,
                 Ordering::Less => false,
             });
             if gain > 0.0 && is_better {
-                best = Some((gain, device));
+                best = Some((score, gain, device));
             }
         };
         let reach = self.reach(information);
@@ -251,7 +263,7 @@ impl Belief {
                 }
             });
         }
-        let (gain, device) = best?;
+        let (_, gain, device) = best?;
         self.take_out(device);
         Some((device, gain))
     }
@@ -267,18 +279,21 @@ impl Belief {
         }
     }
 
-    /// The gain from a device at `at`, summed over the places by their weights.
-    fn gain(&self, at: Point, information: f64) -> f64 {
+    /// The gain from a device at `at`, and the weight of places too far from it, both summed over the places by their
+    /// weights.
+    fn outlook(&self, at: Point, information: f64) -> (f64, f64) {
         let Sensing { d_max, eta, psi, .. } = self.sensing;
-        let of = |place: &Place| {
+        let (mut gain, mut missed) = (0.0, 0.0);
+        for place in &self.places {
             let d = place.at.distance(at);
             if d > d_max {
-                return 0.0;
+                missed += place.weight;
+            } else {
+                let report = psi * decay(eta * d);
+                gain += place.weight * (self.sensing.fuse(information, report) - information);
             }
-            let report = psi * decay(eta * d);
-            place.weight * (self.sensing.fuse(information, report) - information)
-        };
-        self.places.iter().map(of).sum()
+        }
+        (gain, missed)
     }
 
     fn take_out(&mut self, device: DeviceId) {

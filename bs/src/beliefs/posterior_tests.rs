@@ -96,6 +96,16 @@ impl Definition<'_> {
         (self.prior)(at) * self.silent.iter().map(of).product::<f64>()
     }
 
+    /// The probability that device `j` is farther than d_max from the event.
+    fn missed(&self, places: &[(Point, f64)], j: usize) -> f64 {
+        let sum_of = |is_in: &dyn Fn(Point) -> bool| {
+            let weights = places.iter().filter(|(at, _)| is_in(*at)).map(|(_, weight)| weight);
+            weights.sum::<f64>()
+        };
+        let (position, d_max) = (self.points[j], self.sensing.d_max);
+        sum_of(&|at| position.distance(at) > d_max) / sum_of(&|_| true)
+    }
+
     /// The expected gain of a report of device `j` above `information`.
     fn gain(&self, places: &[(Point, f64)], j: usize, information: f64) -> f64 {
         let (mut gain, mut sum) = (0.0, 0.0);
@@ -160,6 +170,39 @@ fn without_silence_gains_are_plain_sums_over_the_ring() {
             assert!(gain < 1e-12, "{case} {h}: {j} would add {gain}, and is left");
         }
     }
+}
+
+/// Where a wake-up in vain counts as a loss, those come first that gain the most less that; the gains are the same.
+#[test]
+fn a_loss_in_vain_changes_the_order_and_no_gain() {
+    let (loss, mut is_changed) = (0.3, false);
+    for (case, sensing, h, d) in first_reports() {
+        let points = place(&Layout::JitteredGrid, AREA, 120, case);
+        let mut belief = Belief::new(&points, AREA, &sensing).charging(loss);
+        belief.start();
+        belief.add_reporter(DeviceId(h), d, evenly);
+        let definition = Definition {
+            points: &points,
+            sensing: &sensing,
+            reporter: h as usize,
+            d,
+            silent: Vec::new(),
+            prior: evenly,
+        };
+        let (places, information) = (definition.places(512), sensing.p(d));
+        let gain = |j: usize| definition.gain(&places, j, information);
+        let score = |j: usize| gain(j) - loss * definition.missed(&places, j);
+        let others = || (0..120).filter(|&j| j != h as usize && gain(j) > 1e-9);
+        let Some((next, told)) = belief.next(information, |_| true) else {
+            assert_eq!(others().next(), None, "{case} {h}: nobody");
+            continue;
+        };
+        let best = others().map(score).fold(f64::NEG_INFINITY, f64::max);
+        assert!(score(next.index()) > best - 1e-12, "{case} {h}: {next}");
+        assert!((told - gain(next.index())).abs() < 1e-12, "{case} {h}: {told}");
+        is_changed |= others().map(gain).fold(0.0, f64::max) > told + 1e-9;
+    }
+    assert!(is_changed, "nowhere is another the surest");
 }
 
 /// The weights of the places are those of the definition. Few of them are kept, and what those few say of a gain is off
