@@ -109,7 +109,8 @@ mod transformer {
     use rustix::process::Signal;
 
     /// A small training.
-    const TRAIN: &str = "train dt a.parquet --steps 600 --batch 600 --width 8 --heads 1 --memory 3 --patience 99";
+    const TRAIN: &str = "train dt a.parquet --steps 600 --batch 600 --patience 99 --set policy.dt.width=8 \
+        --set policy.dt.heads=1 --set policy.dt.memory=3";
 
     fn recorded() -> Folder {
         let folder = Folder::new();
@@ -167,7 +168,7 @@ mod transformer {
             assert_refused(&end, 1, &[file, part]);
         }
         for (args, part) in [
-            ("--width 10", "--width 10"),
+            ("--set policy.dt.width=10", "multiple of 4 times the heads, 8"),
             ("--rate 0", "--rate 0"),
             ("--rate nan", "--rate"),
         ] {

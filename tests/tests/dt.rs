@@ -1,38 +1,23 @@
 //! The decision transformer beside the policy that it is built on.
 
-use std::sync::Arc;
-
-use reveille_bs::policy::dt::model::weights::Weights;
 use reveille_bs::policy::dt::settings::DtSettings;
 use reveille_bs::scenario::{Override, Scenario, load};
 use reveille_lab::preparation::run;
-use serde_json::Value;
 
-fn scenario(policy: &str, set: &[&str]) -> Scenario {
+fn read(policy: &str, set: &[&str]) -> Result<Scenario, String> {
     let by_default = ["ttis=200", "devices=40"];
     let name = format!("policy.name={policy}");
     let all = by_default.iter().chain(set).copied().chain([name.as_str()]);
     let overrides: Vec<Override> = all.map(|set| Override::parse(set).expect("an override")).collect();
-    load("paper", &overrides).expect("a scenario")
+    load("paper", &overrides).map_err(|error| error.to_string())
 }
 
-/// The shipped model with a head that gives zeros.
-fn silent(settings: &DtSettings) -> DtSettings {
-    let mut bytes = include_bytes!("../../bs/src/policy/dt/shipped.safetensors").to_vec();
-    let header = u64::from_le_bytes(*bytes.first_chunk().expect("a length")) as usize;
-    let json: Value = serde_json::from_slice(&bytes[8..8 + header]).expect("a header");
-    for tensor in ["head.weight", "head.bias"] {
-        let place = |index: usize| json[tensor]["data_offsets"][index].as_u64().expect("a place") as usize;
-        bytes[8 + header + place(0)..8 + header + place(1)].fill(0);
-    }
-    DtSettings {
-        weights: Arc::new(Weights::read(&bytes).expect("a model")),
-        ..settings.clone()
-    }
+fn scenario(policy: &str, set: &[&str]) -> Scenario {
+    read(policy, set).expect("a scenario")
 }
 
 /// Protects: what a model changes is what it has learned. One that expects nothing but what age and α say decides as
-/// `age-index` does, bit by bit.
+/// `age-index` does, bit by bit, where no wake-up is charged for being in vain.
 #[test]
 fn a_model_that_says_nothing_is_age_index() {
     for set in [
@@ -41,10 +26,46 @@ fn a_model_that_says_nothing_is_age_index() {
         &["bs.battery_knowledge=reported", "sensing.kind=probabilistic"],
     ] {
         let plain = run(&scenario("age-index", set)).digest;
-        let mut learned = scenario("dt", set);
-        assert_ne!(run(&learned).digest, plain, "the model says something: {set:?}");
-        let settings = silent(learned.policy.settings().expect("its settings"));
-        learned.policy = learned.policy.with_settings(settings);
-        assert_eq!(run(&learned).digest, plain, "{set:?}");
+        let with = |more: &[&str]| run(&scenario("dt", &[set, more].concat())).digest;
+        let untrained = "policy.dt.model=untrained";
+        assert_eq!(with(&[untrained, "policy.dt.in_vain=0"]), plain, "{set:?}");
+        assert_ne!(with(&[untrained]), plain, "others are woken: {set:?}");
+        assert_ne!(
+            with(&["policy.dt.in_vain=0"]),
+            plain,
+            "the model says something: {set:?}"
+        );
+    }
+}
+
+#[test]
+fn a_scenario_names_the_shape_that_the_model_must_have() {
+    let untrained = "policy.dt.model=untrained";
+    let asked = [
+        untrained,
+        "policy.dt.memory=5",
+        "policy.dt.width=24",
+        "policy.dt.heads=3",
+    ];
+    let settled = scenario("dt", &asked);
+    let settings: &DtSettings = settled.policy.settings().expect("its settings");
+    let shape = settings.weights.shape();
+    assert_eq!((shape.memory, shape.width, shape.heads), (5, 24, 3));
+    assert!(read("dt", &["policy.dt.memory=8", "policy.dt.width=32", "policy.dt.heads=2"]).is_ok());
+    for (set, parts) in [
+        (
+            &["policy.dt.memory=4"][..],
+            &["policy.dt.memory", "has, 8", "reveille train dt"][..],
+        ),
+        (&["policy.dt.width=64"], &["policy.dt.width", "has, 32"]),
+        (&["policy.dt.heads=1"], &["policy.dt.heads", "has, 2"]),
+        (
+            &[untrained, "policy.dt.width=30"],
+            &["policy.dt.width", "multiple of 4 times the heads, 8"],
+        ),
+        (&[untrained, "policy.dt.memory=65"], &["policy.dt.memory", "64"]),
+    ] {
+        let refused = read("dt", set).expect_err("refused");
+        assert!(parts.iter().all(|part| refused.contains(part)), "{refused}");
     }
 }

@@ -144,7 +144,7 @@ fn settings(policy: &str) -> Vec<&'static [&'static str]> {
             &["sensing.kind=probabilistic", "sensing.eta=0.5"],
         ],
         "dt" => vec![
-            &["policy.dt.price=3"],
+            &["policy.dt.price=3", "policy.dt.in_vain=0.5"],
             &["policy.dt.target=0.3", "bs.battery_knowledge=reported"],
             &["sensing.kind=probabilistic", "sensing.eta=0.5"],
         ],

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::bail;
 use clap::{Args, Subcommand};
+use reveille_bs::policy::dt::model::shape::Objective;
 use reveille_bs::policy::q_learning::learned::{Lookback, Training};
 
 use super::run::ScenarioArgs;
@@ -53,15 +54,15 @@ pub struct DtArgs {
     /// Replace that file if it is there.
     #[arg(long)]
     pub force: bool,
-    /// TTIs Z that a decision attends to.
-    #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=64))]
-    pub memory: u32,
-    /// Width of a token's embedding, a multiple of 4 times --heads.
-    #[arg(long, default_value_t = 32, value_parser = clap::value_parser!(u32).range(4..=256))]
-    pub width: u32,
-    /// Heads of each attention.
-    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=16))]
-    pub heads: u32,
+    /// A preset's name or a TOML file, whose policy.dt.memory, width and heads are the shape of the model.
+    #[arg(long, short, default_value = "paper")]
+    pub scenario: String,
+    /// Override one field, for example --set policy.dt.memory=4. May be repeated.
+    #[arg(long, value_name = "FIELD=VALUE")]
+    pub set: Vec<String>,
+    /// What is learned: the events that looks find, or the actions of the teachers (behaviour cloning).
+    #[arg(long, default_value = "events", value_parser = Objective::ALL.map(Objective::name), value_name = "OBJECTIVE")]
+    pub objective: String,
     /// Devices do not attend to each other.
     #[arg(long)]
     pub no_space: bool,
@@ -150,6 +151,28 @@ pub struct TrainArgs {
     /// No progress bar.
     #[arg(long, short)]
     pub quiet: bool,
+}
+
+impl DtArgs {
+    /// The scenario's options, for a model that has learned nothing yet.
+    pub fn scenario(&self) -> ScenarioArgs {
+        let untrained = ["policy.name=dt", "policy.dt.model=untrained"].map(str::to_owned);
+        ScenarioArgs {
+            scenario: self.scenario.clone(),
+            set: self.set.iter().cloned().chain(untrained).collect(),
+            devices: None,
+            policy: None,
+            learn: false,
+            ttis: None,
+            seed: None,
+        }
+    }
+
+    /// What is learned.
+    pub fn objective(&self) -> Objective {
+        let named = |objective: &Objective| objective.name() == self.objective;
+        Objective::ALL.into_iter().find(named).unwrap_or(Objective::Events)
+    }
 }
 
 impl TrainArgs {

@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 #[cfg(test)]
 use candle_core::DType;
 use candle_core::{Device, Result, Tensor};
-use reveille_bs::policy::dt::senses::COUNT;
+use reveille_bs::policy::dt::model::shape::{Objective, Shape};
+use reveille_bs::policy::dt::senses::{CAN_SENSE, COUNT};
 use reveille_common::rng::Stream;
 
 use crate::trajectories::{Chunk, Trajectories};
@@ -31,6 +32,8 @@ struct Group {
 
 /// A batch.
 pub struct Batch {
+    /// What is learned from it.
+    pub objective: Objective,
     /// `[C, T, N, F]`.
     pub tokens: Tensor,
     /// `[C, T]` each.
@@ -40,7 +43,7 @@ pub struct Batch {
     /// 1 where there is a price to learn, else 0.
     pub priced: Tensor,
     /// `[C, T, N]` each: events expected of those that looked, events found; what wake-ups were expected to bring, and
-    /// what they brought.
+    /// what they brought. Where actions are learned: 1 for those that could sense, and for those of them that did.
     pub expected: Tensor,
     pub found: Tensor,
     pub wake_expected: Tensor,
@@ -118,9 +121,9 @@ impl Data {
 }
 
 impl Batch {
-    /// Of `chunks`, all with the same N and length. TTIs before the `memory`-th of a chunk are not learned from, unless
+    /// Of `chunks`, all with the same N and length, for a model of `shape`. TTIs before the Z-th of a chunk are not learned from, unless
     /// a run begins with it: what was before them is not known.
-    pub fn of(chunks: &[&Chunk], memory: usize) -> Result<Self> {
+    pub fn of(chunks: &[&Chunk], shape: Shape) -> Result<Self> {
         let (c, t, n) = (chunks.len(), chunks[0].steps.len(), chunks[0].devices);
         let mut tokens = Vec::with_capacity(c * t * n * COUNT);
         let mut flat: [Vec<f32>; 7] = std::array::from_fn(|_| Vec::with_capacity(c * t * n));
@@ -128,16 +131,21 @@ impl Batch {
         for chunk in chunks {
             let is_start = chunk.steps[0].tti.0 == 0;
             for (at, step) in chunk.steps.iter().enumerate() {
-                let counts = is_start || at + 1 >= memory.min(t);
+                let counts = is_start || at + 1 >= shape.memory.min(t);
                 tokens.extend_from_slice(&step.tokens);
                 targets.push(chunk.returns[at]);
                 let price = chunk.price.filter(|price| counts && *price > 0.0);
                 prices.push(price.map_or(0.0, libm::logf));
                 priced.push(f32::from(u8::from(price.is_some())));
-                for look in &step.looks {
-                    let looked = counts && look.on && look.expected > 0.0;
-                    expected.push(if looked { look.expected } else { 0.0 });
-                    found.push(f32::from(u8::from(looked && look.found)));
+                for (look, token) in step.looks.iter().zip(step.tokens.as_chunks::<COUNT>().0) {
+                    let (weight, is_hit) = match shape.objective {
+                        Objective::Events if look.on => (look.expected, look.found),
+                        Objective::Actions if token[CAN_SENSE] > 0.5 => (1.0, look.on),
+                        Objective::Events | Objective::Actions => (0.0, false),
+                    };
+                    let weight = if counts { weight.max(0.0) } else { 0.0 };
+                    expected.push(weight);
+                    found.push(f32::from(u8::from(weight > 0.0 && is_hit)));
                     let (hoped, brought) = look
                         .wake_up
                         .filter(|(hoped, _)| counts && *hoped > 0.0)
@@ -159,6 +167,7 @@ impl Batch {
             found: of_devices(found)?,
             wake_expected: of_devices(wake_expected)?,
             wake_brought: of_devices(wake_brought)?,
+            objective: shape.objective,
         })
     }
 
@@ -175,6 +184,7 @@ impl Batch {
             found: of(&self.found)?,
             wake_expected: of(&self.wake_expected)?,
             wake_brought: of(&self.wake_brought)?,
+            objective: self.objective,
         })
     }
 }

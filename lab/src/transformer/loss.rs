@@ -2,12 +2,14 @@
 //!
 //! Events found by a look are Poisson with mean λ = λ₀·e^m: λ₀ is what is expected without history, m what the net
 //! says. Its negative log likelihood is λ − y·m for y events, but for a constant. What a wake-up brings is judged in
-//! the same way, which is a quasi-likelihood: it is least where the mean is right.
+//! the same way, which is a quasi-likelihood: it is least where the mean is right. Where a teacher's actions are learned,
+//! m are log-odds, and the likelihood is that of what each device did.
 
 use candle_core::{DType, Result, Tensor};
 
 use super::data::Batch;
 use super::net::Outputs;
+use reveille_bs::policy::dt::model::shape::Objective;
 
 /// Sums over a batch; ratios of them are what is shown.
 pub struct Sums {
@@ -34,13 +36,23 @@ fn likelihood(expected: &Tensor, found: &Tensor, logs: &Tensor) -> Result<Tensor
     ((expected * (logs.exp()? - 1.0)?)? - (found * logs)?)?.sum_all()
 }
 
+/// n·ln((1 + e^m)/2) − y·m, summed, of n devices of which y were in S1: 0 for a net that says nothing.
+fn cross_entropy(devices: &Tensor, sensing: &Tensor, logs: &Tensor) -> Result<Tensor> {
+    let certain = (((logs.exp()? + 1.0)? / 2.0)?.log()? * devices)?;
+    (certain - (sensing * logs)?)?.sum_all()
+}
+
 impl Sums {
     /// Of what the net makes of `batch`.
     pub fn of(batch: &Batch, outputs: &Outputs) -> Result<Self> {
         let head = |index: usize| outputs.logs.narrow(3, index, 1)?.squeeze(3);
         let error = (&outputs.price - &batch.prices)?.sqr()?;
+        let looks = match batch.objective {
+            Objective::Events => likelihood,
+            Objective::Actions => cross_entropy,
+        };
         Ok(Self {
-            looks: likelihood(&batch.expected, &batch.found, &head(0)?)?,
+            looks: looks(&batch.expected, &batch.found, &head(0)?)?,
             expected: sum(&batch.expected)?,
             wakes: likelihood(&batch.wake_expected, &batch.wake_brought, &head(1)?)?,
             hoped: sum(&batch.wake_expected)?,

@@ -161,7 +161,7 @@ impl State {
     fn step(&mut self, data: &Data, training: &Training) -> Result<f64, TransformerError> {
         let step = self.optimiser.steps;
         let mut stream = Stream::new(training.seed ^ 0xDA7A, Purpose::Training, step);
-        let draw = |_| Batch::of(&data.draw(training.batch / PARTS, &mut stream), training.shape.memory);
+        let draw = |_| Batch::of(&data.draw(training.batch / PARTS, &mut stream), training.shape);
         let batches: Vec<Batch> = (0..PARTS).map(draw).collect::<Result<_, _>>()?;
         let whole = Whole::of(&batches)?;
         let part = |batch: &Batch| -> candle_core::Result<(f64, ByWeight)> {
@@ -199,7 +199,7 @@ impl State {
 
 fn judge(net: &Net, data: &Data, training: &Training) -> Result<Score, TransformerError> {
     let one = |chunks: Vec<&Chunk>| {
-        let batch = Batch::of(&chunks, training.shape.memory)?;
+        let batch = Batch::of(&chunks, training.shape)?;
         Scores::of(&batch, &net.forward(&batch.tokens, &batch.targets)?)
     };
     let batches = data.held_out_batches(training.batch / PARTS);

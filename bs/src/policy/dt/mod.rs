@@ -21,7 +21,7 @@ use reveille_common::plan::Plan;
 use reveille_common::scenario::{PolicyChoice, PolicyKind, PolicySettings, Site, WakeUpRanking};
 
 use self::model::infer::Forward;
-use self::model::shape::HEADS;
+use self::model::shape::{HEADS, Objective};
 use self::senses::Senses;
 use self::settings::DtSettings;
 use self::usual::Usual;
@@ -40,6 +40,7 @@ use crate::observation::Observation;
 pub struct Dt {
     senses: Senses,
     forward: Forward,
+    objective: Objective,
     target: f64,
     prices: Prices,
     choice: Choice,
@@ -61,10 +62,11 @@ impl Dt {
         let price = settings.fixed_price().unwrap_or(1.0);
         Self {
             forward: Forward::new(Arc::clone(&settings.weights), known.n()),
+            objective: settings.weights.shape().objective,
             target: settings.target,
             prices: Prices::new(known, price * reach),
             choice: Choice::new(&positions, known.area, known.sensing.d_max),
-            candidates: Candidates::by(WakeUpRanking::Posterior, known),
+            candidates: Candidates::by(WakeUpRanking::Posterior, known).charging(settings.in_vain * known.sensing.psi),
             wake_factors: vec![1.0; known.n()],
             factors: vec![1.0; known.n()],
             usual: Usual::new(known.n()),
@@ -74,9 +76,19 @@ impl Dt {
     }
 }
 
-impl Policy for Dt {
-    fn decide(&mut self, seen: &Observation<'_>) -> Plan {
-        self.senses.begin(seen);
+impl Dt {
+    /// Those that a teacher would have sense: where the log-odds are above 0.
+    fn imitated(&mut self) -> Vec<DeviceId> {
+        let said = self.forward.step(self.senses.tokens()).as_chunks::<HEADS>().0;
+        let would = |(j, log_odds): (usize, &[f32; HEADS])| {
+            let is_on = log_odds[0] > 0.0 && self.senses.can_sense(j);
+            is_on.then_some(DeviceId(j as u32))
+        };
+        said.iter().enumerate().filter_map(would).collect()
+    }
+
+    /// Those whose looks are worth their price.
+    fn worthwhile(&mut self, seen: &Observation<'_>) -> Vec<DeviceId> {
         let expected = self.forward.step(self.senses.tokens());
         for (j, logarithms) in expected.as_chunks::<HEADS>().0.iter().enumerate() {
             let [events, information] = logarithms.map(|log| f64::from(libm::expf(log)));
@@ -91,8 +103,19 @@ impl Policy for Dt {
         let prices = self.prices.scaled(seen.batteries, |j| self.factors[j]);
         let mut chosen = self.choice.choose(self.senses.ages_mut(), prices);
         chosen.sort_unstable();
+        chosen
+    }
+}
+
+impl Policy for Dt {
+    fn decide(&mut self, seen: &Observation<'_>) -> Plan {
+        self.senses.begin(seen);
+        let chosen = match self.objective {
+            Objective::Events => self.worthwhile(seen),
+            Objective::Actions => self.imitated(),
+        };
         let plan = self.tally.plan(seen.known.n(), &chosen);
-        self.senses.look(seen.now, &plan, true);
+        self.senses.look(seen.now, &plan, self.objective == Objective::Events);
         plan
     }
 

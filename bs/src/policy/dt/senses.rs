@@ -39,6 +39,9 @@ pub const FEATURES: [&str; 20] = [
     "delay",
 ];
 
+/// Where among them it stands whether a device's battery lets it sense, 0 or 1.
+pub const CAN_SENSE: usize = 1;
+
 /// Features of a token.
 pub const COUNT: usize = FEATURES.len();
 
@@ -254,6 +257,11 @@ impl Senses {
     /// What each device senses, `[N, `[`COUNT`]`]` in the order of [`FEATURES`].
     pub fn tokens(&self) -> &[f32] {
         &self.tokens
+    }
+
+    /// Whether the battery of device `j` lets it sense.
+    pub fn can_sense(&self, j: usize) -> bool {
+        self.tokens[j * COUNT + CAN_SENSE] > 0.5
     }
 
     /// Events that each device would find if it looked and nothing but α was known of them: those that start within its

@@ -5,19 +5,26 @@ use std::sync::Arc;
 
 use reveille_common::declare;
 use reveille_common::declare::{
-    Alternative, NOT_NEGATIVE, PROBABILITY, Reader, ScenarioError, Section, Sink, Value, number, source,
+    Alternative, NOT_NEGATIVE, PROBABILITY, Reader, ScenarioError, Section, Sink, Value, number, source, whole,
 };
 use reveille_common::scenario::{PolicySettings, Site};
 
+use super::model::shape::{LONGEST_MEMORY, MOST_HEADS, Shape, WIDEST};
 use super::model::weights::Weights;
 use crate::beliefs::ages;
 use crate::beliefs::raster::MOST_CELLS;
 
 /// Where models come from, but for files.
-const MODELS: &[Alternative] = &[Alternative {
-    name: "shipped",
-    about: "The model that comes with the program.",
-}];
+const MODELS: &[Alternative] = &[
+    Alternative {
+        name: "shipped",
+        about: "The model that comes with the program.",
+    },
+    Alternative {
+        name: "untrained",
+        about: "One that has learned nothing; with in_vain = 0 it is age-index, bit by bit.",
+    },
+];
 
 declare! {
     /// Settings of the policy `dt` (Sec. V-C, Algorithm 2).
@@ -31,6 +38,16 @@ declare! {
         /// Target return: the share of new events that is to be found in the TTI in which they start; the model names
         /// the price for it. With 0 the price above is taken.
         target: f64 = number(PROBABILITY, 0.0).source("Sec. V-C"),
+        /// What waking a device in vain, farther than d_max from the event, counts as a loss of when devices are
+        /// compared, as a share of Ψ. The higher, the surer are those that are woken, and the less they bring.
+        in_vain: f64 = number(PROBABILITY, 0.16),
+        /// TTIs Z that a decision attends to. With 0 as many as the model does; a training takes 8.
+        memory: u64 = whole(0, LONGEST_MEMORY, 0).unit("TTIs").source("Sec. V-C"),
+        /// Width of a device's embedding, a multiple of 4 times its heads. With 0 that of the model; a training
+        /// takes 32.
+        width: u64 = whole(0, WIDEST, 0).source("Sec. V-C"),
+        /// Heads of each attention. With 0 those of the model; a training takes 2.
+        heads: u64 = whole(0, MOST_HEADS, 0).source("Sec. V-C"),
     }
 }
 
@@ -42,6 +59,8 @@ const LARGEST: u64 = 64 << 20;
 pub enum ModelSource {
     /// The program.
     Shipped,
+    /// None: it has learned nothing.
+    Untrained,
     /// A file that `reveille train dt` wrote.
     File(PathBuf),
 }
@@ -57,6 +76,48 @@ pub struct DtSettings {
     pub price: f64,
     /// The share of new events to be found in their first TTI, `[0, 1]`; 0 for none.
     pub target: f64,
+    /// What a wake-up in vain costs, a share of Ψ, `[0, 1]`.
+    pub in_vain: f64,
+    /// What the scenario asks of the model.
+    pub asked: AskedShape,
+}
+
+/// The shape that a scenario asks of a model; 0 leaves it to the model.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct AskedShape {
+    /// TTIs Z that a decision attends to.
+    pub memory: u64,
+    /// Width of a device's embedding.
+    pub width: u64,
+    /// Heads of each attention.
+    pub heads: u64,
+}
+
+impl AskedShape {
+    /// What is asked for, and of the rest what `shape` has.
+    const fn or(self, shape: Shape) -> Shape {
+        const fn or(asked: u64, other: usize) -> usize {
+            if asked == 0 { other } else { asked as usize }
+        }
+        Shape {
+            memory: or(self.memory, shape.memory),
+            width: or(self.width, shape.width),
+            heads: or(self.heads, shape.heads),
+            ..shape
+        }
+    }
+
+    /// The field that asks for something else than `shape` has, what it asks for, and what there is.
+    fn other_than(self, shape: Shape) -> Option<(&'static str, u64, usize)> {
+        let Self { memory, width, heads } = self;
+        let fields = [
+            ("memory", memory, shape.memory),
+            ("width", width, shape.width),
+            ("heads", heads, shape.heads),
+        ];
+        let differs = |(_, asked, has): &(&str, u64, usize)| *asked != 0 && *asked != *has as u64;
+        fields.into_iter().find(differs)
+    }
 }
 
 /// The model that comes with the program.
@@ -86,8 +147,21 @@ impl DtSettings {
             return Err(reader.refuse("sensing.d_max", site.sensing.d_max, allowed));
         }
         let fields = Fields::read(reader)?;
+        let asked = AskedShape {
+            memory: fields.memory,
+            width: fields.width,
+            heads: fields.heads,
+        };
         let (source, weights) = match fields.model.as_deref().unwrap_or("shipped") {
             "shipped" => (ModelSource::Shipped, shipped()),
+            "untrained" => {
+                let shape = asked.or(Shape::USUAL);
+                if !shape.is_sound() {
+                    let allowed = format!("must be a multiple of 4 times the heads, {}", 4 * shape.heads);
+                    return Err(reader.refuse("policy.dt.width", shape.width, allowed));
+                }
+                (ModelSource::Untrained, Weights::untrained(shape))
+            }
             file => {
                 let field = "policy.dt.model";
                 let path = reader.file(field, file)?;
@@ -100,11 +174,19 @@ impl DtSettings {
                 (ModelSource::File(path), weights)
             }
         };
+        if let Some((name, asked, has)) = asked.other_than(weights.shape()) {
+            let allowed = format!(
+                "is not what the model has, {has}; train one: reveille train dt --set policy.dt.{name}={asked}"
+            );
+            return Err(reader.refuse(&format!("policy.dt.{name}"), asked, allowed));
+        }
         Ok(Self {
             source,
             weights: Arc::new(weights),
             price: fields.price,
             target: fields.target,
+            in_vain: fields.in_vain,
+            asked,
         })
     }
 }
@@ -113,6 +195,7 @@ impl PolicySettings for DtSettings {
     fn visit(&self, sink: &mut dyn Sink) {
         let model = match &self.source {
             ModelSource::Shipped => "shipped".into(),
+            ModelSource::Untrained => "untrained".into(),
             ModelSource::File(path) => path.to_string_lossy(),
         };
         if let Some(field) = Fields::SECTION.field("model") {
@@ -123,6 +206,10 @@ impl PolicySettings for DtSettings {
             model: None,
             price: self.price,
             target: self.target,
+            in_vain: self.in_vain,
+            memory: self.asked.memory,
+            width: self.asked.width,
+            heads: self.asked.heads,
         };
         fields.visit(sink);
     }

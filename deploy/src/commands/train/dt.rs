@@ -9,6 +9,7 @@ use std::sync::atomic::Ordering;
 
 use anyhow::bail;
 use reveille_bs::policy::dt::model::shape::Shape;
+use reveille_bs::policy::dt::settings::DtSettings;
 use reveille_lab::io::replace;
 use reveille_lab::training::checkpoint;
 use reveille_lab::trajectories::{Trajectories, read};
@@ -17,6 +18,7 @@ use reveille_lab::transformer::{Progress, Training, TransformerError, train};
 use super::q_learning::Interrupted;
 use crate::cli::DtArgs;
 use crate::commands::paths::check_place;
+use crate::commands::resolution::resolve;
 use crate::display::{self, note};
 
 /// Steps between two looks at what is held out.
@@ -99,22 +101,16 @@ fn show(now: &Progress) {
 }
 
 fn training(args: &DtArgs) -> anyhow::Result<Training> {
-    if !args.width.is_multiple_of(4 * args.heads) {
-        bail!(
-            "--width {}: must be a multiple of 4 times --heads, {}",
-            args.width,
-            4 * args.heads
-        );
-    }
     if !(args.rate > 0.0 && args.rate <= 1.0) {
         bail!("--rate {}: must be above 0 and at most 1", args.rate);
     }
+    let scenario = resolve(&args.scenario())?;
+    let settings: &DtSettings = scenario.policy.settings().expect("a scenario of the policy dt");
     Ok(Training {
         shape: Shape {
-            memory: args.memory as usize,
-            width: args.width as usize,
-            heads: args.heads as usize,
             has_space: !args.no_space,
+            objective: args.objective(),
+            ..settings.weights.shape()
         },
         steps: args.steps,
         batch: args.batch as usize,

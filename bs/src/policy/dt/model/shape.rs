@@ -12,9 +12,31 @@ pub const MOST_HEADS: u64 = 16;
 pub const EXPANSION: usize = 2;
 /// Width of the layer that turns a target into a price.
 pub const PRICE_WIDTH: usize = 16;
-/// Outputs per device: the logarithm of how many times as many events it is to find, and as much information its
-/// wake-up is to bring, as is expected without history.
+/// Outputs per device: what its [`Objective`] says of sensing, and the logarithm of how many times as much information
+/// its wake-up is to bring as is expected without history.
 pub const HEADS: usize = 2;
+
+/// What the first output of a device says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Objective {
+    /// The logarithm of how many times as many events it is to find.
+    Events,
+    /// The log-odds that a teacher would have it sense: behaviour cloning, Algorithm 2 as the paper has it.
+    Actions,
+}
+
+impl Objective {
+    /// All of them.
+    pub const ALL: [Self; 2] = [Self::Events, Self::Actions];
+
+    /// Its name in files and options.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Events => "events",
+            Self::Actions => "actions",
+        }
+    }
+}
 
 /// The shape of a model; it has no N.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,6 +49,8 @@ pub struct Shape {
     pub heads: usize,
     /// Whether devices attend to each other.
     pub has_space: bool,
+    /// What it has learned to say.
+    pub objective: Objective,
 }
 
 impl Shape {
@@ -36,7 +60,17 @@ impl Shape {
         width: 32,
         heads: 2,
         has_space: true,
+        objective: Objective::Events,
     };
+
+    /// Whether a model may have this shape.
+    pub fn is_sound(&self) -> bool {
+        let within = |value: usize, most: u64| value > 0 && value as u64 <= most;
+        within(self.memory, LONGEST_MEMORY)
+            && within(self.heads, MOST_HEADS)
+            && within(self.width, WIDEST)
+            && self.width.is_multiple_of(4 * self.heads)
+    }
 
     /// Width of a head.
     pub const fn head_width(&self) -> usize {

@@ -10,7 +10,7 @@ use safetensors::{Dtype, SafeTensors};
 use super::super::senses::COUNT;
 use super::infer::{Forward, LEAST_FEATURE, LIMIT};
 use super::kernel::{NORM_EPSILON, Width};
-use super::shape::{HEADS, Shape};
+use super::shape::{HEADS, Objective, Shape};
 use super::weights::{KEY, ModelError, Weights, metadata};
 
 type Tensors = BTreeMap<&'static str, (Vec<usize>, Vec<f32>)>;
@@ -218,6 +218,7 @@ fn a_step_is_the_sum_that_it_stands_for() {
             width,
             heads,
             has_space,
+            objective: Objective::Events,
         };
         let tensors = random(shape);
         let weights = Arc::new(Weights::read(&bytes(shape, &tensors)).expect("a model"));
@@ -290,6 +291,11 @@ fn files_that_are_no_model_are_refused() {
     // The tensors of one shape under the name of another, and a file of another program.
     let other = Shape { memory: 4, ..shape };
     assert!(Weights::read(&bytes(other, &random(shape))).is_err());
+    for width in [0, 6, 260] {
+        let unsound = Shape { width, ..shape };
+        let error = Weights::read(&bytes(unsound, &random(shape))).expect_err("refused");
+        assert!(matches!(error, ModelError::Foreign { key: "shape", .. }), "{error}");
+    }
     let data = [0_u8; 4];
     let foreign = [("x", TensorView::new(Dtype::F32, vec![1], &data).expect("a tensor"))];
     let foreign = safetensors::serialize(foreign, None).expect("a file");

@@ -10,7 +10,7 @@ use sha2::{Digest, Sha256};
 
 use super::super::senses::FEATURES;
 use super::kernel::Linear;
-use super::shape::{EXPANSION, LONGEST_MEMORY, MOST_HEADS, PRICE_WIDTH, Shape, WIDEST};
+use super::shape::{EXPANSION, LONGEST_MEMORY, MOST_HEADS, Objective, PRICE_WIDTH, Shape, WIDEST};
 
 /// The version of the file format, raised when what features or tensors mean changes.
 pub const VERSION: &str = "1";
@@ -27,6 +27,8 @@ mod keys {
     pub const FEATURES: &str = "features";
     /// Z, d, heads, and whether devices attend to each other, joined by commas.
     pub const SHAPE: &str = "shape";
+    /// What the outputs say.
+    pub const OBJECTIVE: &str = "objective";
 }
 
 /// Why a file is no model.
@@ -136,6 +138,14 @@ impl Weights {
         Ok(Self::assemble(shape, tensors, about, Sha256::digest(bytes).into()))
     }
 
+    /// Those of a model of `shape` that has learned nothing: all are 0, and it expects what age and α say.
+    pub fn untrained(shape: Shape) -> Self {
+        let zeros = |(name, size): (&'static str, Vec<usize>)| (name, vec![0.0; size.iter().product()]);
+        let tensors = shape.tensors().into_iter().map(zeros).collect();
+        let text = metadata(shape, &BTreeMap::new());
+        Self::assemble(shape, tensors, BTreeMap::new(), Sha256::digest(text).into())
+    }
+
     fn assemble(shape: Shape, mut tensors: Tensors, about: BTreeMap<String, String>, hash: [u8; 32]) -> Self {
         let (d, wide) = (shape.width, EXPANSION * shape.width);
         let mut take = |name: &str| tensors.remove(name).expect("all tensors were read");
@@ -223,11 +233,13 @@ pub fn metadata(shape: Shape, about: &BTreeMap<String, String>) -> String {
         width,
         heads,
         has_space,
+        objective,
     } = shape;
     let own = [
         (keys::VERSION, VERSION.to_owned()),
         (keys::FEATURES, FEATURES.join(",")),
         (keys::SHAPE, format!("{memory},{width},{heads},{}", u8::from(has_space))),
+        (keys::OBJECTIVE, objective.name().to_owned()),
     ];
     let own = own.map(|(key, value)| (key.to_owned(), value));
     let all: BTreeMap<String, String> = about.clone().into_iter().chain(own).collect();
@@ -248,6 +260,14 @@ fn shape(about: &BTreeMap<String, String>) -> Result<Shape, ModelError> {
             });
         }
     }
+    let named = |objective: &Objective| objective.name() == found(keys::OBJECTIVE);
+    let Some(objective) = Objective::ALL.into_iter().find(named) else {
+        return Err(ModelError::Foreign {
+            key: keys::OBJECTIVE,
+            found: found(keys::OBJECTIVE).to_owned(),
+            wanted: Objective::ALL.map(Objective::name).join(" or "),
+        });
+    };
     let foreign = || ModelError::Foreign {
         key: keys::SHAPE,
         found: found(keys::SHAPE).to_owned(),
@@ -256,26 +276,21 @@ fn shape(about: &BTreeMap<String, String>) -> Result<Shape, ModelError> {
              heads, and 0 or 1"
         ),
     };
-    let numbers: Vec<u64> = found(keys::SHAPE)
+    let numbers: Vec<usize> = found(keys::SHAPE)
         .split(',')
         .filter_map(|number| number.parse().ok())
         .collect();
-    let &[memory, width, heads, has_space] = &numbers[..] else {
+    let &[memory, width, heads, has_space @ 0..=1] = &numbers[..] else {
         return Err(foreign());
     };
-    let is_sound = (1..=LONGEST_MEMORY).contains(&memory)
-        && (1..=MOST_HEADS).contains(&heads)
-        && (1..=WIDEST).contains(&width)
-        && width.is_multiple_of(4 * heads)
-        && has_space < 2;
-    is_sound
-        .then_some(Shape {
-            memory: memory as usize,
-            width: width as usize,
-            heads: heads as usize,
-            has_space: has_space == 1,
-        })
-        .ok_or_else(foreign)
+    let shape = Shape {
+        memory,
+        width,
+        heads,
+        has_space: has_space == 1,
+        objective,
+    };
+    if shape.is_sound() { Ok(shape) } else { Err(foreign()) }
 }
 
 fn tensor(file: &SafeTensors<'_>, name: &str, size: &[usize]) -> Result<Vec<f32>, ModelError> {
