@@ -29,7 +29,11 @@ fn a_model_that_says_nothing_is_age_index() {
         let with = |more: &[&str]| run(&scenario("dt", &[set, more].concat())).digest;
         let untrained = "policy.dt.model=untrained";
         assert_eq!(with(&[untrained, "policy.dt.in_vain=0"]), plain, "{set:?}");
-        assert_ne!(with(&[untrained]), plain, "others are woken: {set:?}");
+        assert_ne!(
+            with(&[untrained, "policy.dt.in_vain=1"]),
+            plain,
+            "others are woken: {set:?}"
+        );
         assert_ne!(
             with(&["policy.dt.in_vain=0"]),
             plain,

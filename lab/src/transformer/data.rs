@@ -121,8 +121,8 @@ impl Data {
 }
 
 impl Batch {
-    /// Of `chunks`, all with the same N and length, for a model of `shape`. TTIs before the Z-th of a chunk are not learned from, unless
-    /// a run begins with it: what was before them is not known.
+    /// Of `chunks`, all with the same N and length, for a model of `shape`. TTIs before the Z-th of a chunk are not
+    /// learned from, unless a run begins with it: what was before them is not known.
     pub fn of(chunks: &[&Chunk], shape: Shape) -> Result<Self> {
         let (c, t, n) = (chunks.len(), chunks[0].steps.len(), chunks[0].devices);
         let mut tokens = Vec::with_capacity(c * t * n * COUNT);

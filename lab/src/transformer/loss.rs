@@ -2,8 +2,8 @@
 //!
 //! Events found by a look are Poisson with mean λ = λ₀·e^m: λ₀ is what is expected without history, m what the net
 //! says. Its negative log likelihood is λ − y·m for y events, but for a constant. What a wake-up brings is judged in
-//! the same way, which is a quasi-likelihood: it is least where the mean is right. Where a teacher's actions are learned,
-//! m are log-odds, and the likelihood is that of what each device did.
+//! the same way, which is a quasi-likelihood: it is least where the mean is right. Where the actions of teachers are
+//! learned, m are log-odds, and the likelihood is that of what each device did.
 
 use candle_core::{DType, Result, Tensor};
 
