@@ -70,7 +70,19 @@ struct Definition<'a> {
     prior: fn(Point) -> f64,
 }
 
-impl Definition<'_> {
+impl<'a> Definition<'a> {
+    /// Nobody senses but the reporter.
+    fn alone(points: &'a [Point], sensing: &'a Sensing, reporter: u32, d: f64) -> Self {
+        Self {
+            points,
+            sensing,
+            reporter: reporter as usize,
+            d,
+            silent: Vec::new(),
+            prior: evenly,
+        }
+    }
+
     /// The places in the area, of `count` in all directions, and the weight of each.
     fn places(&self, count: u32) -> Vec<(Point, f64)> {
         let centre = self.points[self.reporter];
@@ -146,14 +158,7 @@ fn without_silence_gains_are_plain_sums_over_the_ring() {
         let mut belief = Belief::new(&points, AREA, &sensing);
         belief.start();
         belief.add_reporter(DeviceId(h), d, evenly);
-        let definition = Definition {
-            points: &points,
-            sensing: &sensing,
-            reporter: h as usize,
-            d,
-            silent: Vec::new(),
-            prior: evenly,
-        };
+        let definition = Definition::alone(&points, &sensing, h, d);
         let (places, information) = (definition.places(512), sensing.p(d));
         let mut left: Vec<usize> = (0..120).filter(|&j| j != h as usize).collect();
         // In this order, each with its gain, until nobody adds anything.
@@ -181,14 +186,7 @@ fn a_loss_in_vain_changes_the_order_and_no_gain() {
         let mut belief = Belief::new(&points, AREA, &sensing).charging(loss);
         belief.start();
         belief.add_reporter(DeviceId(h), d, evenly);
-        let definition = Definition {
-            points: &points,
-            sensing: &sensing,
-            reporter: h as usize,
-            d,
-            silent: Vec::new(),
-            prior: evenly,
-        };
+        let definition = Definition::alone(&points, &sensing, h, d);
         let (places, information) = (definition.places(512), sensing.p(d));
         let gain = |j: usize| definition.gain(&places, j, information);
         let score = |j: usize| gain(j) - loss * definition.missed(&places, j);
