@@ -8,9 +8,12 @@
 # A run that was cut short goes on where it was. It needs some 3 GB on the disk and 10 GB of memory; two trainings of a
 # quarter of an hour each on two cores.
 set -euo pipefail
-reveille=${1:?the program}
+reveille=$(realpath "${1:?the program}")
 folder=${2:?a folder for recordings and models}
+# What is recorded names the model that decided as it was given: from inside the folder, so that any folder gives the
+# same bytes.
 mkdir -p "$folder"
+cd "$folder"
 # The training makes many tensors of a few megabytes and drops them again: asking the kernel for each takes half of the time.
 export MALLOC_MMAP_MAX_=0 MALLOC_TRIM_THRESHOLD_=4000000000
 
@@ -23,14 +26,14 @@ families=(
 )
 
 record() { # NAME OPTIONS...
-    local out="$folder/$1.parquet"
+    local out="$1.parquet"
     shift
-    [ -e "$out" ] || "$reveille" train record --set ttis=1800 --chunk 24 --every 150 --quiet "$@" --out "$out"
+    [ -e "$out" ] || "$reveille" train record --set ttis=1800 --chunk 24 --every 150 --told --quiet "$@" --out "$out"
 }
 
 train() { # NAME SEED
-    local out="$folder/$1.safetensors"
-    [ -e "$out" ] || "$reveille" train dt "$folder"/*.parquet --steps 4000 --rate 0.003 --seed "$2" --out "$out"
+    local out="$1.safetensors"
+    [ -e "$out" ] || "$reveille" train dt *.parquet --steps 4000 --rate 0.003 --seed "$2" --out "$out"
 }
 
 thousand=0
@@ -52,7 +55,7 @@ for family in "${families[@]}"; do
     thousand=$((thousand + 1000))
     for size in 250:4 100:6 50:10 20:10; do
         n=${size%:*} seeds=${size#*:}
-        record "$process-$n-dt" -p dt -n "$n" --set "policy.dt.model=$folder/teachers.safetensors" \
+        record "$process-$n-dt" -p dt -n "$n" --set "policy.dt.model=teachers.safetensors" \
             --set "events.process=$process" --grid "$varied" --grid policy.dt.price=0.1,0.35,1,2 \
             --first-seed $((thousand + 701)) --seeds "$seeds"
     done

@@ -24,6 +24,11 @@ fn a_recording_is_the_same_twice_and_refuses_what_is_none() {
             &["--every 40", "--chunk"],
         ),
         (
+            "train record -p knn -k 400 --chunk 40 --every 40 --out c.parquet".into(),
+            1,
+            &["--every 40", "more than --chunk"],
+        ),
+        (
             format!("{RECORD} --explore 1 --out c.parquet"),
             1,
             &["--explore 1", "less than 1"],
@@ -53,6 +58,9 @@ fn a_run_of_the_emulator_is_recorded_from_its_folder() {
     let record = "train record --from live --chunk 12 --every 40";
     let end = folder.run(&format!("{record} --out live.parquet"));
     assert!(end.is_success(), "{end}");
+    let end = folder.run("up -p genie -n 12 -k 60 --processes 1 --quiet --out seer");
+    assert!(end.is_success(), "{end}");
+    assert_refused(&folder.run("train record --from seer --out c.parquet"), 1, &["genie"]);
     // With a grid, or another digest than the run had.
     assert_refused(
         &folder.run(&format!("{record} -n 50 --out c.parquet")),

@@ -70,13 +70,13 @@ pub struct DtArgs {
     #[arg(long, default_value_t = 3000, value_parser = clap::value_parser!(u64).range(1..))]
     pub steps: u64,
     /// Device-TTIs of a step's batch, about.
-    #[arg(long, default_value_t = 16_000)]
+    #[arg(long, default_value_t = 16_000, value_parser = clap::value_parser!(u32).range(1..))]
     pub batch: u32,
     /// Learning rate at the start.
     #[arg(long, default_value_t = 0.002)]
     pub rate: f64,
     /// Looks at what is held out, 200 steps apart, without a better one after which the training ends.
-    #[arg(long, default_value_t = 6)]
+    #[arg(long, default_value_t = 6, value_parser = clap::value_parser!(u64).range(1..))]
     pub patience: u64,
     /// Seed of everything that is drawn.
     #[arg(long, default_value_t = 1)]
@@ -101,13 +101,18 @@ pub struct RecordArgs {
     /// TTIs of a chunk: so many are recorded one after the other.
     #[arg(long, default_value_t = 16, value_name = "TTIS", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub chunk: u32,
-    /// TTIs from the start of one chunk to the start of the next, at least --chunk.
+    /// TTIs from the start of one chunk to the start of the next, more than --chunk.
     #[arg(long, default_value_t = 100, value_name = "TTIS")]
     pub every: u32,
     /// Shares of the TTIs in which a device does not do what its policy says, separated by commas; runs take them in
     /// turn.
     #[arg(long, value_delimiter = ',', default_value = "0,0.02,0.1", value_name = "SHARE,…")]
     pub explore: Vec<f64>,
+    /// Let policies that do not look at batteries go by those that are recorded when they ask who can pay for a report:
+    /// by the true ones where the scenario's bs.battery_knowledge is "oracle". They wake others then than without a
+    /// recording. The teachers of the model that comes with the program were recorded so.
+    #[arg(long, conflicts_with = "from")]
+    pub told: bool,
     /// The Parquet file of the trajectories.
     #[arg(long, short)]
     pub out: PathBuf,
@@ -153,6 +158,7 @@ pub struct TrainArgs {
     pub quiet: bool,
 }
 
+#[cfg(feature = "train-dt")]
 impl DtArgs {
     /// The scenario's options, for a model that has learned nothing yet.
     pub fn scenario(&self) -> ScenarioArgs {

@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
 use reveille_bs::cycle::Cycle;
 use reveille_bs::policy::age_index::settings::AgeIndexSettings;
-use reveille_bs::policy::dt::record::{Recorded, Step};
+use reveille_bs::policy::dt::record::{Manner, Recorded, Step};
 use reveille_bs::policy::dt::settings::DtSettings;
 use reveille_bs::policy::mind::Mind;
 use reveille_bs::prepared::Prepared;
@@ -39,10 +39,22 @@ pub const HORIZON: usize = 20;
 pub struct Recording {
     /// TTIs of a chunk, ≥ 1.
     pub length: usize,
-    /// TTIs from the start of one chunk to the start of the next, ≥ `length`.
+    /// TTIs from the start of one chunk to the start of the next, > `length`: what follows without a gap is one chunk.
     pub stride: usize,
     /// Probabilities, `[0, 1)`, with which a device does not do what its policy says; runs take them in turn.
     pub explore: Vec<f64>,
+    /// See [`Manner::told`].
+    pub told: bool,
+}
+
+impl Recording {
+    /// How a run is recorded in which a device does otherwise with probability `explores`.
+    const fn manner(&self, explores: f64) -> Manner {
+        Manner {
+            explores,
+            told: self.told,
+        }
+    }
 }
 
 /// Consecutive TTIs of one run.
@@ -78,7 +90,8 @@ pub struct Trajectories {
     pub chunks: Vec<Chunk>,
 }
 
-/// Records every run of `grid`, on `threads` threads. `None` if `stop` has said so. `ended` hears of each run.
+/// Records every run of `grid`, on the threads of the pool that this is called in. `None` if `stop` has said so.
+/// `ended` hears of each run.
 pub fn record(
     grid: &Grid,
     recording: &Recording,
@@ -113,18 +126,15 @@ pub fn record(
 }
 
 /// Records a run of the emulator: what it did follows from its `scenario`, so it is done again in memory. Gives the
-/// digest of what was done, which is that of the run if nothing was changed. `None` if `stop` has said so.
+/// digest of the run that is recorded, which is that of the run before if nothing was changed; none for the genie,
+/// which decides by what no base station knows. `None` if `stop` has said so.
 pub fn record_again(
     scenario: &Scenario,
     run: u32,
     recording: &Recording,
     stop: &(dyn Fn() -> bool + Sync),
-) -> Option<(Digest, Vec<Chunk>)> {
-    let workshop = Workshop::default();
-    let prepared = workshop.prepare(scenario);
-    let outcome = Run::new(&prepared, Options::default()).finish(&mut StopWhen(stop));
-    let chunks = record_prepared(&prepared, run, recording, 0.0, stop)?;
-    outcome.complete.then_some((outcome.digest, chunks))
+) -> Option<(Option<Digest>, Vec<Chunk>)> {
+    record_prepared(&Workshop::default().prepare(scenario), run, recording, 0.0, stop)
 }
 
 /// The chunks of a run of `scenario` from random batteries.
@@ -141,7 +151,7 @@ fn record_run(
     for device in &mut prepared.deployment.devices {
         device.energy.initial = Energy::from_micro((stream.unit() * device.energy.e_max.micro() as f64) as u64);
     }
-    record_prepared(&prepared, run, recording, explores, stop)
+    record_prepared(&prepared, run, recording, explores, stop).map(|(_, chunks)| chunks)
 }
 
 fn record_prepared(
@@ -150,7 +160,7 @@ fn record_prepared(
     recording: &Recording,
     explores: f64,
     stop: &(dyn Fn() -> bool + Sync),
-) -> Option<Vec<Chunk>> {
+) -> Option<(Option<Digest>, Vec<Chunk>)> {
     let (length, stride) = (recording.length, recording.stride);
     let take = move |(shares, kept): &mut (Vec<f32>, Vec<Step>), step: Step| {
         shares.push(step.share);
@@ -159,8 +169,8 @@ fn record_prepared(
             kept.push(step);
         }
     };
-    let (shares, kept) = watched(prepared, explores, take, stop)?;
-    Some(chunks(prepared, run, recording, &shares, kept))
+    let (digest, (shares, kept)) = watched(prepared, recording.manner(explores), take, stop)?;
+    Some((digest, chunks(prepared, run, recording, &shares, kept)))
 }
 
 /// The TTIs `from` to `last` of a run of `scenario`, as they are recorded. Nothing if its policy is the genie, which
@@ -177,16 +187,18 @@ pub fn steps(scenario: &Scenario, from: Tti, last: Tti) -> Vec<Step> {
             kept.push(step);
         }
     };
-    watched(&prepared, 0.0, take, &|| false).unwrap_or_default()
+    let watched = watched(&prepared, Manner::default(), take, &|| false);
+    watched.map_or_else(Vec::new, |(_, steps)| steps)
 }
 
-/// What `take` has made of the steps of a run, one after the other. `None` if `stop` has said so.
+/// The digest of a run, none for the genie's, and what `take` has made of its steps, one after the other. `None` if
+/// `stop` has said so.
 fn watched<T: Default + Send + 'static>(
     prepared: &Prepared,
-    explores: f64,
+    manner: Manner,
     take: impl Fn(&mut T, Step) + Send + 'static,
     stop: &(dyn Fn() -> bool + Sync),
-) -> Option<T> {
+) -> Option<(Option<Digest>, T)> {
     let taken = Arc::new(Mutex::new(T::default()));
     let sink = {
         let taken = Arc::clone(&taken);
@@ -194,8 +206,8 @@ fn watched<T: Default + Send + 'static>(
     };
     let known = prepared.knowledge();
     let mind = match prepared.mind(&known) {
-        Mind::Policy(policy) => Mind::of(Recorded::new(policy, &known, explores, sink)),
-        Mind::Genie(_) => return Some(T::default()),
+        Mind::Policy(policy) => Mind::of(Recorded::new(policy, &known, manner, sink)),
+        Mind::Genie(_) => return Some((None, T::default())),
     };
     let world = World::new(&prepared.scenario, &prepared.deployment);
     let cycle = Cycle::with_station(prepared, world, Station::new(known, mind));
@@ -205,7 +217,7 @@ fn watched<T: Default + Send + 'static>(
     };
     let outcome = Run::with_cycle(prepared, cycle, options).finish(&mut StopWhen(stop));
     let taken = std::mem::take(&mut *taken.lock().unwrap_or_else(PoisonError::into_inner));
-    outcome.complete.then_some(taken)
+    outcome.complete.then_some((Some(outcome.digest), taken))
 }
 
 fn chunks(prepared: &Prepared, run: u32, recording: &Recording, shares: &[f32], kept: Vec<Step>) -> Vec<Chunk> {

@@ -316,10 +316,19 @@ fn read_group(group: &dyn RowGroupReader, chunks: &mut Vec<Chunk>) -> Result<(),
     let reward = columns.required::<FloatType>()?;
     let wake_reward = columns.required::<FloatType>()?;
     let returns = columns.required::<FloatType>()?;
-    let numbers = [&expected, &share, &reward, &returns].into_iter().chain(&features);
-    if numbers.flatten().any(|value| !value.is_finite()) {
-        return Err(TrajectoryError::Rows("a number is not finite".to_owned()));
-    }
+    let all = [&expected, &share, &reward, &wake_reward, &returns];
+    let required = ["expected", "share", "reward", "wake_reward", "return"]
+        .into_iter()
+        .zip(all);
+    let optional = [
+        ("price", &prices),
+        ("wake_expected", &wake_expected),
+        ("wake_brought", &wake_brought),
+    ];
+    all_finite(
+        required.into_iter().chain(FEATURES.into_iter().zip(&features)),
+        optional,
+    )?;
     let mut row = 0;
     while row < rows {
         let n = usize::try_from(counts[row]).unwrap_or(0);
@@ -374,4 +383,29 @@ fn read_group(group: &dyn RowGroupReader, chunks: &mut Vec<Chunk>) -> Result<(),
         row += n;
     }
     Ok(())
+}
+
+/// Refuses columns of which a value that is there is not finite.
+fn all_finite<'a>(
+    required: impl Iterator<Item = (&'a str, &'a Vec<f32>)>,
+    optional: [(&'a str, &'a Vec<Option<f32>>); 3],
+) -> Result<(), TrajectoryError> {
+    for (name, column) in required {
+        finite(name, column.iter().copied().map(Some))?;
+    }
+    for (name, column) in optional {
+        finite(name, column.iter().copied())?;
+    }
+    Ok(())
+}
+
+/// Refuses a column of which a value that is there is not finite.
+fn finite(name: &str, values: impl Iterator<Item = Option<f32>>) -> Result<(), TrajectoryError> {
+    let is_bad = |value: Option<f32>| value.is_some_and(|value| !value.is_finite());
+    match values.zip(0_u64..).find(|(value, _)| is_bad(*value)) {
+        Some((_, row)) => Err(TrajectoryError::Rows(format!(
+            "{name} is not finite in row {row} of its group"
+        ))),
+        None => Ok(()),
+    }
 }

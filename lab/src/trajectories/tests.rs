@@ -23,11 +23,15 @@ fn recorded(recording: &Recording) -> Trajectories {
     record(&grid(text), recording, &|| false, &|| ()).expect("not stopped")
 }
 
+/// Spoils what was recorded.
+type Spoil = fn(&mut Chunk);
+
 fn recording(explore: &[f64]) -> Recording {
     Recording {
         length: 6,
         stride: 50,
         explore: explore.to_vec(),
+        told: false,
     }
 }
 
@@ -75,9 +79,35 @@ fn files_hold_all_of_it_and_the_same_runs_give_the_same_bytes() {
     assert_eq!(read, trajectories);
 }
 
+/// Whoever is recorded does what it does in a run that is not, where it may not look at the batteries that are
+/// recorded.
+#[test]
+fn what_is_recorded_is_the_run() {
+    let draft = "scenario = \"paper\"\npolicies = [\"random\", \"adjusted\", \"knn\", \"q-learning\", \"dt\"]\n\
+                 devices = [80]\nttis = 800\nseeds = { first = 3, count = 1 }\n\
+                 [set]\n\"harvest.e_b\" = 3.0\n[grid]\n\"bs.ranking\" = [\"p42\", \"posterior\"]\n";
+    let grid = grid(draft);
+    let mut others = 0;
+    for cell in &grid.cells {
+        let scenario = cell.with_seed(3);
+        let outcome = Run::new(&Workshop::default().prepare(&scenario), Options::default()).finish(&mut ());
+        let digest = |told: bool| {
+            let recording = Recording {
+                told,
+                ..recording(&[0.0])
+            };
+            let again = record_again(&scenario, 0, &recording, &|| false).expect("not stopped");
+            again.0.expect("no genie")
+        };
+        assert_eq!(digest(false), outcome.digest, "{}", scenario.policy.name());
+        others += usize::from(digest(true) != outcome.digest);
+    }
+    assert!(others > 0, "it is never of use to be told batteries");
+}
+
 #[test]
 fn files_that_hold_something_else_are_refused() {
-    let mut trajectories = recorded(&recording(&[0.0]));
+    let trajectories = recorded(&recording(&[0.0]));
     let bytes = to_bytes(&trajectories).expect("bytes");
     for cut in [0, 10, bytes.len() / 2, bytes.len() - 3] {
         assert!(
@@ -85,9 +115,23 @@ fn files_that_hold_something_else_are_refused() {
             "{cut} bytes"
         );
     }
-    trajectories.chunks[0].steps[0].tokens[3] = f32::NAN;
-    let broken = to_bytes(&trajectories).expect("bytes");
-    assert!(matches!(from_bytes(broken), Err(TrajectoryError::Rows(_))));
+    let breaks: [(&str, Spoil); 4] = [
+        (FEATURES[3], |chunk| chunk.steps[0].tokens[COUNT + 3] = f32::NAN),
+        ("wake_reward is", |chunk| chunk.steps[0].wake_reward = f32::INFINITY),
+        ("wake_brought is", |chunk| {
+            chunk.steps[0].looks[1].wake_up = Some((0.1, f32::NAN));
+        }),
+        ("price is", |chunk| chunk.price = Some(f32::INFINITY)),
+    ];
+    for (said, spoil) in breaks {
+        let mut broken = trajectories.clone();
+        spoil(&mut broken.chunks[0]);
+        let refused = from_bytes(to_bytes(&broken).expect("bytes"))
+            .expect_err(said)
+            .to_string();
+        let row = if said == "price is" { "row 0 " } else { "row " };
+        assert!(refused.contains(said) && refused.contains(row), "{refused}");
+    }
     assert!(matches!(from_bytes(other(None)), Err(TrajectoryError::Foreign(_))));
     assert!(matches!(from_bytes(other(Some("0"))), Err(TrajectoryError::Foreign(_))));
     let missing = from_bytes(other(Some("1"))).expect_err("refused").to_string();

@@ -51,7 +51,8 @@ pub struct Batch {
 }
 
 impl Data {
-    /// Of `trajectories`, for a model that looks back `memory` TTIs.
+    /// Of `trajectories`. One run of ten is held out. Runs of a grid that differ in their settings alone have their
+    /// seeds in common, and so their events: what is held out is other batteries and decisions in the same worlds.
     pub fn new(trajectories: Vec<Trajectories>) -> Self {
         let mut groups: BTreeMap<(usize, usize), Group> = BTreeMap::new();
         for (file, one) in trajectories.into_iter().enumerate() {

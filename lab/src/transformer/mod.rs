@@ -124,6 +124,9 @@ pub fn train(
         let score = judge(&state.net, &data, training)?;
         // The head of the price is a reading of the rest and decides nothing.
         let held_out = -score.looks - score.wakes;
+        if !held_out.is_finite() {
+            return Err(TransformerError::Diverged(step));
+        }
         let is_best = held_out < state.best_loss;
         if is_best {
             (state.best, state.best_loss) = (Some(file(&state.net, about)?), held_out);

@@ -26,8 +26,8 @@ const SHAPE: Shape = Shape {
 };
 
 /// A net whose heads say something.
-fn net(seed: u64) -> Net {
-    let net = Net::new(SHAPE, seed).expect("a net");
+fn net(shape: Shape, seed: u64) -> Net {
+    let net = Net::new(shape, seed).expect("a net");
     for (id, (name, var)) in (100..).zip(net.vars()) {
         let mut stream = Stream::new(seed, Purpose::Training, id);
         let values: Vec<f32> = (0..var.elem_count())
@@ -82,11 +82,19 @@ fn chunks(count: u32, m: f32) -> Vec<Chunk> {
 
 #[test]
 fn what_is_learned_is_what_runs() {
-    let net = net(3);
+    let wide = Shape {
+        width: 40,
+        ..Shape::USUAL
+    };
+    [SHAPE, Shape::USUAL, wide].into_iter().for_each(compare_outputs);
+}
+
+fn compare_outputs(shape: Shape) {
+    let net = net(shape, 3);
     let bytes = file(&net, &BTreeMap::new()).expect("a file");
     let weights = Arc::new(Weights::read(&bytes).expect("a model"));
     let chunks = chunks(2, 0.5);
-    let batch = Batch::of(&chunks.iter().collect::<Vec<_>>(), SHAPE).expect("a batch");
+    let batch = Batch::of(&chunks.iter().collect::<Vec<_>>(), shape).expect("a batch");
     let outputs = net.forward(&batch.tokens, &batch.targets).expect("outputs");
     let (logs, prices) = (outputs.logs.flatten_all(), outputs.price.flatten_all());
     let logs: Vec<f32> = logs.and_then(|logs| logs.to_vec1()).expect("numbers");
@@ -112,7 +120,7 @@ fn the_gradient_of_each_weight_is_the_slope_of_the_loss() {
 
 fn compare_gradients(objective: Objective) {
     // In double precision, so that steps are short beside the distance to where a relu bends.
-    let net = net(4);
+    let net = net(SHAPE, 4);
     let net = net.of_type(DType::F64).expect("a net");
     // What the price is read off does not learn from it, so the others are looked at without prices.
     let priced = chunks(3, 0.5);
@@ -276,4 +284,33 @@ fn a_training_finds_what_is_there_and_goes_on_to_the_same_bytes() {
         score.accuracy > 0.55 && (score.plain_accuracy - 0.5).abs() < 1e-9,
         "{score:?}"
     );
+}
+
+/// The parts of a batch are summed in their order, whoever computed them.
+#[test]
+fn threads_do_not_show() {
+    let training = Training {
+        shape: SHAPE,
+        steps: 12,
+        batch: 600,
+        rate: 0.01,
+        every: 6,
+        patience: 10,
+        seed: 1,
+    };
+    let model = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("threads");
+        let trajectories = vec![Trajectories {
+            about: Vec::new(),
+            chunks: chunks(40, 0.7),
+        }];
+        let mut go_on = |_: Progress, _: &[u8]| true;
+        pool.install(|| super::train(trajectories, &training, &BTreeMap::new(), None, &mut go_on))
+            .expect("a model")
+    };
+    let one = model(1);
+    assert!(one == model(3) && one == model(4));
 }

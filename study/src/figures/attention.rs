@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::sync::Arc;
 
 use reveille_bs::policy::dt::model::infer::Forward;
-use reveille_bs::policy::dt::model::shape::{HEADS, Shape};
+use reveille_bs::policy::dt::model::shape::{HEADS, Objective, Shape};
 use reveille_bs::policy::dt::record::Step;
 use reveille_bs::policy::dt::settings::DtSettings;
 use reveille_common::deployment::Deployment;
@@ -14,6 +14,7 @@ use reveille_common::ids::Tti;
 use reveille_common::scenario::Scenario;
 use reveille_lab::trajectories::steps;
 
+use super::deployment::epicentre;
 use super::error::FigureError;
 use super::font::{Weight, wrap};
 use super::ground::Ground;
@@ -21,7 +22,7 @@ use super::heat::{HeatCell, HeatMap, Known, Rows, colour, ramp};
 use super::layout::{COLUMN, EDGE, LARGE, LEADING, SMALL};
 use super::path::Path;
 use super::scene::{Paint, Scene, Stroke, Text};
-use super::style::{BLUE, VERMILION};
+use super::style::BLUE;
 
 /// Devices whose attention is shown by default.
 const SHOWN: usize = 6;
@@ -35,7 +36,8 @@ pub struct Attention {
     pub tti: Tti,
     shape: Shape,
     positions: Vec<Point>,
-    /// By device, the logarithm of how many times as many events as by age and α it was expected to find.
+    /// By device, the logarithm of how many times as many events as by age and α it was expected to find; of a model
+    /// that imitates actions the log-odds of telling it to sense.
     pub logs: Vec<f64>,
     /// `[N, heads, Z]`, by lag.
     pub shares: Vec<f32>,
@@ -97,10 +99,15 @@ impl Attention {
         })
     }
 
-    /// One row a device and head: what was expected of it, whether it was told to sense, and its attention by lag.
+    /// One row a device and head: what was expected of it, or the log-odds that its teacher had it sense, whether it
+    /// was told to sense, and its attention by lag.
     pub fn csv(&self) -> String {
         let lags: Vec<String> = (0..self.shape.memory).map(|lag| format!("lag_{lag}")).collect();
-        let mut csv = format!("device,on,log_expected,head,{}\n", lags.join(","));
+        let said = match self.shape.objective {
+            Objective::Events => "log_expected",
+            Objective::Actions => "log_odds",
+        };
+        let mut csv = format!("device,on,{said},head,{}\n", lags.join(","));
         let heads = self.shares.chunks(self.shape.memory);
         for (row, shares) in heads.enumerate() {
             let (device, head) = (row / self.shape.heads, row % self.shape.heads);
@@ -147,7 +154,11 @@ fn last_found(window: &[Step], j: usize) -> Option<usize> {
 /// The picture of `attention`.
 pub fn scene(scenario: &Scenario, attention: &Attention) -> Scene {
     let mut scene = Scene::new(COLUMN, 0.0);
-    scene.title = format!("What dt expected in TTI {}, N = {}", attention.tti, scenario.devices);
+    let did = match attention.shape.objective {
+        Objective::Events => "expected",
+        Objective::Actions => "would do",
+    };
+    scene.title = format!("What dt {did} in TTI {}, N = {}", attention.tti, scenario.devices);
     let mut y = EDGE + LARGE;
     for line in wrap(&scene.title.clone(), Weight::Bold, LARGE, COLUMN - 2.0 * EDGE) {
         scene.text(Text::new(line, (EDGE, y), LARGE).bold());
@@ -170,8 +181,7 @@ pub fn scene(scenario: &Scenario, attention: &Attention) -> Scene {
             scene.area(Path::circle(at, 1.2), Paint::Ink, 1.0);
         }
         if attention.found[j].is_some() {
-            let star = Path::polygon(at, 6.0, 8, 0.0, 0.4);
-            scene.outlined(star, Paint::Colour(VERMILION), Stroke::solid(Paint::Ink, 0.6));
+            epicentre(&mut scene, at);
         }
     }
     y = ground.bottom() + 2.0 * LEADING + 8.0;
@@ -199,10 +209,15 @@ fn caption(scenario: &Scenario, attention: &Attention) -> String {
             format!("Stars are devices that found an event in those TTIs, the last {least} {ttis} before.")
         },
     );
+    let said = match attention.shape.objective {
+        Objective::Events => {
+            "ln of how many times as many events the device was expected to find as its places' ages and α say"
+        }
+        Objective::Actions => "the log-odds that the teacher would have the device sense",
+    };
     format!(
-        "Colours of the Voronoi cells are ln of how many times as many events the device was expected to find as its \
-         places' ages and α say. {on} devices, with circles, were told to sense. Below, by head, the shares of their \
-         attention that devices gave to each of the last {} TTIs. {found} Preset {}, seed {}.",
+        "Colours of the Voronoi cells are {said}. {on} devices, with circles, were told to sense. Below, by head, the \
+         shares of their attention that devices gave to each of the last {} TTIs. {found} Preset {}, seed {}.",
         attention.shape.memory, scenario.preset, scenario.seed
     )
 }

@@ -11,6 +11,7 @@
 
 mod cells;
 mod chance;
+mod check;
 pub mod choice;
 pub mod price;
 mod sure;
@@ -21,6 +22,7 @@ use reveille_common::sensing::{DetectionKind, Sensing};
 
 use self::cells::Cells;
 use self::chance::Chance;
+pub use self::check::check;
 use self::sure::Sure;
 pub use self::worths::{FREE, MOST, OLDEST, Worths, reach, worths};
 

@@ -2,10 +2,9 @@
 
 use reveille_common::declare;
 use reveille_common::declare::{NOT_NEGATIVE, Reader, ScenarioError, Section, Sink, number};
-use reveille_common::scenario::{ClassKnowledge, PolicySettings, Site};
+use reveille_common::scenario::{PolicySettings, Site};
 
-use crate::beliefs::ages::{self, price};
-use crate::beliefs::raster::MOST_CELLS;
+use crate::beliefs::ages;
 
 declare! {
     /// Settings of the policy `age-index`.
@@ -33,40 +32,10 @@ impl AgeIndexSettings {
     /// # Errors
     /// A price that may not be, or an area of too many cells.
     pub fn settle(reader: &Reader<'_>, site: &Site<'_>) -> Result<Self, ScenarioError> {
-        let cells = ages::cells(site.area, site.sensing.d_max);
-        if cells > MOST_CELLS {
-            let allowed = format!(
-                "is so small against the area that age-index would keep the ages of {cells:.0} cells, more than \
-                 {MOST_CELLS}"
-            );
-            return Err(reader.refuse("sensing.d_max", site.sensing.d_max, allowed));
-        }
         let Fields { price } = Fields::read(reader)?;
-        if price >= ages::MOST {
-            reader.warn(format!(
-                "policy.age-index.price is {price}, and what a device looks at is worth at most {}: hardly a device is \
-                 told to sense, and events are missed",
-                ages::MOST
-            ));
-        }
-        site.classes
-            .iter()
-            .filter_map(never_senses)
-            .for_each(|sentence| reader.warn(sentence));
+        ages::check("age-index", Some(price), reader, site)?;
         Ok(Self { price })
     }
-}
-
-/// A class whose batteries cannot hold what a device must have to be told to sense.
-fn never_senses(class: &ClassKnowledge<'_>) -> Option<String> {
-    let (needed, e_max) = (price::needed(&class.energy), class.energy.e_max);
-    (needed > e_max).then(|| {
-        format!(
-            "age-index tells only devices with {needed} to sense (E_idle, E_Tx and a reserve), and the batteries of \
-             class {} hold {e_max}: none of them ever senses",
-            class.name
-        )
-    })
 }
 
 impl PolicySettings for AgeIndexSettings {

@@ -10,6 +10,7 @@ use crate::beliefs::ages::price::needed;
 use crate::beliefs::candidates::Candidates;
 use crate::beliefs::coverage::Coverage;
 use crate::knowledge::Knowledge;
+use crate::levels::Levels;
 use crate::observation::Observation;
 use crate::policy::contract::{Opaque, Policy};
 use reveille_common::scenario::WakeUpRanking;
@@ -59,10 +60,52 @@ impl<F: FnMut(Step) + Send> Sink for F {
     }
 }
 
+/// How a policy is recorded.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Manner {
+    /// The probability, `[0, 1)`, with which a device does not do what the policy says.
+    pub explores: f64,
+    /// Whether a policy that does not look at batteries goes by those that are recorded when it asks who can pay for a
+    /// report. With `bs.battery_knowledge = "oracle"` those are the true ones, and it wakes others than in a run that
+    /// is not recorded.
+    pub told: bool,
+}
+
+/// What the policy is shown of batteries.
+#[derive(Debug)]
+enum Own {
+    /// What is recorded.
+    Recorded,
+    /// No levels; what it goes by when it asks who can pay for a report, as without a recording.
+    Hidden(Option<Box<Levels>>),
+}
+
+impl Own {
+    /// `seen` as the policy is to see it.
+    fn shown<'a>(&'a self, seen: &Observation<'a>) -> Observation<'a> {
+        match self {
+            Self::Recorded => *seen,
+            Self::Hidden(levels) => Observation {
+                batteries: &[],
+                levels: levels.as_deref(),
+                ..*seen
+            },
+        }
+    }
+
+    /// Does `keep` with what is reckoned besides.
+    fn keep(&mut self, keep: impl FnOnce(&mut Levels)) {
+        if let Self::Hidden(Some(levels)) = self {
+            keep(levels);
+        }
+    }
+}
+
 /// A policy whose trajectory is recorded. It may be made to explore: then a device does not do what the policy says in
 /// a share of its TTIs.
 pub struct Recorded<S> {
     policy: Box<dyn Policy>,
+    own: Own,
     senses: Senses,
     coverage: Coverage,
     /// Tell what was to be expected of a wake-up.
@@ -77,14 +120,20 @@ pub struct Recorded<S> {
 }
 
 impl<S: Sink> Recorded<S> {
-    /// `policy`, for the devices in `known`, which do otherwise with probability `explores`, `[0, 1)`.
-    pub fn new(policy: Box<dyn Policy>, known: &Knowledge, explores: f64, sink: S) -> Self {
+    /// `policy`, for the devices in `known`, recorded in this `manner`.
+    pub fn new(policy: Box<dyn Policy>, known: &Knowledge, manner: Manner, sink: S) -> Self {
+        let own = if policy.looks_at_batteries() || manner.told {
+            Own::Recorded
+        } else {
+            Own::Hidden(policy.wakes().then(|| Box::new(Levels::reckoned(known))))
+        };
         Self {
             policy,
+            own,
             senses: Senses::new(known, |j| needed(&known.devices[j].energy)),
             coverage: Coverage::new(&known.positions(), known.area, &known.sensing),
             candidates: Candidates::by(WakeUpRanking::Posterior, known),
-            explores,
+            explores: manner.explores,
             sink,
             plan: None,
             due: Tti::ZERO,
@@ -115,9 +164,13 @@ impl<S: Sink> Policy for Recorded<S> {
             self.sink.take(step);
         }
         self.senses.begin(seen);
-        if seen.now >= self.due {
-            self.plan = Some(self.policy.decide(seen));
+        let decides = seen.now >= self.due;
+        if decides {
+            self.plan = Some(self.policy.decide(&self.own.shown(seen)));
             self.due = self.policy.next_decision(seen.now);
+        }
+        if decides || self.explores > 0.0 {
+            self.own.keep(|levels| levels.pass(seen.now, seen.plan));
         }
         let on = self.explored(seen, self.plan.as_ref().expect("decided in TTI 0"));
         self.coverage.clear();
@@ -139,7 +192,11 @@ impl<S: Sink> Policy for Recorded<S> {
             reward: (asleep - seen.known.alpha * MU1 * uncovered) as f32,
             wake_reward: 0.0,
         });
-        let plan = Plan::from_bits(on);
+        let plan = if self.explores > 0.0 {
+            Plan::from_bits(on)
+        } else {
+            self.plan.clone().expect("decided in TTI 0")
+        };
         self.senses.look(seen.now, &plan, false);
         plan
     }
@@ -165,11 +222,12 @@ impl<S: Sink> Policy for Recorded<S> {
         }
         let ages = self.senses.ages();
         self.candidates.start_with(seen, reports, |place| ages.at(place));
-        self.policy.reported(seen, reports);
+        self.own.keep(|levels| levels.gathered(seen.now, seen.plan, reports));
+        self.policy.reported(&self.own.shown(seen), reports);
     }
 
     fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId> {
-        let device = self.policy.next_wake_up(seen)?;
+        let device = self.policy.next_wake_up(&self.own.shown(seen))?;
         let own = self.candidates.next(seen, |candidate| candidate == device);
         self.woken = Some((device, own.map_or(0.0, |(_, gain)| gain), seen.information));
         Some(device)
@@ -177,7 +235,14 @@ impl<S: Sink> Policy for Recorded<S> {
 
     fn answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
         let psi = seen.known.sensing.psi;
-        if let (Some((device, gain, before)), Some(step)) = (self.woken.take(), &mut self.open) {
+        let woken = self.woken.take();
+        if let Some((device, ..)) = woken {
+            self.own.keep(|levels| match report {
+                Some(report) => levels.heard(device, seen.now, report.battery),
+                None => levels.silent(device, seen.now, seen.plan),
+            });
+        }
+        if let (Some((device, gain, before)), Some(step)) = (woken, &mut self.open) {
             let brought = (seen.information - before) / psi;
             step.looks[device.index()].wake_up = Some(((gain / psi) as f32, brought as f32));
             step.wake_reward += (brought - 1.0 / seen.known.n() as f64) as f32;
@@ -187,7 +252,7 @@ impl<S: Sink> Policy for Recorded<S> {
             let ages = self.senses.ages();
             self.candidates.add_with(seen, report, |place| ages.at(place));
         }
-        self.policy.answered(seen, report);
+        self.policy.answered(&self.own.shown(seen), report);
     }
 
     fn facts(&self) -> Vec<(&'static str, f64)> {

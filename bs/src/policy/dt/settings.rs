@@ -9,10 +9,9 @@ use reveille_common::declare::{
 };
 use reveille_common::scenario::{PolicySettings, Site};
 
-use super::model::shape::{LONGEST_MEMORY, MOST_HEADS, Shape, WIDEST};
+use super::model::shape::{LONGEST_MEMORY, MOST_HEADS, Objective, Shape, WIDEST};
 use super::model::weights::Weights;
 use crate::beliefs::ages;
-use crate::beliefs::raster::MOST_CELLS;
 
 /// Where models come from, but for files.
 const MODELS: &[Alternative] = &[
@@ -139,14 +138,9 @@ impl DtSettings {
     /// # Errors
     /// A value that may not be, a model that cannot be used, or an area of too many cells.
     pub fn settle(reader: &Reader<'_>, site: &Site<'_>) -> Result<Self, ScenarioError> {
-        let cells = ages::cells(site.area, site.sensing.d_max);
-        if cells > MOST_CELLS {
-            let allowed = format!(
-                "is so small against the area that dt would keep the ages of {cells:.0} cells, more than {MOST_CELLS}"
-            );
-            return Err(reader.refuse("sensing.d_max", site.sensing.d_max, allowed));
-        }
         let fields = Fields::read(reader)?;
+        let price = (fields.target <= 0.0).then_some(fields.price);
+        ages::check("dt", price, reader, site)?;
         let asked = AskedShape {
             memory: fields.memory,
             width: fields.width,
@@ -169,7 +163,7 @@ impl DtSettings {
                 let bytes = reader
                     .files()
                     .read(&path, LARGEST)
-                    .map_err(|error| refuse(format!("cannot be read: {error}")))?;
+                    .map_err(|error| refuse(error.to_string()))?;
                 let weights = Weights::read(&bytes).map_err(|error| refuse(error.to_string()))?;
                 (ModelSource::File(path), weights)
             }
@@ -179,6 +173,17 @@ impl DtSettings {
                 "is not what the model has, {has}; train one: reveille train dt --set policy.dt.{name}={asked}"
             );
             return Err(reader.refuse(&format!("policy.dt.{name}"), asked, allowed));
+        }
+        let knows_prices = source != ModelSource::Untrained && weights.shape().objective == Objective::Events;
+        if fields.target > 0.0 && !knows_prices {
+            reader.warn(format!(
+                "policy.dt.target is {}, and the model has not learned what price goes with it: {}",
+                fields.target,
+                match weights.shape().objective {
+                    Objective::Events => "an untrained one takes 1",
+                    Objective::Actions => "one that imitates actions has none",
+                }
+            ));
         }
         Ok(Self {
             source,

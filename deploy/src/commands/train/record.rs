@@ -10,13 +10,13 @@ use reveille_bs::scenario::load;
 use reveille_common::io::Disk;
 use reveille_lab::sweep::{Grid, Shard};
 use reveille_lab::training::checkpoint;
-use reveille_lab::trajectories::{Recording, Trajectories, record, record_again, write};
+use reveille_lab::trajectories::{Chunk, HORIZON, Recording, Trajectories, record, record_again, write};
 
 use super::q_learning::Interrupted;
 use crate::cli::RecordArgs;
 use crate::commands::experiment::experiment;
-use crate::commands::paths::check_place;
 use crate::display::{self, note};
+use crate::paths::check_place;
 use crate::results::{SCENARIO, SUMMARY};
 
 /// Records the runs that are asked for.
@@ -40,8 +40,8 @@ pub fn run(args: &RecordArgs) -> anyhow::Result<ExitCode> {
     };
     if trajectories.chunks.is_empty() {
         bail!(
-            "nothing was recorded: runs must be longer than --chunk {} and the 20 TTIs of a return, and the genie \
-             decides by what no base station knows",
+            "nothing was recorded: runs must be longer than --chunk {} and the {HORIZON} TTIs of a return, and the \
+             genie decides by what no base station knows",
             args.chunk
         );
     }
@@ -49,11 +49,7 @@ pub fn run(args: &RecordArgs) -> anyhow::Result<ExitCode> {
         bail!("{}: {error}", args.out.display());
     }
     if !args.quiet {
-        let rows: usize = trajectories
-            .chunks
-            .iter()
-            .map(|chunk| chunk.devices * chunk.steps.len())
-            .sum();
+        let rows: usize = trajectories.chunks.iter().map(Chunk::device_ttis).sum();
         note!(
             "{} of {rows} device-TTIs",
             display::count(trajectories.chunks.len(), "chunk")
@@ -96,6 +92,12 @@ fn of_folders(
         let Some((found, of_run)) = record_again(&scenario, run, recording, stop) else {
             return Ok(None);
         };
+        let Some(found) = found else {
+            bail!(
+                "{}: a run of the genie, which decides by what no base station knows: nothing can be learned from it",
+                folder.display()
+            );
+        };
         if found.to_string() != digest {
             bail!(
                 "{}: the scenario there gives the digest {found}, and its summary has {digest}: the run was cut short, \
@@ -124,9 +126,9 @@ fn digest(folder: &Path) -> anyhow::Result<String> {
 }
 
 fn recording(args: &RecordArgs) -> anyhow::Result<Recording> {
-    if args.every < args.chunk {
+    if args.every <= args.chunk {
         bail!(
-            "--every {}: must be at least --chunk, {}, or chunks would overlap",
+            "--every {}: must be more than --chunk, {}, or one chunk would run into the next",
             args.every,
             args.chunk
         );
@@ -141,5 +143,6 @@ fn recording(args: &RecordArgs) -> anyhow::Result<Recording> {
         length: args.chunk as usize,
         stride: args.every as usize,
         explore: args.explore.clone(),
+        told: args.told,
     })
 }

@@ -19,6 +19,9 @@ use super::weights::{Attention, Mix, Weights};
 pub const LEAST_FEATURE: f32 = 0.01;
 /// The largest logarithm that a head gives: nothing is expected e³ times as often as without history.
 pub const LIMIT: f32 = 3.0;
+/// The most by which the logarithm of a target's price may differ from 0: targets beyond those that were learned from
+/// would else give any price.
+pub const PRICE_LIMIT: f32 = 5.0;
 
 /// What a model makes of one TTI after another, for N devices.
 #[derive(Clone, Debug)]
@@ -109,7 +112,7 @@ impl Forward {
         }
     }
 
-    /// The logarithm of the price that goes with a target in the TTI of the last step.
+    /// The logarithm of the price that goes with a target in the TTI of the last step, within ± [`PRICE_LIMIT`].
     pub fn price(&mut self, target: f32) -> f32 {
         let d = self.weights.shape.width;
         self.pooled.fill(0.0);
@@ -125,7 +128,7 @@ impl Forward {
         relu(&mut inner);
         let mut price = [0.0];
         self.weights.price_outer.apply(&inner, &mut price);
-        price[0]
+        price[0].clamp(-PRICE_LIMIT, PRICE_LIMIT)
     }
 
     /// What each device attended to in the last step, `[N, heads, Z]` by lag; each sums to 1.

@@ -45,7 +45,8 @@ impl Width {
         here
     }
 
-    /// The fastest that this CPU has: those of v4 lower its clock, and are slower here than those of v3.
+    /// Those that are taken. Of v4 none are: they are a few hundredths faster on some CPUs, and half as fast again
+    /// where they lower the clock.
     pub fn fastest() -> Self {
         #[cfg(target_arch = "x86_64")]
         if let Some(v3) = V3::try_new() {

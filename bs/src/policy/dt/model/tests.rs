@@ -212,7 +212,17 @@ fn every_width_of_instructions_gives_the_same_bits() {
 
 #[test]
 fn a_step_is_the_sum_that_it_stands_for() {
-    for (memory, width, heads, has_space, n) in [(4, 16, 2, true, 7), (1, 8, 1, true, 1), (8, 32, 4, false, 5)] {
+    let usual = Shape::USUAL;
+    let shapes = [
+        (4, 16, 2, true, 7),
+        (1, 8, 1, true, 1),
+        (8, 32, 4, false, 5),
+        (usual.memory, usual.width, usual.heads, usual.has_space, 9),
+        // Heads wider than a vector, and not a multiple of one.
+        (3, 40, 2, true, 6),
+        (2, 72, 2, true, 3),
+    ];
+    for (memory, width, heads, has_space, n) in shapes {
         let shape = Shape {
             memory,
             width,
@@ -242,6 +252,18 @@ fn a_step_is_the_sum_that_it_stands_for() {
             }
         }
     }
+}
+
+#[test]
+fn the_model_of_the_program_names_no_place_of_a_machine() {
+    let bytes = include_bytes!("../shipped.safetensors");
+    let (length, rest) = bytes.split_first_chunk().expect("a length");
+    let header = &rest[..u64::from_le_bytes(*length) as usize];
+    let text = std::str::from_utf8(header).expect("a text");
+    for place in ["\"/", "= \"/", "/tmp", "/home", "/root", "/work", "/Users"] {
+        assert!(!text.contains(place), "{place}");
+    }
+    assert!(text.contains("teachers.safetensors"));
 }
 
 #[test]
