@@ -9,14 +9,16 @@
 //! An observer must not change the run, and cannot: it is given references alone. `()` observes nothing and costs
 //! nothing.
 
+pub mod frames;
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
-use reveille_common::event::ActiveEvent;
+use reveille_common::event::{ActiveEvent, EventRecord};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Failure, PlanUpdate, Report, WakeOutcome};
-use reveille_common::score::{EventRecord, WindowRecord};
+use reveille_common::score::WindowRecord;
 use reveille_common::state::DeviceView;
 
 use crate::grant::Grant;
@@ -100,6 +102,23 @@ impl<O: Observer> Observer for &mut O {
 
     fn window(&mut self, window: &WindowRecord) -> bool {
         (**self).window(window)
+    }
+}
+
+/// An observer, if there is one.
+impl<O: Observer> Observer for Option<O> {
+    fn see(&mut self, happening: &Happening<'_>) {
+        if let Some(observer) = self {
+            observer.see(happening);
+        }
+    }
+
+    fn wants_states(&self) -> bool {
+        self.as_ref().is_some_and(Observer::wants_states)
+    }
+
+    fn window(&mut self, window: &WindowRecord) -> bool {
+        self.as_mut().is_none_or(|observer| observer.window(window))
     }
 }
 

@@ -6,6 +6,8 @@
 //! | `reveille/{run}/{plane}/{kind}/{number}` | one that has a key for each device or each host |
 //! | `reveille/{run}/emu/alive/{host}`, `reveille/{run}/emu/bs` | liveliness tokens |
 //! | `reveille/{run}/tap` | [`TapBatch`](crate::message::TapBatch), BS → observers |
+//!
+//! Nothing travels on keys of the plane of truth: its kinds come to observers by the tap alone.
 
 use std::fmt;
 use std::str::FromStr;

@@ -189,6 +189,13 @@ pub struct EventTally {
     pub wasted: Energy,
 }
 
+impl EventTally {
+    /// I_i, in units of information.
+    pub const fn information(&self) -> f64 {
+        self.information_pico as f64 / PICO_PER_INFORMATION
+    }
+}
+
 /// Sums over the counted events.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EventTotals {

@@ -2,9 +2,9 @@
 
 use reveille_bs::observe::{Happening, Observer};
 use reveille_bs::outcome::Outcome;
+use reveille_common::event::EventRecord;
 use reveille_common::ids::Tti;
 use reveille_common::scenario::Scenario;
-use reveille_common::score::EventRecord;
 use reveille_common::state::DeviceState;
 use reveille_common::totals::Ledger;
 use reveille_device::machine::Machine;

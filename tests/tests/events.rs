@@ -1,8 +1,7 @@
 //! How long events last and where they are, against what can be worked out on paper.
 
-use reveille_common::event::ActiveEvent;
+use reveille_common::event::{ActiveEvent, EventRecord};
 use reveille_common::geometry::{Area, Point};
-use reveille_common::score::EventRecord;
 use reveille_tests::compare;
 use reveille_tests::laws::{cells_are, drawn, mean_is, share_is};
 use reveille_tests::scenarios::scenario;

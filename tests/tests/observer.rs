@@ -83,6 +83,7 @@ async fn over_the_bus(prepared: &Prepared, lookahead: bool, hosts: u32) -> Vec<S
         window: u64::MAX,
         join_patience: Some(PATIENCE),
         paused: false,
+        states_every: 0,
     };
     let mut record = Record::default();
     let progress = Arc::new(Progress::default());

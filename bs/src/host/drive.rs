@@ -31,6 +31,8 @@ pub struct Settings {
     pub join_patience: Option<Duration>,
     /// Start with the clock paused.
     pub paused: bool,
+    /// TTIs between two of which observers are told the states of all devices; 0 for none.
+    pub states_every: u64,
 }
 
 /// How far a run has come, for a display in another thread.
@@ -48,6 +50,12 @@ pub struct Progress {
     pub mean_battery: AtomicU64,
     /// Whether the clock is paused.
     pub paused: AtomicBool,
+    /// Hosts that carry devices and are not lost.
+    pub hosts: AtomicU64,
+    /// TTIs that began late under a real-time pace.
+    pub late_ttis: AtomicU64,
+    /// The largest delay of a TTI, nanoseconds.
+    pub max_late: AtomicU64,
     /// Set from outside, before `stop`: why the run cannot go on.
     pub cause: OnceLock<String>,
     /// Set from outside: end the run at the next TTI.

@@ -10,6 +10,7 @@ mod joining;
 pub mod roster;
 mod running;
 mod shared;
+mod told;
 
 use std::sync::Arc;
 
@@ -20,6 +21,7 @@ pub use self::drive::{OnLoss, Progress, Served, Settings};
 pub use self::error::BsError;
 
 use self::shared::Shared;
+use self::told::Told;
 use crate::observe::Observer;
 use crate::prepared::Prepared;
 
@@ -43,7 +45,8 @@ pub async fn serve(
     let started = std::time::Instant::now();
     joining::wait_for_all(&shared, scenario, settings, progress).await?;
     let joining = started.elapsed();
-    running::run(bus, prepared, settings, progress, observer, &shared, joining).await
+    let mut observers = (observer, Told::new(bus, settings.states_every));
+    running::run(bus, prepared, settings, progress, &mut observers, &shared, joining).await
 }
 
 /// Tells all hosts that the run is over and its results are written, or that it has failed and why: they leave.

@@ -240,6 +240,15 @@ impl Loop<'_> {
         self.progress.tti.store(self.cycle.next_tti().0, Ordering::Relaxed);
         self.progress.events.store(events.events, Ordering::Relaxed);
         self.progress.misdetected.store(events.misdetected, Ordering::Relaxed);
+        let hosts = {
+            let mut state = self.shared.lock();
+            let carrying = state.barrier.roster().hosts();
+            carrying.saturating_sub(state.lost.len())
+        };
+        self.progress.hosts.store(hosts as u64, Ordering::Relaxed);
+        self.progress.late_ttis.store(self.lateness.late, Ordering::Relaxed);
+        let latest = self.lateness.max.as_nanos() as u64;
+        self.progress.max_late.store(latest, Ordering::Relaxed);
     }
 
     /// Waits until `first` is due, under a real-time pace.

@@ -15,6 +15,7 @@ use std::marker::PhantomData;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 
 use serde::de::DeserializeOwned;
 use zenoh::Wait;
@@ -24,13 +25,16 @@ use zenoh::sample::Sample;
 
 use crate::codec::{self, CodecError};
 use crate::ids::Tti;
-use crate::keys::{Keys, RunName, last_number};
-use crate::message::{Payload, TapBatch};
+use crate::keys::{self, Keys, RunName};
+use crate::message::{Address, Frame, Payload, Plane, TapBatch};
 
 pub use error::BusError;
 pub use raw::RawTopic;
 pub use session::{LEASE_MS, free_to_listen};
-pub use tap::Tap;
+pub use tap::{Sink, Tap};
+
+/// Time between two looks at what is to be sent to observers.
+const DRAINING: Duration = Duration::from_millis(2);
 
 /// One session on one run.
 #[derive(Clone)]
@@ -84,6 +88,41 @@ impl Bus {
         }
     }
 
+    /// Hands every copy of the BS's traffic to `sink`, in the order in which it is sent or heard; the run waits for it.
+    /// There is one such place. False if it is taken, or this is no BS's session.
+    pub fn copy_to(&self, sink: Box<Sink>) -> bool {
+        self.tap.as_ref().is_some_and(|tap| tap.copy_to(sink))
+    }
+
+    /// Copies that observers were not sent, because they could not keep up.
+    pub fn left_out(&self) -> u64 {
+        self.tap.as_ref().map_or(0, |tap| tap.left_out())
+    }
+
+    /// Waits until observers have been sent all copies so far, `patience` at most.
+    pub async fn drain(&self, patience: Duration) {
+        let Some(tap) = &self.tap else { return };
+        let sent = async {
+            while !tap.is_empty() {
+                tokio::time::sleep(DRAINING).await;
+            }
+        };
+        // Who cannot keep up is not waited for any longer.
+        let _in_time = tokio::time::timeout(patience, sent).await.is_ok();
+    }
+
+    /// Whether somebody wants copies of the BS's traffic.
+    pub fn is_observed(&self) -> bool {
+        self.tap.as_ref().is_some_and(|tap| tap.is_observed())
+    }
+
+    /// Tells observers of what is on the air and of what the world does.
+    pub fn tell(&self, frame: Frame) {
+        if let Some(tap) = &self.tap {
+            tap.tell(frame);
+        }
+    }
+
     /// This session for devices in the BS's own process: what they send and hear is not copied to observers, as the BS
     /// hears and sends it all.
     #[must_use]
@@ -100,15 +139,14 @@ impl Bus {
     /// # Errors
     /// If zenoh refuses.
     pub fn publisher<P: Payload>(&self, address: P::Address) -> Result<Topic<P>, BusError> {
-        let key = self.keys.typed::<P>(address);
         let publisher = self
             .session
-            .declare_publisher(key.clone())
+            .declare_publisher(self.keys.typed::<P>(address))
             .congestion_control(CongestionControl::Block)
             .wait()?;
         Ok(Topic {
             publisher,
-            key,
+            number: address.number(),
             tap: self.tap.clone(),
             _payload: PhantomData,
         })
@@ -137,7 +175,7 @@ impl Bus {
         F: Fn(Option<u32>, P) + Send + Sync + 'static,
     {
         self.listen_on(self.keys.all(P::KIND), move |key, message| {
-            handle(last_number(key), message);
+            handle(keys::last_number(key), message);
         })
     }
 
@@ -157,8 +195,9 @@ impl Bus {
         let bus = self.clone();
         let take = move |key: &str, payload: &[u8]| {
             bus.see(key, payload);
-            if let Some(message) = bus.read(key, payload) {
-                handle(key, message);
+            match bus.read(key, payload) {
+                Some(message) => handle(key, message),
+                None => bus.see_malformed(key, payload),
             }
         };
         self.listen_for_bytes(key, Box::new(take))
@@ -183,8 +222,20 @@ impl Bus {
     }
 
     fn see(&self, key: &str, payload: &[u8]) {
-        if let Some(tap) = &self.tap {
-            tap.see(key, payload);
+        if let Some(tap) = self.tap.as_ref().filter(|tap| tap.is_observed())
+            && let Some((kind, number)) = keys::classify(key)
+        {
+            tap.see(kind, number, payload);
+        }
+    }
+
+    /// Copies what was heard on the air plane and is no message: the run tells nothing of it.
+    fn see_malformed(&self, key: &str, payload: &[u8]) {
+        if let Some(tap) = self.tap.as_ref().filter(|tap| tap.is_observed())
+            && let Some((kind, number)) = keys::classify(key)
+            && kind.plane() != Plane::Emu
+        {
+            tap.tell_bytes(kind, number, payload);
         }
     }
 
@@ -212,7 +263,7 @@ impl Declared {
 /// Where messages of type `P` are published, on one key.
 pub struct Topic<P> {
     publisher: Publisher<'static>,
-    key: String,
+    number: Option<u32>,
     tap: Option<Arc<Tap>>,
     _payload: PhantomData<fn(&P)>,
 }
@@ -225,7 +276,7 @@ impl<P: Payload> Topic<P> {
     pub fn put(&self, message: &P) -> Result<(), BusError> {
         let payload = codec::encode(message);
         if let Some(tap) = &self.tap {
-            tap.see(&self.key, &payload);
+            tap.see(P::KIND, self.number, &payload);
         }
         Ok(self.publisher.put(payload).wait()?)
     }

@@ -9,9 +9,12 @@ mod bursts;
 mod duration;
 mod hot_spots;
 mod process;
+mod record;
 pub mod settings;
 mod steady;
 mod uniform;
+
+use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
@@ -20,6 +23,7 @@ pub use self::bursts::Bursts;
 pub use self::duration::DurationKind;
 pub use self::hot_spots::HotSpots;
 pub use self::process::{Process, ProcessKind};
+pub use self::record::EventRecord;
 
 use self::process::{Epicentres, Starts};
 use self::settings::Events;
@@ -35,8 +39,15 @@ pub struct Stimulus {
     pub epicentre: Point,
 }
 
+impl fmt::Display for Stimulus {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { event, epicentre } = self;
+        write!(f, "event {} at ({:.2}, {:.2}) m", event.0, epicentre.x, epicentre.y)
+    }
+}
+
 /// An event that has started and not yet ended.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ActiveEvent {
     /// What it shows.
     pub stimulus: Stimulus,

@@ -71,8 +71,8 @@ impl fmt::Display for Tick {
         } else {
             write!(f, "TTIs {first} to {last}")?;
         }
-        if let Some(Stimulus { event, epicentre }) = stimulus {
-            write!(f, ", event {} at ({:.2}, {:.2}) m", event.0, epicentre.x, epicentre.y)?;
+        if let Some(stimulus) = stimulus {
+            write!(f, ", {stimulus}")?;
         }
         f.write_str(if *account { ", sums wanted" } else { "" })?;
         f.write_str(if *views { ", states and batteries wanted" } else { "" })

@@ -1,27 +1,30 @@
 //! What crosses the bus: every kind of message, declared once.
 //!
-//! Two planes: on the *air* plane travels what a real deployment would send over the radio, on the *emulation* plane
-//! what only the emulation needs. The table `messages!` below is the one list of kinds: the keys ([`crate::keys`]), the
-//! typed bus (`crate::bus`), `reveille inspect`, its help and its page, and the fuzz target read it. A new kind is a
-//! row of the table and a file with its payload.
+//! Three planes: on the *air* plane travels what a real deployment would send over the radio, on the *emulation* plane
+//! what only the emulation needs; on the plane of *truth* nothing travels, it is what observers are told of the
+//! modelled world besides. The table `messages!` below is the one list of kinds: the keys ([`crate::keys`]), the typed
+//! bus (`crate::bus`), `reveille inspect`, its help and its page, and the fuzz target read it. A new kind is a row of
+//! the table and a file with its payload.
 //!
-//! Not in the table: the copies for observers ([`TapBatch`]), which are no part of the run.
+//! Not in the table: the copies of all of them for observers ([`Frame`]), which are no part of the run.
 
 mod answer;
 mod clock;
 mod control;
+mod describe;
+mod frame;
 mod join;
 mod plan;
 mod ready;
 mod report;
 mod setup;
-mod tap;
+mod truth;
 mod wake;
 
 use std::fmt;
 
-use serde::Serialize;
 use serde::de::DeserializeOwned;
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::codec::{self, CodecError};
 use crate::ids::{DeviceId, HostId};
@@ -29,12 +32,14 @@ use crate::ids::{DeviceId, HostId};
 pub use answer::{Answer, Failure};
 pub use clock::{Clock, Tick};
 pub use control::{ClockCommand, ClockStatus, LostHost};
+pub use describe::{Describe, Description};
+pub use frame::{Frame, TapBatch};
 pub use join::{JoinReply, JoinRequest};
 pub use plan::PlanUpdate;
 pub use ready::Ready;
 pub use report::Report;
 pub use setup::{Assignment, DeviceSetup};
-pub use tap::{TapBatch, TapFrame};
+pub use truth::{EventNews, FailedReport, States, Woken, World};
 pub use wake::{WakeOutcome, WakeUp};
 
 /// Declares the kinds of message: kind "name": payload, plane, what stands at the end of the key, direction, help;
@@ -45,7 +50,7 @@ macro_rules! messages {
         $about:literal;
     )+) => {
         /// The kinds of message, each with a key of its own.
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
         pub enum MessageKind {
             $(#[doc = $about] $kind,)+
         }
@@ -88,6 +93,11 @@ macro_rules! messages {
                     $(Self::$kind => $about,)+
                 }
             }
+
+            /// Shows `visitor` the type of every kind's payload.
+            pub fn show_types(visitor: &mut impl TypeVisitor) {
+                $(visitor.visit::<$payload>();)+
+            }
         }
 
         $(impl Payload for $payload {
@@ -114,6 +124,16 @@ macro_rules! messages {
             pub fn decode(kind: MessageKind, payload: &[u8]) -> Result<Self, CodecError> {
                 match kind {
                     $(MessageKind::$kind => codec::decode(payload).map(Self::$kind),)+
+                }
+            }
+
+            /// The message of `kind` in a text such as JSON that gives fields their names.
+            ///
+            /// # Errors
+            /// If it is no message of this kind.
+            pub fn deserialize<'de, D: Deserializer<'de>>(kind: MessageKind, text: D) -> Result<Self, D::Error> {
+                match kind {
+                    $(MessageKind::$kind => <$payload>::deserialize(text).map(Self::$kind),)+
                 }
             }
 
@@ -197,6 +217,18 @@ messages! {
         "A query: a host is subscribed to everything and waits for the first TTI.";
     Control "control": ClockCommand => ClockStatus, Emu, (), "operator → BS",
         "A query: pause, step, resume, or where the clock is.";
+    Describe "describe": Describe => Description, Emu, (), "observer → BS",
+        "A query: the scenario of the run, with the files that it names.";
+    World "world": World, Truth, (), "world → observers",
+        "TTIs that the devices go through, and what the world shows in the last of them.";
+    Event "event": EventNews, Truth, (), "world → observers",
+        "An event starts, or has ended with all that came of it.";
+    Failed "failed": FailedReport, Truth, DeviceId, "world → observers",
+        "A device has detected an event and could not pay for a report.";
+    Woken "woken": Woken, Truth, DeviceId, "world → observers",
+        "What came of a wake-up.";
+    States "states": States, Truth, (), "world → observers",
+        "State and battery of all devices at the end of a TTI, where a recording was asked for them.";
 }
 
 /// The kinds of message as a table in Markdown, for the page on inspecting.
@@ -209,21 +241,27 @@ pub fn markdown() -> String {
     format!("| kind | plane | direction | what |\n|---|---|---|---|\n{rows}")
 }
 
-/// The two planes on the bus.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// The planes: two on the bus, and one that observers see besides.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Plane {
     /// What a real deployment would send over the radio.
     Air,
     /// What only the emulation needs.
     Emu,
+    /// What happens in the modelled world: ground truth, which nobody sends.
+    Truth,
 }
 
 impl Plane {
+    /// Every plane.
+    pub const ALL: [Self; 3] = [Self::Air, Self::Emu, Self::Truth];
+
     /// The name of the plane in keys and on the command line.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Air => "air",
             Self::Emu => "emu",
+            Self::Truth => "truth",
         }
     }
 }
@@ -291,6 +329,12 @@ pub trait Payload: Concerns + fmt::Display + Serialize + DeserializeOwned {
     const KIND: MessageKind;
 }
 
+/// Looks at the types of payloads.
+pub trait TypeVisitor {
+    /// Looks at one.
+    fn visit<P: Payload>(&mut self);
+}
+
 /// A query: a payload that is answered.
 pub trait Question: Payload {
     /// The answer.
@@ -351,7 +395,12 @@ mod tests {
         let with_reply = MessageKind::ALL
             .iter()
             .filter(|&&kind| Reply::decode(kind, &yes).is_some());
-        let queries = [MessageKind::Join, MessageKind::Ready, MessageKind::Control];
+        let queries = [
+            MessageKind::Join,
+            MessageKind::Ready,
+            MessageKind::Control,
+            MessageKind::Describe,
+        ];
         assert!(with_reply.eq(&queries));
         let reply = Reply::decode(MessageKind::Ready, &yes)
             .expect("a query")

@@ -39,6 +39,20 @@ pub enum WakeOutcome {
     Unheard,
 }
 
+impl fmt::Display for WakeOutcome {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Reported(report) => write!(f, "reported: {report}"),
+            Self::Failed(failure) => write!(
+                f,
+                "woke and cannot pay for a report; {:.2} are lost",
+                failure.drained.units()
+            ),
+            Self::Unheard => f.write_str("did not hear it"),
+        }
+    }
+}
+
 impl WakeOutcome {
     /// What `view`, taken before the wake-up, has become by it.
     #[must_use]

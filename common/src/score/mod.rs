@@ -13,11 +13,11 @@ use std::collections::BTreeMap;
 pub use devices::{Acts, ClassRecord, DeviceRecord};
 pub use digest::{DIGEST_VERSION, Digest, Fingerprint};
 pub use metrics::{Group, Metric, Metrics, markdown};
-pub use records::{Accounts, EventRecord, WindowRecord};
+pub use records::{Accounts, WindowRecord};
 
 use crate::codec;
 use crate::deployment::Deployment;
-use crate::event::{ActiveEvent, Stimulus};
+use crate::event::{ActiveEvent, EventRecord, Stimulus};
 use crate::ids::{DeviceId, Tti};
 use crate::message::{Failure, PlanUpdate, Report, WakeOutcome};
 use crate::scenario::Scenario;

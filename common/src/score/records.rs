@@ -1,35 +1,9 @@
-//! What a run leaves behind beside its metrics: a record an event, and sums a window of TTIs.
+//! What a run leaves behind beside its metrics and a record an event: sums a window of TTIs.
 
 use crate::deployment::Deployment;
-use crate::geometry::Point;
-use crate::ids::{EventId, Tti};
-use crate::totals::{DeviceTotals, EventTally, EventTotals};
+use crate::ids::Tti;
+use crate::totals::{DeviceTotals, EventTotals};
 use crate::units::Energy;
-
-/// One ended event, for the per-event series.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct EventRecord {
-    /// Its number.
-    pub event: EventId,
-    /// Its place.
-    pub epicentre: Point,
-    /// Its first TTI.
-    pub start: Tti,
-    /// Its last TTI.
-    pub last: Tti,
-    /// Whether it counts in the metrics.
-    pub counted: bool,
-    /// What it came to.
-    pub tally: EventTally,
-}
-
-impl EventRecord {
-    /// TTIs from its start to its first report, 0 for the same TTI; `None` if it was missed. It ends with its first
-    /// report.
-    pub fn delay(&self) -> Option<u64> {
-        (self.tally.reports > 0).then(|| self.last - self.start)
-    }
-}
 
 /// One row of the per-window series: the sums of the TTIs `first .. end`.
 #[derive(Clone, Copy, Debug, PartialEq)]

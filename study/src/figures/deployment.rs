@@ -4,13 +4,12 @@
 use libm::{cos, sin};
 use reveille_bs::beliefs::ranking::i_min;
 use reveille_common::deployment::Deployment;
+use reveille_common::event::EventRecord;
 use reveille_common::geometry::{Point, cells};
 use reveille_common::ids::DeviceId;
 use reveille_common::message::WakeOutcome;
 use reveille_common::scenario::Scenario;
-use reveille_common::score::EventRecord;
 use reveille_common::state::DeviceState;
-use reveille_common::totals::PICO_PER_INFORMATION;
 
 use super::error::FigureError;
 use super::font::{Weight, width, wrap};
@@ -318,7 +317,7 @@ fn caption(scenario: &Scenario, moment: &Moment) -> String {
             format!("Cells are the devices' Voronoi cells, tinted by their {count} clusters.")
         },
     );
-    let information = tally.information_pico as f64 / PICO_PER_INFORMATION;
+    let information = tally.information();
     let wake_ups = match moment.wake_ups {
         0 => "no wake-up".to_owned(),
         1 => "one wake-up (numbered if a report came of it)".to_owned(),

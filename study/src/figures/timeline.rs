@@ -1,9 +1,9 @@
 //! The timeline: battery and states of chosen devices, TTI by TTI, with the events and wake-ups of the run.
 
+use reveille_common::event::EventRecord;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::WakeOutcome;
 use reveille_common::scenario::{EnergyModel, Scenario};
-use reveille_common::score::EventRecord;
 use reveille_common::state::DeviceState;
 use reveille_common::units::Energy;
 

@@ -1,13 +1,13 @@
 //! Runs of the lab as pictures need them: what happened in which TTI, read off the machines as they are.
 
 use reveille_bs::observe::{Happening, Observer};
+use reveille_common::event::EventRecord;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Failure, Report, WakeOutcome};
 use reveille_common::scenario::Scenario;
 use reveille_common::state::DeviceState;
 use reveille_common::units::Energy;
 
-use reveille_common::score::EventRecord;
 use reveille_lab::preparation::start;
 use reveille_lab::run::{Options, Run};
 

@@ -1,11 +1,11 @@
 //! The model TTI by TTI: devices, events, and what comes of them.
 
 use reveille_common::deployment::Deployment;
+use reveille_common::event::EventRecord;
 use reveille_common::geometry::Point;
 use reveille_common::ids::{EventId, Tti};
 use reveille_common::rng::{Purpose, unit_for_pair};
 use reveille_common::scenario::{EnergyModel, Scenario, assign_classes};
-use reveille_common::score::EventRecord;
 use reveille_common::sensing::{DetectionKind, Fusion};
 use reveille_common::totals::{DeviceTotals, EventTally, EventTotals, Ledger, Spent};
 use reveille_common::units::Energy;

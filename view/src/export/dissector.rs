@@ -1,0 +1,153 @@
+//! The dissector for Wireshark, in Lua: made from the forms of messages, so that it reads what this version writes.
+//!
+//! Every field has a filter of its own: `reveille.` with the kind and the path to the field, `reveille.wake.device` for
+//! one. A choice has its name in `….is`.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+use reveille_common::codec::WIRE_VERSION;
+use reveille_common::message::{Addressee, MessageKind};
+use serde_reflection::{ContainerFormat, Format, Named, VariantFormat};
+
+use super::pcapng::number;
+use crate::forms::Forms;
+
+/// What all dissectors have in common.
+const CORE: &str = include_str!("dissector.lua");
+
+/// The script.
+pub fn lua() -> String {
+    let forms = Forms::read();
+    let mut script = Script {
+        forms: &forms,
+        fields: BTreeMap::new(),
+    };
+    let mut kinds = String::new();
+    for kind in MessageKind::ALL {
+        let (plane, name, whose) = (kind.plane().name(), kind.name(), kind.addressee().name());
+        let form = script.format(forms.kind(*kind), name);
+        // A report says itself whose it is.
+        let path = format!("{name}.{whose}");
+        let is_told = kind.addressee() == Addressee::Nobody || script.fields.contains_key(&path);
+        if !is_told {
+            script.field(&path, "uint32");
+        }
+        let _infallible = writeln!(
+            kinds,
+            "kinds[{}] = {{plane = {plane:?}, name = {name:?}, whose = {whose:?}, told = {is_told}, form = {form}}}",
+            number(*kind)
+        );
+    }
+    let mut fields = String::new();
+    for (path, of) in &script.fields {
+        let name = path.rsplit('.').next().unwrap_or(path);
+        let _infallible = writeln!(
+            fields,
+            "fields[{path:?}] = ProtoField.{of}(\"reveille.{path}\", {name:?})"
+        );
+    }
+    CORE.replace("--@fields", &fields)
+        .replace("--@kinds", &kinds)
+        .replace("--@version", &format!("local version = {WIRE_VERSION}"))
+}
+
+/// The forms as tables of Lua, and the fields that they need.
+struct Script<'a> {
+    forms: &'a Forms,
+    /// By path, the type of the field.
+    fields: BTreeMap<String, &'static str>,
+}
+
+impl Script<'_> {
+    fn field(&mut self, path: &str, of: &'static str) {
+        self.fields.insert(path.to_owned(), of);
+    }
+
+    /// A value that is a field of its own.
+    fn leaf(&mut self, path: &str, read: &str, of: &'static str) -> String {
+        self.field(path, of);
+        format!("{{{read:?}, {path:?}}}")
+    }
+
+    fn format(&mut self, format: &Format, path: &str) -> String {
+        match format {
+            Format::TypeName(name) => {
+                let container = self.forms.named(name).expect("a type that was traced").clone();
+                self.container(&container, path)
+            }
+            Format::Unit | Format::Variable(_) => "{\"nothing\"}".to_owned(),
+            Format::Bool => self.leaf(path, "bool", "bool"),
+            Format::U8 | Format::I8 => self.leaf(path, "byte", "uint8"),
+            Format::U16 | Format::U32 => self.leaf(path, "unsigned", "uint32"),
+            Format::U64 => self.leaf(path, "long", "uint64"),
+            Format::U128 | Format::I128 => self.leaf(path, "longest", "string"),
+            Format::I16 | Format::I32 | Format::I64 => self.leaf(path, "signed", "int64"),
+            Format::F32 => self.leaf(path, "single", "float"),
+            Format::F64 => self.leaf(path, "double", "double"),
+            Format::Char | Format::Str => self.leaf(path, "text", "string"),
+            Format::Bytes => self.leaf(path, "bytes", "bytes"),
+            Format::Option(inner) => format!("{{\"option\", {}}}", self.format(inner, path)),
+            Format::Seq(inner) if **inner == Format::U8 => self.leaf(path, "bytes", "bytes"),
+            Format::Seq(inner) => format!("{{\"seq\", {}}}", self.format(inner, path)),
+            Format::TupleArray { content, size } => self.tuple(&vec![(**content).clone(); *size], path),
+            Format::Tuple(parts) => self.tuple(parts, path),
+            Format::Map { .. } => panic!("messages hold no maps"),
+        }
+    }
+
+    fn container(&mut self, container: &ContainerFormat, path: &str) -> String {
+        match container {
+            ContainerFormat::UnitStruct => "{\"nothing\"}".to_owned(),
+            ContainerFormat::NewTypeStruct(inner) => self.format(inner, path),
+            ContainerFormat::TupleStruct(parts) => self.tuple(parts, path),
+            ContainerFormat::Struct(fields) => self.structure(fields, path),
+            ContainerFormat::Enum(variants) => {
+                self.field(&format!("{path}.is"), "string");
+                let mut all = String::new();
+                for (at, variant) in variants {
+                    let inner = format!("{path}.{}", variant.name.to_lowercase());
+                    let form = match &variant.value {
+                        VariantFormat::Unit | VariantFormat::Variable(_) => "{\"nothing\"}".to_owned(),
+                        VariantFormat::NewType(format) => self.format(format, &inner),
+                        VariantFormat::Tuple(parts) => self.tuple(parts, &inner),
+                        VariantFormat::Struct(fields) => self.structure(fields, &inner),
+                    };
+                    let _infallible = write!(all, "[{at}] = {{{:?}, {form}}}, ", variant.name);
+                }
+                format!("{{\"choice\", {:?}, {{{all}}}}}", format!("{path}.is"))
+            }
+        }
+    }
+
+    fn structure(&mut self, fields: &[Named<Format>], path: &str) -> String {
+        let each = fields
+            .iter()
+            .map(|field| self.format(&field.value, &format!("{path}.{}", field.name)));
+        format!("{{\"all\", {}}}", each.collect::<Vec<_>>().join(", "))
+    }
+
+    fn tuple(&mut self, parts: &[Format], path: &str) -> String {
+        let each = (0..)
+            .zip(parts)
+            .map(|(at, part)| self.format(part, &format!("{path}.{at}")));
+        format!("{{\"all\", {}}}", each.collect::<Vec<_>>().join(", "))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_kind_is_dissected() {
+        let script = lua();
+        for kind in MessageKind::ALL {
+            assert!(script.contains(&format!("name = {:?}", kind.name())), "{}", kind.name());
+        }
+        for field in ["wake.device", "report.information", "clock.is", "answer.done.reports"] {
+            assert!(script.contains(&format!("\"reveille.{field}\"")), "{field}");
+        }
+        assert!(!script.contains("--@"), "everything is filled in");
+    }
+}

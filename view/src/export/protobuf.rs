@@ -1,0 +1,92 @@
+//! Fields of protocol buffers, as they are written.
+
+/// A message that is being written.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Proto(Vec<u8>);
+
+impl Proto {
+    /// A message without fields.
+    pub(super) const fn new() -> Self {
+        Self(Vec::new())
+    }
+
+    /// With a whole number, an enumeration or a truth value.
+    #[must_use]
+    pub(super) fn number(mut self, field: u32, value: u64) -> Self {
+        self.key(field, 0);
+        self.varint(value);
+        self
+    }
+
+    /// With a number of 64 bits, always of eight bytes.
+    #[must_use]
+    pub(super) fn fixed(mut self, field: u32, value: u64) -> Self {
+        self.key(field, 1);
+        self.0.extend(value.to_le_bytes());
+        self
+    }
+
+    /// With a number of double precision.
+    #[must_use]
+    pub(super) fn double(self, field: u32, value: f64) -> Self {
+        self.fixed(field, value.to_bits())
+    }
+
+    /// With a text.
+    #[must_use]
+    pub(super) fn text(mut self, field: u32, value: &str) -> Self {
+        self.bytes(field, value.as_bytes());
+        self
+    }
+
+    /// With a message inside.
+    #[must_use]
+    pub(super) fn message(mut self, field: u32, value: &Self) -> Self {
+        self.bytes(field, &value.0);
+        self
+    }
+
+    /// Its bytes.
+    pub(super) fn into_bytes(self) -> Vec<u8> {
+        self.0
+    }
+
+    fn bytes(&mut self, field: u32, value: &[u8]) {
+        self.key(field, 2);
+        self.varint(value.len() as u64);
+        self.0.extend(value);
+    }
+
+    fn key(&mut self, field: u32, wire: u32) {
+        self.varint(u64::from(field << 3 | wire));
+    }
+
+    fn varint(&mut self, mut value: u64) {
+        while value >= 0x80 {
+            self.0.push(value as u8 | 0x80);
+            value >>= 7;
+        }
+        self.0.push(value as u8);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The examples of the encoding guide of protocol buffers.
+    #[test]
+    fn fields_are_written_as_the_guide_says() {
+        assert_eq!(Proto::new().number(1, 150).into_bytes(), [0x08, 0x96, 0x01]);
+        assert_eq!(Proto::new().text(2, "testing").into_bytes(), b"\x12\x07testing");
+        let inner = Proto::new().number(1, 150);
+        assert_eq!(
+            Proto::new().message(3, &inner).into_bytes(),
+            [0x1a, 0x03, 0x08, 0x96, 0x01]
+        );
+        assert_eq!(
+            Proto::new().double(1, 1.0).into_bytes(),
+            [9, 0, 0, 0, 0, 0, 0, 0xf0, 0x3f]
+        );
+    }
+}

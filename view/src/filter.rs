@@ -1,0 +1,235 @@
+//! Which frames are shown.
+
+use std::ops::RangeInclusive;
+
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::{Frame, Message, MessageKind, Plane};
+use reveille_common::state::DeviceState;
+
+/// What is asked for. Without any of it every frame passes.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Filter {
+    /// Messages of this plane.
+    pub plane: Option<Plane>,
+    /// Messages of one of these kinds; of all where none is named.
+    pub kinds: Vec<MessageKind>,
+    /// Messages to, from or about one of these devices, and those to all of them; of all where none is named.
+    pub devices: Option<Vec<DeviceId>>,
+    /// Messages of these TTIs.
+    pub ttis: Option<RangeInclusive<u64>>,
+    /// Messages to or from a device that is in one of these states; of all where none is named.
+    pub states: Vec<Named>,
+}
+
+/// The state of a device, as it is named on the command line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Named {
+    /// S1: sensing.
+    S1,
+    /// S2: about to transmit.
+    S2,
+    /// S3: has transmitted.
+    S3,
+    /// S4: asleep, whether the wake-up radio has power or not.
+    S4,
+    /// S4 without power for the wake-up radio.
+    Deaf,
+}
+
+impl Named {
+    /// Every state, with its name.
+    pub const ALL: [(&'static str, Self); 5] = [
+        ("S1", Self::S1),
+        ("S2", Self::S2),
+        ("S3", Self::S3),
+        ("S4", Self::S4),
+        ("deaf", Self::Deaf),
+    ];
+
+    /// Whether it is `state`.
+    pub fn is(self, state: DeviceState) -> bool {
+        match self {
+            Self::S1 => state == DeviceState::Idle,
+            Self::S2 => state == DeviceState::Active,
+            Self::S3 => state == DeviceState::Transmission,
+            Self::S4 => matches!(state, DeviceState::Sleep { .. }),
+            Self::Deaf => state == DeviceState::Sleep { powered: false },
+        }
+    }
+}
+
+impl Filter {
+    /// Whether `frame`, in which `message` was read, is asked for. `state` is that of the device at the end of its key,
+    /// where it is known.
+    pub fn passes(&self, frame: &Frame, message: Option<&Message>, state: Option<DeviceState>) -> bool {
+        let Self {
+            plane,
+            kinds,
+            devices,
+            ttis,
+            states,
+        } = self;
+        plane.is_none_or(|plane| frame.kind.plane() == plane)
+            && (kinds.is_empty() || kinds.contains(&frame.kind))
+            && ttis.as_ref().is_none_or(|ttis| ttis.contains(&frame.tti.0))
+            && (states.is_empty() || state.is_some_and(|state| states.iter().any(|named| named.is(state))))
+            && devices.as_ref().is_none_or(|devices| {
+                let concerns =
+                    |device: &DeviceId| message.is_some_and(|message| message.concerns(frame.number, *device));
+                devices.iter().any(concerns)
+            })
+    }
+
+    /// Whether no frame of `tti` or later passes.
+    pub fn is_over(&self, tti: Tti) -> bool {
+        self.ttis.as_ref().is_some_and(|ttis| tti.0 > *ttis.end())
+    }
+
+    /// The first TTI of which a frame may pass.
+    pub fn first(&self) -> Tti {
+        Tti(self.ttis.as_ref().map_or(0, |ttis| *ttis.start()))
+    }
+
+    /// What keeps any frame from passing, in words of the command line.
+    ///
+    /// # Errors
+    /// There is such a thing.
+    pub fn check(&self) -> Result<(), String> {
+        let Some(plane) = self.plane else { return Ok(()) };
+        match self.kinds.iter().find(|kind| kind.plane() != plane) {
+            Some(kind) => Err(format!(
+                "--plane {} leaves nothing of --kind {}, which is on the plane {}",
+                plane.name(),
+                kind.name(),
+                kind.plane().name()
+            )),
+            None => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use reveille_common::message::{Failure, Report, WakeOutcome, WakeUp, Woken};
+    use reveille_common::units::Energy;
+
+    use super::*;
+
+    fn frames() -> Vec<Frame> {
+        let report = |tti, device| Report {
+            device: DeviceId(device),
+            tti: Tti(tti),
+            information: 0.5,
+            battery: Energy::ZERO,
+        };
+        let failed = Woken {
+            outcome: WakeOutcome::Failed(Failure {
+                device: DeviceId(2),
+                drained: Energy::ZERO,
+            }),
+        };
+        vec![
+            Frame::of(Tti(4), DeviceId(1), &report(4, 1)),
+            Frame::of(Tti(5), DeviceId(2), &WakeUp { tti: Tti(5) }),
+            Frame::of(Tti(5), DeviceId(2), &failed),
+            Frame::of(Tti(9), DeviceId(2), &report(9, 2)),
+        ]
+    }
+
+    /// Which of the frames pass, by their place.
+    fn passing(filter: &Filter) -> Vec<usize> {
+        let frames = frames();
+        // The second wake-up found the device without power.
+        let states = [DeviceState::Transmission, DeviceState::Sleep { powered: false }];
+        let state = |at: usize| states[usize::from(frames[at].tti == Tti(5))];
+        let passes = |at: &usize| filter.passes(&frames[*at], frames[*at].message().ok().as_ref(), Some(state(*at)));
+        (0..frames.len()).filter(passes).collect()
+    }
+
+    #[test]
+    fn each_filter_lets_its_own_through() {
+        let all = Filter::default();
+        assert_eq!(passing(&all), [0, 1, 2, 3]);
+        let cases = [
+            (
+                Filter {
+                    plane: Some(Plane::Truth),
+                    ..all.clone()
+                },
+                vec![2],
+            ),
+            (
+                Filter {
+                    kinds: vec![MessageKind::Report],
+                    ..all.clone()
+                },
+                vec![0, 3],
+            ),
+            (
+                Filter {
+                    devices: Some(vec![DeviceId(2)]),
+                    ..all.clone()
+                },
+                vec![1, 2, 3],
+            ),
+            (
+                Filter {
+                    devices: Some(Vec::new()),
+                    ..all.clone()
+                },
+                vec![],
+            ),
+            (
+                Filter {
+                    ttis: Some(5..=8),
+                    ..all.clone()
+                },
+                vec![1, 2],
+            ),
+            (
+                Filter {
+                    states: vec![Named::Deaf],
+                    ..all.clone()
+                },
+                vec![1, 2],
+            ),
+            (
+                Filter {
+                    states: vec![Named::S1, Named::S4],
+                    ..all.clone()
+                },
+                vec![1, 2],
+            ),
+            (
+                Filter {
+                    states: vec![Named::S3],
+                    ttis: Some(0..=4),
+                    ..all.clone()
+                },
+                vec![0],
+            ),
+        ];
+        for (filter, expected) in cases {
+            assert_eq!(passing(&filter), expected, "{filter:?}");
+        }
+        let early = Filter {
+            ttis: Some(2..=8),
+            ..all
+        };
+        assert!(!early.is_over(Tti(8)) && early.is_over(Tti(9)) && early.first() == Tti(2));
+    }
+
+    #[test]
+    fn kinds_of_another_plane_are_refused() {
+        let filter = Filter {
+            plane: Some(Plane::Air),
+            kinds: vec![MessageKind::Wake, MessageKind::Clock],
+            ..Filter::default()
+        };
+        let refused = filter.check().expect_err("refused");
+        assert!(
+            refused.contains("--plane air") && refused.contains("--kind clock"),
+            "{refused}"
+        );
+    }
+}

@@ -1,0 +1,220 @@
+//! A frame as a line: of text for a person, or of JSON for a program and for recordings.
+
+use std::fmt::{self, Write as _};
+
+use reveille_common::codec::CodecError;
+use reveille_common::ids::Tti;
+use reveille_common::message::{Frame, Message, MessageKind};
+use serde::{Deserialize, Serialize};
+use serde_json::value::RawValue;
+
+/// A frame with its message, read once.
+#[derive(Debug)]
+pub struct Line<'a> {
+    /// The frame.
+    pub frame: &'a Frame,
+    /// Its message, or why it is none.
+    pub message: Result<Message, CodecError>,
+}
+
+/// Why a line of JSON is no frame.
+#[derive(Debug, thiserror::Error)]
+pub enum LineError {
+    /// It is not what it should be.
+    #[error("{0}")]
+    Json(#[from] serde_json::Error),
+    /// There is no such kind of message.
+    #[error("there is no kind of message {0:?} on the plane {1:?}")]
+    Kind(String, String),
+    /// A payload that is no message is not written as bytes.
+    #[error("a malformed payload is not written in pairs of hexadecimal digits")]
+    Hex,
+}
+
+/// The object that a frame is in JSON.
+#[derive(Serialize)]
+struct Shown<'a> {
+    tti: u64,
+    plane: &'static str,
+    kind: &'static str,
+    number: Option<u32>,
+    bytes: usize,
+    message: Body<'a>,
+}
+
+#[derive(Serialize)]
+#[serde(untagged)]
+enum Body<'a> {
+    Message(&'a Message),
+    Malformed { malformed: String, payload: String },
+}
+
+/// The same, to be read.
+#[derive(Deserialize)]
+struct Read<'a> {
+    tti: u64,
+    plane: String,
+    kind: String,
+    number: Option<u32>,
+    #[serde(borrow)]
+    message: &'a RawValue,
+}
+
+#[derive(Deserialize)]
+struct Malformed {
+    payload: String,
+}
+
+impl<'a> Line<'a> {
+    /// The line of `frame`.
+    pub fn of(frame: &'a Frame) -> Self {
+        Self {
+            message: frame.message(),
+            frame,
+        }
+    }
+
+    /// As a JSON object on one line: `tti`, `plane`, `kind`, `number`, `bytes` and the `message` with all of its
+    /// fields; for what is no message, `malformed` says why and `payload` has its bytes in hexadecimal digits.
+    pub fn to_json(&self) -> String {
+        let Frame {
+            tti,
+            kind,
+            number,
+            payload,
+        } = self.frame;
+        let shown = Shown {
+            tti: tti.0,
+            plane: kind.plane().name(),
+            kind: kind.name(),
+            number: *number,
+            bytes: payload.len(),
+            message: match &self.message {
+                Ok(message) => Body::Message(message),
+                Err(error) => Body::Malformed {
+                    malformed: error.to_string(),
+                    payload: hex(payload),
+                },
+            },
+        };
+        serde_json::to_string(&shown).expect("messages have a form in JSON")
+    }
+}
+
+impl fmt::Display for Line<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Frame {
+            tti,
+            kind,
+            number,
+            payload,
+        } = self.frame;
+        let (plane, name, bytes) = (kind.plane().name(), kind.name(), payload.len());
+        let whose = whose(*kind, *number);
+        write!(f, "{tti:>8} {plane:<5} {name:<7} {whose:<11} {bytes:>6} B  ")?;
+        match &self.message {
+            Ok(message) => message.fmt(f),
+            Err(error) => write!(f, "not a message: {error}"),
+        }
+    }
+}
+
+/// Whose number it is that a key has, such as `device 7`.
+pub fn whose(kind: MessageKind, number: Option<u32>) -> String {
+    number.map_or_else(String::new, |number| format!("{} {number}", kind.addressee().name()))
+}
+
+/// The frame of a line of JSON, the inverse of [`Line::to_json`].
+///
+/// # Errors
+/// If it is none.
+pub fn from_json(text: &str) -> Result<Frame, LineError> {
+    let read: Read<'_> = serde_json::from_str(text)?;
+    let is_meant = |kind: &&MessageKind| kind.name() == read.kind && kind.plane().name() == read.plane;
+    let Some(&kind) = MessageKind::ALL.iter().find(is_meant) else {
+        return Err(LineError::Kind(read.kind, read.plane));
+    };
+    let mut body = serde_json::Deserializer::from_str(read.message.get());
+    let payload = match Message::deserialize(kind, &mut body) {
+        Ok(message) => message.encode(),
+        Err(error) => match serde_json::from_str::<Malformed>(read.message.get()) {
+            Ok(Malformed { payload }) => bytes(&payload).ok_or(LineError::Hex)?,
+            Err(_) => return Err(error.into()),
+        },
+    };
+    Ok(Frame {
+        tti: Tti(read.tti),
+        kind,
+        number: read.number,
+        payload,
+    })
+}
+
+/// Bytes in hexadecimal digits.
+pub fn hex(bytes: &[u8]) -> String {
+    bytes.iter().fold(String::new(), |mut text, byte| {
+        let _infallible = write!(text, "{byte:02x}");
+        text
+    })
+}
+
+fn bytes(hex: &str) -> Option<Vec<u8>> {
+    let pairs = hex.as_bytes().chunks(2);
+    pairs
+        .map(|pair| u8::from_str_radix(std::str::from_utf8(pair).ok().filter(|pair| pair.len() == 2)?, 16).ok())
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use reveille_common::ids::{DeviceId, HostId};
+    use reveille_common::message::{Answer, Report, WakeUp};
+    use reveille_common::units::Energy;
+
+    use super::*;
+
+    #[test]
+    fn a_frame_comes_back_from_its_line() {
+        let tti = Tti(7);
+        let report = Report {
+            device: DeviceId(3),
+            tti,
+            information: 0.1 + 0.2,
+            battery: Energy::from_micro(123_456_789),
+        };
+        let answer = Answer::NotWoken {
+            device: DeviceId(4),
+            tti,
+            failure: None,
+        };
+        let broken = Frame {
+            payload: vec![3, 255, 0, 16],
+            ..Frame::of(tti, DeviceId(9), &WakeUp { tti })
+        };
+        for frame in [
+            Frame::of(tti, DeviceId(3), &report),
+            Frame::of(tti, HostId(0), &answer),
+            broken,
+        ] {
+            assert_eq!(from_json(&Line::of(&frame).to_json()).expect("a frame"), frame);
+        }
+    }
+
+    #[test]
+    fn what_is_no_frame_is_refused() {
+        let line = |plane: &str, kind: &str, message: &str| {
+            format!(r#"{{"tti":1,"plane":"{plane}","kind":"{kind}","number":null,"bytes":2,"message":{message}}}"#)
+        };
+        assert!(from_json(&line("air", "wake", r#"{"tti":1}"#)).is_ok());
+        for bad in [
+            line("emu", "wake", r#"{"tti":1}"#),
+            line("air", "wake", "{}"),
+            line("air", "wake", r#"{"malformed":"x","payload":"0g"}"#),
+            line("air", "wake", r#"{"malformed":"x","payload":"012"}"#),
+            "{}".to_owned(),
+            String::new(),
+        ] {
+            assert!(from_json(&bad).is_err(), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,473 @@
+//! Metrics of a run that goes on, for Prometheus. Their names are stable; docs/monitoring.md lists them.
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use prometheus_client::encoding::EncodeLabelSet;
+use prometheus_client::encoding::text::encode;
+use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::metrics::histogram::Histogram;
+use prometheus_client::registry::Registry;
+use reveille_bs::observe::{Happening, Observer};
+use reveille_common::message::{EventNews, Frame, Message, MessageKind};
+use reveille_common::scenario::Scenario;
+use reveille_common::score::WindowRecord;
+use reveille_common::state::{DeviceState, DeviceView};
+use reveille_common::totals::Spent;
+use reveille_common::units::Energy;
+
+/// Upper bounds of the buckets of delays, TTIs.
+const DELAYS: [f64; 9] = [0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 16.0, 32.0];
+/// Steps in which batteries are counted, from empty to the largest E_max.
+const STEPS: u64 = 10;
+
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct OfRun {
+    run: String,
+    policy: String,
+    preset: String,
+    seed: u64,
+    devices: u32,
+    version: String,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct OfKind {
+    plane: &'static str,
+    kind: &'static str,
+}
+
+impl OfKind {
+    const fn of(kind: MessageKind) -> Self {
+        Self {
+            plane: kind.plane().name(),
+            kind: kind.name(),
+        }
+    }
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct OfState {
+    state: &'static str,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct AtMost {
+    at_most: String,
+}
+
+type Float = Gauge<f64, AtomicU64>;
+
+/// What the processes of a run say of themselves, as far as this one knows.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Process {
+    /// Hosts that carry devices and are not lost.
+    pub hosts: u64,
+    /// TTIs that began late under a real-time pace.
+    pub late_ttis: u64,
+    /// The largest delay, seconds.
+    pub max_late_s: f64,
+    /// Seconds that the run has waited for its recording.
+    pub recorder_waited_s: f64,
+    /// Frames that observers on the bus were not sent, because they could not keep up.
+    pub left_out: u64,
+}
+
+/// The metrics of a run.
+pub struct Metrics {
+    registry: Registry,
+    handles: Handles,
+    /// Whether somebody has asked since the batteries were looked at last.
+    is_asked: AtomicBool,
+    /// The largest E_max of the run.
+    e_max: Energy,
+    /// What was said of the processes last, so that counters only grow.
+    process: Mutex<Process>,
+}
+
+/// What is counted, each known to the registry.
+#[derive(Default)]
+struct Handles {
+    tti: Gauge,
+    ttis: Counter,
+    grants: Counter,
+    events: Counter,
+    missed: Counter,
+    information: Counter<f64, AtomicU64>,
+    wrong: Counter,
+    messages: Family<OfKind, Counter>,
+    bytes: Family<OfKind, Counter>,
+    spent: Family<OfState, Counter<f64, AtomicU64>>,
+    harvested: Counter<f64, AtomicU64>,
+    states: Family<OfState, Gauge>,
+    batteries: Family<AtMost, Gauge>,
+    mean_battery: Float,
+    hosts: Gauge,
+    late: Counter,
+    max_late: Float,
+    waited: Counter<f64, AtomicU64>,
+    left_out: Counter,
+    delays: Option<Histogram>,
+}
+
+impl Handles {
+    fn register(registry: &mut Registry) -> Self {
+        let own = Self {
+            delays: Some(Histogram::new(DELAYS)),
+            ..Self::default()
+        };
+        registry.register("next_tti", "The next TTI to be granted", own.tti.clone());
+        registry.register("ttis", "TTIs that were run", own.ttis.clone());
+        registry.register("grants", "Grants of the virtual clock", own.grants.clone());
+        registry.register("events", "Counted events that have ended", own.events.clone());
+        registry.register(
+            "events_missed",
+            "Those of them that nobody reported",
+            own.missed.clone(),
+        );
+        registry.register(
+            "information",
+            "Information of counted events at the base station",
+            own.information.clone(),
+        );
+        registry.register(
+            "wrong_activations",
+            "Wrong activations for counted events",
+            own.wrong.clone(),
+        );
+        registry.register("messages", "Messages by plane and kind", own.messages.clone());
+        registry.register(
+            "message_bytes",
+            "Bytes of messages, as encoded, by plane and kind",
+            own.bytes.clone(),
+        );
+        registry.register(
+            "energy_spent_units",
+            "Energy that devices have spent, by what for, up to the last window",
+            own.spent.clone(),
+        );
+        registry.register(
+            "energy_harvested_units",
+            "Energy that has arrived at devices, up to the last window",
+            own.harvested.clone(),
+        );
+        registry.register(
+            "devices",
+            "Devices by state, when this was asked for last",
+            own.states.clone(),
+        );
+        registry.register(
+            "devices_with_battery",
+            "Devices that hold at most so many units, when this was asked for last",
+            own.batteries.clone(),
+        );
+        registry.register(
+            "battery_mean_units",
+            "Mean battery, when this was asked for last",
+            own.mean_battery.clone(),
+        );
+        registry.register(
+            "hosts_alive",
+            "Processes that carry devices and are not lost",
+            own.hosts.clone(),
+        );
+        registry.register(
+            "late_ttis",
+            "TTIs that began late under a real-time pace",
+            own.late.clone(),
+        );
+        registry.register("late_max_seconds", "The largest delay of a TTI", own.max_late.clone());
+        registry.register(
+            "recorder_waited_seconds",
+            "How long the run has waited for its recording",
+            own.waited.clone(),
+        );
+        registry.register(
+            "observer_messages_left_out",
+            "Messages that observers on the bus were not sent, because they could not keep up",
+            own.left_out.clone(),
+        );
+        if let Some(delays) = &own.delays {
+            registry.register(
+                "event_delay_ttis",
+                "TTIs from the start of a counted event to its first report",
+                delays.clone(),
+            );
+        }
+        own
+    }
+}
+
+impl Metrics {
+    /// The metrics of the run called `run`, of `scenario`, before TTI 0.
+    pub fn new(run: &str, scenario: &Scenario) -> Arc<Self> {
+        let mut registry = Registry::with_prefix("reveille");
+        let handles = Handles::register(&mut registry);
+        let about: Family<OfRun, Gauge> = Family::default();
+        let of = OfRun {
+            run: run.to_owned(),
+            policy: scenario.policy.name().to_owned(),
+            preset: scenario.preset.clone(),
+            seed: scenario.seed,
+            devices: scenario.devices,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+        };
+        about.get_or_create(&of).set(1);
+        registry.register("run_info", "The run, always 1", about);
+        let length: Gauge = Gauge::default();
+        length.set(scenario.ttis.cast_signed());
+        registry.register("run_length_ttis", "Length of the run", length);
+        let e_max = scenario.classes.iter().map(|class| class.energy.e_max).max();
+        let metrics = Self {
+            registry,
+            handles,
+            is_asked: AtomicBool::new(true),
+            e_max: e_max.unwrap_or(Energy::ZERO),
+            process: Mutex::default(),
+        };
+        metrics.begin();
+        Arc::new(metrics)
+    }
+
+    /// Every series is there from the first, so that what has not happened yet is 0.
+    fn begin(&self) {
+        for kind in MessageKind::ALL {
+            let of = OfKind::of(*kind);
+            drop(self.handles.messages.get_or_create(&of));
+            drop(self.handles.bytes.get_or_create(&of));
+        }
+        for state in ["sensing", "sleep", "report"] {
+            drop(self.handles.spent.get_or_create(&OfState { state }));
+        }
+        self.look(&[]);
+        self.is_asked.store(true, Ordering::Relaxed);
+    }
+
+    /// Counts a frame.
+    pub fn count(&self, frame: &Frame) {
+        let of = OfKind::of(frame.kind);
+        self.handles.messages.get_or_create(&of).inc();
+        self.handles.bytes.get_or_create(&of).inc_by(frame.payload.len() as u64);
+        if frame.kind == MessageKind::World
+            && let Ok(Message::World(world)) = frame.message()
+        {
+            self.handles.grants.inc();
+            self.handles.ttis.inc_by(world.last - world.first + 1);
+            self.handles.tti.set((world.last + 1).0.cast_signed());
+        }
+        if frame.kind == MessageKind::Event
+            && let Ok(Message::Event(EventNews::Ended(record))) = frame.message()
+            && record.counted
+        {
+            self.handles.events.inc();
+            self.handles.information.inc_by(record.tally.information());
+            self.handles.wrong.inc_by(record.tally.wrong_activations);
+            match (record.delay(), &self.handles.delays) {
+                (Some(delay), Some(delays)) => delays.observe(delay as f64),
+                (Some(_), None) => {}
+                (None, _) => drop(self.handles.missed.inc()),
+            }
+        }
+    }
+
+    /// What Prometheus is told, where the processes are as `process` says; in the form of OpenMetrics, or in the text
+    /// form of Prometheus before it.
+    pub fn tell(&self, process: Process, is_open: bool) -> String {
+        self.is_asked.store(true, Ordering::Relaxed);
+        let mut before = self.process.lock().unwrap_or_else(PoisonError::into_inner);
+        let own = &self.handles;
+        own.hosts.set(process.hosts.cast_signed());
+        own.max_late.set(process.max_late_s);
+        own.late.inc_by(process.late_ttis.saturating_sub(before.late_ttis));
+        own.left_out.inc_by(process.left_out.saturating_sub(before.left_out));
+        own.waited
+            .inc_by((process.recorder_waited_s - before.recorder_waited_s).max(0.0));
+        *before = process;
+        drop(before);
+        let mut text = String::new();
+        encode(&mut text, &self.registry).expect("a text takes everything");
+        if is_open { text } else { plain(&text) }
+    }
+
+    fn look(&self, views: &[DeviceView]) {
+        self.is_asked.store(false, Ordering::Relaxed);
+        let of = |state| OfState { state };
+        let states = [
+            ("S1", DeviceState::Idle),
+            ("S3", DeviceState::Transmission),
+            ("S4", DeviceState::Sleep { powered: true }),
+            ("S4 deaf", DeviceState::Sleep { powered: false }),
+        ];
+        for (name, state) in states {
+            let count = views.iter().filter(|view| view.state == state).count() as u64;
+            self.handles.states.get_or_create(&of(name)).set(count.cast_signed());
+        }
+        for step in 0..=STEPS {
+            let most = Energy::from_micro(self.e_max.micro() * step / STEPS);
+            let count = views.iter().filter(|view| view.battery <= most).count() as u64;
+            let at_most = most.units().to_string();
+            self.handles
+                .batteries
+                .get_or_create(&AtMost { at_most })
+                .set(count.cast_signed());
+        }
+        let sum: f64 = views.iter().map(|view| view.battery.units()).sum();
+        self.handles.mean_battery.set(sum / views.len().max(1) as f64);
+    }
+
+    fn spend(&self, window: &WindowRecord) {
+        let Spent { sensing, sleep, report } = window.energy.spent;
+        for (state, energy) in [("sensing", sensing), ("sleep", sleep), ("report", report)] {
+            self.handles
+                .spent
+                .get_or_create(&OfState { state })
+                .inc_by(energy.units());
+        }
+        self.handles.harvested.inc_by(window.energy.harvested.units());
+    }
+}
+
+/// Looks at the run for its metrics.
+#[derive(Clone)]
+pub struct Gauged(pub Arc<Metrics>);
+
+impl Observer for Gauged {
+    fn see(&mut self, happening: &Happening<'_>) {
+        if let Happening::States(views) = happening {
+            self.0.look(views);
+        }
+    }
+
+    fn wants_states(&self) -> bool {
+        self.0.is_asked.load(Ordering::Relaxed)
+    }
+
+    fn window(&mut self, window: &WindowRecord) -> bool {
+        self.0.spend(window);
+        true
+    }
+}
+
+/// OpenMetrics in the older text form of Prometheus: a counter's name has its ending in its description too, and there is
+/// no end mark.
+fn plain(open: &str) -> String {
+    let counters: Vec<&str> = open
+        .lines()
+        .filter_map(|line| line.strip_prefix("# TYPE ")?.strip_suffix(" counter"))
+        .collect();
+    let line = |line: &str| {
+        let mut parts = line.splitn(4, ' ');
+        match (parts.next(), parts.next(), parts.next(), parts.next()) {
+            (Some("#"), Some("EOF" | "UNIT"), ..) => String::new(),
+            (Some("#"), Some(what), Some(name), Some(rest)) if counters.contains(&name) => {
+                format!("# {what} {name}_total {rest}\n")
+            }
+            _ => format!("{line}\n"),
+        }
+    };
+    open.lines().map(line).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use reveille_bs::observe::frames::Framed;
+    use reveille_bs::scenario::{Override, load};
+    use reveille_lab::preparation::prepare;
+    use reveille_lab::run::{Options, Run};
+
+    use super::*;
+
+    fn scenario() -> Scenario {
+        let set = ["devices=30", "ttis=500", "policy.name=knn", "events.alpha=0.4"];
+        let set = set.map(|set| Override::parse(set).expect("an override"));
+        load("paper", &set).expect("a scenario")
+    }
+
+    /// Name, type and help of every metric.
+    fn markdown(text: &str) -> String {
+        let row = |line: &str| {
+            let (name, help) = line.strip_prefix("# HELP ")?.split_once(' ')?;
+            let of = format!("# TYPE {name} ");
+            let kind = text.lines().find_map(|line| line.strip_prefix(&of)).expect("a type");
+            Some(format!("| `{name}` | {kind} | {help} |\n"))
+        };
+        let rows: String = text.lines().filter_map(row).collect();
+        format!("| name | type | what |\n|---|---|---|\n{rows}")
+    }
+
+    #[test]
+    fn the_page_on_monitoring_has_every_metric() {
+        let text = Metrics::new("r", &scenario()).tell(Process::default(), false);
+        let table = markdown(&text);
+        let page = include_str!("../../docs/monitoring.md");
+        assert!(
+            page.contains(&format!("<!-- metrics -->\n{table}<!-- /metrics -->")),
+            "the table is now:\n{table}"
+        );
+    }
+
+    #[test]
+    fn metrics_are_those_of_the_run() {
+        let scenario = scenario();
+        let metrics = Metrics::new("r", &scenario);
+        let counted = Arc::clone(&metrics);
+        let mut observers = (
+            Framed::new(0, move |frame| counted.count(&frame)),
+            Gauged(Arc::clone(&metrics)),
+        );
+        let options = Options {
+            window: 100,
+            ..Options::default()
+        };
+        let outcome = Run::new(&prepare(&scenario), options).finish(&mut observers);
+        let process = Process {
+            hosts: 3,
+            left_out: 7,
+            ..Process::default()
+        };
+        let text = metrics.tell(process, false);
+        let value = |name: &str| -> f64 {
+            let line = text
+                .lines()
+                .find_map(|line| line.strip_prefix(name))
+                .unwrap_or_else(|| panic!("{name}: {text}"));
+            line.trim().parse().expect("a number")
+        };
+        let close = |a: f64, b: f64| assert!((a - b).abs() <= 1e-6 * b.abs().max(1.0), "{a}, not {b}");
+        let events = outcome.totals.events;
+        close(value("reveille_events_total "), events.events as f64);
+        close(value("reveille_events_missed_total "), events.misdetected as f64);
+        close(value("reveille_event_delay_ttis_sum "), events.delay_ttis as f64);
+        close(
+            value("reveille_information_total "),
+            events.information_pico as f64 / 1e12,
+        );
+        close(value("reveille_ttis_total "), 500.0);
+        close(value("reveille_next_tti "), 500.0);
+        close(value("reveille_hosts_alive "), 3.0);
+        close(value("reveille_observer_messages_left_out_total "), 7.0);
+        let of = |state: &str| value(&format!("reveille_devices{{state=\"{state}\"}} "));
+        close(["S1", "S3", "S4", "S4 deaf"].map(of).iter().sum(), 30.0);
+        let spent: Spent = outcome
+            .devices
+            .iter()
+            .map(|device| device.ledger.whole.spent)
+            .fold(Spent::default(), |a, b| a + b);
+        let of = |state: &str| value(&format!("reveille_energy_spent_units_total{{state=\"{state}\"}} "));
+        close(of("sensing"), spent.sensing.units());
+        close(of("report"), spent.report.units());
+        // Counters do not fall, and what was told once is not told twice.
+        let again = metrics.tell(process, false);
+        assert!(
+            again.contains("reveille_observer_messages_left_out_total 7\n"),
+            "{again}"
+        );
+        let open = metrics.tell(process, true);
+        assert!(
+            open.ends_with("# EOF\n") && open.contains("# TYPE reveille_ttis counter\n"),
+            "{open}"
+        );
+    }
+}

@@ -1,0 +1,293 @@
+//! The devices of a run, as what observers are told says: the same machines, taken through the same TTIs.
+//!
+//! Nobody has to send the states of all devices for an observer to know them: they follow from the scenario, the plans,
+//! what the world shows and the wake-ups. What the devices are heard to say is compared with what the machines say.
+
+use std::sync::Arc;
+
+use reveille_common::deployment::Deployment;
+use reveille_common::event::Stimulus;
+use reveille_common::ids::{DeviceId, MAX_TTIS, Tti};
+use reveille_common::message::{Failure, Frame, Message, PlanUpdate, Report, WakeOutcome, World};
+use reveille_common::plan::Plan;
+use reveille_common::scenario::Scenario;
+use reveille_common::state::{DeviceState, DeviceView};
+use reveille_common::totals::Ledger;
+use reveille_device::machine::{Machine, Physics, Sensed};
+
+/// What does not fit to what was before it: a frame is missing, was changed, or comes from another version.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("TTI {tti}: {what}")]
+pub struct Discrepancy {
+    /// The TTI.
+    pub tti: Tti,
+    /// What is wrong.
+    pub what: String,
+}
+
+/// The devices of a run.
+#[derive(Clone, Debug)]
+pub struct Mirror {
+    machines: Vec<Machine>,
+    physics: Physics,
+    plan: Option<Plan>,
+    /// The TTIs that the devices go through, once there are any.
+    world: Option<World>,
+    /// What devices with δ = 1 must be heard to say in the last of them, in the order of ids.
+    reports: Vec<Report>,
+    failures: Vec<Failure>,
+    /// The wake-up that is under way: whom, and what comes of it.
+    waking: Option<(DeviceId, WakeOutcome)>,
+    /// Whether its report has been heard already.
+    has_reported: bool,
+}
+
+impl Mirror {
+    /// The devices of `scenario`, which stand as in `deployment`, before TTI 0.
+    pub fn new(scenario: &Scenario, deployment: &Deployment) -> Self {
+        let physics = Physics::new(
+            scenario.seed,
+            scenario.warm_up_end(),
+            scenario.sensing.clone(),
+            &deployment.devices,
+            deployment.traces.iter().map(Arc::clone).collect(),
+        );
+        Self {
+            machines: deployment
+                .devices
+                .iter()
+                .map(|setup| Machine::new(setup, &physics))
+                .collect(),
+            physics,
+            plan: None,
+            world: None,
+            reports: Vec::new(),
+            failures: Vec::new(),
+            waking: None,
+            has_reported: false,
+        }
+    }
+
+    /// The TTI that the devices have reached: the last of those granted last.
+    pub fn now(&self) -> Option<Tti> {
+        self.world.map(|world| world.last)
+    }
+
+    /// The plan in force.
+    pub const fn plan(&self) -> Option<&Plan> {
+        self.plan.as_ref()
+    }
+
+    /// What the world shows in the TTI that the devices have reached, if any device might react to it.
+    pub fn stimulus(&self) -> Option<Stimulus> {
+        self.world.and_then(|world| world.stimulus)
+    }
+
+    /// Whether a wake-up is under way, of which it has still to be told what came of it.
+    pub const fn is_waking(&self) -> bool {
+        self.waking.is_some()
+    }
+
+    /// The state and battery of `device` in the TTI that has been reached.
+    pub fn view(&mut self, device: DeviceId) -> Option<DeviceView> {
+        let now = self.now()?;
+        let machine = self.machines.get_mut(device.index())?;
+        machine.begin(now);
+        Some(machine.view())
+    }
+
+    /// State and battery of all devices in TTI `tti`, in the order of ids, unless more is heard of it: one after another
+    /// the TTIs from the one that has been reached to those that come next, under the plan in force.
+    ///
+    /// # Panics
+    /// If a device has gone beyond it.
+    pub fn views_at(&mut self, tti: Tti) -> Vec<DeviceView> {
+        let view = |machine: &mut Machine| {
+            machine.begin(tti);
+            machine.view()
+        };
+        self.machines.iter_mut().map(view).collect()
+    }
+
+    /// State and battery of `device` in TTI `tti`, as in [`Self::views_at`].
+    pub fn view_at(&mut self, device: DeviceId, tti: Tti) -> Option<DeviceView> {
+        let machine = self.machines.get_mut(device.index())?;
+        machine.begin(tti);
+        Some(machine.view())
+    }
+
+    /// The state of `device` in the TTI that has been reached.
+    pub fn state(&mut self, device: DeviceId) -> Option<DeviceState> {
+        self.view(device).map(|view| view.state)
+    }
+
+    /// State and battery of all devices in the TTI that has been reached, in the order of ids; nothing before TTI 0.
+    pub fn views(&mut self) -> Vec<DeviceView> {
+        let ids: Vec<DeviceId> = self.machines.iter().map(Machine::id).collect();
+        ids.into_iter().filter_map(|id| self.view(id)).collect()
+    }
+
+    /// The books of all devices where the run has ended after the TTI that has been reached, in the order of ids.
+    pub fn ledgers(&self) -> Vec<Ledger> {
+        let end = self.next();
+        let mut machines = self.machines.clone();
+        let ledger = |machine: &mut Machine| {
+            machine.settle(end);
+            machine.ledger()
+        };
+        machines.iter_mut().map(ledger).collect()
+    }
+
+    /// Goes on with `frame`, in which `message` was read.
+    ///
+    /// # Errors
+    /// If it does not fit to what was before it. What follows can be taken, and may not fit either.
+    pub fn take(&mut self, frame: &Frame, message: &Message) -> Result<(), Discrepancy> {
+        let tti = frame.tti;
+        self.go_on(frame, message).map_err(|what| Discrepancy { tti, what })
+    }
+
+    fn go_on(&mut self, frame: &Frame, message: &Message) -> Result<(), String> {
+        match message {
+            Message::Plan(update) => self.command(update),
+            Message::World(world) => self.play(*world),
+            Message::Report(report) => self.heard(report),
+            Message::Failed(failed) => {
+                let own = |failure: &Failure| *failure == failed.failure;
+                let at = self.failures.iter().position(own);
+                let at = at.ok_or_else(|| format!("device {} has not failed so", failed.failure.device))?;
+                self.failures.remove(at);
+                Ok(())
+            }
+            Message::Wake(_) => self.wake(frame.number),
+            Message::Woken(woken) => match self.waking.take() {
+                Some((device, outcome)) if Some(device.0) == frame.number && outcome == woken.outcome => {
+                    let is_told = self.has_reported || !matches!(outcome, WakeOutcome::Reported(_));
+                    is_told
+                        .then_some(())
+                        .ok_or_else(|| format!("the report of device {device} is missing"))
+                }
+                Some((device, outcome)) => Err(format!("the wake-up of device {device} came to: {outcome}")),
+                None => Err("what came of a wake-up that was not sent".to_owned()),
+            },
+            Message::States(states) => {
+                let views = self.views();
+                let differs = |(own, told): (&DeviceView, &DeviceView)| own != told;
+                match views.iter().zip(&states.views).position(differs) {
+                    None if views.len() == states.views.len() => Ok(()),
+                    None => Err(format!("states of {} devices, not {}", states.views.len(), views.len())),
+                    Some(j) => Err(format!("device {j} is {:?}, not {:?}", views[j], states.views[j])),
+                }
+            }
+            Message::Event(_)
+            | Message::Clock(_)
+            | Message::Answer(_)
+            | Message::Join(_)
+            | Message::Ready(_)
+            | Message::Control(_)
+            | Message::Describe(_) => Ok(()),
+        }
+    }
+
+    /// The TTI that is to come next.
+    pub fn next(&self) -> Tti {
+        self.now().map_or(Tti::ZERO, |last| last + 1)
+    }
+
+    /// Whether the TTIs of `world` are those that come next.
+    ///
+    /// # Errors
+    /// They are not.
+    pub fn fits(&self, world: &World) -> Result<(), String> {
+        let next = self.next();
+        if world.first == next && world.first <= world.last && world.last.0 < MAX_TTIS {
+            Ok(())
+        } else {
+            Err(format!(
+                "TTIs {} to {} come where {next} was to come",
+                world.first, world.last
+            ))
+        }
+    }
+
+    fn command(&mut self, update: &PlanUpdate) -> Result<(), String> {
+        self.end_tti()?;
+        let next = self.next();
+        if update.from != next {
+            return Err(format!("a plan from TTI {} on comes before TTI {next}", update.from));
+        }
+        for machine in &mut self.machines {
+            machine.set_duty(update.from, update.plan.duty_cycle(machine.id()));
+        }
+        self.plan = Some(update.plan.clone());
+        Ok(())
+    }
+
+    /// Takes the devices through the TTIs of `world`.
+    fn play(&mut self, world: World) -> Result<(), String> {
+        self.end_tti()?;
+        self.fits(&world)?;
+        let Some(plan) = &self.plan else {
+            return Err("there is no plan yet".to_owned());
+        };
+        if let Some(stimulus) = &world.stimulus {
+            for machine in &mut self.machines {
+                if !plan.duty_cycle(machine.id()).is_on(world.last) {
+                    continue;
+                }
+                match machine.sense(world.last, stimulus, &self.physics) {
+                    Sensed::Nothing => {}
+                    Sensed::Reported(report) => self.reports.push(report),
+                    Sensed::Failed(failure) => self.failures.push(failure),
+                }
+            }
+        }
+        self.world = Some(world);
+        Ok(())
+    }
+
+    /// A TTI is over: all that devices had to say must have been heard.
+    fn end_tti(&mut self) -> Result<(), String> {
+        let missing = self.reports.drain(..).map(|report| report.device);
+        let missing = missing.chain(self.failures.drain(..).map(|failure| failure.device));
+        let missing = missing.min().or(self.waking.take().map(|(device, _)| device));
+        missing.map_or(Ok(()), |device| {
+            Err(format!("nothing is told of what device {device} did before"))
+        })
+    }
+
+    fn heard(&mut self, report: &Report) -> Result<(), String> {
+        if let Some((device, WakeOutcome::Reported(own))) = &self.waking
+            && *device == report.device
+        {
+            self.has_reported = own == report;
+            return if self.has_reported {
+                Ok(())
+            } else {
+                Err(format!("device {device} reported: {own}; not: {report}"))
+            };
+        }
+        let at = self.reports.iter().position(|own| own.device == report.device);
+        let at = at.ok_or_else(|| format!("a report of device {}, which has sent none", report.device))?;
+        let own = self.reports.remove(at);
+        if own == *report {
+            Ok(())
+        } else {
+            Err(format!("device {} reported: {own}; not: {report}", own.device))
+        }
+    }
+
+    fn wake(&mut self, number: Option<u32>) -> Result<(), String> {
+        let world = self.world.ok_or("a wake-up before the first TTI")?;
+        let stimulus = world.stimulus.ok_or("a wake-up where there is no event")?;
+        let device = number.map(DeviceId).ok_or("a wake-up for nobody")?;
+        let machine = self.machines.get_mut(device.index());
+        let machine = machine.ok_or_else(|| format!("a wake-up for device {device}, which there is not"))?;
+        let outcome = machine.wake(world.last, &stimulus, &self.physics);
+        self.has_reported = false;
+        match self.waking.replace((device, outcome)) {
+            None => Ok(()),
+            Some((before, _)) => Err(format!("what came of the wake-up of device {before} is not told")),
+        }
+    }
+}

@@ -1,0 +1,133 @@
+//! Recordings as they are written.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::io::{Seek, Write};
+
+use mcap::records::{MessageHeader, Metadata};
+use mcap::{Attachment, Compression, McapResult, WriteOptions};
+use reveille_common::codec::WIRE_VERSION;
+use reveille_common::message::{Frame, MessageKind};
+use reveille_common::score::DIGEST_VERSION;
+
+use super::bundle::{Bundle, SCENARIO, SUMMARY};
+use super::channel::{log_time, topic};
+use super::{VERSION, reader};
+use crate::forms::Forms;
+use crate::line::Line;
+
+/// Bytes of a chunk before compression, about: as much as a crash can cost.
+const CHUNK: u64 = 256 << 10;
+/// The level of compression: the fastest.
+const LEVEL: u32 = 1;
+
+/// A recording that is being written.
+pub struct Writer<W: Write + Seek> {
+    mcap: mcap::Writer<W>,
+    channels: BTreeMap<MessageKind, u16>,
+    /// Frames so far.
+    count: u64,
+    is_pending: bool,
+}
+
+impl<W: Write + Seek> Writer<W> {
+    /// Begins a recording of the run called `run`, of what is in `bundle`.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn begin(out: W, run: &str, bundle: &Bundle) -> McapResult<Self> {
+        let options = WriteOptions::new()
+            .library(concat!("reveille ", env!("CARGO_PKG_VERSION")))
+            .compression(Some(Compression::Zstd))
+            .compression_level(LEVEL)
+            .compression_threads(0)
+            .chunk_size(Some(CHUNK));
+        let mut mcap = mcap::Writer::with_options(out, options)?;
+        let about = [
+            ("recording", VERSION.to_string()),
+            ("wire", WIRE_VERSION.to_string()),
+            ("digest", DIGEST_VERSION.to_string()),
+            ("run", run.to_owned()),
+        ];
+        mcap.write_metadata(&Metadata {
+            name: reader::METADATA.to_owned(),
+            metadata: about.map(|(key, value)| (key.to_owned(), value)).into(),
+        })?;
+        attach(&mut mcap, SCENARIO, "application/toml", bundle.scenario.as_bytes())?;
+        for (name, bytes) in &bundle.files {
+            attach(&mut mcap, name, "application/octet-stream", bytes)?;
+        }
+        let (forms, mut channels) = (Forms::read(), BTreeMap::new());
+        for kind in MessageKind::ALL {
+            let name = format!("reveille.{}.{}", kind.plane().name(), kind.name());
+            let schema = mcap.add_schema(&name, "jsonschema", forms.schema(*kind).to_string().as_bytes())?;
+            let about = [("direction", kind.direction()), ("about", kind.about())];
+            let about = about.map(|(key, value)| (key.to_owned(), value.to_owned())).into();
+            channels.insert(*kind, mcap.add_channel(schema, &topic(*kind), "json", &about)?);
+        }
+        // What is known before the first TTI is on the disk before it.
+        mcap.flush()?;
+        Ok(Self {
+            mcap,
+            channels,
+            count: 0,
+            is_pending: false,
+        })
+    }
+
+    /// Writes a frame.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn write(&mut self, frame: &Frame) -> McapResult<()> {
+        let at = log_time(frame.tti);
+        let header = MessageHeader {
+            channel_id: self.channels[&frame.kind],
+            sequence: self.count as u32,
+            log_time: at,
+            publish_time: at,
+        };
+        self.count += 1;
+        self.is_pending = true;
+        self.mcap
+            .write_to_known_channel(&header, Line::of(frame).to_json().as_bytes())
+    }
+
+    /// How many frames were written.
+    pub const fn count(&self) -> u64 {
+        self.count
+    }
+
+    /// Brings all frames so far to the file, if there are any that are not there yet.
+    ///
+    /// # Errors
+    /// If they cannot be written.
+    pub fn flush(&mut self) -> McapResult<()> {
+        if std::mem::take(&mut self.is_pending) {
+            self.mcap.flush()?;
+        }
+        Ok(())
+    }
+
+    /// Ends the recording, with the text of the summary where the run has one. Gives back what it was written to.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn finish(mut self, summary: Option<&str>) -> McapResult<W> {
+        if let Some(summary) = summary {
+            attach(&mut self.mcap, SUMMARY, "application/json", summary.as_bytes())?;
+        }
+        self.mcap.finish()?;
+        Ok(self.mcap.into_inner())
+    }
+}
+
+fn attach<W: Write + Seek>(mcap: &mut mcap::Writer<W>, name: &str, media_type: &str, data: &[u8]) -> McapResult<()> {
+    mcap.attach(&Attachment {
+        log_time: 0,
+        create_time: 0,
+        name: name.to_owned(),
+        media_type: media_type.to_owned(),
+        data: Cow::Borrowed(data),
+    })
+}
