@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use reveille_common::scenario::Scenario;
+use reveille_view::recording::Bundle;
 
 /// The folder of the copies within a run folder.
 pub const FOLDER: &str = "inputs";
@@ -50,6 +51,15 @@ impl Inputs {
         self.0
             .iter()
             .try_for_each(|input| fs::write(folder.join(&input.name), &input.bytes))
+    }
+
+    /// `scenario` with its files, as one thing.
+    pub fn bundle(&self, scenario: &Scenario) -> Bundle {
+        let file = |input: &Input| (format!("{FOLDER}/{}", input.name), input.bytes.clone());
+        Bundle {
+            scenario: self.to_toml(scenario),
+            files: self.0.iter().map(file).collect(),
+        }
     }
 
     /// `scenario` as the run folder's scenario file, which names the copies.

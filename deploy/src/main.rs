@@ -8,6 +8,7 @@
 mod bench;
 mod cli;
 mod commands;
+mod dashboard;
 mod display;
 mod ending;
 mod exit;
@@ -15,10 +16,14 @@ mod inputs;
 mod interrupt;
 mod launch;
 mod local;
+mod paths;
+mod recording;
 mod results;
 mod series;
 mod summary;
 mod wall;
+mod watch;
+mod web;
 
 use std::process::ExitCode;
 
@@ -53,6 +58,7 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
         Command::Bs(args) => runtime(2)?.block_on(commands::bs::run(&args)),
         Command::Device(args) => runtime(1)?.block_on(commands::device::run(&args)),
         Command::Inspect(command) => runtime(1)?.block_on(commands::inspect::run(&command)),
+        Command::Dashboard(args) => runtime(2)?.block_on(commands::dashboard::run(&args)),
         Command::Clock(args) => runtime(1)?.block_on(commands::clock::run(&args)),
         Command::Figures(args) => commands::figures::run(&args),
         Command::Report(args) => commands::report::run(&args),

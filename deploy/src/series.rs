@@ -2,8 +2,9 @@
 //!
 //! Energies are in units; what is a whole number of micro-units is written with six decimals, exactly.
 
+use reveille_common::event::EventRecord;
 use reveille_common::scenario::Scenario;
-use reveille_common::score::{Acts, DeviceRecord, EventRecord, Metrics, WindowRecord};
+use reveille_common::score::{Acts, DeviceRecord, Metrics, WindowRecord};
 use reveille_common::totals::{PICO_PER_INFORMATION, Totals};
 use reveille_common::units::{Energy, MICRO_PER_UNIT};
 

@@ -2,6 +2,7 @@
 
 mod analyse;
 mod figures;
+mod inspect;
 mod parse;
 mod report;
 mod run;
@@ -18,12 +19,13 @@ pub use figures::{
     AttentionArgs, AxisArg, DeploymentArgs, FiguresArgs, FiguresCommand, FormatArg, LearningArgs, PictureArgs,
     QTableArgs, RankingArg, SweepFigureArgs, TimelineArgs,
 };
+pub use inspect::{
+    ColourArg, DashboardArgs, ExportArgs, InspectCommand, InspectRecordArgs, StatsArgs, TailArgs, ToArg, VerifyArgs,
+};
 pub use report::{ReportArgs, ReportCommand, SearchArgs};
 pub use run::{BsArgs, DeviceArgs, DriveArgs, OnLossArg, OutputArgs, RunArgs, ScenarioArgs, UpArgs};
 pub use sweep::{GridArgs, MergeArgs, SweepArgs};
-pub use tools::{
-    BenchCommand, BusBenchArgs, ClockArgs, InspectCommand, MemoryBenchArgs, ScenarioCommand, TailArgs, TargetArgs,
-};
+pub use tools::{BenchCommand, BusBenchArgs, ClockArgs, MemoryBenchArgs, ScenarioCommand, TargetArgs};
 pub use train::{DtArgs, RecordArgs, TrainArgs, TrainCommand};
 #[cfg(feature = "tune")]
 pub use tune::ObjectiveArg;
@@ -107,9 +109,21 @@ pub enum Command {
     /// Show or check scenarios.
     #[command(subcommand)]
     Scenario(ScenarioCommand),
-    /// Look at a run while it goes.
-    #[command(subcommand)]
+    /// Look at the messages of a run, while it goes or from a recording; record it.
+    #[command(
+        subcommand,
+        after_help = "Examples:\n  reveille inspect tail --kind wake,report --join\n  \
+        reveille run --record run.mcap\n  reveille inspect verify run.mcap\n  \
+        reveille inspect tail --from run.mcap --device 7 --since 1000 --until 1100\n  \
+        reveille inspect stats --from run.mcap"
+    )]
     Inspect(InspectCommand),
+    /// Look at a run in the browser, while it goes or from a recording.
+    #[command(
+        after_help = "Examples:\n  reveille up --dashboard --paused\n  reveille dashboard\n  \
+        reveille dashboard --from run.mcap"
+    )]
+    Dashboard(DashboardArgs),
     /// Pause, step and resume the virtual clock of a run.
     Clock(ClockArgs),
     /// Draw the paper's figures from result tables, or a picture of a deployment, or of batteries and states over time.

@@ -5,6 +5,7 @@ use std::time::Duration;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use reveille_bs::policy::registry;
 use reveille_common::message::MessageKind;
+use reveille_view::filter::Named;
 
 /// Help for an option that names a policy.
 pub(super) fn one_policy() -> String {
@@ -37,6 +38,14 @@ pub(super) fn kind_parser() -> impl TypedValueParser<Value = MessageKind> {
     PossibleValuesParser::new(MessageKind::ALL.iter().map(value)).try_map(|name| {
         let kind = MessageKind::ALL.iter().copied().find(|kind| kind.name() == name);
         kind.ok_or("no kind of message")
+    })
+}
+
+/// Reads the name of a state.
+pub(super) fn state_parser() -> impl TypedValueParser<Value = Named> {
+    PossibleValuesParser::new(Named::ALL.map(|(name, _)| name)).try_map(|name| {
+        let named = Named::ALL.into_iter().find(|(known, _)| *known == name);
+        named.map(|(_, state)| state).ok_or("no state")
     })
 }
 

@@ -60,6 +60,19 @@ pub struct OutputArgs {
     #[arg(long, short)]
     pub quiet: bool,
 
+    /// Record all messages of the run in this file, an MCAP container, for `reveille inspect` and other tools. Nothing
+    /// is left out: the run waits for the disk if it must, and says how long it did.
+    #[arg(long, value_name = "FILE")]
+    pub record: Option<PathBuf>,
+
+    /// Record the states of all devices as well, once in so many TTIs.
+    #[arg(long, value_name = "TTIS", requires = "record", value_parser = clap::value_parser!(u64).range(1..))]
+    pub record_states: Option<u64>,
+
+    /// Serve metrics for Prometheus at http://ADDRESS:PORT/metrics while the run goes; port 0 takes any free one.
+    #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = "127.0.0.1:9464")]
+    pub metrics: Option<String>,
+
     /// TTIs in a row of windows.csv [default: a hundredth of the run].
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
     pub window: Option<u64>,
@@ -97,6 +110,10 @@ pub struct DriveArgs {
     /// lost one, whose states are gone with it: the base station refuses it.
     #[arg(long, value_enum, default_value = "end")]
     pub on_loss: OnLossArg,
+
+    /// Serve a dashboard for the browser at this address while the run goes; port 0 takes any free one.
+    #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = "127.0.0.1:8464")]
+    pub dashboard: Option<String>,
 
     /// Start with the clock paused; see `reveille clock`.
     #[arg(long)]

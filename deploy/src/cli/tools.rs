@@ -3,13 +3,13 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use clap::{Args, Subcommand, ValueEnum};
+use clap::{Args, Subcommand};
 use reveille_bs::policy::registry;
 use reveille_common::ids::Tti;
 use reveille_common::keys::RunName;
-use reveille_common::message::{ClockCommand, MessageKind, Plane};
+use reveille_common::message::ClockCommand;
 
-use super::parse::{kind_parser, parse_duration, parse_sizes};
+use super::parse::{parse_duration, parse_sizes};
 
 /// `reveille scenario`.
 #[derive(Subcommand)]
@@ -55,39 +55,6 @@ pub struct TargetArgs {
     /// The run's name [default: the only run on this machine].
     #[arg(long, global = true)]
     pub run: Option<RunName>,
-}
-
-/// `reveille inspect`.
-#[derive(Subcommand)]
-pub enum InspectCommand {
-    /// Print every message of a run, decoded, one a line, as it goes. The run never waits for it.
-    ///
-    /// A line has the TTI, the plane, the kind, whose key it is (a device's or a host's, where the kind has one for
-    /// each), the length in bytes, and what it says.
-    Tail(TailArgs),
-}
-
-/// `reveille inspect tail`.
-#[derive(Args)]
-pub struct TailArgs {
-    /// The run.
-    #[command(flatten)]
-    pub target: TargetArgs,
-    /// Only this plane.
-    #[arg(long, value_enum)]
-    pub plane: Option<PlaneArg>,
-    /// Only these kinds, separated by commas.
-    #[arg(long, value_parser = kind_parser(), value_delimiter = ',')]
-    pub kind: Vec<MessageKind>,
-    /// Only messages to or from this device.
-    #[arg(long)]
-    pub device: Option<u32>,
-    /// One JSON object a line.
-    #[arg(long)]
-    pub json: bool,
-    /// End after this many messages.
-    #[arg(long, short = 'c')]
-    pub count: Option<u64>,
 }
 
 /// `reveille clock`.
@@ -208,22 +175,4 @@ pub struct MemoryBenchArgs {
     /// Let the area grow with the number of devices, as dense as 250 of them on the preset's area.
     #[arg(long)]
     pub keep_density: bool,
-}
-
-/// A plane on the bus.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum PlaneArg {
-    /// What a real deployment would send.
-    Air,
-    /// What only the emulation needs.
-    Emu,
-}
-
-impl From<PlaneArg> for Plane {
-    fn from(arg: PlaneArg) -> Self {
-        match arg {
-            PlaneArg::Air => Self::Air,
-            PlaneArg::Emu => Self::Emu,
-        }
-    }
 }

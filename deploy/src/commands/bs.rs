@@ -2,38 +2,48 @@
 
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, anyhow, bail};
 use reveille_bs::host::clock::Pace;
 use reveille_bs::host::{self, BsError, Progress, Served, Settings};
 use reveille_bs::prepared::Prepared;
-use reveille_common::bus::Bus;
+use reveille_common::bus::{Bus, Declared};
 use reveille_common::keys::RunName;
+use reveille_common::message::{Describe, Description};
 use reveille_common::scenario::Scenario;
 use reveille_lab::preparation::prepare as prepare_run;
+use reveille_lab::run::StopWhen;
+use reveille_view::metrics::Process;
 use tokio::sync::oneshot;
 
 use super::conclusion::{conclude, window};
+use super::inspect::source::groups;
 use super::resolution::resolve;
 use super::run::Interrupted;
 use crate::cli::{BsArgs, DriveArgs, OutputArgs};
+use crate::dashboard::feed::Feed;
 use crate::display::{Bar, note};
 use crate::results::RunFolder;
 use crate::summary::{Summary, Timing};
-use crate::{interrupt, local};
+use crate::watch::Watch;
+use crate::{interrupt, local, recording};
 
 /// Time between two looks for a signal.
 const LOOK: Duration = Duration::from_millis(20);
+/// How long observers on the bus may take for the last messages once a run has ended.
+const DRAIN: Duration = Duration::from_secs(1);
 
 /// Serves a run to devices that come from elsewhere.
 pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     let started = crate::wall::now();
     let scenario = resolve(&args.scenario)?;
+    check(&args.output, &args.drive)?;
     let bus = Bus::listen(&args.listen, args.run.clone()).await?;
     let folder = RunFolder::create(&args.output, &scenario)?;
-    let settings = settings(&args.drive, window(&args.output, &scenario), args.join_timeout);
+    let window = window(&args.output, &scenario);
+    let settings = settings(&args.drive, &args.output, window, args.join_timeout);
     if !args.output.quiet {
         note!(
             "waiting for {} devices: reveille device --connect {} --run {} --count …",
@@ -50,6 +60,7 @@ pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
             scenario: &scenario,
             settings,
             output: &args.output,
+            dashboard: args.drive.dashboard.as_deref(),
             progress,
             started,
         },
@@ -79,14 +90,28 @@ pub struct Service<'a> {
     pub settings: Settings,
     /// How results are shown.
     pub output: &'a OutputArgs,
+    /// Where the dashboard is served, if it is.
+    pub dashboard: Option<&'a str>,
     /// How far the run has come.
     pub progress: Arc<Progress>,
     /// When the command was given.
     pub started: Instant,
 }
 
+/// Looks whether what watches the run can be had, before there is a run folder.
+///
+/// # Errors
+/// It cannot.
+pub fn check(output: &OutputArgs, drive: &DriveArgs) -> anyhow::Result<()> {
+    crate::watch::check(output)?;
+    match &drive.dashboard {
+        Some(address) => crate::web::can_listen("--dashboard", address),
+        None => Ok(()),
+    }
+}
+
 /// The settings that the command line means.
-pub fn settings(drive: &DriveArgs, window: u64, join_patience: Option<Duration>) -> Settings {
+pub fn settings(drive: &DriveArgs, output: &OutputArgs, window: u64, join_patience: Option<Duration>) -> Settings {
     if drive.no_lookahead && drive.pace != Pace::Max {
         tracing::warn!("--no-lookahead has no effect: a real-time --pace grants every TTI by itself anyway");
     }
@@ -97,6 +122,7 @@ pub fn settings(drive: &DriveArgs, window: u64, join_patience: Option<Duration>)
         window,
         join_patience,
         paused: drive.paused,
+        states_every: output.record_states.unwrap_or(0),
     }
 }
 
@@ -110,20 +136,26 @@ pub async fn serve(
 ) -> anyhow::Result<ExitCode> {
     let Service {
         bus,
-        run,
         scenario,
         settings,
         output,
         progress,
         started,
+        ..
     } = service;
-    let (_registered, stop) = match prepare(run, bus) {
+    let Prerequisites {
+        registered: _registered,
+        described: _described,
+        stop,
+        watch,
+    } = match prepare(service).await {
         Ok(prepared) => prepared,
         Err(error) => {
             folder.fail(&error);
             return Err(error);
         }
     };
+    let mut observer = (&mut folder, (watch.gauged(), StopWhen(watch.is_broken())));
     let (watched, seen) = (Arc::clone(&stop), Arc::clone(progress));
     let relay = tokio::spawn(async move {
         while !watched.load(Ordering::Relaxed) {
@@ -136,7 +168,7 @@ pub async fn serve(
         Ok(prepared) => {
             let preparing = started.elapsed();
             prepared.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
-            let served = host::serve(bus, &prepared, settings, progress, &mut folder).await;
+            let served = host::serve(bus, &prepared, settings, progress, &mut observer).await;
             (preparing, served.map_err(anyhow::Error::from))
         }
         Err(error) => (started.elapsed(), Err(error)),
@@ -150,7 +182,9 @@ pub async fn serve(
             let summary = Summary::new(scenario, &served.outcome, timing);
             let path = folder.path().to_owned();
             let kept = folder.keep_learned(scenario, &served.outcome);
-            kept.and_then(|()| folder.finish(scenario, &served.outcome, &summary))
+            let recorded = summary.to_json().and_then(|text| watch.finish(Some(text)));
+            kept.and(recorded)
+                .and_then(|()| folder.finish(scenario, &served.outcome, &summary))
                 .and_then(|()| conclude(output, &summary, &path))
         }
         Err(error) => {
@@ -159,10 +193,13 @@ pub async fn serve(
                 None => error,
             };
             folder.fail(&error);
+            // The run's error is the one to tell.
+            let _closed = watch.finish(None).is_ok();
             Err(error)
         }
     };
     host::dismiss(bus, ended.as_ref().err().map(|error| format!("{error:#}")))?;
+    bus.drain(DRAIN).await;
     ended
 }
 
@@ -198,7 +235,23 @@ async fn set_up(scenario: &Scenario, progress: &Progress) -> anyhow::Result<Prep
     }
 }
 
-fn prepare(run: &RunName, bus: &Bus) -> anyhow::Result<(Option<local::Registered>, Arc<AtomicBool>)> {
+/// What a run needs beside its scenario: to be found, to be described, to be stopped, and to be watched.
+struct Prerequisites {
+    registered: Option<local::Registered>,
+    described: Declared,
+    stop: Arc<AtomicBool>,
+    watch: Watch,
+}
+
+async fn prepare(service: &Service<'_>) -> anyhow::Result<Prerequisites> {
+    let Service {
+        run,
+        bus,
+        scenario,
+        output,
+        progress,
+        ..
+    } = service;
     let registered = local::register(run, bus.endpoint());
     if let Err(error) = &registered {
         tracing::warn!(
@@ -207,7 +260,47 @@ fn prepare(run: &RunName, bus: &Bus) -> anyhow::Result<(Option<local::Registered
             bus.endpoint()
         );
     }
-    Ok((registered.ok(), interrupt::watch()?))
+    let description = Description::from(recording::bundle(scenario)?);
+    let described = bus.serve(move |_: Describe| description.clone())?;
+    let (progress, tapped) = (Arc::clone(progress), (*bus).clone());
+    let process = move || {
+        let get = |value: &AtomicU64| value.load(Ordering::Relaxed);
+        Process {
+            hosts: get(&progress.hosts),
+            late_ttis: get(&progress.late_ttis),
+            max_late_s: get(&progress.max_late) as f64 / 1e9,
+            left_out: tapped.left_out(),
+            recorder_waited_s: 0.0,
+        }
+    };
+    let watch = Watch::start(output, &run.to_string(), scenario, process).await?;
+    let hose = match service.dashboard {
+        Some(address) => {
+            let groups = groups(scenario);
+            let feed = Feed::new(&run.to_string(), scenario, groups.as_deref(), true);
+            let served = crate::dashboard::serve(address, Arc::clone(&feed), Some((*bus).clone())).await?;
+            note!("dashboard at {}", served.url);
+            Some(feed.open()?)
+        }
+        None => None,
+    };
+    let sink = watch.sink();
+    if hose.is_some() || sink.is_some() {
+        bus.copy_to(Box::new(move |frame| {
+            if let Some(sink) = &sink {
+                sink(frame);
+            }
+            if let Some(hose) = &hose {
+                hose.take(frame.clone());
+            }
+        }));
+    }
+    Ok(Prerequisites {
+        registered: registered.ok(),
+        described,
+        stop: interrupt::watch()?,
+        watch,
+    })
 }
 
 fn timing(served: &Served, preparing: Duration) -> Timing {

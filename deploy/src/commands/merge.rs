@@ -7,9 +7,9 @@ use anyhow::{anyhow, bail};
 use reveille_lab::sweep::merge;
 use reveille_lab::table::{Format, Table};
 
-use super::paths::{is_same, table_of};
 use crate::cli::MergeArgs;
 use crate::display;
+use crate::paths::{is_same, table_of};
 
 /// Merges tables.
 pub fn run(args: &MergeArgs) -> anyhow::Result<ExitCode> {

@@ -1,16 +1,16 @@
 //! One file for each subcommand, and those with what several of them do: `resolution` at the start, `conclusion` at the
-//! end, `paths` for what the command line names, `pictures` for the files of tables and pictures.
+//! end, `pictures` for the files of tables and pictures.
 
 pub mod analyse;
 pub mod bs;
 pub mod clock;
 mod conclusion;
+pub mod dashboard;
 pub mod device;
 mod experiment;
 pub mod figures;
 pub mod inspect;
 pub mod merge;
-mod paths;
 mod pictures;
 pub mod report;
 mod resolution;

@@ -11,9 +11,9 @@ use reveille_study::figures::results::Results;
 use reveille_study::figures::scene::Scene;
 use reveille_study::figures::{png, svg};
 
-use super::paths::table_of;
 use crate::cli::{FormatArg, PictureArgs};
 use crate::display;
+use crate::paths::table_of;
 
 /// Reads the tables and puts them together.
 pub fn read(paths: &[PathBuf]) -> anyhow::Result<Results> {

@@ -8,11 +8,14 @@ use std::time::Duration;
 
 use anyhow::bail;
 use reveille_bs::host::Progress;
+use reveille_bs::observe::frames::Framed;
 use reveille_bs::observe::{Happening, Observer};
+use reveille_common::message::Frame;
 use reveille_common::scenario::Scenario;
 use reveille_common::score::WindowRecord;
 use reveille_lab::preparation::prepare;
-use reveille_lab::run::{Options, Run};
+use reveille_lab::run::{Options, Run, StopWhen};
+use reveille_view::metrics::Process;
 
 use super::conclusion::{conclude, window};
 use super::resolution::resolve;
@@ -20,6 +23,7 @@ use crate::cli::RunArgs;
 use crate::display::Bar;
 use crate::results::RunFolder;
 use crate::summary::{Summary, Timing};
+use crate::watch::{Sink, Watch};
 
 /// Time between two looks for a signal while a run is set up.
 const LOOK: Duration = Duration::from_millis(50);
@@ -27,6 +31,7 @@ const LOOK: Duration = Duration::from_millis(50);
 /// Runs a scenario in memory.
 pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let scenario = resolve(&args.scenario)?;
+    crate::watch::check(&args.output)?;
     let folder = RunFolder::create(&args.output, &scenario)?;
     let options = Options {
         lookahead: !args.no_lookahead,
@@ -35,6 +40,15 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let progress = Arc::new(Progress::default());
     let runtime = crate::wall::runtime(1)?;
     let stop = runtime.block_on(async { crate::interrupt::watch() })?;
+    let name = folder.name();
+    let watch = Watch::start(&args.output, &name, &scenario, Process::default);
+    let watch = match runtime.block_on(watch) {
+        Ok(watch) => watch,
+        Err(error) => {
+            folder.fail(&error);
+            return Err(error);
+        }
+    };
     let bar = Bar::start(&progress, &scenario, args.output.quiet);
     let started = crate::wall::now();
     let run = match set_up(&scenario, options, &stop) {
@@ -49,7 +63,11 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
             return Err(error);
         }
     };
+    let states_every = args.output.record_states.unwrap_or(0);
+    let framed = |sink: Sink| Framed::new(states_every, move |frame| sink(&frame));
     let mut shown = Shown {
+        framed: watch.sink().map(framed),
+        watchers: (watch.gauged(), StopWhen(watch.is_broken())),
         folder,
         progress: &progress,
         stop: &stop,
@@ -65,6 +83,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     };
     let summary = Summary::new(&scenario, &outcome, timing);
     let path = shown.folder.path().to_owned();
+    watch.finish(Some(summary.to_json()?))?;
     shown.folder.keep_learned(&scenario, &outcome)?;
     shown.folder.finish(&scenario, &outcome, &summary)?;
     conclude(&args.output, &summary, &path)
@@ -103,20 +122,29 @@ impl std::fmt::Display for Interrupted {
 
 impl std::error::Error for Interrupted {}
 
-/// Writes the series and shows the progress.
-struct Shown<'a> {
+/// Writes the series, records, and shows the progress.
+struct Shown<'a, F, W> {
+    framed: Option<Framed<F>>,
+    watchers: W,
     folder: RunFolder,
     progress: &'a Progress,
     stop: &'a AtomicBool,
     devices: u64,
 }
 
-impl Observer for Shown<'_> {
+impl<F: FnMut(Frame), W: Observer> Observer for Shown<'_, F, W> {
     fn see(&mut self, happening: &Happening<'_>) {
         self.folder.see(happening);
+        self.framed.see(happening);
+        self.watchers.see(happening);
+    }
+
+    fn wants_states(&self) -> bool {
+        self.framed.wants_states() || self.watchers.wants_states()
     }
 
     fn window(&mut self, window: &WindowRecord) -> bool {
+        let goes_on = self.watchers.window(window);
         let device_ttis = u128::from((window.end - window.first) * self.devices).max(1);
         self.progress.tti.store(window.end.0, Ordering::Relaxed);
         self.progress.events.fetch_add(window.events.events, Ordering::Relaxed);
@@ -126,6 +154,6 @@ impl Observer for Shown<'_> {
         self.progress
             .mean_battery
             .store((window.energy.battery_sum / device_ttis) as u64, Ordering::Relaxed);
-        self.folder.window(window) && !self.stop.load(Ordering::Relaxed)
+        self.folder.window(window) && goes_on && !self.stop.load(Ordering::Relaxed)
     }
 }

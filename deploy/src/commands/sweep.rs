@@ -82,7 +82,7 @@ pub fn run(args: &SweepArgs) -> anyhow::Result<ExitCode> {
 /// The runs that the tables of `--reuse` hold.
 fn known(tables: &[PathBuf]) -> anyhow::Result<Known> {
     let read = |given: &PathBuf| {
-        let path = super::paths::table_of(given)?;
+        let path = crate::paths::table_of(given)?;
         let table = Table::read(&path)?;
         anyhow::Ok((path, table))
     };
@@ -170,7 +170,7 @@ fn folder(args: &SweepArgs, grid: &mut Grid, shard: Shard) -> PathBuf {
         };
         Some((own.to_owned(), seeds_in(grid, shard, own)?))
     });
-    let is_asked_for = |own: &Path| args.out.as_deref().is_none_or(|out| super::paths::is_same(out, own));
+    let is_asked_for = |own: &Path| args.out.as_deref().is_none_or(|out| crate::paths::is_same(out, own));
     if let Some((own, held)) = own.filter(|(own, _)| is_asked_for(own)) {
         let seeds = &mut grid.experiment.seeds.count;
         if args.grid.seeds.is_none() {

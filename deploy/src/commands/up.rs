@@ -11,7 +11,7 @@ use reveille_common::bus::{self, Bus};
 use reveille_common::keys::RunName;
 use reveille_device::host::{self, HostError};
 
-use super::bs::{Service, serve, settings};
+use super::bs::{Service, check, serve, settings};
 use super::conclusion::window;
 use super::resolution::resolve;
 use super::run::Interrupted;
@@ -38,17 +38,19 @@ pub async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
     if processes == 0 && args.drive.on_loss == OnLossArg::Wait {
         tracing::warn!("--on-loss has no effect: with --processes 0 there is no device process to lose");
     }
+    check(&args.output, &args.drive)?;
     // Before there is a folder: one that is to be replaced stays as it is, if this is where it ends.
     let endpoint = bus::free_to_listen(&args.listen)?;
     let folder = RunFolder::create(&args.output, &scenario)?;
     match listen(args, &endpoint, &folder).await {
         Ok((bus, run)) => {
             let service = Service {
-                settings: settings(&args.drive, window(&args.output, &scenario), Some(JOIN)),
+                settings: settings(&args.drive, &args.output, window(&args.output, &scenario), Some(JOIN)),
                 bus: &bus,
                 run: &run,
                 scenario: &scenario,
                 output: &args.output,
+                dashboard: args.drive.dashboard.as_deref(),
                 progress: Arc::default(),
                 started,
             };

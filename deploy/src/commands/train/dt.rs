@@ -17,9 +17,9 @@ use reveille_lab::transformer::{Progress, Training, TransformerError, train};
 
 use super::q_learning::Interrupted;
 use crate::cli::DtArgs;
-use crate::commands::paths::check_place;
 use crate::commands::resolution::resolve;
 use crate::display::{self, note};
+use crate::paths::check_place;
 
 /// Steps between two looks at what is held out.
 const EVERY: u64 = 200;

@@ -13,9 +13,9 @@ use reveille_lab::io::replace;
 use reveille_lab::training::{Trainer, TrainingError, TrainingProgress, checkpoint};
 
 use crate::cli::TrainArgs;
-use crate::commands::paths::check_place;
 use crate::commands::resolution::resolve;
 use crate::display::{self, note};
+use crate::paths::check_place;
 
 /// Trains the tables that are asked for.
 pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {

@@ -1,0 +1,130 @@
+//! A run that goes on, seen through the tap of its bus.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use reveille_common::bus::{Bus, Declared};
+use reveille_common::message::{ClockCommand, ClockStatus, Describe, Frame, TapBatch};
+use reveille_view::recording::Bundle;
+use tokio::sync::Notify;
+use tokio::sync::mpsc::UnboundedReceiver;
+
+use crate::cli::TargetArgs;
+use crate::display::note;
+use crate::local;
+
+const PATIENCE: Duration = Duration::from_secs(5);
+/// How long to wait for each of the last frames of a run that has ended.
+const LAST: Duration = Duration::from_millis(300);
+
+/// A run that is watched.
+pub struct Live {
+    bus: Bus,
+    /// The run's name.
+    pub run: String,
+    /// Number of devices N.
+    pub devices: u32,
+    /// Where it was when this connected.
+    status: ClockStatus,
+    batches: UnboundedReceiver<TapBatch>,
+    ended: Arc<Notify>,
+    is_over: bool,
+    /// The number of the next frame, once one has come.
+    expected: Option<u64>,
+    /// Frames that were left out because this could not keep up.
+    pub left_out: u64,
+    _declared: [Declared; 2],
+}
+
+impl Live {
+    /// Connects to the run that `target` means.
+    ///
+    /// # Errors
+    /// If there is no such run.
+    pub async fn connect(target: &TargetArgs) -> anyhow::Result<Self> {
+        let (endpoint, run) = local::find(target)?;
+        let bus = Bus::connect(&endpoint, run, PATIENCE).await?;
+        if !bus.runs(PATIENCE).await?.contains(&bus.keys().run().to_string()) {
+            return Err(bus.no_run().await.into());
+        }
+        let Some(status) = bus.ask(&ClockCommand::Status, PATIENCE).await? else {
+            return Err(bus.no_run().await.into());
+        };
+        let (send, batches) = tokio::sync::mpsc::unbounded_channel();
+        let ended = Arc::new(Notify::new());
+        let bell = Arc::clone(&ended);
+        let watch = bus.watch_alive(bus.keys().bs_alive(), move |_, alive| {
+            if !alive {
+                bell.notify_one();
+            }
+        })?;
+        let tap = bus.observe(move |batch| {
+            let _gone = send.send(batch).is_err();
+        })?;
+        Ok(Self {
+            run: bus.keys().run().to_string(),
+            devices: status.devices,
+            status,
+            bus,
+            batches,
+            ended,
+            is_over: false,
+            expected: None,
+            left_out: 0,
+            _declared: [watch, tap],
+        })
+    }
+
+    /// The session.
+    pub fn bus(&self) -> Bus {
+        self.bus.clone()
+    }
+
+    /// Whether the run has ended.
+    pub const fn has_ended(&self) -> bool {
+        self.is_over
+    }
+
+    /// Says where the run is: of a paused run nothing else may come for long.
+    pub fn greet(&self) {
+        note!("connected to run {}: {}", self.run, self.status);
+    }
+
+    /// The scenario of the run.
+    ///
+    /// # Errors
+    /// If the run is gone.
+    pub async fn bundle(&self) -> anyhow::Result<Bundle> {
+        match self.bus.ask(&Describe, PATIENCE).await? {
+            Some(description) => Ok(description.into()),
+            None => Err(self.bus.no_run().await.into()),
+        }
+    }
+
+    /// The next frames, as many as have come; nothing once the run has ended, or Ctrl-C was pressed. The second is
+    /// how many were left out before them.
+    pub async fn next(&mut self) -> Option<(Vec<Frame>, u64)> {
+        if !self.is_over {
+            tokio::select! {
+                batch = self.batches.recv() => return batch.map(|batch| self.take(batch)),
+                () = self.ended.notified() => self.is_over = true,
+                _ = crate::interrupt::told() => return None,
+            }
+        }
+        // That the run has ended is told faster than what it said last.
+        let last = tokio::time::timeout(LAST, self.batches.recv()).await;
+        last.ok().flatten().map(|batch| self.take(batch))
+    }
+
+    fn take(&mut self, batch: TapBatch) -> (Vec<Frame>, u64) {
+        let missing = batch.first.saturating_sub(self.expected.unwrap_or(batch.first));
+        self.left_out += missing;
+        self.expected = Some(batch.first.saturating_add(batch.frames.len() as u64));
+        (batch.frames, missing)
+    }
+
+    /// Ends the connection.
+    pub async fn close(self) {
+        self.bus.close().await;
+    }
+}

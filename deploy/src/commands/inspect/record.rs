@@ -1,0 +1,57 @@
+//! `reveille inspect record`: records a run that goes on.
+
+use std::process::ExitCode;
+use std::time::Instant;
+
+use anyhow::{anyhow, bail};
+use reveille_view::recording::Recorder;
+
+use super::live::Live;
+use crate::cli::InspectRecordArgs;
+use crate::display::note;
+use crate::exit::Exit;
+
+/// Records until the run ends, or Ctrl-C.
+pub async fn run(args: &InspectRecordArgs) -> anyhow::Result<ExitCode> {
+    let path = &args.file;
+    if path.exists() {
+        bail!("{}: is there already; choose another, or move it away", path.display());
+    }
+    let mut live = Live::connect(&args.target).await?;
+    let bundle = live.bundle().await?;
+    let failed = |why: String| anyhow!("{}: {why}", path.display());
+    let recorder = Recorder::start(path, &live.run, &bundle).map_err(failed)?;
+    live.greet();
+    let tape = recorder.tape();
+    let (mut first, started) = (None, crate::wall::now());
+    while let Some((frames, _)) = live.next().await {
+        first = first.or(frames.first().map(|frame| frame.tti));
+        for frame in frames {
+            tape.take(frame);
+        }
+        if tape.failure().is_some() {
+            break;
+        }
+    }
+    drop(tape);
+    let left_out = live.left_out;
+    let recorded = recorder.finish(None).map_err(failed)?;
+    live.close().await;
+    note!(
+        "recorded {} messages in {}, {:.1} MB, in {:.1} s",
+        recorded.frames,
+        path.display(),
+        recorded.bytes as f64 / 1e6,
+        Instant::elapsed(&started).as_secs_f64()
+    );
+    if left_out > 0 {
+        bail!(
+            "{}: {left_out} messages are missing, because this could not keep up; `up --record` makes the run wait",
+            path.display()
+        );
+    }
+    if let Some(first) = first.filter(|first| first.0 > 0) {
+        note!("it begins in TTI {first}: what was before is not in it");
+    }
+    Ok(Exit::Done.into())
+}

@@ -1,0 +1,177 @@
+//! `reveille inspect stats`: how many messages there are, and how many bytes.
+
+use std::io::IsTerminal;
+use std::process::ExitCode;
+use std::time::Duration;
+
+use comfy_table::presets::UTF8_FULL_CONDENSED;
+use comfy_table::{CellAlignment, Table};
+use reveille_common::message::{MessageKind, Plane};
+use reveille_view::traffic::{Count, Traffic};
+use serde_json::{Value, json};
+
+use super::source::Source;
+use crate::cli::StatsArgs;
+use crate::display::{note, out};
+use crate::exit::Exit;
+
+/// Time between two tables with `--watch`.
+const AGAIN: Duration = Duration::from_secs(1);
+
+/// Counts until the run or the recording ends, or Ctrl-C.
+pub async fn run(args: &StatsArgs) -> anyhow::Result<ExitCode> {
+    let mut source = Source::open(args.from.as_deref(), &args.target).await?;
+    let devices = source.bundle().await?.load()?.devices;
+    if let Some(since) = args.since {
+        source.seek(reveille_common::ids::Tti(since))?;
+    }
+    source.greet();
+    let (mut traffic, mut shown) = (Traffic::default(), crate::wall::now());
+    let torn = loop {
+        match source.next().await {
+            Ok(Some((frames, _))) => {
+                for frame in frames {
+                    let is_wanted = args.since.is_none_or(|since| frame.tti.0 >= since)
+                        && args.until.is_none_or(|until| frame.tti.0 <= until);
+                    if is_wanted {
+                        traffic.count(&frame);
+                    }
+                }
+            }
+            Ok(None) => break None,
+            Err(error) => break Some(error),
+        }
+        if args.watch && shown.elapsed() >= AGAIN {
+            let clear = if std::io::stdout().is_terminal() {
+                "\u{1b}[2J\u{1b}[H"
+            } else {
+                ""
+            };
+            out(&format!("{clear}{}\n", told(args, &traffic, devices)))?;
+            shown = crate::wall::now();
+        }
+    };
+    out(&format!("{}\n", told(args, &traffic, devices)))?;
+    if let Source::Live(live) = &source
+        && live.left_out > 0
+    {
+        note!(
+            "{} messages are not counted, because this could not keep up",
+            live.left_out
+        );
+    }
+    source.close().await;
+    torn.map_or_else(|| Ok(Exit::Done.into()), Err)
+}
+
+fn told(args: &StatsArgs, traffic: &Traffic, devices: u32) -> String {
+    if args.json {
+        json(traffic, devices, args.devices).to_string()
+    } else {
+        text(traffic, devices, args.devices)
+    }
+}
+
+fn json(traffic: &Traffic, devices: u32, by_device: bool) -> Value {
+    let kinds = traffic.kinds().map(|(kind, count)| {
+        json!({ "kind": kind.name(), "plane": kind.plane().name(), "messages": count.messages, "bytes": count.bytes })
+    });
+    let mut told = json!({
+        "n": devices,
+        "ttis": traffic.ttis(),
+        "kinds": kinds.collect::<Vec<_>>(),
+        "control": traffic.control(),
+        "uplink": traffic.uplink(),
+        "control_share_of_air_bytes": traffic.control_share(),
+    });
+    if by_device {
+        let device = |(device, kinds): (_, &std::collections::BTreeMap<MessageKind, Count>)| {
+            let kinds = kinds.iter().map(|(kind, count)| (kind.name().to_owned(), json!(count)));
+            json!({ "device": device, "kinds": kinds.collect::<serde_json::Map<_, _>>() })
+        };
+        told["devices"] = traffic.devices().map(device).collect();
+    }
+    told
+}
+
+fn text(traffic: &Traffic, devices: u32, by_device: bool) -> String {
+    let ttis = traffic.ttis().max(1) as f64;
+    let mut table = Table::new();
+    let header = [
+        "kind",
+        "plane",
+        "messages",
+        "bytes",
+        "messages/TTI",
+        "bytes/TTI",
+        "bytes/TTI/device",
+    ];
+    table.load_style(UTF8_FULL_CONDENSED).set_header(header);
+    let row = |name: &str, plane: &str, count: Count| {
+        let each = count.bytes as f64 / ttis;
+        [
+            name.to_owned(),
+            plane.to_owned(),
+            count.messages.to_string(),
+            count.bytes.to_string(),
+            format!("{:.3}", count.messages as f64 / ttis),
+            format!("{each:.2}"),
+            format!("{:.4}", each / f64::from(devices.max(1))),
+        ]
+    };
+    for (kind, count) in traffic.kinds() {
+        table.add_row(row(kind.name(), kind.plane().name(), count));
+    }
+    for plane in Plane::ALL {
+        table.add_row(row("all", plane.name(), traffic.plane(plane)));
+    }
+    for column in table.column_iter_mut().skip(2) {
+        column.set_cell_alignment(CellAlignment::Right);
+    }
+    let span = traffic.span().map_or_else(
+        || "no messages".to_owned(),
+        |(first, last)| format!("TTIs {first} to {last}, {devices} devices"),
+    );
+    let mut told = vec![format!("{span}\n{table}")];
+    if let Some(share) = traffic.control_share() {
+        let control = traffic.control();
+        told.push(format!(
+            "control: {} plans and {} wake-ups, {:.2} bytes a TTI, {:.1} % of all bytes on the air",
+            traffic.kind(MessageKind::Plan).messages,
+            traffic.kind(MessageKind::Wake).messages,
+            control.bytes as f64 / ttis,
+            100.0 * share
+        ));
+    }
+    if by_device {
+        told.push(of_devices(traffic).to_string());
+    }
+    told.join("\n")
+}
+
+fn of_devices(traffic: &Traffic) -> Table {
+    let mut table = Table::new();
+    table.load_style(UTF8_FULL_CONDENSED).set_header([
+        "device",
+        "wake-ups",
+        "woken or not",
+        "reports",
+        "report bytes",
+        "failed",
+    ]);
+    for (device, kinds) in traffic.devices() {
+        let of = |kind| kinds.get(&kind).copied().unwrap_or_default();
+        table.add_row([
+            device.to_string(),
+            of(MessageKind::Wake).messages.to_string(),
+            of(MessageKind::Woken).messages.to_string(),
+            of(MessageKind::Report).messages.to_string(),
+            of(MessageKind::Report).bytes.to_string(),
+            of(MessageKind::Failed).messages.to_string(),
+        ]);
+    }
+    for column in table.column_iter_mut() {
+        column.set_cell_alignment(CellAlignment::Right);
+    }
+    table
+}

@@ -1,0 +1,231 @@
+//! `reveille inspect tail`: messages, decoded, one a line.
+
+use std::io::{IsTerminal, Write};
+use std::process::ExitCode;
+
+use anyhow::bail;
+use reveille_common::deployment::Deployment;
+use reveille_common::ids::DeviceId;
+use reveille_common::message::{Frame, MessageKind, Plane};
+use reveille_common::scenario::Scenario;
+use reveille_view::filter::Filter;
+use reveille_view::join::{Join, Joined, Step};
+use reveille_view::line::Line;
+use reveille_view::mirror::Mirror;
+use serde_json::json;
+
+use super::source::{Source, groups};
+use crate::cli::{ColourArg, TailArgs};
+use crate::display::note;
+use crate::exit::Exit;
+
+/// Shows the messages that are asked for.
+pub async fn run(args: &TailArgs) -> anyhow::Result<ExitCode> {
+    let mut filter = filter(args);
+    filter.check().map_err(anyhow::Error::msg)?;
+    let mut source = Source::open(args.from.as_deref(), &args.target).await?;
+    let needs_scenario = args.cluster.is_some() || !filter.states.is_empty();
+    let scenario = if needs_scenario || matches!(source, Source::Recorded(..)) {
+        Some(source.bundle().await?.load()?)
+    } else {
+        None
+    };
+    let devices = match (&source, &scenario) {
+        (Source::Live(live), _) => live.devices,
+        (_, Some(scenario)) => scenario.devices,
+        (_, None) => 0,
+    };
+    if let Some(device) = args.device {
+        let last = devices.saturating_sub(1);
+        anyhow::ensure!(
+            device < devices,
+            "--device {device}: the run has {devices} devices, 0 to {last}"
+        );
+        filter.devices = Some(vec![DeviceId(device)]);
+    }
+    if let (Some(cluster), Some(scenario)) = (args.cluster, &scenario) {
+        filter.devices = Some(of_cluster(scenario, cluster, filter.devices.as_deref())?);
+    }
+    let mut printer = Printer::new(args, filter, scenario.as_ref());
+    // States follow from all that was before.
+    if printer.mirror.is_none() {
+        source.seek(printer.filter.first())?;
+    }
+    source.greet();
+    let ended = printer.print(&mut source).await;
+    note!("{}", source.said(printer.printed));
+    source.close().await;
+    ended.map(|()| Exit::Done.into())
+}
+
+fn filter(args: &TailArgs) -> Filter {
+    let (first, last) = (args.since.unwrap_or(0), args.until.unwrap_or(u64::MAX));
+    let is_limited = args.since.is_some() || args.until.is_some();
+    Filter {
+        plane: args.plane.map(Plane::from),
+        kinds: args.kind.clone(),
+        devices: None,
+        ttis: is_limited.then_some(first..=last),
+        states: args.state.clone(),
+    }
+}
+
+/// The devices of a cluster of the policy of `scenario`, those of them in `also` if that is given.
+fn of_cluster(scenario: &Scenario, cluster: u32, also: Option<&[DeviceId]>) -> anyhow::Result<Vec<DeviceId>> {
+    let Some(groups) = groups(scenario) else {
+        bail!(
+            "--cluster: the policy {} has no clusters that follow from the scenario",
+            scenario.policy.name()
+        );
+    };
+    let most = groups.iter().max().copied().unwrap_or(0);
+    anyhow::ensure!(
+        cluster <= most,
+        "--cluster {cluster}: there are {} clusters, 0 to {most}",
+        most + 1
+    );
+    let ids = (0..).map(DeviceId).zip(&groups);
+    let own = ids.filter(|(_, group)| **group == cluster).map(|(id, _)| id);
+    Ok(own.filter(|id| also.is_none_or(|also| also.contains(id))).collect())
+}
+
+/// Prints what passes.
+struct Printer<'a> {
+    args: &'a TailArgs,
+    filter: Filter,
+    join: Option<Join>,
+    /// Tells the states of devices, where they are asked for.
+    mirror: Option<Mirror>,
+    has_colour: bool,
+    printed: u64,
+}
+
+impl<'a> Printer<'a> {
+    fn new(args: &'a TailArgs, filter: Filter, scenario: Option<&Scenario>) -> Self {
+        let is_wanted = |_: &&Scenario| !filter.states.is_empty();
+        Self {
+            join: args.join.then(Join::default),
+            mirror: scenario
+                .filter(is_wanted)
+                .map(|scenario| Mirror::new(scenario, &Deployment::new(scenario))),
+            has_colour: match args.colour {
+                ColourArg::Always => true,
+                ColourArg::Never => false,
+                ColourArg::Auto => {
+                    std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|set| set.is_empty())
+                }
+            },
+            filter,
+            args,
+            printed: 0,
+        }
+    }
+
+    /// Prints until enough is printed, nobody reads, or there is no more.
+    async fn print(&mut self, source: &mut Source) -> anyhow::Result<()> {
+        let mut is_first = true;
+        while !self.is_done() {
+            let Some((frames, missing)) = source.next().await? else {
+                return Ok(());
+            };
+            if let (Some(_), Some(frame)) = (&self.mirror, frames.first()) {
+                let is_late = std::mem::take(&mut is_first) && frame.tti.0 > 0;
+                if missing > 0 || is_late {
+                    bail!(
+                        "--state: what was before TTI {} was not seen, and the states follow from it; record the run, \
+                        and give the recording with --from",
+                        frame.tti
+                    );
+                }
+            }
+            let mut out = std::io::stdout().lock();
+            for frame in &frames {
+                if self.is_done() || self.filter.is_over(frame.tti) {
+                    return Ok(());
+                }
+                if let Some(line) = self.line(frame)? {
+                    if writeln!(out, "{line}").is_err() {
+                        return Ok(());
+                    }
+                    self.printed += 1;
+                }
+            }
+            if matches!(source, Source::Live(_)) && out.flush().is_err() {
+                return Ok(());
+            }
+        }
+        Ok(())
+    }
+
+    fn is_done(&self) -> bool {
+        self.args.count.is_some_and(|count| self.printed >= count)
+    }
+
+    /// The line of a frame that passes.
+    fn line(&mut self, frame: &Frame) -> anyhow::Result<Option<String>> {
+        let line = Line::of(frame);
+        let mut state = None;
+        if let Some(mirror) = &mut self.mirror {
+            state = frame.number.and_then(|number| mirror.state(DeviceId(number)));
+            if let Ok(message) = &line.message {
+                mirror.take(frame, message)?;
+            }
+        }
+        let step = self
+            .join
+            .as_mut()
+            .map_or(Step::Alone, |join| join.take(frame, &line.message));
+        if let Step::Complete(joined) = step {
+            // It is a wake-up, whatever of it has come last.
+            let wake = Frame {
+                kind: MessageKind::Wake,
+                ..frame.clone()
+            };
+            let passes = self.filter.passes(&wake, line.message.as_ref().ok(), state);
+            return Ok(passes.then(|| self.joined(&joined)));
+        }
+        let passes = step == Step::Alone && self.filter.passes(frame, line.message.as_ref().ok(), state);
+        Ok(passes.then(|| self.shown(frame.kind, &line)))
+    }
+
+    fn joined(&self, joined: &Joined) -> String {
+        let Joined {
+            tti,
+            device,
+            outcome,
+            bytes,
+        } = joined;
+        if self.args.json {
+            let message = json!({ "tti": tti, "outcome": outcome });
+            return json!({
+                "tti": tti, "plane": "air", "kind": "wake", "number": device, "bytes": bytes, "message": message
+            })
+            .to_string();
+        }
+        self.painted(MessageKind::Wake, joined.to_string())
+    }
+
+    fn shown(&self, kind: MessageKind, line: &Line<'_>) -> String {
+        if self.args.json {
+            line.to_json()
+        } else {
+            self.painted(kind, line.to_string())
+        }
+    }
+
+    /// `text` in the colour of its kind.
+    fn painted(&self, kind: MessageKind, text: String) -> String {
+        let code = match (kind, kind.plane()) {
+            (MessageKind::Wake, _) => "1;33",
+            (MessageKind::Report, _) => "32",
+            (_, Plane::Air) => "36",
+            (_, Plane::Emu) => "2",
+            (_, Plane::Truth) => "35",
+        };
+        if self.has_colour {
+            format!("\u{1b}[{code}m{text}\u{1b}[0m")
+        } else {
+            text
+        }
+    }
+}

@@ -1,0 +1,105 @@
+//! The dashboard: a run in the browser, while it goes or from a recording.
+//!
+//! One page that loads nothing from elsewhere, and what it asks for. Looking needs no token on a loopback address;
+//! whatever changes something does, and so does everything where others may connect.
+
+mod api;
+pub mod feed;
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use anyhow::Context;
+use axum::Router;
+use axum::http::{HeaderName, header};
+use axum::middleware;
+use axum::response::IntoResponse;
+use axum::routing::{get, post};
+use reveille_common::bus::Bus;
+use tokio::net::TcpListener;
+
+use self::api::{Served, guard};
+use self::feed::Feed;
+
+/// What the page consists of: path, type, text.
+const PAGE: [(&str, &str, &str); 6] = [
+    ("/", "text/html; charset=utf-8", include_str!("page/index.html")),
+    ("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
+    (
+        "/main.js",
+        "text/javascript; charset=utf-8",
+        include_str!("page/main.js"),
+    ),
+    ("/map.js", "text/javascript; charset=utf-8", include_str!("page/map.js")),
+    (
+        "/charts.js",
+        "text/javascript; charset=utf-8",
+        include_str!("page/charts.js"),
+    ),
+    ("/api.js", "text/javascript; charset=utf-8", include_str!("page/api.js")),
+];
+
+/// What the browser may load: what comes from here.
+const POLICY: &str = "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; base-uri 'none'; \
+                      form-action 'none'; frame-ancestors 'none'";
+
+/// A dashboard that is served.
+pub struct Dashboard {
+    /// Its address for a person, with the token.
+    pub url: String,
+}
+
+/// Serves `feed` at `address` until the program ends; the clock of the run on `bus` may be driven from it, if there is
+/// one.
+///
+/// # Errors
+/// If nothing can listen there.
+pub async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> anyhow::Result<Dashboard> {
+    let named = || format!("--dashboard {address}");
+    let listener = TcpListener::bind(address).await.with_context(named)?;
+    let at: SocketAddr = listener.local_addr().with_context(named)?;
+    let token = token().context("cannot draw a token")?;
+    let url = format!("http://{at}/#{token}");
+    let served = Served::new(feed, bus, token, at);
+    let mut router = Router::new()
+        .route("/api/run", get(api::about))
+        .route("/api/now", get(api::now))
+        .route("/api/live", get(api::live))
+        .route("/api/tti/{tti}", get(api::tti))
+        .route("/api/curves", get(api::curves))
+        .route("/api/messages", get(api::messages))
+        .route("/api/message/{number}", get(api::message))
+        .route("/api/device/{device}", get(api::device))
+        .route("/api/clock", get(api::clock))
+        .route("/api/clock/{command}", post(api::command));
+    for (path, form, text) in PAGE {
+        let page = move || async move {
+            let headers = [
+                (header::CONTENT_TYPE, form),
+                (header::CACHE_CONTROL, "no-store"),
+                (header::CONTENT_SECURITY_POLICY, POLICY),
+                (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+                (HeaderName::from_static("referrer-policy"), "no-referrer"),
+            ];
+            (headers, text).into_response()
+        };
+        router = router.route(path, get(page));
+    }
+    let router = router
+        .layer(middleware::from_fn_with_state(served.clone(), guard))
+        .with_state(served);
+    tokio::spawn(async move {
+        if let Err(error) = axum::serve(listener, router).await {
+            tracing::warn!(%error, "the dashboard is not served any more");
+        }
+    });
+    Ok(Dashboard { url })
+}
+
+/// A token that nobody can guess.
+fn token() -> std::io::Result<String> {
+    use std::io::Read;
+    let mut bytes = [0; 16];
+    std::fs::File::open("/dev/urandom")?.read_exact(&mut bytes)?;
+    Ok(reveille_view::line::hex(&bytes))
+}

@@ -1,0 +1,244 @@
+// The page: what is shown, and what the reader does.
+
+import { get, live, post } from "./api.js";
+import { Charts, history, ramp } from "./charts.js";
+import { Map } from "./map.js";
+
+const by = (id) => document.getElementById(id);
+const page = { run: null, now: null, tti: 0, follows: true, moment: null, device: -1, points: [], marks: [], updates: 0 };
+// For tests, and for whoever looks at the console.
+window.reveille = page;
+let map, charts, asked = 0;
+
+function tell(text, isAlarm = false) {
+  by("state").textContent = text;
+  by("state").className = isAlarm ? "alarm" : "";
+}
+
+function names(devices) {
+  return devices.length > 8 ? `${devices.slice(0, 8).join(", ")} … (${devices.length})` : devices.join(", ");
+}
+
+function happened(moment) {
+  const said = [];
+  if (moment.event) said.push(`event ${moment.event.event}`);
+  if (moment.reported?.length) said.push(`reported: ${names(moment.reported)}`);
+  if (moment.failed?.length) said.push(`could not pay: ${names(moment.failed)}`);
+  for (const { device, text } of moment.woken ?? []) said.push(`${device} woken, ${text}`);
+  if (moment.ended) said.push(moment.ended.delay === null ? "missed" : `ended, delay ${moment.ended.delay}, I ${moment.ended.information.toFixed(3)}`);
+  return said.join(" · ");
+}
+
+function paint() {
+  if (!page.moment) return;
+  map.paint(page.moment, page.device);
+  charts.paint(page.points, Math.max(page.now.next, 1), page.tti);
+  by("happened").textContent = happened(page.moment);
+  by("map").setAttribute("aria-label", `Map of ${page.run.devices} devices in TTI ${page.tti}. ${happened(page.moment)}`);
+  by("scrubber").value = page.tti;
+  if (document.activeElement !== by("tti")) by("tti").value = page.tti;
+  by("follow").setAttribute("aria-pressed", page.follows);
+}
+
+// Shows a TTI of those that are kept.
+async function show(tti) {
+  const { first, next } = page.now;
+  page.tti = Math.max(first, Math.min(tti, next - 1));
+  if (next <= first) return;
+  const own = ++asked;
+  const moment = await get(`api/tti/${page.tti}`);
+  if (own !== asked) return;
+  page.moment = moment;
+  paint();
+  if (page.device >= 0) showDevice();
+  if (by("filters").here.checked) showMessages();
+}
+
+function go(tti) {
+  page.follows = false;
+  return show(tti).catch((error) => tell(error.message, true));
+}
+
+function see(now) {
+  page.now = now;
+  page.updates += 1;
+  by("scrubber").min = now.first;
+  by("scrubber").max = Math.max(now.next - 1, now.first);
+  const end = now.over ? "ended" : page.run.live ? "live" : "recording";
+  tell(`${end} · TTI ${now.next} of ${page.run.ttis} · ${now.events} events counted, ${now.missed} missed · ${now.messages} messages`);
+  by("ticker").replaceChildren(...now.ticker.map(({ tti, text, who }) => {
+    const line = document.createElement("li"), jump = document.createElement("button");
+    jump.textContent = `TTI ${tti}`;
+    jump.onclick = () => go(tti);
+    line.append(jump, ` ${text}${who.length ? ` (${who.join(", ")})` : ""}`);
+    return line;
+  }));
+  if (now.broken) tell(`states are not known any more: ${now.broken}`, true);
+  if (page.follows && now.next > now.first) {
+    page.tti = now.next - 1;
+    page.moment = now;
+    requestAnimationFrame(paint);
+  }
+}
+
+async function showDevice() {
+  const from = Math.max(page.now.first, page.tti - 300), end = Math.min(page.now.next, page.tti + 100);
+  const told = await get(`api/device/${page.device}?from=${from}&end=${end}`);
+  by("one").hidden = false;
+  by("one-title").textContent = `Device ${page.device}, TTIs ${told.from} to ${told.from + told.batteries.length - 1}`;
+  history(by("history"), told, page.run.e_max[page.device], page.tti);
+  const share = (states) => Math.round((100 * [...told.states].filter((s) => states.includes(s)).length) / told.states.length);
+  by("ledger").textContent = `battery ${told.batteries[page.tti - told.from]?.toFixed(2)} · S1 ${share("1")} % · S3 ${share("23")} % · S4 ${share("4")} % · deaf ${share("0")} % of these TTIs`;
+}
+
+async function showMessages() {
+  const form = by("filters"), wanted = new URLSearchParams();
+  for (const name of ["plane", "kind", "device"]) if (form[name].value) wanted.set(name, form[name].value);
+  const here = form.here.checked;
+  const since = here ? Math.max(page.tti - 5, 0) : form.since.value, until = here ? page.tti : form.until.value;
+  if (since !== "") wanted.set("since", since);
+  if (until !== "") wanted.set("until", until);
+  const rows = await get(`api/messages?${wanted}`);
+  const body = by("messages").tBodies[0];
+  body.replaceChildren(...rows.map((row) => {
+    const line = document.createElement("tr");
+    line.tabIndex = 0;
+    line.dataset.id = row.id;
+    for (const name of ["tti", "plane", "kind", "whose", "bytes", "text"]) {
+      const cell = document.createElement("td");
+      cell.textContent = row[name];
+      line.append(cell);
+    }
+    return line;
+  }));
+}
+
+async function showMessage(id) {
+  const { message, hex } = await get(`api/message/${id}`);
+  by("decoded").textContent = JSON.stringify(message, null, 2);
+  by("hex").textContent = hex.replace(/(..)/g, "$1 ").replace(/(.{48})/g, "$1\n");
+  by("detail").showModal();
+}
+
+function stands({ status, text }) {
+  by("said").textContent = text;
+  by("pause").textContent = status.paused || status.until < status.ttis ? "go on" : "pause";
+  return status.paused || status.until >= status.ttis;
+}
+
+// Gives the clock a command, and looks until it is carried out.
+let driven = 0;
+async function drive(command) {
+  const own = ++driven;
+  try {
+    let done = stands(await post(`api/clock/${command}`));
+    while (!done && own === driven) {
+      await new Promise((go) => setTimeout(go, 100));
+      done = stands(await get("api/clock"));
+    }
+  } catch (error) {
+    by("said").textContent = error.message;
+  }
+}
+
+function mark() {
+  if (page.marks.includes(page.tti)) return;
+  page.marks.push(page.tti);
+  page.marks.sort((a, b) => a - b);
+  by("marks").replaceChildren(...page.marks.map((tti) => {
+    const button = document.createElement("button");
+    button.textContent = `TTI ${tti}`;
+    button.onclick = () => go(tti);
+    return button;
+  }));
+}
+
+function repaint() {
+  paint();
+  if (page.device >= 0) showDevice().catch((error) => tell(error.message, true));
+}
+
+function follow() {
+  page.follows = true;
+  see(page.now);
+}
+
+const pause = () => drive(by("pause").textContent === "pause" ? "pause" : "resume");
+
+function listen() {
+  by("back").onclick = () => go(page.tti - 1);
+  by("forward").onclick = () => go(page.tti + 1);
+  by("scrubber").oninput = (event) => go(+event.target.value);
+  by("tti").onchange = (event) => go(+event.target.value);
+  by("follow").onclick = follow;
+  by("mark").onclick = mark;
+  by("pause").onclick = pause;
+  by("step").onclick = () => drive("step?n=1");
+  by("run-to").onclick = () => drive(`run-to?n=${+by("target").value}`);
+  by("map").onclick = (event) => {
+    page.device = map.near(event);
+    paint();
+    showDevice().catch((error) => tell(error.message, true));
+  };
+  by("filters").onsubmit = (event) => {
+    event.preventDefault();
+    showMessages().catch((error) => tell(error.message, true));
+  };
+  by("messages").tBodies[0].addEventListener("click", (event) => {
+    const line = event.target.closest("tr");
+    if (line) showMessage(line.dataset.id);
+  });
+  by("messages").tBodies[0].addEventListener("keydown", (event) => {
+    if (event.key === "Enter") showMessage(event.target.dataset.id);
+  });
+  addEventListener("keydown", (event) => {
+    if (event.target.closest("input, select, dialog, tr") || event.ctrlKey || event.metaKey || event.altKey) return;
+    const many = event.shiftKey ? 10 : 1;
+    const does = {
+      ArrowLeft: () => go(page.tti - many),
+      ArrowRight: () => go(page.tti + many),
+      " ": () => page.run.controls && pause(),
+      s: () => page.run.controls && drive("step?n=1"),
+      l: follow,
+      b: mark,
+    }[event.key.length === 1 ? event.key.toLowerCase() : event.key];
+    if (!does || (event.key === " " && event.target.closest("button"))) return;
+    event.preventDefault();
+    does();
+  });
+  addEventListener("resize", repaint);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", repaint);
+}
+
+async function curves() {
+  try {
+    page.points = await get("api/curves");
+  } catch { /* told by the stream */ }
+  if (!page.now?.over) setTimeout(curves, 1000);
+  paint();
+}
+
+async function begin() {
+  page.run = await get("api/run");
+  const { run, policy, devices, seed, preset } = page.run;
+  document.title = `${run} · Reveille`;
+  by("run").textContent = run;
+  by("about").textContent = `${policy} · ${devices} devices · seed ${seed} · preset ${preset}`;
+  by("clock").hidden = !page.run.controls;
+  by("legend").innerHTML = `<span>battery <i style="background:${ramp()}"></i> full</span><span>● S1 senses</span><span>▲ S3 reports</span><span>■ S4 sleeps</span><span>✕ deaf</span><span>✶ event, d_max around it</span>`;
+  map = new Map(by("map"), page.run);
+  charts = new Charts(by("charts"), go);
+  page.now = await get("api/now");
+  listen();
+  see(page.now);
+  if (!page.run.live) page.follows = false;
+  await show(page.run.live ? page.now.next - 1 : page.now.first);
+  if (page.run.live) page.follows = true;
+  if (page.run.controls) {
+    stands(await get("api/clock"));
+  }
+  curves();
+  if (page.run.live) live(see, (error) => { tell(error.message, true); return page.now?.over; });
+}
+
+begin().catch((error) => tell(error.message, true));

@@ -1,0 +1,272 @@
+//! Recordings: whole, torn and foreign, of every kind of run; what they come to is what the run came to.
+
+use std::fs;
+use std::time::Duration;
+
+use reveille_tests::process::{Folder, assert_refused, unique_run};
+use rustix::process::Signal;
+use serde_json::Value;
+
+/// What `tail --json` shows of a recording.
+fn shown(folder: &Folder, args: &str) -> Vec<Value> {
+    let end = folder.run(&format!("inspect tail --json --from {args}"));
+    assert!(end.is_success(), "{end}");
+    end.stdout
+        .lines()
+        .map(|line| serde_json::from_str(line).expect("JSON"))
+        .collect()
+}
+
+/// How many messages `tail` shows of a torn recording.
+fn shown_of_torn(folder: &Folder, file: &str) -> usize {
+    let end = folder.run(&format!("inspect tail --json --from {file}"));
+    assert_eq!(end.code(), Some(1), "{end}");
+    end.stdout.lines().count()
+}
+
+/// Sums of squares that no number of 64 bits holds.
+#[test]
+fn a_long_run_is_verified_too() {
+    let folder = Folder::new();
+    let end = folder.run("run -p knn -n 50 -k 10000 --record r.mcap --quiet --out o");
+    assert!(end.is_success(), "{end}");
+    let end = folder.run("inspect verify r.mcap");
+    assert!(end.is_success() && end.stdout.contains("TTIs 0 to 9999"), "{end}");
+}
+
+#[test]
+fn memory_and_bus_record_the_same_air_and_truth() {
+    let folder = Folder::new();
+    let run = "-p knn -n 20 -k 400 --set events.alpha=0.4 --record-states 60 --quiet";
+    let mut digests = Vec::new();
+    for (name, command) in [("m", "run"), ("b", "up -P 3"), ("o", "up -P 0 --no-lookahead")] {
+        let end = folder.run(&format!("{command} {run} --record {name}.mcap --out {name}"));
+        assert!(end.is_success(), "{end}");
+        digests.push(end.stdout);
+        let end = folder.run(&format!("inspect verify {name}.mcap"));
+        assert!(end.is_success() && end.stdout.contains("as in the summary"), "{end}");
+    }
+    assert!(digests.windows(2).all(|pair| pair[0] == pair[1]));
+    for plane in ["air", "truth"] {
+        let [memory, bus] = ["m", "b"].map(|name| shown(&folder, &format!("{name}.mcap --plane {plane}")));
+        assert!(
+            memory == bus && memory.len() > 20,
+            "{plane}: {} and {}",
+            memory.len(),
+            bus.len()
+        );
+    }
+    let one_by_one = shown(&folder, "o.mcap --plane air");
+    assert!(
+        one_by_one == shown(&folder, "m.mcap --plane air"),
+        "with and without lookahead"
+    );
+    assert!(shown(&folder, "m.mcap --plane emu").is_empty());
+    assert!(shown(&folder, "b.mcap --kind clock").len() > 20);
+}
+
+#[test]
+fn filters_and_joined_wake_ups_show_what_they_say() {
+    let folder = Folder::new();
+    let end = folder
+        .run("run -p knn -n 60 -k 600 --set events.alpha=0.5 --set harvest.e_b=3 --record r.mcap --quiet --out o");
+    assert!(end.is_success(), "{end}");
+    let all = shown(&folder, "r.mcap");
+    let some = |args: &str, passes: &dyn Fn(&Value) -> bool| {
+        let own: Vec<Value> = all.iter().filter(|line| passes(line)).cloned().collect();
+        assert!(
+            !own.is_empty() && shown(&folder, &format!("r.mcap {args}")) == own,
+            "{args}"
+        );
+    };
+    let tti = |line: &Value| line["tti"].as_u64().expect("a TTI");
+    some("--since 100 --until 199", &|line| (100..200).contains(&tti(line)));
+    some("--kind report", &|line| line["kind"] == "report");
+    let reporter = all.iter().find(|line| line["kind"] == "report").expect("a report")["number"].clone();
+    some(&format!("--kind report --device {reporter}"), &|line| {
+        line["kind"] == "report" && line["number"] == reporter
+    });
+    assert_eq!(shown(&folder, "r.mcap -c 7"), all[..7]);
+    let wakes = all.iter().filter(|line| line["kind"] == "wake").count();
+    let joined = shown(&folder, "r.mcap --join --kind wake");
+    assert_eq!(joined.len(), wakes);
+    assert!(joined.iter().all(|line| !line["message"]["outcome"].is_null()));
+    // Who is deaf does not hear, and nobody else does not.
+    let unheard = |line: &&Value| line["kind"] == "woken" && line["message"]["outcome"] == "Unheard";
+    let deaf = shown(&folder, "r.mcap --state deaf --kind wake");
+    assert_eq!(deaf.len(), all.iter().filter(unheard).count());
+    // Every device is in one cluster.
+    let clusters = folder.run("inspect tail --from r.mcap --cluster 999");
+    assert_refused(&clusters, 1, &["--cluster 999", "clusters, 0 to"]);
+    let count: usize = clusters
+        .stderr
+        .split("there are ")
+        .nth(1)
+        .and_then(|rest| rest.split(' ').next()?.parse().ok())
+        .expect("a number");
+    let reports = |cluster: usize| shown(&folder, &format!("r.mcap --kind report --cluster {cluster}")).len();
+    let of_all = all.iter().filter(|line| line["kind"] == "report").count();
+    assert_eq!((0..count).map(reports).sum::<usize>(), of_all);
+}
+
+#[test]
+fn statistics_are_those_of_the_messages_and_of_the_summary() {
+    let folder = Folder::new();
+    let end = folder.run("run -p age-index -n 40 -k 500 --set warm_up=0 --record r.mcap --json --out o");
+    let summary: Value = serde_json::from_str(&end.stdout).unwrap_or_else(|_| panic!("{end}"));
+    let end = folder.run("inspect stats --from r.mcap --json --devices");
+    let stats: Value = serde_json::from_str(&end.stdout).expect("JSON");
+    assert_eq!(stats["control"], summary["totals"]["control"], "{stats}");
+    assert_eq!(stats["uplink"], summary["totals"]["uplink"]);
+    assert_eq!(stats["ttis"], 500);
+    let reports: u64 = stats["devices"]
+        .as_array()
+        .expect("devices")
+        .iter()
+        .filter_map(|device| device["kinds"]["report"]["messages"].as_u64())
+        .sum();
+    assert_eq!(Some(reports), stats["uplink"]["messages"].as_u64());
+    let text = folder.run("inspect stats --from r.mcap").stdout;
+    assert!(text.contains("40 devices") && text.contains("control: "), "{text}");
+}
+
+#[test]
+fn a_killed_run_leaves_a_recording_up_to_the_tear() {
+    let (folder, run) = (Folder::new(), unique_run("torn"));
+    let up = folder.start(&format!(
+        "up -P 1 -n 30 -k 100000 --run {run} --record r.mcap --quiet --out o"
+    ));
+    folder.wait_for_tti(&run, 3000);
+    up.signal(Signal::KILL);
+    let _killed = up.finish();
+    let end = folder.run("inspect verify r.mcap");
+    assert_eq!(end.code(), Some(1), "{end}");
+    assert!(
+        end.stdout.contains("fit together") && end.stderr.contains("torn"),
+        "{end}"
+    );
+    let end = folder.run("inspect tail --from r.mcap --kind event -c 5");
+    assert!(end.is_success() && end.stdout.lines().count() == 5, "{end}");
+    // Ctrl-C ends a run, and its recording is whole as far as it goes.
+    let up = folder.start(&format!(
+        "up -P 1 -n 30 -k 100000 --run {run} --record c.mcap --quiet --out p"
+    ));
+    folder.wait_for_tti(&run, 1000);
+    up.signal(Signal::INT);
+    assert_eq!(up.finish().code(), Some(130));
+    let end = folder.run("inspect verify c.mcap");
+    assert!(end.is_success() && end.stdout.contains("as in the summary"), "{end}");
+}
+
+#[test]
+fn what_is_no_recording_is_refused() {
+    let folder = Folder::new();
+    assert!(
+        folder
+            .run("run -n 10 -k 200 --record r.mcap --quiet --out o")
+            .is_success()
+    );
+    let again = folder.run("run -n 10 -k 200 --record r.mcap --quiet --out p");
+    assert_refused(&again, 1, &["--record r.mcap", "is there already"]);
+    assert_refused(&folder.run("run -n 10 --record-states 5 --quiet"), 2, &["--record"]);
+    assert_refused(
+        &folder.run("run -n 10 --record nowhere/r.mcap --quiet --out q"),
+        1,
+        &["nowhere/r.mcap"],
+    );
+    folder.write("text.mcap", "this is a text and no recording at all");
+    folder.write("empty.mcap", "");
+    let bytes = folder.bytes("r.mcap");
+    fs::write(folder.join("cut.mcap"), &bytes[..bytes.len() / 3]).expect("written");
+    for command in ["tail --from", "stats --from", "verify", "export --to csv"] {
+        for file in ["text.mcap", "empty.mcap", "none.mcap", "o"] {
+            assert_refused(&folder.run(&format!("inspect {command} {file}")), 1, &[file]);
+        }
+        // What is before the tear is shown.
+        let end = folder.run(&format!("inspect {command} cut.mcap"));
+        assert!(
+            end.code() == Some(1) && end.stderr.contains("cut.mcap: is torn"),
+            "{end}"
+        );
+    }
+    // As far as it goes, in one piece; what is replaced stays until there is something in its place.
+    let rows = String::from_utf8_lossy(&folder.bytes("cut.csv")).lines().count();
+    assert_eq!(rows, 1 + shown_of_torn(&folder, "cut.mcap"));
+    let end = folder.run("inspect export r.mcap --to csv --out r.mcap --force");
+    assert_refused(&end, 1, &["r.mcap: is the recording itself"]);
+    assert_eq!(folder.bytes("r.mcap"), bytes);
+    let end = folder.run("inspect export text.mcap --to csv --out cut.csv --force");
+    assert_refused(&end, 1, &["text.mcap"]);
+    assert!(folder.join("cut.csv").exists() && !folder.join("cut.csv.part").exists());
+    assert!(!folder.join("runs").exists(), "a refusal leaves no folder");
+    assert_refused(
+        &folder.run("inspect tail --from r.mcap --device 10"),
+        1,
+        &["--device 10", "0 to 9"],
+    );
+    assert_refused(&folder.run("inspect tail --from r.mcap --state S5"), 2, &["S5", "deaf"]);
+    let random = folder.run("run -p random -n 10 -k 100 --record q.mcap --quiet --out z");
+    assert!(random.is_success(), "{random}");
+    assert_refused(
+        &folder.run("inspect tail --from q.mcap --cluster 0"),
+        1,
+        &["random", "no clusters"],
+    );
+}
+
+#[test]
+fn a_run_is_recorded_from_outside() {
+    let (folder, run) = (Folder::new(), unique_run("outside"));
+    let up = folder.start(&format!("up -P 1 -n 20 -k 300 --paused --run {run} --quiet --out o"));
+    folder.wait_for_tti(&run, 0);
+    let record = folder.start(&format!("inspect record r.mcap --run {run}"));
+    record.wait_for_stderr("connected to run");
+    std::thread::sleep(Duration::from_millis(500));
+    folder.clock(&run, "resume");
+    let end = up.finish();
+    assert!(end.is_success(), "{end}");
+    let record = record.finish();
+    assert!(record.is_success() && record.stderr.contains("recorded "), "{record}");
+    let end = folder.run("inspect verify r.mcap");
+    let digest = folder.run("run -n 20 -k 300 --quiet --out p").stdout;
+    let digest = digest.trim().trim_start_matches("digest ").to_owned();
+    assert!(end.stdout.contains(&digest), "{end}");
+    assert_refused(&end, 1, &["no summary"]);
+}
+
+#[test]
+fn exports_are_written_whole() {
+    let folder = Folder::new();
+    assert!(
+        folder
+            .run("run -n 20 -k 300 --record r.mcap --quiet --out o")
+            .is_success()
+    );
+    let messages = shown(&folder, "r.mcap").len();
+    for (to, ending) in [
+        ("pcapng", "pcapng"),
+        ("perfetto", "perfetto-trace"),
+        ("csv", "csv"),
+        ("parquet", "parquet"),
+    ] {
+        let end = folder.run(&format!("inspect export r.mcap --to {to}"));
+        assert!(
+            end.is_success() && end.stderr.contains(&format!("{messages} messages")),
+            "{end}"
+        );
+        assert!(folder.bytes(&format!("r.{ending}")).len() > 1000);
+        assert_refused(
+            &folder.run(&format!("inspect export r.mcap --to {to}")),
+            1,
+            &["--force"],
+        );
+    }
+    let end = folder.run("inspect export --dissector d.lua");
+    assert!(end.is_success(), "{end}");
+    assert_refused(&folder.run("inspect export r.mcap"), 2, &["--to"]);
+    assert_refused(
+        &folder.run("inspect export r.mcap --to perfetto --since 5 --force"),
+        1,
+        &["--since"],
+    );
+}

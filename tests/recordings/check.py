@@ -1,0 +1,230 @@
+"""Recordings and exports, by programs that are not ours: what they read is what `reveille inspect tail --json` shows.
+
+    python tests/recordings/check.py target/release/reveille
+
+`mcap` from PyPI reads the recording, tshark with the dissector the packets, the schema of Perfetto from PyPI the trace,
+pyarrow the table. A program that is not here is named, and the check ends with 1; with --allow-missing it goes on.
+"""
+
+import argparse
+import csv
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from pathlib import Path
+
+NANOS_PER_TTI = 1_000_000
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("reveille", type=Path)
+    parser.add_argument("--allow-missing", action="store_true")
+    args = parser.parse_args()
+    reveille = args.reveille.resolve()
+    missing = []
+    with tempfile.TemporaryDirectory() as folder:
+        for number, command in enumerate(RUNS):
+            here = Path(folder) / str(number)
+            here.mkdir()
+            run = Run(reveille, here, command)
+            for check in CHECKS:
+                try:
+                    check(run)
+                except Missing as what:
+                    missing.append(str(what))
+            print(f"{command}: {len(run.lines)} messages, the same everywhere")
+    if missing:
+        print("not checked:", ", ".join(sorted(set(missing))))
+        sys.exit(0 if args.allow_missing else 1)
+
+
+# Policies that send few and many plans, devices that fail, states, in memory and over the bus.
+RUNS = [
+    "up -p knn -n 30 -k 1500 -P 3 --record-states 100",
+    "run -p age-index -n 60 -k 800 --set harvest.e_b=2",
+]
+
+
+class Missing(Exception):
+    pass
+
+
+class Run:
+    """A recorded run with its exports, and what `tail --json` shows of it."""
+
+    def __init__(self, reveille, here, command):
+        self.reveille, self.here = reveille, here
+        self.file = here / "run.mcap"
+        self.call(*command.split(), "--quiet", "--out", "out", "--record", str(self.file))
+        self.call("inspect", "verify", str(self.file))
+        shown = self.call("inspect", "tail", "--from", str(self.file), "--json")
+        self.lines = [json.loads(line) for line in shown.splitlines()]
+        assert len(self.lines) > 1000, len(self.lines)
+
+    def call(self, *args):
+        done = subprocess.run([self.reveille, *args], cwd=self.here, capture_output=True, text=True)
+        assert done.returncode == 0, (args, done.stderr)
+        return done.stdout
+
+    def export(self, to):
+        path = self.here / f"run.{to}"
+        self.call("inspect", "export", str(self.file), "--to", to, "--out", str(path))
+        return path
+
+
+def mcap(run):
+    try:
+        from mcap.reader import make_reader
+    except ImportError:
+        raise Missing("mcap (PyPI)")
+    with open(run.file, "rb") as file:
+        reader = make_reader(file)
+        assert reader.get_summary().statistics.message_count == len(run.lines)
+        names = {attachment.name for attachment in reader.iter_attachments()}
+        assert {"scenario.toml", "summary.json"} <= names, names
+        # In the order of the file: several messages have the same log time.
+        messages = list(reader.iter_messages(log_time_order=False))
+    assert [json.loads(message.data) for _, _, message in messages] == run.lines
+    for (schema, channel, message), line in zip(messages, run.lines):
+        assert channel.topic == f"/{line['plane']}/{line['kind']}"
+        assert channel.message_encoding == "json" and schema.encoding == "jsonschema"
+        assert message.log_time == line["tti"] * NANOS_PER_TTI
+    schemas = {schema.name: json.loads(schema.data) for schema, _, _ in messages}
+    try:
+        from jsonschema import Draft202012Validator
+    except ImportError:
+        raise Missing("jsonschema (PyPI)")
+    validators = {name: Draft202012Validator(schema) for name, schema in schemas.items()}
+    for schema, _, message in messages:
+        validators[schema.name].validate(json.loads(message.data))
+
+
+def flat(value, path):
+    """The fields of a message as the dissector names them, those of numbers and texts."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            if inner is None:
+                continue
+            if key[:1].isupper():
+                yield f"{path}.is", key
+                yield from flat(inner, f"{path}.{key.lower()}")
+            else:
+                yield from flat(inner, f"{path}.{key}")
+    elif isinstance(value, str) and value[:1].isupper():
+        yield f"{path}.is", value
+    elif isinstance(value, (int, float, str)):
+        yield path, value
+
+
+def tshark(run):
+    if not shutil.which("tshark"):
+        raise Missing("tshark")
+    lua = run.here / "reveille.lua"
+    run.call("inspect", "export", "--dissector", str(lua))
+    command = ["tshark", "-X", f"lua_script:{lua}", "-r", str(run.export("pcapng")), "-T", "ek"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    packets = [json.loads(line) for line in done.stdout.splitlines() if '"timestamp"' in line]
+    assert len(packets) == len(run.lines), (len(packets), len(run.lines))
+    compared = 0
+    for packet, line in zip(packets, run.lines):
+        own = packet["layers"]["reveille"]
+        get = lambda path: own.get("reveille_reveille_" + path.replace(".", "_"))
+        assert get("kind") == line["kind"] and int(get("tti")) == line["tti"], (own, line)
+        assert int(get("bytes")) == line["bytes"] and "_ws_malformed" not in str(own), own
+        expected = {}
+        for path, value in flat(line["message"], line["kind"]):
+            expected.setdefault(path, []).append(value)
+        for path, values in expected.items():
+            shown = get(path)
+            shown = shown if isinstance(shown, list) else [shown]
+            # Numbers of more than 64 bits are texts in another base.
+            if path.endswith("_sum") or path.endswith("_pico"):
+                continue
+            for one, value in zip(shown, values):
+                compared += 1
+                if isinstance(value, bool):
+                    assert str(one).lower() in (str(value).lower(), str(int(value))), (path, one, value)
+                elif isinstance(value, (int, float)):
+                    # tshark shows six digits of a number.
+                    assert abs(float(one) - value) <= 1e-5 * max(1.0, abs(value)), (path, one, value)
+                else:
+                    assert one == value, (path, one, value)
+    assert compared > 3 * len(run.lines), compared
+    device = next(line["number"] for line in run.lines if line["kind"] == "report")
+    filtered = subprocess.run(
+        [*command[:5], "-Y", f"reveille.report.device == {device}", "-T", "fields", "-e", "reveille.tti"],
+        capture_output=True, text=True,
+    )
+    expected = [line["tti"] for line in run.lines if line["kind"] == "report" and line["number"] == device]
+    assert [int(tti) for tti in filtered.stdout.split()] == expected
+
+
+def perfetto(run):
+    try:
+        from perfetto.protos.perfetto.trace import perfetto_trace_pb2 as pb
+    except ImportError:
+        raise Missing("perfetto (PyPI)")
+    trace = pb.Trace()
+    data = run.export("perfetto").read_bytes()
+    assert trace.ParseFromString(data) in (None, len(data))
+    assert trace.SerializeToString() == data, "a field that the schema does not know"
+    tracks, open_slices, slices, starts, ends = {}, Counter(), Counter(), set(), set()
+    last = 0
+    for packet in trace.packet:
+        if packet.HasField("track_descriptor"):
+            tracks[packet.track_descriptor.uuid] = packet.track_descriptor
+            continue
+        event = packet.track_event
+        assert event.track_uuid in tracks, event
+        if event.type == pb.TrackEvent.TYPE_SLICE_BEGIN:
+            open_slices[event.track_uuid] += 1
+            slices[event.track_uuid, event.name] += 1
+        elif event.type == pb.TrackEvent.TYPE_SLICE_END:
+            open_slices[event.track_uuid] -= 1
+        assert 0 <= open_slices[event.track_uuid] <= 1, event
+        starts.update(event.flow_ids)
+        ends.update(event.terminating_flow_ids)
+        last = max(last, packet.timestamp)
+    devices = [track for track in tracks.values() if track.name.startswith("device ")]
+    told = [json.loads(text) for text in [json.dumps(line) for line in run.lines]]
+    wakes = sum(line["kind"] == "wake" for line in told)
+    assert len(starts) == wakes and starts == ends, (len(starts), wakes)
+    # A slice of S3 for every TTI in which a device reported; reports in a row are one.
+    for device, track in enumerate(devices):
+        ttis = sorted({line["tti"] for line in told if line["kind"] == "report" and line["number"] == device})
+        runs = sum(tti - 1 not in ttis for tti in ttis)
+        assert slices[track.uuid, "S3 transmission"] == runs, (device, runs)
+    # Events that the end of the run has cut short stay open.
+    assert sum(open_slices.values()) <= 1, open_slices
+
+
+def table(run):
+    with open(run.export("csv"), newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(run.lines)
+    for row, line in zip(rows, run.lines):
+        assert (int(row["tti"]), row["plane"], row["kind"]) == (line["tti"], line["plane"], line["kind"])
+        assert json.loads(row["message"]) == line["message"]
+        if row["kind"] == "report":
+            assert float(row["information"]) == line["message"]["information"]
+    try:
+        import pyarrow.parquet as parquet
+    except ImportError:
+        raise Missing("pyarrow (PyPI)")
+    columns = parquet.read_table(run.export("parquet")).to_pydict()
+    assert columns["tti"] == [line["tti"] for line in run.lines]
+    assert columns["number"] == [line["number"] for line in run.lines]
+    assert [json.loads(message) for message in columns["message"]] == [line["message"] for line in run.lines]
+    for information, line in zip(columns["information"], run.lines):
+        assert information == (line["message"]["information"] if line["kind"] == "report" else None)
+
+
+CHECKS = [mcap, tshark, perfetto, table]
+
+if __name__ == "__main__":
+    main()
