@@ -259,6 +259,12 @@ impl Cycle {
             observer.see(&Happening::WakeUp { tti, device });
             return Step::WakeUp(Waking { tti, device });
         }
+        if observer.wants_beliefs() {
+            let places = self.station.belief();
+            if !places.is_empty() {
+                observer.see(&Happening::Believed { tti, places: &places });
+            }
+        }
         if self.world.close(tti, self.score.is_reported()) {
             let record = self.score.event_ended(tti, self.station.information());
             observer.see(&Happening::EventEnded(&record));

@@ -17,7 +17,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 use reveille_common::event::{ActiveEvent, EventRecord};
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{Failure, PlanUpdate, Report, WakeOutcome};
+use reveille_common::message::{Failure, Likely, PlanUpdate, Report, WakeOutcome};
 use reveille_common::score::WindowRecord;
 use reveille_common::state::DeviceView;
 
@@ -62,6 +62,14 @@ pub enum Happening<'a> {
         /// What came of it.
         outcome: &'a WakeOutcome,
     },
+    /// Where the base station believes the event to be after all reports of a TTI, for an observer that wants to know,
+    /// where its policy has such a belief.
+    Believed {
+        /// The TTI.
+        tti: Tti,
+        /// The places, with shares whose sum is 1.
+        places: &'a [Likely],
+    },
     /// An event has ended, reported or not. Ground truth.
     EventEnded(&'a EventRecord),
     /// All TTIs up to and including this one are closed.
@@ -78,6 +86,11 @@ pub trait Observer {
 
     /// Whether [`Happening::States`] is wanted at the end of the TTIs that are granted next. Asked before each grant.
     fn wants_states(&self) -> bool {
+        false
+    }
+
+    /// Whether [`Happening::Believed`] is wanted in the TTI that is being closed.
+    fn wants_beliefs(&self) -> bool {
         false
     }
 
@@ -100,6 +113,10 @@ impl<O: Observer> Observer for &mut O {
         (**self).wants_states()
     }
 
+    fn wants_beliefs(&self) -> bool {
+        (**self).wants_beliefs()
+    }
+
     fn window(&mut self, window: &WindowRecord) -> bool {
         (**self).window(window)
     }
@@ -117,6 +134,10 @@ impl<O: Observer> Observer for Option<O> {
         self.as_ref().is_some_and(Observer::wants_states)
     }
 
+    fn wants_beliefs(&self) -> bool {
+        self.as_ref().is_some_and(Observer::wants_beliefs)
+    }
+
     fn window(&mut self, window: &WindowRecord) -> bool {
         self.as_mut().is_none_or(|observer| observer.window(window))
     }
@@ -131,6 +152,10 @@ impl<A: Observer, B: Observer> Observer for (A, B) {
 
     fn wants_states(&self) -> bool {
         self.0.wants_states() || self.1.wants_states()
+    }
+
+    fn wants_beliefs(&self) -> bool {
+        self.0.wants_beliefs() || self.1.wants_beliefs()
     }
 
     fn window(&mut self, window: &WindowRecord) -> bool {

@@ -3,10 +3,11 @@
 //! It hears reports and silence, never the world.
 
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{PlanUpdate, Report};
+use reveille_common::message::{Likely, PlanUpdate, Report};
 use reveille_common::plan::Plan;
 use reveille_common::units::Energy;
 
+use crate::beliefs::posterior::Belief;
 use crate::knowledge::Knowledge;
 use crate::levels::Levels;
 use crate::observation::Observation;
@@ -90,6 +91,14 @@ impl Station {
     /// The mind of the policy, which decides.
     pub const fn mind(&self) -> &Mind {
         &self.mind
+    }
+
+    /// Where the policy believes the event of this TTI to be; nowhere if it has no such belief, or nothing was heard.
+    pub fn belief(&self) -> Vec<Likely> {
+        match &self.mind {
+            Mind::Policy(policy) if self.has_heard => policy.belief().map_or_else(Vec::new, Belief::shares),
+            Mind::Policy(_) | Mind::Genie(_) => Vec::new(),
+        }
     }
 
     /// The plan in force, and the genie, which is told of events.

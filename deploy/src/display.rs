@@ -31,12 +31,13 @@ pub fn out(text: &str) -> anyhow::Result<()> {
     }
 }
 
-/// Writes a line to standard error, as `eprintln!` does. That it cannot be written is no error: nobody reads it, and
-/// the exit code tells how the command ended.
+/// Writes a line to standard error, as `eprintln!` does, but as a whole: who reads along never sees a part of it. That
+/// it cannot be written is no error: nobody reads it, and the exit code tells how the command ended.
 macro_rules! note {
     ($($said:tt)*) => {{
         use std::io::Write as _;
-        let _unread = writeln!(std::io::stderr(), $($said)*).is_err();
+        let line = format!("{}\n", format_args!($($said)*));
+        let _unread = std::io::stderr().write_all(line.as_bytes()).is_err();
     }};
 }
 pub(crate) use note;

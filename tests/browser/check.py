@@ -4,11 +4,17 @@
 
 Needs `chromium` and the package websocket-client. The page loads without a message on the console, the map shows every
 device, an event appears, pause stops the clock, step moves it by one, the scrubber goes back and shows that TTI's states,
-a device's history and a message open, the keyboard works; at desktop and phone size, light and dark.
+a device's history and a message open, the keyboard works; at desktop and phone size, light and dark. Of two recordings
+the page names the first difference, and shows both beside each other with what the base station believed.
+
+    python tests/browser/check.py target/release/reveille --minutes 10 [--devices 2500]
+
+watches a run for so long instead, and prints updates a second and the memory of the page, which must not grow.
 """
 
 import argparse
 import base64
+import contextlib
 import json
 import shutil
 import socket
@@ -27,6 +33,8 @@ DEVICES = 250
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("reveille", type=Path)
+    parser.add_argument("--minutes", type=float, help="watch a run for so long, and look at the memory of the page")
+    parser.add_argument("--devices", type=int, default=DEVICES)
     parser.add_argument("--pictures", type=Path, help="keep screenshots in this folder")
     args = parser.parse_args()
     if not shutil.which("chromium"):
@@ -34,7 +42,15 @@ def main():
     if args.pictures:
         args.pictures.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
-        check(args.reveille.resolve(), Path(folder), args.pictures)
+        reveille, here = args.reveille.resolve(), Path(folder)
+        if args.minutes:
+            with live(reveille, here, args.devices, "1ms") as page:
+                watch(page, args.minutes)
+            return
+        with live(reveille, here, DEVICES, "4ms") as page:
+            look(page, args.pictures)
+        with compared(reveille, here) as page:
+            compare(page, args.pictures)
 
 
 class Page:
@@ -90,31 +106,116 @@ class Page:
         path.write_bytes(base64.b64decode(data))
 
 
-def check(reveille, here, pictures):
-    run = subprocess.Popen(
-        [reveille, *f"up -p knn -n {DEVICES} -k 100000 -P 3 --pace 4ms --quiet --out out --dashboard 127.0.0.1:0".split()],
-        cwd=here, stdout=subprocess.DEVNULL, stderr=(here / "said").open("w"),
-    )
-    port = free_port()
-    browser = None
+@contextlib.contextmanager
+def started(here, name, *command):
+    """A process, by the address that it prints."""
+    said = here / name
+    process = subprocess.Popen(command, cwd=here, stdout=subprocess.DEVNULL, stderr=said.open("w"))
     try:
-        url = wait(lambda: next((word.strip(";") for word in (here / "said").read_text().split() if word.startswith("http://")), None))
-        browser = subprocess.Popen(
-            ["chromium", "--headless=new", "--no-sandbox", "--disable-gpu", f"--remote-debugging-port={port}",
-             f"--user-data-dir={here / 'profile'}", "--window-size=1280,900", "about:blank"],
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )
+        yield wait(lambda: next((word.strip(";") for word in said.read_text().split() if word.startswith("http://")), None), 60)
+    finally:
+        process.kill()
+        process.wait()
+
+
+@contextlib.contextmanager
+def browsed(here, url):
+    """The page at an address, about which nothing may be complained."""
+    port = free_port()
+    browser = subprocess.Popen(
+        ["chromium", "--headless=new", "--no-sandbox", "--disable-gpu", f"--remote-debugging-port={port}",
+         f"--user-data-dir={here / 'profile'}", "--window-size=1280,900", "about:blank"],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )
+    try:
         page = Page(port)
         page.shape(1280, 900, "light")
         page.call("Page.navigate", url=url)
-        page.until("window.reveille?.moment && window.reveille.now.next > 300")
-        look(page, pictures)
+        yield page
         assert not page.complaints, page.complaints
     finally:
-        for process in (browser, run):
-            if process:
-                process.kill()
-                process.wait()
+        browser.kill()
+        browser.wait()
+
+
+@contextlib.contextmanager
+def live(reveille, here, devices, pace):
+    run = f"up -p knn -n {devices} -k 10000000 -P 3 --pace {pace} --quiet --out out --dashboard 127.0.0.1:0".split()
+    with started(here, "said", reveille, *run) as url, browsed(here, url) as page:
+        page.until("window.reveille?.moment && window.reveille.now.next > 300", 60)
+        yield page
+
+
+@contextlib.contextmanager
+def compared(reveille, here):
+    for seed in (1, 2):
+        run = f"run -p age-index -n 60 -k 900 --set seed={seed} --record {seed}.mcap --quiet --out of-{seed}".split()
+        subprocess.run([reveille, *run], cwd=here, check=True, stdout=subprocess.DEVNULL)
+    told = subprocess.run([reveille, "inspect", "compare", "1.mcap", "2.mcap"], cwd=here, capture_output=True, text=True)
+    assert told.returncode == 1, told
+    first = next(line for line in told.stdout.splitlines() if line.startswith("first difference"))
+    command = "dashboard --from 1.mcap --compare 2.mcap --listen 127.0.0.1:0".split()
+    with started(here, "beside", reveille, *command) as url, browsed(here, url) as page:
+        page.first = first.split()[2:6]
+        yield page
+
+
+def compare(page, pictures):
+    """Two seeds side by side: the first difference is that of `inspect compare`, and a click shows its TTI."""
+    page.until("document.querySelectorAll('#differences li').length > 0")
+    kind, tti = page.first[0], page.first[3].strip(",")
+    said = page.value("document.querySelector('#differences li').textContent")
+    assert f"first difference: {kind}" in said and f"TTI {tti} " in said, (page.first, said)
+    assert "seed: 1, other 2" in page.value("document.getElementById('fields').textContent")
+    assert not page.value("reveille.run.controls")
+    page.value("document.querySelectorAll('#differences button')[1].click()")
+    page.until("reveille.moment && reveille.other.moment && reveille.moment.tti === reveille.other.moment.tti")
+    # Both beliefs beside the truth.
+    found = page.value(
+        "(async () => { for (let k = 100; k < 900; k++) {"
+        " const [a, b] = await Promise.all(['', 'other/'].map((of) => fetch(`api/${of}tti/${k}`).then((r) => r.json())));"
+        " if (a.belief?.length > 1 && a.event) return [k, a.belief.reduce((sum, p) => sum + p.share, 0), b.states.length]; } })()"
+    )
+    assert found and abs(found[1] - 1) < 1e-3 and found[2] == 60, found
+    page.value(f"(() => {{ const t = document.getElementById('tti'); t.value = {found[0]}; t.dispatchEvent(new Event('change')); }})()")
+    page.until(f"reveille.moment.tti === {found[0]} && reveille.moment.belief.length > 1")
+    # The filters of `inspect tail`.
+    page.value(
+        "(() => { const f = document.getElementById('filters'); f.here.checked = false; f.kind.value = 'wake'; f.state.value = 'S4'; f.requestSubmit(); })()"
+    )
+    page.until("[...document.querySelectorAll('#messages tbody tr')].every((r) => r.cells[2].textContent === 'wake') && document.querySelectorAll('#messages tbody tr').length > 3")
+    page.value("(() => { const f = document.getElementById('filters'); f.state.value = ''; f.kind.value = 'nonsense'; f.requestSubmit(); })()")
+    page.until("document.getElementById('refused').textContent.includes('no such kind')")
+    page.value("(() => { const f = document.getElementById('filters'); f.kind.value = ''; f.here.checked = true; f.requestSubmit(); })()")
+    page.until("document.getElementById('refused').textContent === ''")
+    # The refused request stands in the browser's log, and nothing else does.
+    page.complaints = [one for one in page.complaints if "400" not in one.get("text", "")]
+    for name, width, height, scheme in [("compare", 1280, 900, "light"), ("compare-phone", 390, 844, "dark")]:
+        page.shape(width, height, scheme)
+        time.sleep(0.3)
+        wide = page.value("document.documentElement.scrollWidth")
+        assert wide <= width, f"{name}: {wide} pixels wide"
+        if pictures:
+            page.picture(pictures / f"{name}.png")
+    print(f"two seeds: {said.split(chr(10))[0][:60]}")
+
+
+def watch(page, minutes):
+    """A long run: what the page shows of it, and what memory it takes."""
+    start = time.monotonic()
+    updates, begun = page.value("reveille.updates"), start
+    sizes = []
+    while time.monotonic() < start + 60 * minutes:
+        time.sleep(min(30, 15 * minutes))
+        page.call("HeapProfiler.collectGarbage")
+        size = page.call("Runtime.getHeapUsage")["usedSize"] / 1e6
+        sizes.append(size)
+        now, tti = page.value("[reveille.updates, reveille.now.next]")
+        print(f"{time.monotonic() - start:6.0f} s  TTI {tti:8}  {(now - updates) / (time.monotonic() - begun):5.1f} updates a second  {size:6.1f} MB", flush=True)
+        updates, begun = now, time.monotonic()
+    quarter = max(len(sizes) // 4, 1)
+    first, last = sum(sizes[:quarter]) / quarter, sum(sizes[-quarter:]) / quarter
+    assert last < first * 1.2 + 2, f"the page has grown from {first:.1f} to {last:.1f} MB"
 
 
 def look(page, pictures):
@@ -142,6 +243,9 @@ def look(page, pictures):
     assert page.value("reveille.now.next") == stood, "paused"
     page.value("document.getElementById('step').click()")
     page.until(f"reveille.now.next === {stood + 1}")
+    # Another pace.
+    page.value("(() => { document.getElementById('pace').value = 7; document.getElementById('set-pace').click(); })()")
+    page.until("document.getElementById('said').textContent.endsWith('a TTI every 7ms')")
     # Back by a hundred TTIs, with the states of that one.
     page.value(
         f"(() => {{ const s = document.getElementById('scrubber'); s.value = {stood - 100}; s.dispatchEvent(new Event('input')); }})()"

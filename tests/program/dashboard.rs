@@ -4,7 +4,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::time::Duration;
 
-use reveille_tests::process::{Folder, PATIENCE, Process, assert_refused, unique_run, wait_until};
+use reveille_tests::process::{Folder, PATIENCE, Process, assert_refused, now, unique_run, wait_until};
 use rustix::process::Signal;
 use serde_json::Value;
 
@@ -120,8 +120,181 @@ fn a_run_is_followed_paused_and_stepped() {
     );
     let history = page.get("/api/device/3?from=20&end=120");
     assert_eq!(history["batteries"].as_array().map(Vec::len), Some(100));
+    // Another pace: 20 TTIs take 200 ms at the least.
+    let paced = page.drive("pace?n=10");
+    assert_eq!(paced["status"]["pace"]["RealTime"]["nanos"], 10_000_000, "{paced}");
+    let start = now();
+    page.drive("step?n=20");
+    wait_until("TTI 171", PATIENCE, || {
+        (page.get("/api/now")["next"] == 171).then_some(())
+    });
+    assert!(start.elapsed() > Duration::from_millis(180), "{:?}", start.elapsed());
+    assert!(folder.clock(&run, "status").contains("a TTI every 10ms"));
+    assert!(!folder.clock(&run, "pace max").contains("every"));
     page.drive("resume");
     assert!(up.finish().is_success());
+}
+
+#[test]
+fn the_books_of_a_device_close_and_filters_are_those_of_tail() {
+    let folder = Folder::new();
+    let run = "run -p knn -n 60 -k 700 --set events.alpha=0.5 --set harvest.e_b=3 --record r.mcap --quiet --out o";
+    assert!(folder.run(run).is_success());
+    let shown = folder.start("dashboard --from r.mcap --listen 127.0.0.1:0");
+    let page = Page::of(&shown);
+    for tti in [0, 1, 137, 500, 699] {
+        let device = page.get(&format!("/api/device/4?from={tti}&end={}&at={tti}", tti + 1));
+        let of = |name: &str| device["totals"][name].as_f64().expect(name);
+        let spent = of("sensing") + of("sleep") + of("report");
+        let left = of("initial") + of("harvested") - spent - of("overflow");
+        assert!((left - of("battery")).abs() < 1e-6, "TTI {tti}: {device}");
+        assert_eq!(device["batteries"][0], device["totals"]["battery"], "TTI {tti}");
+    }
+    let tailed = |args: &str| {
+        let end = folder.run(&format!("inspect tail --from r.mcap --json {args}"));
+        assert!(end.is_success(), "{end}");
+        end.stdout.lines().count()
+    };
+    let listed = |query: &str| {
+        page.get(&format!("/api/messages?{query}"))
+            .as_array()
+            .expect("a list")
+            .len()
+    };
+    for (args, query) in [
+        ("--kind wake --state deaf", "kind=wake&state=deaf"),
+        (
+            "--kind wake --state S4 --since 300 --until 500",
+            "kind=wake&state=S4&since=300&until=500",
+        ),
+        ("--kind report --cluster 0", "kind=report&cluster=0"),
+        ("--plane truth --device 4 --until 600", "plane=truth&device=4&until=600"),
+    ] {
+        let count = tailed(args);
+        assert!(count > 0 && count < 1000, "{args}: {count}");
+        assert_eq!(listed(query), count, "{args}");
+    }
+    for query in ["cluster=99", "state=S9", "plane=air&kind=clock"] {
+        assert_eq!(
+            page.ask("GET", &format!("/api/messages?{query}"), &[]).0,
+            400,
+            "{query}"
+        );
+    }
+}
+
+#[test]
+fn a_run_that_dies_while_it_is_watched_is_shown_to_its_end() {
+    let (folder, run) = (Folder::new(), unique_run("dies"));
+    let up = folder.start(&format!(
+        "up -p knn -n 10 -k 1000000 -P 1 --run {run} --quiet --out o --pace 5ms"
+    ));
+    folder.wait_for_tti(&run, 1);
+    let watching = folder.start(&format!("dashboard --run {run} --listen 127.0.0.1:0"));
+    let page = Page::of(&watching);
+    // Another at the same port is refused, and one beside it is not.
+    let again = folder.run(&format!("dashboard --run {run} --listen {}", page.address));
+    assert_refused(&again, 1, &["--listen", &page.address, "free port"]);
+    let second = folder.start(&format!("dashboard --run {run} --listen 127.0.0.1:0"));
+    let other = Page::of(&second);
+    let seen = wait_until("some TTIs", PATIENCE, || {
+        page.get("/api/now")["next"].as_u64().filter(|next| *next > 50)
+    });
+    up.signal(Signal::KILL);
+    for (page, watching) in [(&page, &watching), (&other, &second)] {
+        watching.wait_for_stderr("the run has ended");
+        wait_until("the end", PATIENCE, || {
+            (page.get("/api/now")["over"] == true).then_some(())
+        });
+        let next = page.get("/api/now")["next"].as_u64().expect("a TTI");
+        assert!(next >= seen, "{next}");
+        let (status, body) = page.ask("POST", "/api/clock/pause", &[("x-reveille-token", &page.token)]);
+        assert!(status == 410 || status == 502, "{status}: {body}");
+    }
+    second.signal(Signal::INT);
+    assert!(second.finish().is_success());
+}
+
+#[test]
+fn two_runs_are_compared_side_by_side() {
+    let folder = Folder::new();
+    let run = |name: &str, args: &str| {
+        let end = folder.run(&format!(
+            "{args} -n 25 -k 400 --record {name}.mcap --quiet --out {name}"
+        ));
+        assert!(end.is_success(), "{end}");
+    };
+    run("one", "run -p age-index");
+    run("two", "run -p age-index --set seed=2");
+    run("bus", "up -p age-index -P 2");
+    let same = folder.run("inspect compare one.mcap bus.mcap");
+    assert_eq!(
+        (same.code(), &same.stdout[..]),
+        (Some(0), "the same happens in both\n"),
+        "{same}"
+    );
+    let differ = folder.run("inspect compare one.mcap two.mcap");
+    assert_eq!(differ.code(), Some(1), "{differ}");
+    assert!(
+        differ
+            .stdout
+            .starts_with("scenario: seed is 1, and 2 in the other\nfirst difference: plan in TTI 0"),
+        "{differ}"
+    );
+    let all = folder.bytes("one.mcap");
+    std::fs::write(folder.join("torn.mcap"), &all[..all.len() / 2]).expect("written");
+    assert_refused(
+        &folder.run("inspect compare one.mcap torn.mcap"),
+        1,
+        &["torn.mcap", "torn", "up to there"],
+    );
+    assert_refused(&folder.run("inspect compare one.mcap none.mcap"), 1, &["none.mcap"]);
+    assert_refused(
+        &folder.run("dashboard --from one.mcap --compare one/summary.json --listen 127.0.0.1:0"),
+        1,
+        &["--compare one/summary.json", "no recording"],
+    );
+
+    let shown = folder.start("dashboard --from one.mcap --compare two.mcap --listen 127.0.0.1:0");
+    let page = Page::of(&shown);
+    let told = page.get("/api/compare");
+    assert_eq!(told["fields"], serde_json::json!([["seed", "1", "2"]]));
+    assert_eq!(
+        (&told["differences"][0]["kind"], &told["differences"][0]["tti"]),
+        (&"plan".into(), &0.into())
+    );
+    assert_eq!(told["compared"], 400);
+    assert_eq!(
+        page.get("/api/other/tti/399")["states"].as_str().map(str::len),
+        Some(25)
+    );
+    assert_eq!(page.ask("GET", "/api/other/tti/400", &[]).0, 404);
+    assert!(
+        page.get("/api/other/curves")
+            .as_array()
+            .is_some_and(|points| points.len() > 100)
+    );
+
+    // A run that goes on, beside what it is to become.
+    let name = unique_run("beside");
+    let up = folder.start(&format!(
+        "up -p age-index -n 25 -k 400 -P 2 --paused --run {name} --quiet --out live"
+    ));
+    folder.wait_for_tti(&name, 0);
+    let watching = folder.start(&format!(
+        "dashboard --run {name} --compare one.mcap --listen 127.0.0.1:0"
+    ));
+    let page = Page::of(&watching);
+    folder.clock(&name, "resume");
+    assert!(up.finish().is_success());
+    wait_until("the end", PATIENCE, || {
+        (page.get("/api/now")["over"] == true).then_some(())
+    });
+    let told = page.get("/api/compare");
+    assert_eq!(
+        (&told["differences"], &told["compared"]),
+        (&serde_json::json!([]), &400.into())
+    );
 }
 
 #[test]

@@ -4,7 +4,6 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use reveille_bs::host::clock::Pace;
 use reveille_bs::host::{OnLoss, Progress, Settings, dismiss, serve};
 use reveille_bs::observe::{Happening, Observer};
 use reveille_bs::policy::kind::Registered;
@@ -12,6 +11,7 @@ use reveille_bs::policy::registry::POLICIES;
 use reveille_bs::prepared::Prepared;
 use reveille_bs::scenario::{Override, load};
 use reveille_common::bus::Bus;
+use reveille_common::message::Pace;
 use reveille_device::host::carry;
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Options, Run};
@@ -33,6 +33,10 @@ impl Observer for Record {
 
     fn wants_states(&self) -> bool {
         self.closed.is_multiple_of(5)
+    }
+
+    fn wants_beliefs(&self) -> bool {
+        true
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use reveille_common::message::{MessageKind, Payload, TypeVisitor, WakeOutcome};
+use reveille_common::message::{MessageKind, Pace, Payload, TypeVisitor, WakeOutcome};
 use reveille_common::plan::Plan;
 use reveille_common::state::DeviceState;
 use serde::de::DeserializeOwned;
@@ -49,6 +49,7 @@ impl Forms {
         seen.trace::<Plan>();
         seen.trace::<WakeOutcome>();
         seen.trace::<DeviceState>();
+        seen.trace::<Pace>();
         MessageKind::show_types(&mut seen);
         Self {
             types: seen.tracer.registry().expect("types of messages are finite"),

@@ -74,6 +74,14 @@ impl<'a> Line<'a> {
         }
     }
 
+    /// What the message says, or why it is none.
+    pub fn says(&self) -> String {
+        match &self.message {
+            Ok(message) => message.to_string(),
+            Err(error) => format!("not a message: {error}"),
+        }
+    }
+
     /// As a JSON object on one line: `tti`, `plane`, `kind`, `number`, `bytes` and the `message` with all of its
     /// fields; for what is no message, `malformed` says why and `payload` has its bytes in hexadecimal digits.
     pub fn to_json(&self) -> String {
@@ -103,19 +111,10 @@ impl<'a> Line<'a> {
 
 impl fmt::Display for Line<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Frame {
-            tti,
-            kind,
-            number,
-            payload,
-        } = self.frame;
-        let (plane, name, bytes) = (kind.plane().name(), kind.name(), payload.len());
-        let whose = whose(*kind, *number);
-        write!(f, "{tti:>8} {plane:<5} {name:<7} {whose:<11} {bytes:>6} B  ")?;
-        match &self.message {
-            Ok(message) => message.fmt(f),
-            Err(error) => write!(f, "not a message: {error}"),
-        }
+        let Frame { tti, kind, number, .. } = self.frame;
+        let (plane, name, bytes) = (kind.plane().name(), kind.name(), self.frame.payload.len());
+        let (whose, says) = (whose(*kind, *number), self.says());
+        write!(f, "{tti:>8} {plane:<5} {name:<7} {whose:<11} {bytes:>6} B  {says}")
     }
 }
 

@@ -88,7 +88,6 @@ pub struct Metrics {
 }
 
 /// What is counted, each known to the registry.
-#[derive(Default)]
 struct Handles {
     tti: Gauge,
     ttis: Counter,
@@ -109,14 +108,32 @@ struct Handles {
     max_late: Float,
     waited: Counter<f64, AtomicU64>,
     left_out: Counter,
-    delays: Option<Histogram>,
+    delays: Histogram,
 }
 
 impl Handles {
     fn register(registry: &mut Registry) -> Self {
         let own = Self {
-            delays: Some(Histogram::new(DELAYS)),
-            ..Self::default()
+            delays: Histogram::new(DELAYS),
+            tti: Gauge::default(),
+            ttis: Counter::default(),
+            grants: Counter::default(),
+            events: Counter::default(),
+            missed: Counter::default(),
+            information: Counter::default(),
+            wrong: Counter::default(),
+            messages: Family::default(),
+            bytes: Family::default(),
+            spent: Family::default(),
+            harvested: Counter::default(),
+            states: Family::default(),
+            batteries: Family::default(),
+            mean_battery: Gauge::default(),
+            hosts: Gauge::default(),
+            late: Counter::default(),
+            max_late: Gauge::default(),
+            waited: Counter::default(),
+            left_out: Counter::default(),
         };
         registry.register("next_tti", "The next TTI to be granted", own.tti.clone());
         registry.register("ttis", "TTIs that were run", own.ttis.clone());
@@ -189,13 +206,11 @@ impl Handles {
             "Messages that observers on the bus were not sent, because they could not keep up",
             own.left_out.clone(),
         );
-        if let Some(delays) = &own.delays {
-            registry.register(
-                "event_delay_ttis",
-                "TTIs from the start of a counted event to its first report",
-                delays.clone(),
-            );
-        }
+        registry.register(
+            "event_delay_ttis",
+            "TTIs from the start of a counted event to its first report",
+            own.delays.clone(),
+        );
         own
     }
 }
@@ -264,10 +279,9 @@ impl Metrics {
             self.handles.events.inc();
             self.handles.information.inc_by(record.tally.information());
             self.handles.wrong.inc_by(record.tally.wrong_activations);
-            match (record.delay(), &self.handles.delays) {
-                (Some(delay), Some(delays)) => delays.observe(delay as f64),
-                (Some(_), None) => {}
-                (None, _) => drop(self.handles.missed.inc()),
+            match record.delay() {
+                Some(delay) => self.handles.delays.observe(delay as f64),
+                None => drop(self.handles.missed.inc()),
             }
         }
     }

@@ -138,6 +138,13 @@ impl Mirror {
         machines.iter_mut().map(ledger).collect()
     }
 
+    /// The books of `device` where the run has ended before TTI `end`, which is not after the one that comes next.
+    pub fn ledger(&self, device: DeviceId, end: Tti) -> Option<Ledger> {
+        let mut machine = self.machines.get(device.index())?.clone();
+        machine.settle(end);
+        Some(machine.ledger())
+    }
+
     /// Goes on with `frame`, in which `message` was read.
     ///
     /// # Errors
@@ -180,6 +187,7 @@ impl Mirror {
                 }
             }
             Message::Event(_)
+            | Message::Belief(_)
             | Message::Clock(_)
             | Message::Answer(_)
             | Message::Join(_)

@@ -149,6 +149,7 @@ impl Replay {
             }
             Message::World(_)
             | Message::States(_)
+            | Message::Belief(_)
             | Message::Clock(_)
             | Message::Answer(_)
             | Message::Join(_)

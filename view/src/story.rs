@@ -8,9 +8,10 @@ use std::collections::VecDeque;
 
 use reveille_common::event::{EventRecord, Stimulus};
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{EventNews, Frame, Message, MessageKind, WakeOutcome};
+use reveille_common::message::{Belief, EventNews, Frame, Message, MessageKind, WakeOutcome};
 use reveille_common::scenario::Scenario;
 use reveille_common::state::DeviceView;
+use reveille_common::totals::DeviceTotals;
 
 use crate::filter::Filter;
 use crate::mirror::Discrepancy;
@@ -26,6 +27,8 @@ pub struct Story {
     first: u64,
     kept: VecDeque<Kept>,
     now: Replay,
+    /// What has happened in the TTI that was reached last, without its states.
+    latest: Moment,
     /// TTIs that can be looked at again, about.
     length: u64,
 }
@@ -56,6 +59,8 @@ pub struct Moment {
     pub failed: Vec<DeviceId>,
     /// Devices that were woken, in this order, and what came of it.
     pub woken: Vec<(DeviceId, WakeOutcome)>,
+    /// Where the base station believed the event to be, once it had heard all of that, where it has such a belief.
+    pub belief: Option<Belief>,
 }
 
 impl Story {
@@ -72,6 +77,7 @@ impl Story {
             first: 0,
             kept: VecDeque::from([start]),
             now,
+            latest: Moment::default(),
             length,
         }
     }
@@ -92,6 +98,13 @@ impl Story {
             self.forget(next);
         }
         let taken = self.now.take(&frame);
+        if is_between {
+            self.latest = Moment::default();
+        } else if Moment::NOTED.contains(&frame.kind)
+            && let Ok(message) = frame.message()
+        {
+            self.latest.note(&frame, &message);
+        }
         self.frames.push_back(frame);
         taken
     }
@@ -104,6 +117,21 @@ impl Story {
     /// State and battery of all devices now, in the order of ids.
     pub fn views(&mut self) -> Vec<DeviceView> {
         self.now.mirror_mut().views()
+    }
+
+    /// The TTI that was reached last, as far as it has been told of.
+    pub fn latest(&mut self) -> Moment {
+        let views = self.views();
+        let on = match self.now.mirror().now() {
+            Some(tti) => on(&self.now, tti, views.len()),
+            None => Vec::new(),
+        };
+        Moment {
+            views,
+            on,
+            event: self.now.stimulus(),
+            ..self.latest.clone()
+        }
     }
 
     /// The TTIs that can be looked at: the first, and the one after the last.
@@ -146,12 +174,30 @@ impl Story {
         if moment.views.is_empty() {
             moment.views = run.mirror_mut().views();
         }
-        let plan = run.mirror().plan();
-        let ids = (0..).map(DeviceId).take(moment.views.len());
-        moment.on = ids
-            .map(|id| plan.is_some_and(|plan| plan.duty_cycle(id).is_on(tti)))
-            .collect();
+        moment.on = on(&run, tti, moment.views.len());
         Some(moment)
+    }
+
+    /// The sums of `device` from the start of the run to the end of TTI `tti`, if that can be looked at.
+    pub fn totals(&self, device: DeviceId, tti: Tti) -> Option<DeviceTotals> {
+        let (first, end) = self.span();
+        if tti < first || tti >= end {
+            return None;
+        }
+        let kept = self.kept.iter().rev().find(|kept| kept.next <= tti)?;
+        let mut run = kept.run.clone();
+        for frame in self.frames.range((kept.frame - self.first) as usize..) {
+            let is_later = match frame.message() {
+                Ok(Message::World(world)) => world.last > tti,
+                Ok(Message::Plan(update)) => update.from > tti,
+                Ok(_) | Err(_) => false,
+            };
+            if is_later {
+                break;
+            }
+            let _discrepancy = run.take(frame).is_err();
+        }
+        run.mirror().ledger(device, tti + 1).map(|ledger| ledger.whole)
     }
 
     /// State and battery of `device` in the TTIs from `from` up to and not including `end`, as far as they can be looked
@@ -203,11 +249,31 @@ impl Story {
     /// The frames that pass `filter`, `most` at the most, from the first on that is kept; each with its number.
     pub fn frames(&self, filter: &Filter, most: usize) -> Vec<(u64, &Frame)> {
         let start = self.frames.partition_point(|frame| frame.tti < filter.first());
+        let mut states = self.states_before(filter, start);
         let numbered = (self.first + start as u64..).zip(self.frames.range(start..));
         let passing = numbered
             .take_while(|(_, frame)| !filter.is_over(frame.tti))
-            .filter(|(_, frame)| filter.passes(frame, frame.message().ok().as_ref(), None));
+            .filter(|(_, frame)| {
+                let message = frame.message().ok();
+                let state = states.as_mut().and_then(|run| {
+                    let state = frame.number.and_then(|number| run.mirror_mut().state(DeviceId(number)));
+                    let _discrepancy = run.take(frame).is_err();
+                    state
+                });
+                filter.passes(frame, message.as_ref(), state)
+            });
         passing.take(most).collect()
+    }
+
+    /// The run as it was before the frame at `start`, where `filter` asks for states.
+    fn states_before(&self, filter: &Filter, start: usize) -> Option<Replay> {
+        let number = self.first + start as u64;
+        let kept = self.kept.iter().rev().find(|kept| kept.frame <= number)?;
+        let mut run = (!filter.states.is_empty()).then(|| kept.run.clone())?;
+        for frame in self.frames.range((kept.frame - self.first) as usize..start) {
+            let _discrepancy = run.take(frame).is_err();
+        }
+        Some(run)
     }
 
     /// The frame with this number, if it is kept.
@@ -242,7 +308,24 @@ impl Story {
     }
 }
 
+/// Which of `devices` are told to sense in TTI `tti`, by the plan in force.
+fn on(run: &Replay, tti: Tti, devices: usize) -> Vec<bool> {
+    let plan = run.mirror().plan();
+    let ids = (0..).map(DeviceId).take(devices);
+    ids.map(|id| plan.is_some_and(|plan| plan.duty_cycle(id).is_on(tti)))
+        .collect()
+}
+
 impl Moment {
+    /// The kinds that it notes.
+    const NOTED: [MessageKind; 5] = [
+        MessageKind::Report,
+        MessageKind::Failed,
+        MessageKind::Woken,
+        MessageKind::Belief,
+        MessageKind::Event,
+    ];
+
     fn note(&mut self, frame: &Frame, message: &Message) {
         if let Message::Report(report) = message {
             self.reported.push(report.device);
@@ -253,6 +336,8 @@ impl Moment {
             // Its report was taken for one of its own.
             self.reported.retain(|reporter| *reporter != device);
             self.woken.push((device, woken.outcome));
+        } else if let Message::Belief(belief) = message {
+            self.belief = Some(belief.clone());
         } else if let Message::Event(EventNews::Ended(record)) = message {
             self.ended = Some(*record);
         }

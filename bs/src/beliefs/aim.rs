@@ -4,6 +4,7 @@ use reveille_common::ids::DeviceId;
 use reveille_common::message::Report;
 
 use crate::beliefs::candidates::Candidates;
+use crate::beliefs::posterior::Belief;
 use crate::beliefs::ranking::i_min;
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
@@ -34,8 +35,15 @@ impl Aim {
         let wants_more = !self.is_reached(seen);
         if wants_more {
             self.candidates.start(seen, reports);
+        } else {
+            self.candidates.clear();
         }
         wants_more
+    }
+
+    /// Where the event is believed to be, where candidates are ranked by that and were asked for.
+    pub const fn belief(&self) -> Option<&Belief> {
+        self.candidates.belief()
     }
 
     /// Takes in the answer of a device that was woken.

@@ -95,6 +95,14 @@ impl Candidates {
         }
     }
 
+    /// The belief over the epicentre, where the ranking goes by one.
+    pub const fn belief(&self) -> Option<&Belief> {
+        match &self.0 {
+            Order::P42(_) => None,
+            Order::Posterior(belief) => Some(belief),
+        }
+    }
+
     /// The best sleeping device for which `may_wake` holds, that can pay for a report as far as is known (Sec. IV),
     /// and that was not given out for this event, with its score: `P_4,2` times Ψ, or the expected gain of
     /// information; both `[0, Ψ]`.

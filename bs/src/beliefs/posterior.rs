@@ -9,6 +9,7 @@ use std::f64::consts::TAU;
 
 use reveille_common::geometry::{Area, Buckets, Point};
 use reveille_common::ids::DeviceId;
+use reveille_common::message::Likely;
 use reveille_common::sensing::{DetectionKind, Sensing};
 
 use crate::beliefs::correlation::decay;
@@ -266,6 +267,17 @@ impl Belief {
         let (_, gain, device) = best?;
         self.take_out(device);
         Some((device, gain))
+    }
+
+    /// The places that the event may be at, with shares whose sum is 1; none before the first report.
+    pub fn shares(&self) -> Vec<Likely> {
+        let sum: f64 = self.places.iter().map(|place| place.weight).sum();
+        let likely = |place: &Place| Likely {
+            x: place.at.x as f32,
+            y: place.at.y as f32,
+            share: (place.weight / sum) as f32,
+        };
+        self.places.iter().map(likely).collect()
     }
 
     /// How near to the event a device has to be to add to `information`, metres.

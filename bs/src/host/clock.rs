@@ -3,39 +3,46 @@
 use std::time::Duration;
 
 use reveille_common::ids::Tti;
-use reveille_common::message::ClockCommand;
+use reveille_common::message::{ClockCommand, Pace};
 
-/// How fast TTIs follow each other.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Pace {
-    /// As fast as the hosts answer.
-    Max,
-    /// One TTI in this time; being late is counted, never made up for by stretching.
-    RealTime(Duration),
-}
+/// The longest time from one TTI to the next.
+const SLOWEST: Duration = Duration::from_secs(24 * 3600);
 
-/// Where the clock must stop.
+/// Where the clock must stop, and how fast it goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct VirtualClock {
     until: Tti,
     end: Tti,
+    pace: Pace,
 }
 
 impl VirtualClock {
-    /// A clock that runs to `end`.
-    pub const fn new(end: Tti) -> Self {
-        Self { until: Tti::NEVER, end }
+    /// A clock that runs to `end` at `pace`.
+    pub const fn new(end: Tti, pace: Pace) -> Self {
+        Self {
+            until: Tti::NEVER,
+            end,
+            pace,
+        }
     }
 
-    /// Obeys `command` while the next TTI to be granted is `next`. A TTI that is past, or after the end, is not run to.
+    /// Obeys `command` while the next TTI to be granted is `next`. A TTI that is past, or after the end, is not run to;
+    /// a pace of more than a day to a TTI is a day.
     pub fn obey(&mut self, command: ClockCommand, next: Tti) {
-        self.until = match command {
-            ClockCommand::Pause => next,
-            ClockCommand::Step(n) => next.saturating_add(n),
-            ClockCommand::RunTo(k) if k >= next && k <= self.end => k,
-            ClockCommand::RunTo(_) | ClockCommand::Status => self.until,
-            ClockCommand::Resume => Tti::NEVER,
-        };
+        match command {
+            ClockCommand::Pause => self.until = next,
+            ClockCommand::Step(n) => self.until = next.saturating_add(n),
+            ClockCommand::RunTo(k) if k >= next && k <= self.end => self.until = k,
+            ClockCommand::Resume => self.until = Tti::NEVER,
+            ClockCommand::Pace(Pace::RealTime(duration)) => self.pace = Pace::RealTime(duration.min(SLOWEST)),
+            ClockCommand::Pace(Pace::Max) => self.pace = Pace::Max,
+            ClockCommand::RunTo(_) | ClockCommand::Status => {}
+        }
+    }
+
+    /// How fast TTIs follow each other.
+    pub const fn pace(&self) -> Pace {
+        self.pace
     }
 
     /// The TTI that must not be granted yet.
@@ -75,7 +82,7 @@ mod tests {
 
     #[test]
     fn commands_move_the_stop() {
-        let mut clock = VirtualClock::new(Tti(100));
+        let mut clock = VirtualClock::new(Tti(100), Pace::Max);
         assert_eq!((clock.until(), clock.end()), (Tti::NEVER, Tti(100)));
         clock.obey(ClockCommand::Pause, Tti(7));
         assert_eq!(clock.until(), Tti(7));
@@ -89,6 +96,14 @@ mod tests {
             assert_eq!(clock.until(), Tti(50), "{outside}");
         }
         clock.obey(ClockCommand::Resume, Tti(50));
+        assert_eq!((clock.until(), clock.pace()), (Tti::NEVER, Pace::Max));
+        for (seconds, kept) in [(2, 2), (u64::MAX, 86_400)] {
+            clock.obey(
+                ClockCommand::Pace(Pace::RealTime(Duration::from_secs(seconds))),
+                Tti(50),
+            );
+            assert_eq!(clock.pace(), Pace::RealTime(Duration::from_secs(kept)));
+        }
         assert_eq!(clock.until(), Tti::NEVER);
     }
 }

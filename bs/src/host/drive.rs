@@ -4,7 +4,9 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::time::Duration;
 
-use super::clock::{Lateness, Pace};
+use reveille_common::message::Pace;
+
+use super::clock::Lateness;
 use crate::outcome::Outcome;
 
 /// What to do when a host is lost.

@@ -39,7 +39,7 @@ pub async fn serve(
     let Prepared {
         scenario, deployment, ..
     } = prepared;
-    let shared = Shared::new(scenario, deployment, settings.paused);
+    let shared = Shared::new(scenario, deployment, settings.pace, settings.paused);
     let _declared = joining::declare(bus, scenario, deployment, &shared)?;
     #[expect(clippy::disallowed_methods, reason = "the shell reports how long things took")]
     let started = std::time::Instant::now();

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use reveille_common::bus::{Bus, BusError, Topic};
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{Clock, PlanUpdate, Tick, WakeUp};
+use reveille_common::message::{Clock, Pace, PlanUpdate, Tick, WakeUp};
 use reveille_common::score::Accounts;
 use reveille_common::state::DeviceView;
 use reveille_common::totals::{DeviceTotals, EventTotals, Ledger};
@@ -17,7 +17,7 @@ use super::shared::{BsState, Shared};
 use crate::boundaries::Boundaries;
 use crate::cycle::{Cycle, Step};
 use crate::host::barrier::Asked;
-use crate::host::clock::{Lateness, Pace};
+use crate::host::clock::Lateness;
 use crate::observe::{Happening, Observer};
 use crate::prepared::Prepared;
 
@@ -61,6 +61,7 @@ struct Loop<'a> {
     views: Vec<DeviceView>,
     grants: u64,
     lateness: Lateness,
+    pace: Pace,
     /// The moment at which a TTI was or will be due, under a real-time pace.
     due: Option<(Tti, Instant)>,
 }
@@ -94,6 +95,7 @@ pub(super) async fn run(
         views: Vec::new(),
         grants: 0,
         lateness: Lateness::default(),
+        pace: settings.pace,
         due: None,
     };
     let started = now();
@@ -130,7 +132,13 @@ impl Loop<'_> {
             if self.progress.stop.load(Ordering::Relaxed) {
                 return Ok(false);
             }
-            let paused = self.shared.lock().stand(next);
+            let (paused, pace) = {
+                let mut state = self.shared.lock();
+                (state.stand(next), state.clock.pace())
+            };
+            if pace != self.pace {
+                (self.pace, self.due) = (pace, None);
+            }
             self.progress.paused.store(paused, Ordering::Relaxed);
             if !paused {
                 return Ok(true);
@@ -214,7 +222,7 @@ impl Loop<'_> {
 
     /// The TTI before which the next grant must end.
     fn horizon(&self, first: Tti) -> Tti {
-        let one_by_one = !self.settings.lookahead || self.settings.pace != Pace::Max;
+        let one_by_one = !self.settings.lookahead || self.pace != Pace::Max;
         let horizon = if one_by_one {
             first + 1
         } else {
@@ -253,12 +261,12 @@ impl Loop<'_> {
 
     /// Waits until `first` is due, under a real-time pace.
     async fn keep_pace(&mut self, first: Tti) -> Result<(), BsError> {
-        let Pace::RealTime(duration) = self.settings.pace else {
+        let Pace::RealTime(duration) = self.pace else {
             return Ok(());
         };
         let now = now();
         let due = match self.due {
-            Some((tti, moment)) => moment + duration * (first - tti) as u32,
+            Some((tti, moment)) => moment + duration.saturating_mul((first - tti) as u32),
             None => now,
         };
         if due < now {
@@ -268,11 +276,15 @@ impl Loop<'_> {
         self.sleep_until(due).await
     }
 
-    /// Sleeps, but not through a loss or a wish to stop.
+    /// Sleeps, but not through a loss, a wish to stop or another pace.
     async fn sleep_until(&mut self, due: Instant) -> Result<(), BsError> {
         while now() < due && !self.progress.stop.load(Ordering::Relaxed) {
             tokio::time::sleep_until(due.min(now() + LOOK).into()).await;
-            self.check(&mut self.shared.lock())?;
+            let mut state = self.shared.lock();
+            self.check(&mut state)?;
+            if state.clock.pace() != self.pace {
+                return Ok(());
+            }
         }
         Ok(())
     }

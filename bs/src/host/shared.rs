@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use reveille_common::deployment::Deployment;
 use reveille_common::ids::{HostId, Tti};
-use reveille_common::message::{ClockCommand, ClockStatus, LostHost};
+use reveille_common::message::{ClockCommand, ClockStatus, LostHost, Pace};
 use reveille_common::scenario::Scenario;
 use tokio::sync::Notify;
 
@@ -50,6 +50,7 @@ impl BsState {
             ttis: end.0,
             paused: self.stands && self.next >= self.clock.until(),
             until: self.clock.until().min(end),
+            pace: self.clock.pace(),
             begun: self.is_running,
             devices: self.admission.devices(),
             lost: lost
@@ -70,8 +71,8 @@ pub(super) struct Shared {
 }
 
 impl Shared {
-    pub(super) fn new(scenario: &Scenario, deployment: &Deployment, paused: bool) -> Arc<Self> {
-        let mut clock = VirtualClock::new(Tti(scenario.ttis));
+    pub(super) fn new(scenario: &Scenario, deployment: &Deployment, pace: Pace, paused: bool) -> Arc<Self> {
+        let mut clock = VirtualClock::new(Tti(scenario.ttis), pace);
         if paused {
             clock.obey(ClockCommand::Pause, Tti::ZERO);
         }

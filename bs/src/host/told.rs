@@ -32,4 +32,8 @@ impl Observer for Told<'_> {
     fn wants_states(&self) -> bool {
         self.bus.is_observed() && self.framed.wants_states()
     }
+
+    fn wants_beliefs(&self) -> bool {
+        self.bus.is_observed()
+    }
 }

@@ -3,7 +3,9 @@
 //! Over the bus and in memory these are the same, byte for byte: what the score counts on the air, once each.
 
 use reveille_common::ids::Tti;
-use reveille_common::message::{EventNews, FailedReport, Frame, Report, States, WakeOutcome, WakeUp, Woken, World};
+use reveille_common::message::{
+    Belief, EventNews, FailedReport, Frame, Report, States, WakeOutcome, WakeUp, Woken, World,
+};
 
 use super::{Happening, Observer};
 
@@ -43,6 +45,10 @@ impl Frames {
                     take(Frame::of::<Report>(tti, device, report));
                 }
                 take(Frame::of(tti, device, &Woken { outcome: *outcome }));
+            }
+            Happening::Believed { tti, places } => {
+                let places = places.to_vec();
+                take(Frame::of(tti, (), &Belief { places }));
             }
             Happening::EventEnded(record) => take(Frame::of(record.last, (), &EventNews::Ended(*record))),
             Happening::Closed(_) => {}
@@ -93,5 +99,9 @@ impl<F: FnMut(Frame)> Observer for Framed<F> {
 
     fn wants_states(&self) -> bool {
         self.states_every > 0 && self.frames.next >= self.states_due
+    }
+
+    fn wants_beliefs(&self) -> bool {
+        true
     }
 }

@@ -8,6 +8,7 @@ use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Report;
 use reveille_common::plan::Plan;
 
+use crate::beliefs::posterior::Belief;
 use crate::observation::Observation;
 
 /// A policy that knows what a BS can know.
@@ -47,6 +48,11 @@ pub trait Policy: Send {
 
     /// The group that each device is in, in the order of ids, of a policy that groups them by place.
     fn groups(&self) -> Option<&[u32]> {
+        None
+    }
+
+    /// Where it believes the event to be that was reported last, where it has such a belief.
+    fn belief(&self) -> Option<&Belief> {
         None
     }
 

@@ -1,11 +1,30 @@
 //! Emulation: commands to the virtual clock, and where it is.
 
 use std::fmt;
+use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
 use super::Concerns;
 use crate::ids::{DeviceId, HostId, Tti};
+
+/// How fast TTIs follow each other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Pace {
+    /// As fast as the hosts answer.
+    Max,
+    /// One TTI in this time; being late is counted, never made up for by stretching.
+    RealTime(Duration),
+}
+
+impl fmt::Display for Pace {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Max => f.write_str("max"),
+            Self::RealTime(duration) => write!(f, "{duration:?}"),
+        }
+    }
+}
 
 /// Emulation, anyone → BS, a query: commands to the virtual clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -18,6 +37,8 @@ pub enum ClockCommand {
     RunTo(Tti),
     /// Grant to the end.
     Resume,
+    /// Go on at this pace.
+    Pace(Pace),
     /// Change nothing.
     Status,
 }
@@ -35,6 +56,7 @@ impl fmt::Display for ClockCommand {
             Self::Step(n) => write!(f, "step {n}"),
             Self::RunTo(k) => write!(f, "run to TTI {k}"),
             Self::Resume => f.write_str("resume"),
+            Self::Pace(pace) => write!(f, "pace {pace}"),
             Self::Status => f.write_str("status"),
         }
     }
@@ -51,6 +73,8 @@ pub struct ClockStatus {
     pub paused: bool,
     /// The TTI before which the clock will stop.
     pub until: Tti,
+    /// How fast TTIs follow each other.
+    pub pace: Pace,
     /// Whether all devices have joined.
     pub begun: bool,
     /// Number of devices N of the run.
@@ -83,6 +107,7 @@ impl fmt::Display for ClockStatus {
             ttis,
             paused,
             until,
+            pace,
             begun,
             devices: _,
             lost,
@@ -98,6 +123,9 @@ impl fmt::Display for ClockStatus {
         }
         if !paused && until.0 < *ttis {
             write!(f, ", to stop before TTI {until}")?;
+        }
+        if *pace != Pace::Max {
+            write!(f, ", a TTI every {pace}")?;
         }
         for (nth, host) in lost.iter().enumerate() {
             write!(f, "{} {host}", if nth == 0 { ": waiting for" } else { "," })?;
@@ -117,6 +145,7 @@ mod tests {
             ttis: 400,
             paused: false,
             until: Tti(400),
+            pace: Pace::Max,
             begun: true,
             devices: 50,
             lost: Vec::new(),
@@ -141,6 +170,13 @@ mod tests {
                     ..running.clone()
                 },
                 "paused before TTI 12 of 400",
+            ),
+            (
+                ClockStatus {
+                    pace: Pace::RealTime(Duration::from_millis(4)),
+                    ..running.clone()
+                },
+                "running at TTI 12 of 400, a TTI every 4ms",
             ),
             (
                 ClockStatus {

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Address, Message, MessageKind, Payload};
 use crate::codec::{self, CodecError};
-use crate::ids::{DeviceId, Tti};
+use crate::ids::Tti;
 
 /// A copy of one message: what a tail shows, a recording holds and the tap of the bus carries.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -36,12 +36,6 @@ impl Frame {
     /// If the payload is of another version or not exactly one message of its kind: a stranger may have sent it.
     pub fn message(&self) -> Result<Message, CodecError> {
         Message::decode(self.kind, &self.payload)
-    }
-
-    /// Whether the message is to, from or about `device`. One that cannot be read concerns nobody.
-    pub fn concerns(&self, device: DeviceId) -> bool {
-        self.message()
-            .is_ok_and(|message| message.concerns(self.number, device))
     }
 }
 

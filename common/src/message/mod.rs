@@ -2,13 +2,14 @@
 //!
 //! Three planes: on the *air* plane travels what a real deployment would send over the radio, on the *emulation* plane
 //! what only the emulation needs; on the plane of *truth* nothing travels, it is what observers are told of the
-//! modelled world besides. The table `messages!` below is the one list of kinds: the keys ([`crate::keys`]), the typed
+//! modelled world, and of what the BS makes of it, besides. The table `messages!` below is the one list of kinds: the keys ([`crate::keys`]), the typed
 //! bus (`crate::bus`), `reveille inspect`, its help and its page, and the fuzz target read it. A new kind is a row of
 //! the table and a file with its payload.
 //!
 //! Not in the table: the copies of all of them for observers ([`Frame`]), which are no part of the run.
 
 mod answer;
+mod belief;
 mod clock;
 mod control;
 mod describe;
@@ -30,8 +31,9 @@ use crate::codec::{self, CodecError};
 use crate::ids::{DeviceId, HostId};
 
 pub use answer::{Answer, Failure};
+pub use belief::{Belief, Likely};
 pub use clock::{Clock, Tick};
-pub use control::{ClockCommand, ClockStatus, LostHost};
+pub use control::{ClockCommand, ClockStatus, LostHost, Pace};
 pub use describe::{Describe, Description};
 pub use frame::{Frame, TapBatch};
 pub use join::{JoinReply, JoinRequest};
@@ -227,6 +229,8 @@ messages! {
         "A device has detected an event and could not pay for a report.";
     Woken "woken": Woken, Truth, DeviceId, "world → observers",
         "What came of a wake-up.";
+    Belief "belief": Belief, Truth, (), "BS → observers",
+        "Where the BS believes the event to be after the reports of a TTI, where its policy has such a belief.";
     States "states": States, Truth, (), "world → observers",
         "State and battery of all devices at the end of a TTI, where a recording was asked for them.";
 }
@@ -248,7 +252,7 @@ pub enum Plane {
     Air,
     /// What only the emulation needs.
     Emu,
-    /// What happens in the modelled world: ground truth, which nobody sends.
+    /// What happens in the modelled world, ground truth, and what the BS makes of it: nobody sends it.
     Truth,
 }
 

@@ -4,6 +4,7 @@ mod bare;
 mod barrier;
 mod bus;
 mod memory;
+mod watch;
 
 use std::process::ExitCode;
 
@@ -14,6 +15,7 @@ pub fn run(command: &BenchCommand) -> anyhow::Result<ExitCode> {
     match command {
         BenchCommand::Bus(args) => bus::run(args),
         BenchCommand::Memory(args) => memory::run(args),
+        BenchCommand::Watch(args) => watch::run(args),
         BenchCommand::BareHost {
             kind,
             at,

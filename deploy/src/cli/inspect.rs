@@ -30,6 +30,12 @@ pub enum InspectCommand {
     /// The devices are taken through the same TTIs once more: reports and batteries must be what they come to. Ends
     /// with 1 where something does not fit, and for a recording that is torn or has no summary.
     Verify(VerifyArgs),
+    /// Find where two recordings first differ: in events, δ, reports, failures, wake-ups, or what came of them.
+    ///
+    /// Two runs of one scenario and seed under other policies part where the first plan differs; two runs that ought to
+    /// be the same part where something went wrong. How they were granted, with or without lookahead, makes no
+    /// difference. Ends with 1 where they differ.
+    Compare(CompareArgs),
 }
 
 /// `reveille inspect tail`.
@@ -179,6 +185,15 @@ pub struct VerifyArgs {
     pub file: PathBuf,
 }
 
+/// `reveille inspect compare`.
+#[derive(Args)]
+pub struct CompareArgs {
+    /// A recording.
+    pub this: PathBuf,
+    /// The recording that it is compared with.
+    pub other: PathBuf,
+}
+
 /// `reveille dashboard`.
 #[derive(Args)]
 pub struct DashboardArgs {
@@ -188,6 +203,9 @@ pub struct DashboardArgs {
     /// Show this recording instead of a run that goes on.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["connect", "run"])]
     pub from: Option<PathBuf>,
+    /// Show this recording beside it, and where the two first differ.
+    #[arg(long, value_name = "FILE")]
+    pub compare: Option<PathBuf>,
     /// Where to serve it; port 0 takes any free one.
     #[arg(long, default_value = "127.0.0.1:8464", value_name = "ADDRESS:PORT")]
     pub listen: String,

@@ -20,12 +20,13 @@ pub use figures::{
     QTableArgs, RankingArg, SweepFigureArgs, TimelineArgs,
 };
 pub use inspect::{
-    ColourArg, DashboardArgs, ExportArgs, InspectCommand, InspectRecordArgs, StatsArgs, TailArgs, ToArg, VerifyArgs,
+    ColourArg, CompareArgs, DashboardArgs, ExportArgs, InspectCommand, InspectRecordArgs, StatsArgs, TailArgs, ToArg,
+    VerifyArgs,
 };
 pub use report::{ReportArgs, ReportCommand, SearchArgs};
 pub use run::{BsArgs, DeviceArgs, DriveArgs, OnLossArg, OutputArgs, RunArgs, ScenarioArgs, UpArgs};
 pub use sweep::{GridArgs, MergeArgs, SweepArgs};
-pub use tools::{BenchCommand, BusBenchArgs, ClockArgs, MemoryBenchArgs, ScenarioCommand, TargetArgs};
+pub use tools::{BenchCommand, BusBenchArgs, ClockArgs, MemoryBenchArgs, ScenarioCommand, TargetArgs, WatchBenchArgs};
 pub use train::{DtArgs, RecordArgs, TrainArgs, TrainCommand};
 #[cfg(feature = "tune")]
 pub use tune::ObjectiveArg;

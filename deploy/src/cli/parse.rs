@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use reveille_bs::policy::registry;
-use reveille_common::message::MessageKind;
+use reveille_common::message::{MessageKind, Pace};
 use reveille_view::filter::Named;
 
 /// Help for an option that names a policy.
@@ -72,12 +72,12 @@ pub(super) fn parse_device(text: &str) -> Result<u32, String> {
     number.map_err(|_| "must be the number of a device, a whole number from 0, such as 3".to_owned())
 }
 
-pub(super) fn parse_pace(text: &str) -> Result<reveille_bs::host::clock::Pace, String> {
+pub(super) fn parse_pace(text: &str) -> Result<Pace, String> {
     if text == "max" {
-        return Ok(reveille_bs::host::clock::Pace::Max);
+        return Ok(Pace::Max);
     }
     parse_duration(text)
-        .map(reveille_bs::host::clock::Pace::RealTime)
+        .map(Pace::RealTime)
         .map_err(|e| format!("must be `max` or {e}"))
 }
 

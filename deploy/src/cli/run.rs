@@ -6,6 +6,7 @@ use std::time::Duration;
 use clap::{Args, ValueEnum};
 use reveille_bs::host::OnLoss;
 use reveille_common::keys::RunName;
+use reveille_common::message::Pace;
 
 use super::parse::{one_policy, parse_duration, parse_pace};
 
@@ -97,7 +98,7 @@ pub struct RunArgs {
 pub struct DriveArgs {
     /// `max`, or the real time that a TTI takes, for example 10ms.
     #[arg(long, default_value = "max", value_parser = parse_pace, allow_hyphen_values = true)]
-    pub pace: reveille_bs::host::clock::Pace,
+    pub pace: Pace,
 
     /// Grant every TTI by itself: the same run, more messages. A real-time --pace does so anyway.
     #[arg(long)]

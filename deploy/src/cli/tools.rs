@@ -7,9 +7,9 @@ use clap::{Args, Subcommand};
 use reveille_bs::policy::registry;
 use reveille_common::ids::Tti;
 use reveille_common::keys::RunName;
-use reveille_common::message::ClockCommand;
+use reveille_common::message::{ClockCommand, Pace};
 
-use super::parse::{parse_duration, parse_sizes};
+use super::parse::{parse_duration, parse_pace, parse_sizes};
 
 /// `reveille scenario`.
 #[derive(Subcommand)]
@@ -93,6 +93,12 @@ pub enum ClockAction {
     },
     /// Go on to the end.
     Resume,
+    /// Let TTIs follow each other at another pace.
+    Pace {
+        /// The time a TTI takes, such as 4ms, or `max` for as fast as the devices answer.
+        #[arg(value_parser = parse_pace, allow_hyphen_values = true)]
+        pace: Pace,
+    },
     /// Say where the clock is.
     Status,
 }
@@ -102,7 +108,7 @@ impl ClockAction {
     pub const fn waits(self) -> bool {
         match self {
             Self::Step { wait, .. } | Self::RunTo { wait, .. } => wait,
-            Self::Pause | Self::Resume | Self::Status => false,
+            Self::Pause | Self::Resume | Self::Pace { .. } | Self::Status => false,
         }
     }
 }
@@ -114,6 +120,7 @@ impl From<ClockAction> for ClockCommand {
             ClockAction::Step { ttis, .. } => Self::Step(ttis),
             ClockAction::RunTo { tti, .. } => Self::RunTo(Tti(tti)),
             ClockAction::Resume => Self::Resume,
+            ClockAction::Pace { pace } => Self::Pace(pace),
             ClockAction::Status => Self::Status,
         }
     }
@@ -126,6 +133,8 @@ pub enum BenchCommand {
     Bus(BusBenchArgs),
     /// Device-TTIs per second in memory, on one core.
     Memory(MemoryBenchArgs),
+    /// TTIs per second of a run that is recorded, scraped and shown in a browser, against the same run alone.
+    Watch(WatchBenchArgs),
     /// One host of a bare barrier.
     #[command(hide = true)]
     BareHost {
@@ -157,6 +166,29 @@ pub struct BusBenchArgs {
     pub time: Duration,
     /// Repetitions; the median ratio counts.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+    pub repeat: u32,
+}
+
+/// `reveille bench watch`.
+#[derive(Args)]
+pub struct WatchBenchArgs {
+    /// Policy of the runs.
+    #[arg(long, short, default_value = "knn")]
+    pub policy: String,
+    /// Devices.
+    #[arg(long, short = 'n', default_value_t = 250)]
+    pub devices: u32,
+    /// Device processes.
+    #[arg(long, short = 'P', default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..))]
+    pub processes: u32,
+    /// TTIs of each run.
+    #[arg(long, short = 'k', default_value_t = 20_000)]
+    pub ttis: u64,
+    /// Browsers that follow the dashboard.
+    #[arg(long, default_value_t = 1)]
+    pub browsers: u32,
+    /// Pairs of runs; the median ratio counts.
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
     pub repeat: u32,
 }
 

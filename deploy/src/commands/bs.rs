@@ -6,12 +6,11 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, anyhow, bail};
-use reveille_bs::host::clock::Pace;
 use reveille_bs::host::{self, BsError, Progress, Served, Settings};
 use reveille_bs::prepared::Prepared;
 use reveille_common::bus::{Bus, Declared};
 use reveille_common::keys::RunName;
-use reveille_common::message::{Describe, Description};
+use reveille_common::message::{Describe, Description, Pace};
 use reveille_common::scenario::Scenario;
 use reveille_lab::preparation::prepare as prepare_run;
 use reveille_lab::run::StopWhen;
@@ -276,8 +275,7 @@ async fn prepare(service: &Service<'_>) -> anyhow::Result<Prerequisites> {
     let watch = Watch::start(output, &run.to_string(), scenario, process).await?;
     let hose = match service.dashboard {
         Some(address) => {
-            let groups = groups(scenario);
-            let feed = Feed::new(&run.to_string(), scenario, groups.as_deref(), true);
+            let feed = Feed::new(&run.to_string(), scenario, groups(scenario), true, None);
             let served = crate::dashboard::serve(address, Arc::clone(&feed), Some((*bus).clone())).await?;
             note!("dashboard at {}", served.url);
             Some(feed.open()?)

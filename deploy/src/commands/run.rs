@@ -143,6 +143,10 @@ impl<F: FnMut(Frame), W: Observer> Observer for Shown<'_, F, W> {
         self.framed.wants_states() || self.watchers.wants_states()
     }
 
+    fn wants_beliefs(&self) -> bool {
+        self.framed.wants_beliefs() || self.watchers.wants_beliefs()
+    }
+
     fn window(&mut self, window: &WindowRecord) -> bool {
         let goes_on = self.watchers.window(window);
         let device_ttis = u128::from((window.end - window.first) * self.devices).max(1);

@@ -13,8 +13,8 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use reveille_common::bus::Bus;
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{ClockCommand, MessageKind, Plane};
-use reveille_view::filter::Filter;
+use reveille_common::message::{ClockCommand, MessageKind, Pace, Plane};
+use reveille_view::filter::{Filter, Named};
 use reveille_view::line::{Line, hex, whose};
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -155,6 +155,28 @@ pub(super) async fn tti(State(served): State<Served>, Path(tti): Path<u64>) -> A
         .ok_or_else(|| Refusal(StatusCode::NOT_FOUND, format!("TTI {tti} is not kept")))
 }
 
+/// The feed of the run that this one is compared with.
+fn beside(served: &Served) -> Result<&Feed, Refusal> {
+    let other = served.feed.other();
+    other.ok_or_else(|| Refusal(StatusCode::NOT_FOUND, "there is no run to compare with".to_owned()))
+}
+
+pub(super) async fn other_tti(State(served): State<Served>, Path(tti): Path<u64>) -> Answer {
+    let found = beside(&served)?.at(Tti(tti));
+    found
+        .map(Json)
+        .ok_or_else(|| Refusal(StatusCode::NOT_FOUND, format!("the other run has no TTI {tti}")))
+}
+
+pub(super) async fn other_curves(State(served): State<Served>) -> Answer {
+    Ok(Json(beside(&served)?.curves()))
+}
+
+pub(super) async fn compared(State(served): State<Served>) -> Answer {
+    beside(&served)?;
+    Ok(Json(json!(served.feed.compared())))
+}
+
 pub(super) async fn curves(State(served): State<Served>) -> Json<Value> {
     Json(served.feed.curves())
 }
@@ -165,13 +187,15 @@ pub(super) struct Wanted {
     plane: Option<String>,
     kind: Option<String>,
     device: Option<u32>,
+    cluster: Option<u32>,
+    state: Option<String>,
     since: Option<u64>,
     until: Option<u64>,
     limit: Option<usize>,
 }
 
 impl Wanted {
-    fn filter(&self) -> Result<Filter, Refusal> {
+    fn filter(&self, feed: &Feed) -> Result<Filter, Refusal> {
         let refuse = |what: &str| Refusal(StatusCode::BAD_REQUEST, format!("there is no {what}"));
         let plane = self.plane.as_deref().filter(|name| !name.is_empty());
         let plane = plane.map(|name| {
@@ -180,26 +204,46 @@ impl Wanted {
                 .find(|plane| plane.name() == name)
                 .ok_or_else(|| refuse("such plane"))
         });
-        let kinds = self
-            .kind
-            .as_deref()
-            .unwrap_or_default()
-            .split(',')
-            .filter(|name| !name.is_empty());
+        let kinds = listed(self.kind.as_deref());
         let kind = |name| MessageKind::ALL.iter().copied().find(|kind| kind.name() == name);
         let kinds = kinds.map(|name| kind(name).ok_or_else(|| refuse("such kind")));
-        Ok(Filter {
+        let state = |name| Named::ALL.into_iter().find(|(own, _)| *own == name);
+        let states = listed(self.state.as_deref()).map(|name| state(name).ok_or_else(|| refuse("such state")));
+        let own = self.device.map(DeviceId);
+        let devices = match self.cluster {
+            Some(number) => {
+                let group = feed.group(number).ok_or_else(|| refuse("such cluster"))?;
+                Some(
+                    group
+                        .into_iter()
+                        .filter(|id| own.is_none_or(|own| own == *id))
+                        .collect(),
+                )
+            }
+            None => own.map(|own| vec![own]),
+        };
+        let filter = Filter {
             plane: plane.transpose()?,
             kinds: kinds.collect::<Result<_, _>>()?,
-            devices: self.device.map(|device| vec![DeviceId(device)]),
+            devices,
             ttis: Some(self.since.unwrap_or(0)..=self.until.unwrap_or(u64::MAX)),
-            states: Vec::new(),
-        })
+            states: states
+                .map(|found| found.map(|(_, state)| state))
+                .collect::<Result<_, _>>()?,
+        };
+        filter.check().map_err(|why| Refusal(StatusCode::BAD_REQUEST, why))?;
+        Ok(filter)
     }
 }
 
+/// The names in a list with commas.
+fn listed(names: Option<&str>) -> impl Iterator<Item = &str> {
+    let names = names.unwrap_or_default().split(',').map(str::trim);
+    names.filter(|name| !name.is_empty())
+}
+
 pub(super) async fn messages(State(served): State<Served>, Query(wanted): Query<Wanted>) -> Answer {
-    let filter = wanted.filter()?;
+    let filter = wanted.filter(&served.feed)?;
     let most = wanted.limit.unwrap_or(MOST).min(MOST);
     let rows = served.feed.story(|story| {
         let row = |(number, frame): (u64, &reveille_common::message::Frame)| {
@@ -238,15 +282,18 @@ pub(super) async fn message(State(served): State<Served>, Path(number): Path<u64
 pub(super) struct Span {
     from: Option<u64>,
     end: Option<u64>,
+    /// The TTI up to which sums are told.
+    at: Option<u64>,
 }
 
 pub(super) async fn device(State(served): State<Served>, Path(device): Path<u32>, Query(span): Query<Span>) -> Answer {
     let (from, end) = (span.from.unwrap_or(0), span.end.unwrap_or(u64::MAX));
-    let history = served.feed.story(|story| {
+    let (history, totals) = served.feed.story(|story| {
         let (first, last) = story.span();
         let (from, end) = (Tti(from).max(first), Tti(end).min(last));
         let end = end.min(from + LONGEST);
-        story.history(DeviceId(device), from, end)
+        let totals = span.at.and_then(|at| story.totals(DeviceId(device), Tti(at)));
+        (story.history(DeviceId(device), from, end), totals)
     });
     if history.is_empty() {
         return Err(Refusal(
@@ -259,6 +306,18 @@ pub(super) async fn device(State(served): State<Served>, Path(device): Path<u32>
         "from": history[0].0,
         "states": super::feed::states(&history.iter().map(|(_, view)| *view).collect::<Vec<_>>()),
         "batteries": history.iter().map(|(_, view)| view.battery.units()).collect::<Vec<_>>(),
+        "totals": totals.map(|totals| json!({
+            "initial": totals.initial.units(),
+            "harvested": totals.harvested.units(),
+            "sensing": totals.spent.sensing.units(),
+            "sleep": totals.spent.sleep.units(),
+            "report": totals.spent.report.units(),
+            "overflow": totals.overflow.units(),
+            "battery": totals.battery.units(),
+            "sensing_ttis": totals.sensing_ttis,
+            "failed_ttis": totals.failed_ttis,
+            "dark_ttis": totals.dark_ttis,
+        })),
     })))
 }
 
@@ -282,8 +341,11 @@ pub(super) async fn command(
         ("resume", _) => ClockCommand::Resume,
         ("step", n) => ClockCommand::Step(n.unwrap_or(1).max(1)),
         ("run-to", Some(n)) => ClockCommand::RunTo(Tti(n)),
+        ("pace", Some(0)) => ClockCommand::Pace(Pace::Max),
+        ("pace", Some(n)) => ClockCommand::Pace(Pace::RealTime(Duration::from_millis(n))),
         _ => {
-            let why = "the clock knows pause, resume, step?n=1 and run-to?n=4000".to_owned();
+            let why = "the clock knows pause, resume, step?n=1, run-to?n=4000, and pace?n=5 for 5 ms a TTI, 0 for none";
+            let why = why.to_owned();
             return Err(Refusal(StatusCode::BAD_REQUEST, why));
         }
     };

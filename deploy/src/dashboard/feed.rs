@@ -4,16 +4,16 @@ use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
 
 use reveille_common::deployment::Deployment;
 use reveille_common::geometry::cells;
-use reveille_common::ids::Tti;
+use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{EventNews, Frame, Message, MessageKind, WakeOutcome};
 use reveille_common::scenario::Scenario;
 use reveille_common::state::{DeviceState, DeviceView};
 use reveille_common::units::Energy;
-use reveille_view::story::Story;
+use reveille_view::compare::{Comparison, Difference, Field, Side};
+use reveille_view::story::{Moment, Story};
 use reveille_view::traffic::Traffic;
 use serde_json::{Value, json};
 use tokio::sync::Notify;
@@ -22,10 +22,10 @@ use tokio::sync::Notify;
 const LIVE: u64 = 100_000;
 /// Frames that may wait to be taken in.
 const QUEUE: usize = 65_536;
-/// Points of a curve, about.
-const POINTS: u64 = 400;
-/// Time between two points of a curve of a run that goes on, at least.
-const BEAT: Duration = Duration::from_millis(100);
+/// The most points of a curve; with more, every other one is left out.
+const POINTS: usize = 800;
+/// TTIs from one point to the next at first, in a run that is long enough.
+const SPACING: u64 = 10;
 /// Metrics that have a curve.
 const CURVES: [&str; 6] = [
     "info_p1",
@@ -42,26 +42,39 @@ const QUANTILES: [f64; 3] = [0.05, 0.5, 0.95];
 
 /// A run, to be looked at by many.
 pub struct Feed {
-    scenario: Scenario,
-    is_live: bool,
     e_max: Energy,
     /// What does not change in a run.
     about: Value,
+    /// The group of each device, where the policy has groups.
+    groups: Option<Vec<u32>>,
     known: Mutex<Known>,
+    /// The run that it is compared with.
+    beside: Option<Beside>,
     /// Rung when something has come.
     pub bell: Notify,
     /// Whether no more comes.
     is_over: AtomicBool,
 }
 
+/// A recording that a run is compared with.
+pub struct Beside {
+    /// What is known of it.
+    pub feed: Arc<Feed>,
+    /// The fields of the scenario in which they differ.
+    pub fields: Vec<Field>,
+    /// The comparison, with all of the recording taken in.
+    pub comparison: Comparison,
+}
+
 struct Known {
     story: Story,
+    comparison: Option<Comparison>,
     traffic: Traffic,
     /// A point of every curve.
     points: Vec<Value>,
+    /// TTIs from one point to the next.
+    spacing: u64,
     due: Tti,
-    /// When the last point was made.
-    told: Instant,
     /// Why states are not those of the run any more, if it is so.
     broken: Option<String>,
     /// What came of the event under way.
@@ -83,7 +96,13 @@ impl Hose {
 
 impl Feed {
     /// The feed of the run called `run`, of `scenario`. `is_live` where it goes on; of a recording all is kept.
-    pub fn new(run: &str, scenario: &Scenario, groups: Option<&[u32]>, is_live: bool) -> Arc<Self> {
+    pub fn new(
+        run: &str,
+        scenario: &Scenario,
+        groups: Option<Vec<u32>>,
+        is_live: bool,
+        mut beside: Option<Beside>,
+    ) -> Arc<Self> {
         let deployment = Deployment::new(scenario);
         let positions = deployment.positions();
         let e_max: Vec<f64> = deployment
@@ -107,24 +126,26 @@ impl Feed {
             "e_max": e_max,
             "curves": CURVES,
             "live": is_live,
+            "compared": beside.is_some(),
         });
         let length = if is_live { LIVE } else { u64::MAX };
         let e_max = deployment.devices.iter().map(|device| device.energy.e_max).max();
         Arc::new(Self {
-            scenario: scenario.clone(),
-            is_live,
             e_max: e_max.unwrap_or(Energy::ZERO),
             about,
+            groups,
             known: Mutex::new(Known {
+                comparison: beside.as_mut().map(|beside| std::mem::take(&mut beside.comparison)),
                 story: Story::new(scenario, length),
                 traffic: Traffic::default(),
                 points: Vec::new(),
+                spacing: (scenario.ttis / POINTS as u64).clamp(1, SPACING),
                 due: Tti::ZERO,
-                told: crate::wall::now(),
                 broken: None,
                 under_way: Vec::new(),
                 ticker: VecDeque::new(),
             }),
+            beside,
             bell: Notify::new(),
             is_over: AtomicBool::new(false),
         })
@@ -153,22 +174,27 @@ impl Feed {
         let mut known = self.known();
         known.traffic.count(&frame);
         known.tick(&frame);
+        let is_first = known.story.span().1 == Tti::ZERO;
+        if let Some(comparison) = &mut known.comparison {
+            if is_first {
+                comparison.skip_to(frame.tti);
+            }
+            comparison.take(Side::This, &frame);
+        }
         if let Err(error) = known.story.take(frame) {
             known.broken.get_or_insert_with(|| error.to_string());
         }
         let (_, next) = known.story.span();
-        // While a run goes on, nobody sees more points in a second.
-        let is_soon = self.is_live && known.told.elapsed() < BEAT;
-        if next >= known.due && next > Tti::ZERO && !is_soon {
-            known.told = crate::wall::now();
-            let point = known.point(next);
-            known.points.push(point);
-            known.due = next + (self.scenario.ttis / POINTS).max(1);
+        if next >= known.due && next > Tti::ZERO {
+            known.draw(next);
         }
     }
 
     /// No more comes.
     pub fn end(&self) {
+        if let Some(comparison) = &mut self.known().comparison {
+            comparison.end(Side::This);
+        }
         self.is_over.store(true, Ordering::Relaxed);
         self.bell.notify_waiters();
     }
@@ -182,32 +208,33 @@ impl Feed {
     pub fn now(&self) -> Value {
         let mut known = self.known();
         let (first, next) = known.story.span();
-        let views = known.story.views();
+        let moment = known.story.latest();
+        let mut now = self.told(Tti(next.0.saturating_sub(1)), &moment);
         let events = known.story.now().events();
-        json!({
-            "first": first,
-            "next": next,
-            "over": self.is_over.load(Ordering::Relaxed),
-            "broken": known.broken,
-            "states": states(&views),
-            "batteries": self.batteries(&views),
-            "event": known.story.now().stimulus(),
-            "events": events.events,
-            "missed": events.misdetected,
-            "ticker": known.ticker,
-            "messages": known.traffic.kinds().map(|(_, count)| count.messages).sum::<u64>(),
-        })
+        now["first"] = json!(first);
+        now["next"] = json!(next);
+        now["over"] = json!(self.is_over.load(Ordering::Relaxed));
+        now["broken"] = json!(known.broken);
+        now["events"] = json!(events.events);
+        now["missed"] = json!(events.misdetected);
+        now["ticker"] = json!(known.ticker);
+        now["messages"] = json!(known.traffic.kinds().map(|(_, count)| count.messages).sum::<u64>());
+        now
     }
 
     /// TTI `tti`, if it can be looked at.
     pub fn at(&self, tti: Tti) -> Option<Value> {
         let moment = self.known().story.at(tti)?;
+        Some(self.told(tti, &moment))
+    }
+
+    fn told(&self, tti: Tti, moment: &Moment) -> Value {
         let woken: Vec<Value> = moment
             .woken
             .iter()
             .map(|(device, outcome)| json!({ "device": device, "outcome": outcome, "text": outcome.to_string() }))
             .collect();
-        Some(json!({
+        json!({
             "tti": tti,
             "states": states(&moment.views),
             "batteries": self.batteries(&moment.views),
@@ -223,7 +250,42 @@ impl Feed {
             "reported": moment.reported,
             "failed": moment.failed,
             "woken": woken,
+            "belief": moment.belief.as_ref().map(|belief| &belief.places),
+        })
+    }
+
+    /// The run that it is compared with, if there is one.
+    pub fn other(&self) -> Option<&Self> {
+        self.beside.as_ref().map(|beside| &*beside.feed)
+    }
+
+    /// Where it first differs from the run that it is compared with, if there is one.
+    pub fn compared(&self) -> Option<Value> {
+        let Beside { feed, fields, .. } = self.beside.as_ref()?;
+        let known = self.known();
+        let comparison = known.comparison.as_ref()?;
+        let told = |difference: &Difference| {
+            json!({
+                "tti": difference.tti,
+                "kind": difference.kind.name(),
+                "this": difference.says(Side::This),
+                "other": difference.says(Side::Other),
+                "devices": difference.devices(),
+            })
+        };
+        Some(json!({
+            "other": feed.about,
+            "fields": fields,
+            "compared": comparison.compared().min(known.story.span().1),
+            "differences": comparison.differences().into_iter().map(told).collect::<Vec<_>>(),
         }))
+    }
+
+    /// The devices of a group of the policy; nothing if it has none of that number.
+    pub fn group(&self, number: u32) -> Option<Vec<DeviceId>> {
+        let ids = (0..).map(DeviceId).zip(self.groups.as_ref()?);
+        let own: Vec<DeviceId> = ids.filter(|(_, group)| **group == number).map(|(id, _)| id).collect();
+        (!own.is_empty()).then_some(own)
     }
 
     /// The points of all curves so far.
@@ -282,6 +344,21 @@ impl Known {
             };
             self.under_way.push(format!("{whose} {came}"));
         }
+    }
+
+    /// One more point of every curve, before TTI `next`.
+    fn draw(&mut self, next: Tti) {
+        let point = self.point(next);
+        self.points.push(point);
+        if self.points.len() > POINTS {
+            let mut is_odd = false;
+            self.points.retain(|_| {
+                is_odd = !is_odd;
+                is_odd
+            });
+            self.spacing *= 2;
+        }
+        self.due = next + self.spacing;
     }
 
     /// A point of every curve, before TTI `next`.

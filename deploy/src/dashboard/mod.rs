@@ -5,6 +5,7 @@
 
 mod api;
 pub mod feed;
+pub mod past;
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -67,6 +68,9 @@ pub async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> anyhow::
         .route("/api/live", get(api::live))
         .route("/api/tti/{tti}", get(api::tti))
         .route("/api/curves", get(api::curves))
+        .route("/api/compare", get(api::compared))
+        .route("/api/other/tti/{tti}", get(api::other_tti))
+        .route("/api/other/curves", get(api::other_curves))
         .route("/api/messages", get(api::messages))
         .route("/api/message/{number}", get(api::message))
         .route("/api/device/{device}", get(api::device))

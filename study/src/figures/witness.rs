@@ -47,6 +47,7 @@ impl Observer for Happened {
             Happening::Plan { .. }
             | Happening::EventStarted(_)
             | Happening::WakeUp { .. }
+            | Happening::Believed { .. }
             | Happening::EventEnded(_)
             | Happening::Closed(_)
             | Happening::States(_) => {}

@@ -24,6 +24,7 @@ use super::kind::{Profile, Registered, own};
 use super::mind::Mind;
 use super::pilots::Pilots;
 use crate::beliefs::aim::Aim;
+use crate::beliefs::posterior::Belief;
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
 
@@ -70,6 +71,10 @@ impl Policy for Adjusted {
 
     fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId> {
         self.aim.next(seen, |_| true)
+    }
+
+    fn belief(&self) -> Option<&Belief> {
+        self.aim.belief()
     }
 
     fn answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {

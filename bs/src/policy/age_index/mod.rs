@@ -28,6 +28,7 @@ use crate::beliefs::ages::choice::Choice;
 use crate::beliefs::ages::price::Prices;
 use crate::beliefs::ages::{self, Ages};
 use crate::beliefs::candidates::{Candidates, LEAST_GAIN};
+use crate::beliefs::posterior::Belief;
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
 
@@ -88,6 +89,10 @@ impl Policy for AgeIndex {
     fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId> {
         let (device, gain) = self.candidates.next(seen, |_| true)?;
         (gain >= LEAST_GAIN * seen.known.sensing.psi).then_some(device)
+    }
+
+    fn belief(&self) -> Option<&Belief> {
+        self.candidates.belief()
     }
 
     fn answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {

@@ -9,6 +9,7 @@ use super::senses::Senses;
 use crate::beliefs::ages::price::needed;
 use crate::beliefs::candidates::Candidates;
 use crate::beliefs::coverage::Coverage;
+use crate::beliefs::posterior::Belief;
 use crate::knowledge::Knowledge;
 use crate::levels::Levels;
 use crate::observation::Observation;
@@ -265,5 +266,9 @@ impl<S: Sink> Policy for Recorded<S> {
 
     fn groups(&self) -> Option<&[u32]> {
         self.policy.groups()
+    }
+
+    fn belief(&self) -> Option<&Belief> {
+        self.policy.belief()
     }
 }

@@ -18,6 +18,7 @@ use super::kind::{Profile, Registered, own};
 use super::mind::Mind;
 use crate::beliefs::aim::Aim;
 use crate::beliefs::clusters::Clusters;
+use crate::beliefs::posterior::Belief;
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
 
@@ -90,6 +91,10 @@ impl Policy for Knn {
             ("clusters_after_splitting", self.clusters.members.len() as f64),
             ("i_min", self.aim.i_min()),
         ]
+    }
+
+    fn belief(&self) -> Option<&Belief> {
+        self.aim.belief()
     }
 
     fn answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {

@@ -52,6 +52,7 @@ use super::kind::{Profile, Registered, own};
 use super::mind::Mind;
 use super::tally::Tally;
 use crate::beliefs::candidates::Candidates;
+use crate::beliefs::posterior::Belief;
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
 use crate::policy::q_learning::duty::{Duty, Terms};
@@ -188,6 +189,10 @@ impl Policy for QLearning {
         }
         self.wake.wake(state, seen.information);
         Some(device)
+    }
+
+    fn belief(&self) -> Option<&Belief> {
+        self.candidates.belief()
     }
 
     fn answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {

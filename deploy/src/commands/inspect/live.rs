@@ -25,7 +25,7 @@ pub struct Live {
     /// Number of devices N.
     pub devices: u32,
     /// Where it was when this connected.
-    status: ClockStatus,
+    pub status: ClockStatus,
     batches: UnboundedReceiver<TapBatch>,
     ended: Arc<Notify>,
     is_over: bool,

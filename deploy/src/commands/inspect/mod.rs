@@ -1,5 +1,6 @@
 //! `reveille inspect`: the messages of a run, as they go or from a recording.
 
+mod compare;
 mod export;
 pub mod live;
 mod record;
@@ -20,5 +21,6 @@ pub async fn run(command: &InspectCommand) -> anyhow::Result<ExitCode> {
         InspectCommand::Record(args) => record::run(args).await,
         InspectCommand::Export(args) => export::run(args),
         InspectCommand::Verify(args) => verify::run(args),
+        InspectCommand::Compare(args) => compare::run(args),
     }
 }

@@ -5,6 +5,7 @@ use std::io::BufReader;
 use std::path::Path;
 
 use anyhow::Context;
+use reveille_bs::policy::registry;
 use reveille_bs::prepared::Prepared;
 use reveille_common::ids::Tti;
 use reveille_common::message::Frame;
@@ -116,10 +117,10 @@ impl Source {
 
 /// The group of each device, where the policy of `scenario` groups them by place and no pilot runs are needed to know.
 pub fn groups(scenario: &Scenario) -> Option<Vec<u32>> {
-    if scenario.policy.name() == "adjusted" {
+    let prepared = Prepared::without_pilots(scenario);
+    if registry::pilots(prepared.policies, &scenario.policy).is_some() {
         return None;
     }
-    let prepared = Prepared::without_pilots(scenario);
     let known = prepared.knowledge();
     prepared.mind(&known).groups().map(<[u32]>::to_vec)
 }

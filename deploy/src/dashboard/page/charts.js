@@ -31,29 +31,31 @@ export class Charts {
     this.end = 1;
   }
 
-  paint(points, end, tti) {
+  // The curves of a run, and of the one that it is compared with, in the other colour.
+  paint(points, others, end, tti) {
     this.end = Math.max(end, 1);
     for (const { canvas, value, last } of this.all) {
       const { draw, width, height } = sharp(canvas);
-      const rows = points.map((p) => [p.tti, value(p)]);
-      const known = rows.flatMap(([, values]) => values).filter((v) => v !== null && v !== undefined);
+      const rows = points.map((p) => [p.tti, value(p)]), beside = others.map((p) => [p.tti, value(p)]);
+      const known = [...beside, ...rows].flatMap(([, values]) => values).filter((v) => v !== null && v !== undefined);
       const most = Math.max(...known, 1e-9);
       const x = (k) => (k / this.end) * width, y = (v) => height - 2 - (v / most) * (height - 6);
       draw.strokeStyle = ink("--line");
       draw.strokeRect(0.5, 0.5, width - 1, height - 1);
-      const lines = rows.length ? rows[0][1].length : 0;
-      for (let i = 0; i < lines; i++) {
-        draw.beginPath();
-        draw.setLineDash(DASHES[i]);
-        draw.strokeStyle = ink("--accent");
-        draw.lineWidth = 1.6;
-        let pen = false;
-        for (const [k, values] of rows) {
-          if (values[i] === null || values[i] === undefined) { pen = false; continue; }
-          pen ? draw.lineTo(x(k), y(values[i])) : draw.moveTo(x(k), y(values[i]));
-          pen = true;
+      for (const [all, tint] of [[beside, ink("--alarm")], [rows, ink("--accent")]]) {
+        for (let i = 0; i < (all[0]?.[1].length ?? 0); i++) {
+          draw.beginPath();
+          draw.setLineDash(DASHES[i]);
+          draw.strokeStyle = tint;
+          draw.lineWidth = 1.6;
+          let pen = false;
+          for (const [k, values] of all) {
+            if (values[i] === null || values[i] === undefined) { pen = false; continue; }
+            pen ? draw.lineTo(x(k), y(values[i])) : draw.moveTo(x(k), y(values[i]));
+            pen = true;
+          }
+          draw.stroke();
         }
-        draw.stroke();
       }
       draw.setLineDash([]);
       draw.beginPath();

@@ -5,10 +5,10 @@ import { Charts, history, ramp } from "./charts.js";
 import { Map } from "./map.js";
 
 const by = (id) => document.getElementById(id);
-const page = { run: null, now: null, tti: 0, follows: true, moment: null, device: -1, points: [], marks: [], updates: 0 };
+const page = { run: null, now: null, tti: 0, follows: true, moment: null, device: -1, points: [], marks: [], updates: 0, other: null };
 // For tests, and for whoever looks at the console.
 window.reveille = page;
-let map, charts, asked = 0;
+let map, otherMap, charts, asked = 0;
 
 function tell(text, isAlarm = false) {
   by("state").textContent = text;
@@ -32,7 +32,11 @@ function happened(moment) {
 function paint() {
   if (!page.moment) return;
   map.paint(page.moment, page.device);
-  charts.paint(page.points, Math.max(page.now.next, 1), page.tti);
+  charts.paint(page.points, page.other?.points ?? [], Math.max(page.now.next, 1), page.tti);
+  if (page.other?.moment) {
+    otherMap.paint(page.other.moment, page.device);
+    by("other-happened").textContent = `${page.other.run.run}: ${happened(page.other.moment) || "nothing happens"}`;
+  }
   by("happened").textContent = happened(page.moment);
   by("map").setAttribute("aria-label", `Map of ${page.run.devices} devices in TTI ${page.tti}. ${happened(page.moment)}`);
   by("scrubber").value = page.tti;
@@ -46,12 +50,39 @@ async function show(tti) {
   page.tti = Math.max(first, Math.min(tti, next - 1));
   if (next <= first) return;
   const own = ++asked;
-  const moment = await get(`api/tti/${page.tti}`);
+  const [moment, beside] = await Promise.all([get(`api/tti/${page.tti}`), besides(page.tti)]);
   if (own !== asked) return;
   page.moment = moment;
+  if (page.other) page.other.moment = beside;
   paint();
   if (page.device >= 0) showDevice();
   if (by("filters").here.checked) showMessages();
+}
+
+// That TTI of the other run, where there is one that has come as far.
+async function besides(tti) {
+  return page.other ? get(`api/other/tti/${tti}`).catch(() => null) : null;
+}
+
+// Where the two runs first differ.
+async function compare() {
+  const told = await get("api/compare");
+  const names = (devices) => (devices.length ? `, of ${devices.length} devices` : "");
+  by("fields").textContent = told.fields.map(([name, own, other]) => `${name}: ${own}, other ${other}`).join(" · ");
+  by("differences").replaceChildren(...told.differences.map((difference, nth) => {
+    const line = document.createElement("li"), jump = document.createElement("button");
+    jump.textContent = `TTI ${difference.tti}`;
+    jump.onclick = () => go(difference.tti);
+    line.append(jump, ` ${nth ? "then" : "first difference"}: ${difference.kind}${names(difference.devices)}`);
+    for (const [name, text] of [["this", difference.this], ["other", difference.other]]) {
+      const said = document.createElement("span");
+      said.textContent = `${name}: ${text}`;
+      line.append(said);
+    }
+    return line;
+  }));
+  const end = told.compared;
+  by("compared").textContent = told.differences.length ? "" : `no difference in TTIs 0 to ${end - 1}`;
 }
 
 function go(tti) {
@@ -77,28 +108,40 @@ function see(now) {
   if (page.follows && now.next > now.first) {
     page.tti = now.next - 1;
     page.moment = now;
+    besides(page.tti).then((moment) => {
+      if (page.other && page.follows) page.other.moment = moment;
+    });
     requestAnimationFrame(paint);
   }
 }
 
 async function showDevice() {
   const from = Math.max(page.now.first, page.tti - 300), end = Math.min(page.now.next, page.tti + 100);
-  const told = await get(`api/device/${page.device}?from=${from}&end=${end}`);
+  const told = await get(`api/device/${page.device}?from=${from}&end=${end}&at=${page.tti}`);
   by("one").hidden = false;
   by("one-title").textContent = `Device ${page.device}, TTIs ${told.from} to ${told.from + told.batteries.length - 1}`;
   history(by("history"), told, page.run.e_max[page.device], page.tti);
   const share = (states) => Math.round((100 * [...told.states].filter((s) => states.includes(s)).length) / told.states.length);
   by("ledger").textContent = `battery ${told.batteries[page.tti - told.from]?.toFixed(2)} · S1 ${share("1")} % · S3 ${share("23")} % · S4 ${share("4")} % · deaf ${share("0")} % of these TTIs`;
+  const sums = told.totals;
+  if (!sums) return;
+  const unit = (value) => +value.toPrecision(4);
+  by("ledger").textContent += ` — since TTI 0: ${unit(sums.initial)} at first + ${unit(sums.harvested)} harvested − ${unit(sums.sensing)} sensing − ${unit(sums.sleep)} sleep − ${unit(sums.report)} reports − ${unit(sums.overflow)} that did not fit = ${unit(sums.battery)}; sensed in ${sums.sensing_ttis} TTIs, could not pay in ${sums.failed_ttis}, deaf in ${sums.dark_ttis}`;
 }
 
 async function showMessages() {
   const form = by("filters"), wanted = new URLSearchParams();
-  for (const name of ["plane", "kind", "device"]) if (form[name].value) wanted.set(name, form[name].value);
+  for (const name of ["plane", "kind", "device", "cluster", "state"]) if (form[name].value) wanted.set(name, form[name].value);
   const here = form.here.checked;
   const since = here ? Math.max(page.tti - 5, 0) : form.since.value, until = here ? page.tti : form.until.value;
   if (since !== "") wanted.set("since", since);
   if (until !== "") wanted.set("until", until);
-  const rows = await get(`api/messages?${wanted}`);
+  const rows = await get(`api/messages?${wanted}`).catch((error) => {
+    by("refused").textContent = error.message;
+    return null;
+  });
+  if (!rows) return;
+  by("refused").textContent = rows.length ? "" : "no message passes";
   const body = by("messages").tBodies[0];
   body.replaceChildren(...rows.map((row) => {
     const line = document.createElement("tr");
@@ -120,8 +163,12 @@ async function showMessage(id) {
   by("detail").showModal();
 }
 
+// A pace as the clock tells it: "Max", or the time a TTI takes.
+const milliseconds = ({ RealTime: every }) => (every ? every.secs * 1000 + every.nanos / 1e6 : 0);
+
 function stands({ status, text }) {
   by("said").textContent = text;
+  if (document.activeElement !== by("pace")) by("pace").value = milliseconds(status.pace);
   by("pause").textContent = status.paused || status.until < status.ttis ? "go on" : "pause";
   return status.paused || status.until >= status.ttis;
 }
@@ -175,6 +222,7 @@ function listen() {
   by("pause").onclick = pause;
   by("step").onclick = () => drive("step?n=1");
   by("run-to").onclick = () => drive(`run-to?n=${+by("target").value}`);
+  by("set-pace").onclick = () => drive(`pace?n=${Math.round(+by("pace").value)}`);
   by("map").onclick = (event) => {
     page.device = map.near(event);
     paint();
@@ -213,6 +261,10 @@ function listen() {
 async function curves() {
   try {
     page.points = await get("api/curves");
+    if (page.other) {
+      page.other.points = await get("api/other/curves");
+      await compare();
+    }
   } catch { /* told by the stream */ }
   if (!page.now?.over) setTimeout(curves, 1000);
   paint();
@@ -225,10 +277,16 @@ async function begin() {
   by("run").textContent = run;
   by("about").textContent = `${policy} · ${devices} devices · seed ${seed} · preset ${preset}`;
   by("clock").hidden = !page.run.controls;
-  by("legend").innerHTML = `<span>battery <i style="background:${ramp()}"></i> full</span><span>● S1 senses</span><span>▲ S3 reports</span><span>■ S4 sleeps</span><span>✕ deaf</span><span>✶ event, d_max around it</span>`;
+  by("legend").innerHTML = `<span>battery <i style="background:${ramp()}"></i> full</span><span>● S1 senses</span><span>▲ S3 reports</span><span>■ S4 sleeps</span><span>✕ deaf</span><span>✶ event, d_max around it</span><span>• where the base station believes it to be</span>`;
   map = new Map(by("map"), page.run);
   charts = new Charts(by("charts"), go);
   page.now = await get("api/now");
+  if (page.run.compared) {
+    page.other = { run: (await get("api/compare")).other, moment: null, points: [] };
+    otherMap = new Map(by("other"), page.other.run);
+    by("beside").hidden = by("compare").hidden = false;
+    by("compare-title").textContent = `Compared with ${page.other.run.run}: ${page.other.run.policy}, seed ${page.other.run.seed}`;
+  }
   listen();
   see(page.now);
   if (!page.run.live) page.follows = false;

@@ -27,6 +27,7 @@ export class Map {
   constructor(canvas, run) {
     this.canvas = canvas;
     this.run = run;
+    this.ground = null;
     canvas.style.aspectRatio = `${run.area[0]} / ${run.area[1]}`;
   }
 
@@ -44,25 +45,46 @@ export class Map {
     return all.indexOf(Math.min(...all));
   }
 
-  paint(moment, chosen) {
-    const { draw, width, height } = sharp(this.canvas);
-    const at = (p) => this.place(p, width, height);
-    const line = ink("--line"), dark = ink("--ink"), accent = ink("--accent"), alarm = ink("--alarm");
-    const size = Math.max(2.5, Math.min(8, width / 9 / Math.sqrt(this.run.devices)));
-    const levels = (j) => parseInt(moment.batteries.slice(2 * j, 2 * j + 2), 16) / 255;
+  // The cells, which stay as they are: painted once for each size and scheme.
+  cells(width, height) {
+    const line = ink("--line"), ratio = devicePixelRatio || 1, key = [width, height, ratio, line].join();
+    if (this.ground?.key === key) return this.ground.canvas;
+    const canvas = document.createElement("canvas"), draw = canvas.getContext("2d");
+    [canvas.width, canvas.height] = [Math.round(width * ratio), Math.round(height * ratio)];
+    draw.setTransform(ratio, 0, 0, ratio, 0, 0);
     this.run.cells.forEach((corners, j) => {
       if (!corners.length) return;
       draw.beginPath();
-      corners.forEach((corner, i) => (i ? draw.lineTo(...at(corner)) : draw.moveTo(...at(corner))));
+      corners.map((p) => this.place(p, width, height)).forEach((at, i) => (i ? draw.lineTo(...at) : draw.moveTo(...at)));
       draw.closePath();
       if (this.run.groups) {
         draw.fillStyle = `hsl(${(this.run.groups[j] * 137.5) % 360} 40% 50% / .13)`;
         draw.fill();
       }
       draw.strokeStyle = line;
-      draw.lineWidth = 1;
       draw.stroke();
     });
+    this.ground = { key, canvas };
+    return canvas;
+  }
+
+  paint(moment, chosen) {
+    const { draw, width, height } = sharp(this.canvas);
+    const at = (p) => this.place(p, width, height);
+    const dark = ink("--ink"), accent = ink("--accent"), alarm = ink("--alarm");
+    const size = Math.max(2.5, Math.min(8, width / 9 / Math.sqrt(this.run.devices)));
+    const levels = (j) => parseInt(moment.batteries.slice(2 * j, 2 * j + 2), 16) / 255;
+    draw.drawImage(this.cells(width, height), 0, 0, width, height);
+    const most = Math.max(...(moment.belief ?? []).map((place) => place.share));
+    for (const place of moment.belief ?? []) {
+      const [x, y] = at(place);
+      draw.beginPath();
+      draw.arc(x, y, 2 + 4 * Math.sqrt(place.share / most), 0, 2 * Math.PI);
+      draw.globalAlpha = 0.25 + 0.55 * (place.share / most);
+      draw.fillStyle = accent;
+      draw.fill();
+      draw.globalAlpha = 1;
+    }
     if (moment.event) {
       const [x, y] = at(moment.event.epicentre);
       draw.beginPath();

@@ -1,0 +1,179 @@
+//! `reveille bench watch`: what looking at a run costs it.
+//!
+//! The same run by itself, and with what the options name: recorded, its metrics scraped every second, and its dashboard
+//! read by browsers. Both sides take turns, so that a machine that gets busy is busy for both.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::process::{Command, ExitCode, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::{Scope, ScopedJoinHandle};
+use std::time::Duration;
+
+use anyhow::Context;
+use serde_json::Value;
+
+use crate::cli::WatchBenchArgs;
+use crate::display;
+use crate::wall::median;
+
+/// Time between two looks at the metrics.
+const SCRAPE: Duration = Duration::from_secs(1);
+/// How long a connection may be silent before somebody looks whether the run has ended.
+const LOOK: Duration = Duration::from_millis(200);
+/// Bytes that are read at once.
+const BUFFER: usize = 1 << 16;
+
+/// Measures, a row with lookahead and one without.
+pub fn run(args: &WatchBenchArgs) -> anyhow::Result<ExitCode> {
+    display::out(&format!(
+        "preset paper, {}, {} devices in {} processes, {} TTIs; recorded, metrics scraped every second, {} reading the \
+         dashboard; medians of {} pairs\n{:>9} {:>12} {:>12} {:>7} {:>11}  digest\n",
+        args.policy,
+        args.devices,
+        args.processes,
+        args.ttis,
+        display::count(args.browsers as usize, "browser"),
+        args.repeat,
+        "lookahead",
+        "alone TTIs/s",
+        "watched",
+        "ratio",
+        "recorded MB",
+    ))?;
+    for lookahead in [true, false] {
+        let mut pairs = Vec::new();
+        for _ in 0..args.repeat {
+            pairs.push([emulate(args, lookahead, false)?, emulate(args, lookahead, true)?]);
+        }
+        let of = |value: fn(&[Ran; 2]) -> f64| median(pairs.iter().map(value).collect());
+        let is_same = pairs.iter().flatten().all(|ran| ran.digest == pairs[0][0].digest);
+        anyhow::ensure!(is_same, "the digests of runs alone and watched differ");
+        display::out(&format!(
+            "{:>9} {:>12.0} {:>12.0} {:>7.3} {:>11.1}  {}\n",
+            if lookahead { "on" } else { "off" },
+            of(|[alone, _]| alone.ttis_per_s),
+            of(|[_, watched]| watched.ttis_per_s),
+            of(|[alone, watched]| watched.ttis_per_s / alone.ttis_per_s),
+            of(|[_, watched]| watched.recorded_mb),
+            pairs[0][0].digest,
+        ))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// What a run came to.
+struct Ran {
+    ttis_per_s: f64,
+    digest: String,
+    recorded_mb: f64,
+}
+
+fn emulate(args: &WatchBenchArgs, lookahead: bool, is_watched: bool) -> anyhow::Result<Ran> {
+    let folder = std::env::temp_dir().join(format!("reveille-bench-{}", std::process::id()));
+    std::fs::create_dir_all(&folder)?;
+    let recording = folder.join("run.mcap");
+    let mut command = Command::new(std::env::current_exe()?);
+    command
+        .args(["up", "--json", "--quiet", "--policy", &args.policy])
+        .args(["--devices", &args.devices.to_string(), "--ttis", &args.ttis.to_string()])
+        .args(["--processes", &args.processes.to_string()])
+        .args((!lookahead).then_some("--no-lookahead"))
+        .arg("--out")
+        .arg(folder.join("run"))
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    if is_watched {
+        command
+            .args(["--metrics", "127.0.0.1:0", "--dashboard", "127.0.0.1:0", "--record"])
+            .arg(&recording);
+    }
+    let summary = watched(&mut command, args.browsers)?;
+    let recorded = std::fs::metadata(&recording).map_or(0, |file| file.len());
+    std::fs::remove_dir_all(&folder)?;
+    Ok(Ran {
+        ttis_per_s: summary["timing"]["ttis_per_s"].as_f64().unwrap_or(f64::NAN),
+        digest: summary["digest"].as_str().unwrap_or_default().to_owned(),
+        recorded_mb: recorded as f64 / 1e6,
+    })
+}
+
+/// Runs `command`, looks at what it says that it serves, and gives its summary.
+fn watched(command: &mut Command, browsers: u32) -> anyhow::Result<Value> {
+    let mut run = command.spawn().context("cannot start reveille up")?;
+    let (out, err) = (run.stdout.take(), run.stderr.take());
+    let is_over = Arc::new(AtomicBool::new(false));
+    let told = std::thread::scope(|scope| {
+        let watch = scope.spawn(|| watch(scope, err.into_iter().flat_map(lines), browsers, &is_over));
+        let mut text = String::new();
+        let read = out.map_or(Ok(0), |mut out| out.read_to_string(&mut text));
+        let ended = run.wait();
+        is_over.store(true, Ordering::Relaxed);
+        let said = watch.join().unwrap_or_default();
+        let status = ended?;
+        read?;
+        anyhow::ensure!(status.success(), "reveille up: {said}");
+        Ok(text)
+    })?;
+    Ok(serde_json::from_str(&told)?)
+}
+
+fn lines(read: impl Read) -> impl Iterator<Item = String> {
+    BufReader::new(read).lines().map_while(Result::ok)
+}
+
+/// Looks at each address that `lines` name, until the run is over. Gives all lines.
+fn watch<'scope>(
+    scope: &'scope Scope<'scope, '_>,
+    lines: impl Iterator<Item = String>,
+    browsers: u32,
+    is_over: &'scope Arc<AtomicBool>,
+) -> String {
+    let mut said = String::new();
+    let mut looking: Vec<ScopedJoinHandle<'_, ()>> = Vec::new();
+    for line in lines {
+        let address = line.split("http://").nth(1).and_then(|rest| rest.split('/').next());
+        if let Some(address) = address.map(str::to_owned) {
+            let (path, readers) = if line.contains("/metrics") {
+                ("/metrics", 1)
+            } else {
+                ("/api/live", browsers)
+            };
+            for _ in 0..readers {
+                let address = address.clone();
+                looking.push(scope.spawn(move || look(&address, path, is_over)));
+            }
+        }
+        said = format!("{said}{line}\n");
+    }
+    for one in looking {
+        let _ended = one.join().is_ok();
+    }
+    said
+}
+
+/// Asks for `path` until the run is over: again every second where the answer ends, or reading along where it does not.
+fn look(address: &str, path: &str, is_over: &AtomicBool) {
+    let mut buffer = vec![0; BUFFER];
+    while !is_over.load(Ordering::Relaxed) {
+        let request = format!("GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
+        let Ok(mut stream) = TcpStream::connect(address) else {
+            return;
+        };
+        let _unlimited = stream.set_read_timeout(Some(LOOK)).is_err();
+        if stream.write_all(request.as_bytes()).is_err() {
+            return;
+        }
+        loop {
+            match stream.read(&mut buffer) {
+                Ok(0) => break,
+                Ok(_) => {}
+                Err(_) if is_over.load(Ordering::Relaxed) => return,
+                Err(_) => {}
+            }
+        }
+        std::thread::sleep(SCRAPE);
+    }
+}

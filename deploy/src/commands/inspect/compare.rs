@@ -1,0 +1,65 @@
+//! `reveille inspect compare`: where two recordings first differ.
+
+use std::fmt::Write as _;
+use std::process::ExitCode;
+
+use anyhow::bail;
+use reveille_view::compare::{Difference, Side, fields, recordings};
+
+use super::source::open;
+use crate::cli::CompareArgs;
+use crate::display::out;
+use crate::exit::Exit;
+
+/// The most devices that are named.
+const NAMED: usize = 12;
+
+/// Goes through both recordings, one beside the other.
+pub fn run(args: &CompareArgs) -> anyhow::Result<ExitCode> {
+    let (mut this, mut other) = (open(&args.this)?, open(&args.other)?);
+    let mut said = String::new();
+    for (field, this, other) in fields(&this.bundle().scenario, &other.bundle().scenario)? {
+        let _infallible = writeln!(said, "scenario: {field} is {this}, and {other} in the other");
+    }
+    let (comparison, torn) = recordings(&mut this, &mut other);
+    let differences = comparison.differences();
+    for (nth, difference) in differences.iter().enumerate() {
+        let text = told(difference, nth == 0);
+        said = format!("{said}{text}");
+    }
+    if differences.is_empty() {
+        said = format!("{said}the same happens in both\n");
+    }
+    out(&said)?;
+    if let Some((side, error)) = torn {
+        let path = match side {
+            Side::This => &args.this,
+            Side::Other => &args.other,
+        };
+        bail!("{}: {error}; both are compared up to there", path.display());
+    }
+    Ok(if differences.is_empty() {
+        Exit::Done
+    } else {
+        Exit::Failed
+    }
+    .into())
+}
+
+fn told(difference: &Difference, is_first: bool) -> String {
+    let Difference { tti, kind, .. } = difference;
+    let nth = if is_first { "first difference" } else { "then" };
+    let devices = difference.devices();
+    let named: Vec<String> = devices.iter().take(NAMED).map(ToString::to_string).collect();
+    let whose = match devices.len() {
+        0 => String::new(),
+        more if more > NAMED => format!(", of devices {} and {} more", named.join(", "), more - NAMED),
+        _ => format!(", of devices {}", named.join(", ")),
+    };
+    format!(
+        "{nth}: {} in TTI {tti}{whose}\n  this:  {}\n  other: {}\n",
+        kind.name(),
+        difference.says(Side::This),
+        difference.says(Side::Other)
+    )
+}
