@@ -8,7 +8,7 @@ use axum::Router;
 use axum::extract::{Request, State};
 use axum::http::{StatusCode, header};
 use axum::middleware::{self, Next};
-use axum::response::{IntoResponse, Response};
+use axum::response::{IntoResponse, Redirect, Response};
 use axum::routing::get;
 use reveille_view::metrics::{Metrics, Process};
 use tokio::net::TcpListener;
@@ -50,6 +50,7 @@ pub async fn serve(address: &str, metrics: Arc<Metrics>, process: Arc<Ask>) -> a
     note!("metrics at http://{at}/metrics");
     let served = Served { metrics, process, at };
     let router = Router::new()
+        .route("/", get(|| async { Redirect::temporary("/metrics") }))
         .route("/metrics", get(tell))
         .layer(middleware::from_fn_with_state(served.clone(), guard))
         .with_state(served);

@@ -132,10 +132,19 @@ fn help_lists_the_kinds_with_their_direction_and_the_exit_codes() {
 fn a_waiting_clock_command_returns_when_it_is_done() {
     let (folder, run) = (Folder::new(), unique_run("wait"));
     let up = paused(&folder, &run, "-P 1 -n 5 --pace 20ms");
-    assert_eq!(folder.clock(&run, "step 3 --wait"), "paused before TTI 3 of 60, a TTI every 20ms\n");
-    assert_eq!(folder.clock(&run, "run-to 9 --wait"), "paused before TTI 9 of 60, a TTI every 20ms\n");
+    assert_eq!(
+        folder.clock(&run, "step 3 --wait"),
+        "paused before TTI 3 of 60, a TTI every 20ms\n"
+    );
+    assert_eq!(
+        folder.clock(&run, "run-to 9 --wait"),
+        "paused before TTI 9 of 60, a TTI every 20ms\n"
+    );
     let said = folder.clock(&run, "step 3");
-    assert_eq!(said, "running at TTI 9 of 60, to stop before TTI 12, a TTI every 20ms\n");
+    assert_eq!(
+        said,
+        "running at TTI 9 of 60, to stop before TTI 12, a TTI every 20ms\n"
+    );
     folder.clock(&run, "resume");
     let said = folder.clock(&run, "pause");
     assert!(said.starts_with("paused before TTI "), "{said}");

@@ -219,19 +219,29 @@ fn a_run_is_recorded_from_outside() {
     let (folder, run) = (Folder::new(), unique_run("outside"));
     let up = folder.start(&format!("up -P 1 -n 20 -k 300 --paused --run {run} --quiet --out o"));
     folder.wait_for_tti(&run, 0);
-    let record = folder.start(&format!("inspect record r.mcap --run {run}"));
-    record.wait_for_stderr("connected to run");
-    std::thread::sleep(Duration::from_millis(500));
+    let start = |file: &str| {
+        let record = folder.start(&format!("inspect record {file} --run {run}"));
+        record.wait_for_stderr("connected to run");
+        std::thread::sleep(Duration::from_millis(500));
+        record
+    };
+    // What was before the second joined follows from the scenario.
+    let early = start("early.mcap");
+    folder.clock(&run, "run-to 137 --wait");
+    let late = start("late.mcap");
     folder.clock(&run, "resume");
     let end = up.finish();
     assert!(end.is_success(), "{end}");
-    let record = record.finish();
-    assert!(record.is_success() && record.stderr.contains("recorded "), "{record}");
-    let end = folder.run("inspect verify r.mcap");
     let digest = folder.run("run -n 20 -k 300 --quiet --out p").stdout;
     let digest = digest.trim().trim_start_matches("digest ").to_owned();
-    assert!(end.stdout.contains(&digest), "{end}");
-    assert_refused(&end, 1, &["no summary"]);
+    for (record, file) in [(early, "early.mcap"), (late, "late.mcap")] {
+        let record = record.finish();
+        assert!(record.is_success() && record.stderr.contains("recorded "), "{record}");
+        let end = folder.run(&format!("inspect verify {file}"));
+        assert!(end.stdout.contains(&digest), "{end}");
+        assert_refused(&end, 1, &["no summary"]);
+    }
+    assert!(shown(&folder, "late.mcap --plane air") == shown(&folder, "early.mcap --plane air"));
 }
 
 #[test]

@@ -327,7 +327,8 @@ impl Metrics {
                 .get_or_create(&AtMost { at_most })
                 .set(count.cast_signed());
         }
-        let sum: f64 = views.iter().map(|view| view.battery.units()).sum();
+        // An empty sum of floating-point numbers is -0.
+        let sum = views.iter().fold(0.0, |sum, view| sum + view.battery.units());
         self.handles.mean_battery.set(sum / views.len().max(1) as f64);
     }
 

@@ -98,6 +98,7 @@ pub(super) async fn run(
         pace: settings.pace,
         due: None,
     };
+    this.show();
     let started = now();
     while this.cycle.next_tti() < boundaries.end() && this.may_go_on().await? {
         if !this.grant(observer).await? {

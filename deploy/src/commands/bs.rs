@@ -289,7 +289,7 @@ async fn prepare(service: &Service<'_>) -> anyhow::Result<Prerequisites> {
                 sink(frame);
             }
             if let Some(hose) = &hose {
-                hose.take(frame.clone());
+                let _gone = hose.take(frame.clone());
             }
         }));
     }

@@ -12,7 +12,6 @@ use super::inspect::live::Live;
 use super::inspect::source::{groups, open};
 use crate::cli::DashboardArgs;
 use crate::dashboard::feed::{Beside, Feed};
-use crate::dashboard::past::Past;
 use crate::dashboard::serve;
 use crate::display::note;
 use crate::exit::Exit;
@@ -96,21 +95,7 @@ async fn live(args: &DashboardArgs) -> anyhow::Result<()> {
     let dashboard = serve(&args.listen, Arc::clone(&feed), Some(live.bus())).await?;
     note!("the run is shown at {}; Ctrl-C ends", dashboard.url);
     let hose = feed.open()?;
-    let mut past = Past::new(scenario);
-    let mut missing = false;
-    // Nobody else has a say in this process: it may take its time.
-    tokio::task::block_in_place(|| past.tell(live.status.tti, |frame| hose.take(frame)));
-    while let Some((frames, left_out)) = live.next().await {
-        if left_out > 0 && !missing {
-            note!("{left_out} messages were left out because this could not keep up: what follows is not known");
-            missing = true;
-        }
-        tokio::task::block_in_place(|| {
-            for frame in frames {
-                past.hear(frame, |frame| hose.take(frame));
-            }
-        });
-    }
+    live.follow(scenario, |frame| hose.take(frame)).await;
     drop(hose);
     if live.has_ended() {
         note!("the run has ended; what was seen of it is shown until Ctrl-C");

@@ -88,9 +88,9 @@ struct Known {
 pub struct Hose(SyncSender<Frame>);
 
 impl Hose {
-    /// Takes in a frame; waits while too many are waiting.
-    pub fn take(&self, frame: Frame) {
-        let _gone = self.0.send(frame).is_err();
+    /// Takes in a frame; waits while too many are waiting. False once nobody takes them any more.
+    pub fn take(&self, frame: Frame) -> bool {
+        self.0.send(frame).is_ok()
     }
 }
 

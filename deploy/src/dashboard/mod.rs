@@ -5,7 +5,6 @@
 
 mod api;
 pub mod feed;
-pub mod past;
 
 use std::net::SocketAddr;
 use std::sync::Arc;

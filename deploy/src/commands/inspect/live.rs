@@ -5,10 +5,12 @@ use std::time::Duration;
 
 use reveille_common::bus::{Bus, Declared};
 use reveille_common::message::{ClockCommand, ClockStatus, Describe, Frame, TapBatch};
+use reveille_common::scenario::Scenario;
 use reveille_view::recording::Bundle;
 use tokio::sync::Notify;
 use tokio::sync::mpsc::UnboundedReceiver;
 
+use super::past::Past;
 use crate::cli::TargetArgs;
 use crate::display::note;
 use crate::local;
@@ -25,7 +27,7 @@ pub struct Live {
     /// Number of devices N.
     pub devices: u32,
     /// Where it was when this connected.
-    pub status: ClockStatus,
+    status: ClockStatus,
     batches: UnboundedReceiver<TapBatch>,
     ended: Arc<Notify>,
     is_over: bool,
@@ -114,6 +116,28 @@ impl Live {
         // That the run has ended is told faster than what it said last.
         let last = tokio::time::timeout(LAST, self.batches.recv()).await;
         last.ok().flatten().map(|batch| self.take(batch))
+    }
+
+    /// Hands to `take` every frame of the run of `scenario` from TTI 0 on, whenever this has connected, but for those of
+    /// the emulation plane of before; until the run ends, Ctrl-C is pressed, or `take` wants no more. Messages that were
+    /// left out on the way are said once, and counted.
+    pub async fn follow(&mut self, scenario: Scenario, mut take: impl FnMut(Frame) -> bool) {
+        let mut past = Past::new(scenario);
+        let (mut goes_on, mut is_told) = (true, false);
+        // Nobody else has a say in this process: what has to be worked out may take its time.
+        tokio::task::block_in_place(|| past.tell(self.status.tti, |frame| goes_on &= take(frame)));
+        while goes_on && let Some((frames, _)) = self.next().await {
+            tokio::task::block_in_place(|| {
+                for frame in frames {
+                    past.hear(frame, |frame| goes_on &= take(frame));
+                }
+            });
+            if self.left_out > 0 && !is_told {
+                let (left_out, tti) = (self.left_out, past.told());
+                note!("{left_out} messages after TTI {tti} were left out, because this could not keep up");
+                is_told = true;
+            }
+        }
     }
 
     fn take(&mut self, batch: TapBatch) -> (Vec<Frame>, u64) {

@@ -3,6 +3,7 @@
 mod compare;
 mod export;
 pub mod live;
+mod past;
 mod record;
 pub mod source;
 mod stats;

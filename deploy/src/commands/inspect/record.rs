@@ -23,16 +23,12 @@ pub async fn run(args: &InspectRecordArgs) -> anyhow::Result<ExitCode> {
     let recorder = Recorder::start(path, &live.run, &bundle).map_err(failed)?;
     live.greet();
     let tape = recorder.tape();
-    let (mut first, started) = (None, crate::wall::now());
-    while let Some((frames, _)) = live.next().await {
-        first = first.or(frames.first().map(|frame| frame.tti));
-        for frame in frames {
-            tape.take(frame);
-        }
-        if tape.failure().is_some() {
-            break;
-        }
-    }
+    let started = crate::wall::now();
+    let record = |frame| {
+        tape.take(frame);
+        tape.failure().is_none()
+    };
+    live.follow(bundle.load()?, record).await;
     drop(tape);
     let left_out = live.left_out;
     let recorded = recorder.finish(None).map_err(failed)?;
@@ -49,9 +45,6 @@ pub async fn run(args: &InspectRecordArgs) -> anyhow::Result<ExitCode> {
             "{}: {left_out} messages are missing, because this could not keep up; `up --record` makes the run wait",
             path.display()
         );
-    }
-    if let Some(first) = first.filter(|first| first.0 > 0) {
-        note!("it begins in TTI {first}: what was before is not in it");
     }
     Ok(Exit::Done.into())
 }

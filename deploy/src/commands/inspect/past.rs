@@ -11,7 +11,7 @@ use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Options, Run};
 
 /// Puts what has happened before in front of what is heard.
-pub struct Past {
+pub(super) struct Past {
     scenario: Scenario,
     /// The run in memory, once it is needed.
     run: Option<Run>,
@@ -32,6 +32,11 @@ impl Past {
             is_within: false,
             is_over: false,
         }
+    }
+
+    /// The TTIs before this one have been told, until what is heard is handed on.
+    pub const fn told(&self) -> Tti {
+        self.told
     }
 
     /// Tells of all TTIs before `end` that are not told yet.
