@@ -44,6 +44,7 @@ impl Observer for Watch {
             | Happening::Failed { .. }
             | Happening::WakeUp { .. }
             | Happening::Woken { .. }
+            | Happening::Believed { .. }
             | Happening::States(_) => {}
         }
     }

@@ -5,6 +5,7 @@
 //! of a run in memory, from the tap of a run on the bus, or from a [recording], and nobody who reads them need know
 //! which.
 
+pub mod batches;
 pub mod compare;
 pub mod export;
 pub mod filter;

@@ -98,6 +98,8 @@ struct Handles {
     wrong: Counter,
     messages: Family<OfKind, Counter>,
     bytes: Family<OfKind, Counter>,
+    /// The counters of both, a pair for each kind in the order of [`MessageKind::ALL`]: a frame finds its own at once.
+    by_kind: Vec<(Counter, Counter)>,
     spent: Family<OfState, Counter<f64, AtomicU64>>,
     harvested: Counter<f64, AtomicU64>,
     states: Family<OfState, Gauge>,
@@ -113,7 +115,17 @@ struct Handles {
 
 impl Handles {
     fn register(registry: &mut Registry) -> Self {
+        let (messages, bytes) = (Family::default(), Family::default());
+        // Every series is there from the first, so that what has not happened yet is 0.
+        let by_kind = MessageKind::ALL.iter().map(|kind| {
+            let of = OfKind::of(*kind);
+            let counter = |family: &Family<OfKind, Counter>| family.get_or_create(&of).clone();
+            (counter(&messages), counter(&bytes))
+        });
         let own = Self {
+            by_kind: by_kind.collect(),
+            messages: Family::clone(&messages),
+            bytes: Family::clone(&bytes),
             delays: Histogram::new(DELAYS),
             tti: Gauge::default(),
             ttis: Counter::default(),
@@ -122,8 +134,6 @@ impl Handles {
             missed: Counter::default(),
             information: Counter::default(),
             wrong: Counter::default(),
-            messages: Family::default(),
-            bytes: Family::default(),
             spent: Family::default(),
             harvested: Counter::default(),
             states: Family::default(),
@@ -248,11 +258,6 @@ impl Metrics {
 
     /// Every series is there from the first, so that what has not happened yet is 0.
     fn begin(&self) {
-        for kind in MessageKind::ALL {
-            let of = OfKind::of(*kind);
-            drop(self.handles.messages.get_or_create(&of));
-            drop(self.handles.bytes.get_or_create(&of));
-        }
         for state in ["sensing", "sleep", "report"] {
             drop(self.handles.spent.get_or_create(&OfState { state }));
         }
@@ -262,9 +267,9 @@ impl Metrics {
 
     /// Counts a frame.
     pub fn count(&self, frame: &Frame) {
-        let of = OfKind::of(frame.kind);
-        self.handles.messages.get_or_create(&of).inc();
-        self.handles.bytes.get_or_create(&of).inc_by(frame.payload.len() as u64);
+        let (messages, bytes) = &self.handles.by_kind[frame.kind as usize];
+        messages.inc();
+        bytes.inc_by(frame.payload.len() as u64);
         if frame.kind == MessageKind::World
             && let Ok(Message::World(world)) = frame.message()
         {

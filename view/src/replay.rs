@@ -8,7 +8,7 @@ use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{EventNews, Frame, Message, Plane};
 use reveille_common::plan::Plan;
 use reveille_common::scenario::Scenario;
-use reveille_common::score::{Final, Score};
+use reveille_common::score::{Final, Metrics, Score};
 use reveille_common::totals::EventTotals;
 
 use crate::mirror::{Discrepancy, Mirror};
@@ -70,17 +70,24 @@ impl Replay {
 
     /// What the run came to, if it ended here, after the TTI that was reached last.
     pub fn finish(self) -> Final {
-        let end = self.mirror.now().map_or(Tti::ZERO, |last| last + 1);
-        let Self {
-            scenario,
-            mirror,
-            score,
-            ..
-        } = self;
+        let (alpha, end) = self.so_far();
+        self.score.finish(alpha, end, &self.mirror.ledgers())
+    }
+
+    /// The metrics if it ended here.
+    pub fn metrics(&self) -> Metrics {
+        let (alpha, end) = self.so_far();
+        self.score.metrics(alpha, end, &self.mirror.ledgers())
+    }
+
+    /// The start probability of events in the measured TTIs so far, and the TTI that is to come next.
+    fn so_far(&self) -> (f64, Tti) {
+        let (scenario, end) = (&self.scenario, self.mirror.next());
+        let measured_from = scenario.warm_up_end();
         let alpha = scenario
             .events
-            .mean_start_probability(scenario.seed, scenario.warm_up_end(), end);
-        score.finish(alpha, end, &mirror.ledgers())
+            .mean_start_probability(scenario.seed, measured_from, end);
+        (alpha, end)
     }
 
     /// The devices.

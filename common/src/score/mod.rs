@@ -192,8 +192,26 @@ impl Score {
     /// The score of a run that ended before TTI `end`, where events started with probability `alpha` in the measured
     /// TTIs. `ledgers` are the devices' books in the order of ids.
     pub fn finish(mut self, alpha: f64, end: Tti, ledgers: &[Ledger]) -> Final {
+        let totals = self.totals(end, ledgers);
+        for (device, ledger) in self.devices.iter_mut().zip(ledgers) {
+            device.ledger = *ledger;
+        }
+        Final {
+            digest: self.fingerprint.finish(ledgers, &totals),
+            metrics: Metrics::of(alpha, &totals),
+            totals,
+            devices: self.devices,
+        }
+    }
+
+    /// The metrics of a run if it ended before TTI `end`, as in [`Self::finish`].
+    pub fn metrics(&self, alpha: f64, end: Tti, ledgers: &[Ledger]) -> Metrics {
+        Metrics::of(alpha, &self.totals(end, ledgers))
+    }
+
+    fn totals(&self, end: Tti, ledgers: &[Ledger]) -> Totals {
         let measured = || ledgers.iter().map(|ledger| &ledger.measured);
-        let totals = Totals {
+        Totals {
             devices: ledgers.len() as u64,
             ttis: end.0.saturating_sub(self.warm_up_end.0),
             events: self.events,
@@ -203,15 +221,6 @@ impl Score {
             uplink: self.uplink,
             energy: measured().copied().sum(),
             spread: Spread::of(measured()),
-        };
-        for (device, ledger) in self.devices.iter_mut().zip(ledgers) {
-            device.ledger = *ledger;
-        }
-        Final {
-            digest: self.fingerprint.finish(ledgers, &totals),
-            metrics: Metrics::of(alpha, &totals),
-            totals,
-            devices: self.devices,
         }
     }
 

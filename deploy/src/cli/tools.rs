@@ -182,7 +182,7 @@ pub struct WatchBenchArgs {
     #[arg(long, short = 'P', default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..))]
     pub processes: u32,
     /// TTIs of each run.
-    #[arg(long, short = 'k', default_value_t = 20_000)]
+    #[arg(long, short = 'k', default_value_t = 40_000)]
     pub ttis: u64,
     /// Browsers that follow the dashboard.
     #[arg(long, default_value_t = 1)]

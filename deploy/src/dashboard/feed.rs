@@ -2,8 +2,9 @@
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use reveille_common::deployment::Deployment;
 use reveille_common::geometry::cells;
@@ -12,6 +13,7 @@ use reveille_common::message::{EventNews, Frame, Message, MessageKind, WakeOutco
 use reveille_common::scenario::Scenario;
 use reveille_common::state::{DeviceState, DeviceView};
 use reveille_common::units::Energy;
+use reveille_view::batches::{Batches, step_back};
 use reveille_view::compare::{Comparison, Difference, Field, Side};
 use reveille_view::story::{Moment, Story};
 use reveille_view::traffic::Traffic;
@@ -22,6 +24,8 @@ use tokio::sync::Notify;
 const LIVE: u64 = 100_000;
 /// Frames that may wait to be taken in.
 const QUEUE: usize = 65_536;
+/// How long to wait for a frame at a time.
+const IDLE: Duration = Duration::from_secs(1);
 /// The most points of a curve; with more, every other one is left out.
 const POINTS: usize = 800;
 /// TTIs from one point to the next at first, in a run that is long enough.
@@ -156,11 +160,21 @@ impl Feed {
     /// # Errors
     /// If no thread can be started.
     pub fn open(self: &Arc<Self>) -> std::io::Result<Hose> {
-        let (send, frames): (_, Receiver<Frame>) = sync_channel(QUEUE);
-        let feed = Arc::clone(self);
+        let (send, frames) = sync_channel(QUEUE);
+        let (feed, mut batches) = (Arc::clone(self), Batches::new(frames));
         let take = move || {
-            while let Ok(frame) = frames.recv() {
-                feed.take(frame);
+            step_back();
+            loop {
+                match batches.next(IDLE) {
+                    Ok(batch) => {
+                        let mut known = feed.known();
+                        for frame in batch {
+                            known.take(frame);
+                        }
+                    }
+                    Err(RecvTimeoutError::Timeout) => continue,
+                    Err(RecvTimeoutError::Disconnected) => break,
+                }
                 feed.bell.notify_waiters();
             }
             feed.end();
@@ -171,23 +185,7 @@ impl Feed {
 
     /// Takes in a frame.
     pub fn take(&self, frame: Frame) {
-        let mut known = self.known();
-        known.traffic.count(&frame);
-        known.tick(&frame);
-        let is_first = known.story.span().1 == Tti::ZERO;
-        if let Some(comparison) = &mut known.comparison {
-            if is_first {
-                comparison.skip_to(frame.tti);
-            }
-            comparison.take(Side::This, &frame);
-        }
-        if let Err(error) = known.story.take(frame) {
-            known.broken.get_or_insert_with(|| error.to_string());
-        }
-        let (_, next) = known.story.span();
-        if next >= known.due && next > Tti::ZERO {
-            known.draw(next);
-        }
+        self.known().take(frame);
     }
 
     /// No more comes.
@@ -311,6 +309,25 @@ impl Feed {
 }
 
 impl Known {
+    fn take(&mut self, frame: Frame) {
+        self.traffic.count(&frame);
+        self.tick(&frame);
+        let is_first = self.story.span().1 == Tti::ZERO;
+        if let Some(comparison) = &mut self.comparison {
+            if is_first {
+                comparison.skip_to(frame.tti);
+            }
+            comparison.take(Side::This, &frame);
+        }
+        if let Err(error) = self.story.take(frame) {
+            self.broken.get_or_insert_with(|| error.to_string());
+        }
+        let (_, next) = self.story.span();
+        if next >= self.due && next > Tti::ZERO {
+            self.draw(next);
+        }
+    }
+
     /// Notes what `frame` tells of events.
     fn tick(&mut self, frame: &Frame) {
         let is_news = matches!(
@@ -370,7 +387,7 @@ impl Known {
             let at = (share * levels.len().saturating_sub(1) as f64).round() as usize;
             levels.get(at).map(|level| level.units())
         };
-        let metrics = self.story.now().clone().finish().metrics;
+        let metrics = self.story.now().metrics();
         let value = |name: &str| metrics.value(name).filter(|value| value.is_finite());
         let ttis = self.traffic.ttis().max(1) as f64;
         json!({

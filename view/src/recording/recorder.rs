@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::sync::mpsc::{RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, OnceLock};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -14,6 +14,7 @@ use reveille_common::message::Frame;
 
 use super::bundle::Bundle;
 use super::writer::Writer;
+use crate::batches::{Batches, step_back};
 
 /// Frames that may wait to be written.
 const QUEUE: usize = 8_192;
@@ -75,7 +76,8 @@ impl Recorder {
         let shared = Arc::new(Shared::default());
         let own = Arc::clone(&shared);
         let write = move || {
-            let written = write(writer, &items);
+            step_back();
+            let written = write(writer, Batches::new(items));
             if let Err(error) = &written {
                 // Nobody else sets it.
                 let _first = own.failure.set(error.to_string());
@@ -147,13 +149,21 @@ impl Tape {
 
 /// Writes what comes until the end; gives the number of frames. Where no end comes, as the run has failed, the file is
 /// closed without a summary.
-fn write(mut writer: Writer<BufWriter<File>>, items: &Receiver<Item>) -> McapResult<u64> {
+fn write(mut writer: Writer<BufWriter<File>>, mut items: Batches<Item>) -> McapResult<u64> {
     loop {
-        match items.recv_timeout(IDLE) {
-            Ok(Item::Frame(frame)) => writer.write(&frame)?,
-            Ok(Item::End(summary)) => return close(writer, summary.as_deref()),
-            Err(RecvTimeoutError::Timeout) => writer.flush()?,
+        let batch = match items.next(IDLE) {
+            Ok(batch) => batch,
+            Err(RecvTimeoutError::Timeout) => {
+                writer.flush()?;
+                continue;
+            }
             Err(RecvTimeoutError::Disconnected) => return close(writer, None),
+        };
+        for item in batch {
+            match item {
+                Item::Frame(frame) => writer.write(&frame)?,
+                Item::End(summary) => return close(writer, summary.as_deref()),
+            }
         }
     }
 }
