@@ -30,6 +30,7 @@ impl Observer for Heard {
             | Happening::Failed { .. }
             | Happening::Woken { .. }
             | Happening::Closed(_)
+            | Happening::Believed { .. }
             | Happening::States(_) => {}
         }
     }

@@ -8,17 +8,19 @@ use reveille_bs::scenario::{Override, load};
 use reveille_common::event::{EventProcess, EventRecord, ScriptedEvent};
 use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::Likely;
 use reveille_common::plan::Plan;
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::world::World;
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Options, Run};
 
-/// All that a base station commands in a run, and its events.
+/// All that a base station commands in a run, and what it believes of events.
 #[derive(Debug, Default, PartialEq)]
 struct Transcript {
     plans: Vec<(Tti, Plan)>,
     wake_ups: Vec<(Tti, DeviceId)>,
+    beliefs: Vec<(Tti, Vec<Likely>)>,
 }
 
 #[derive(Default)]
@@ -32,6 +34,7 @@ impl Observer for Watch {
         match happening {
             Happening::Plan { update, .. } => self.transcript.plans.push((update.from, update.plan.clone())),
             Happening::WakeUp { tti, device } => self.transcript.wake_ups.push((*tti, *device)),
+            Happening::Believed { tti, places } => self.transcript.beliefs.push((*tti, places.to_vec())),
             Happening::EventEnded(event) => self.events.push(**event),
             Happening::Granted(_)
             | Happening::EventStarted(_)
@@ -41,6 +44,10 @@ impl Observer for Watch {
             | Happening::Closed(_)
             | Happening::States(_) => {}
         }
+    }
+
+    fn wants_beliefs(&self) -> bool {
+        true
     }
 }
 

@@ -114,7 +114,7 @@ struct Handles {
 }
 
 impl Handles {
-    fn register(registry: &mut Registry) -> Self {
+    fn new() -> Self {
         let (messages, bytes) = (Family::default(), Family::default());
         // Every series is there from the first, so that what has not happened yet is 0.
         let by_kind = MessageKind::ALL.iter().map(|kind| {
@@ -122,7 +122,7 @@ impl Handles {
             let counter = |family: &Family<OfKind, Counter>| family.get_or_create(&of).clone();
             (counter(&messages), counter(&bytes))
         });
-        let own = Self {
+        Self {
             by_kind: by_kind.collect(),
             messages: Family::clone(&messages),
             bytes: Family::clone(&bytes),
@@ -144,7 +144,11 @@ impl Handles {
             max_late: Gauge::default(),
             waited: Counter::default(),
             left_out: Counter::default(),
-        };
+        }
+    }
+
+    fn register(&self, registry: &mut Registry) {
+        let own = self;
         registry.register("next_tti", "The next TTI to be granted", own.tti.clone());
         registry.register("ttis", "TTIs that were run", own.ttis.clone());
         registry.register("grants", "Grants of the virtual clock", own.grants.clone());
@@ -221,7 +225,6 @@ impl Handles {
             "TTIs from the start of a counted event to its first report",
             own.delays.clone(),
         );
-        own
     }
 }
 
@@ -229,7 +232,8 @@ impl Metrics {
     /// The metrics of the run called `run`, of `scenario`, before TTI 0.
     pub fn new(run: &str, scenario: &Scenario) -> Arc<Self> {
         let mut registry = Registry::with_prefix("reveille");
-        let handles = Handles::register(&mut registry);
+        let handles = Handles::new();
+        handles.register(&mut registry);
         let about: Family<OfRun, Gauge> = Family::default();
         let of = OfRun {
             run: run.to_owned(),

@@ -5,8 +5,8 @@ use std::time::Duration;
 use reveille_common::ids::Tti;
 use reveille_common::message::{ClockCommand, Pace};
 
-/// The longest time from one TTI to the next.
-const SLOWEST: Duration = Duration::from_secs(24 * 3600);
+/// The longest time from one TTI to the next, microseconds: a day.
+const SLOWEST: u64 = 86_400_000_000;
 
 /// Where the clock must stop, and how fast it goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,7 +34,7 @@ impl VirtualClock {
             ClockCommand::Step(n) => self.until = next.saturating_add(n),
             ClockCommand::RunTo(k) if k >= next && k <= self.end => self.until = k,
             ClockCommand::Resume => self.until = Tti::NEVER,
-            ClockCommand::Pace(Pace::RealTime(duration)) => self.pace = Pace::RealTime(duration.min(SLOWEST)),
+            ClockCommand::Pace(Pace::RealTime(micros)) => self.pace = Pace::RealTime(micros.min(SLOWEST)),
             ClockCommand::Pace(Pace::Max) => self.pace = Pace::Max,
             ClockCommand::RunTo(_) | ClockCommand::Status => {}
         }
@@ -97,12 +97,9 @@ mod tests {
         }
         clock.obey(ClockCommand::Resume, Tti(50));
         assert_eq!((clock.until(), clock.pace()), (Tti::NEVER, Pace::Max));
-        for (seconds, kept) in [(2, 2), (u64::MAX, 86_400)] {
-            clock.obey(
-                ClockCommand::Pace(Pace::RealTime(Duration::from_secs(seconds))),
-                Tti(50),
-            );
-            assert_eq!(clock.pace(), Pace::RealTime(Duration::from_secs(kept)));
+        for (micros, kept) in [(2, 2), (u64::MAX, SLOWEST)] {
+            clock.obey(ClockCommand::Pace(Pace::RealTime(micros)), Tti(50));
+            assert_eq!(clock.pace(), Pace::RealTime(kept));
         }
         assert_eq!(clock.until(), Tti::NEVER);
     }

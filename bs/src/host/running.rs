@@ -262,9 +262,10 @@ impl Loop<'_> {
 
     /// Waits until `first` is due, under a real-time pace.
     async fn keep_pace(&mut self, first: Tti) -> Result<(), BsError> {
-        let Pace::RealTime(duration) = self.pace else {
+        let Pace::RealTime(micros) = self.pace else {
             return Ok(());
         };
+        let duration = Duration::from_micros(micros);
         let now = now();
         let due = match self.due {
             Some((tti, moment)) => moment + duration.saturating_mul((first - tti) as u32),

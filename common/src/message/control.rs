@@ -1,7 +1,6 @@
 //! Emulation: commands to the virtual clock, and where it is.
 
 use std::fmt;
-use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
@@ -13,15 +12,17 @@ use crate::ids::{DeviceId, HostId, Tti};
 pub enum Pace {
     /// As fast as the hosts answer.
     Max,
-    /// One TTI in this time; being late is counted, never made up for by stretching.
-    RealTime(Duration),
+    /// One TTI in so many microseconds; being late is counted, never made up for by stretching.
+    RealTime(u64),
 }
 
 impl fmt::Display for Pace {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Max => f.write_str("max"),
-            Self::RealTime(duration) => write!(f, "{duration:?}"),
+            Self::RealTime(micros) if micros % 1_000_000 == 0 => write!(f, "{}s", micros / 1_000_000),
+            Self::RealTime(micros) if micros % 1_000 == 0 => write!(f, "{}ms", micros / 1_000),
+            Self::RealTime(micros) => write!(f, "{micros}us"),
         }
     }
 }
@@ -173,7 +174,7 @@ mod tests {
             ),
             (
                 ClockStatus {
-                    pace: Pace::RealTime(Duration::from_millis(4)),
+                    pace: Pace::RealTime(4_000),
                     ..running.clone()
                 },
                 "running at TTI 12 of 400, a TTI every 4ms",

@@ -2,9 +2,9 @@
 //!
 //! Three planes: on the *air* plane travels what a real deployment would send over the radio, on the *emulation* plane
 //! what only the emulation needs; on the plane of *truth* nothing travels, it is what observers are told of the
-//! modelled world, and of what the BS makes of it, besides. The table `messages!` below is the one list of kinds: the keys ([`crate::keys`]), the typed
-//! bus (`crate::bus`), `reveille inspect`, its help and its page, and the fuzz target read it. A new kind is a row of
-//! the table and a file with its payload.
+//! modelled world, and of what the BS makes of it, besides. The table `messages!` below is the one list of kinds: the
+//! keys ([`crate::keys`]), the typed bus (`crate::bus`), `reveille inspect`, its help and its page, and the fuzz target
+//! read it. A new kind is a row of the table and a file with its payload.
 //!
 //! Not in the table: the copies of all of them for observers ([`Frame`]), which are no part of the run.
 

@@ -1,7 +1,6 @@
 //! `reveille bench watch`: what looking at a run costs it.
 //!
-//! The same run by itself, and with what the options name: recorded, its metrics scraped every second, and its dashboard
-//! read by browsers. Both sides take turns, so that a machine that gets busy is busy for both.
+//! The same run by itself, and watched: recorded, its metrics scraped every second, its dashboard read by browsers. Both sides take turns, so that a machine that gets busy is busy for both.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
@@ -169,9 +168,8 @@ fn look(address: &str, path: &str, is_over: &AtomicBool) {
         loop {
             match stream.read(&mut buffer) {
                 Ok(0) => break,
-                Ok(_) => {}
                 Err(_) if is_over.load(Ordering::Relaxed) => return,
-                Err(_) => {}
+                Ok(_) | Err(_) => {}
             }
         }
         std::thread::sleep(SCRAPE);

@@ -77,7 +77,7 @@ pub(super) fn parse_pace(text: &str) -> Result<Pace, String> {
         return Ok(Pace::Max);
     }
     parse_duration(text)
-        .map(Pace::RealTime)
+        .map(|duration| Pace::RealTime(duration.as_micros() as u64))
         .map_err(|e| format!("must be `max` or {e}"))
 }
 

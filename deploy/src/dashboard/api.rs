@@ -342,7 +342,7 @@ pub(super) async fn command(
         ("step", n) => ClockCommand::Step(n.unwrap_or(1).max(1)),
         ("run-to", Some(n)) => ClockCommand::RunTo(Tti(n)),
         ("pace", Some(0)) => ClockCommand::Pace(Pace::Max),
-        ("pace", Some(n)) => ClockCommand::Pace(Pace::RealTime(Duration::from_millis(n))),
+        ("pace", Some(n)) => ClockCommand::Pace(Pace::RealTime(n.saturating_mul(1_000))),
         _ => {
             let why = "the clock knows pause, resume, step?n=1, run-to?n=4000, and pace?n=5 for 5 ms a TTI, 0 for none";
             let why = why.to_owned();

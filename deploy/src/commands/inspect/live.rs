@@ -118,9 +118,9 @@ impl Live {
         last.ok().flatten().map(|batch| self.take(batch))
     }
 
-    /// Hands to `take` every frame of the run of `scenario` from TTI 0 on, whenever this has connected, but for those of
-    /// the emulation plane of before; until the run ends, Ctrl-C is pressed, or `take` wants no more. Messages that were
-    /// left out on the way are said once, and counted.
+    /// Hands to `take` every frame of the run of `scenario` from TTI 0 on, whenever this has connected, but for those
+    /// of the emulation plane of before; until the run ends, Ctrl-C is pressed, or `take` wants no more. Messages that
+    /// were left out on the way are said once, and counted.
     pub async fn follow(&mut self, scenario: Scenario, mut take: impl FnMut(Frame) -> bool) {
         let mut past = Past::new(scenario);
         let (mut goes_on, mut is_told) = (true, false);

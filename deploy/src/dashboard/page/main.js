@@ -163,8 +163,8 @@ async function showMessage(id) {
   by("detail").showModal();
 }
 
-// A pace as the clock tells it: "Max", or the time a TTI takes.
-const milliseconds = ({ RealTime: every }) => (every ? every.secs * 1000 + every.nanos / 1e6 : 0);
+// A pace as the clock tells it: "Max", or the microseconds that a TTI takes.
+const milliseconds = ({ RealTime: micros }) => (micros ? micros / 1000 : 0);
 
 function stands({ status, text }) {
   by("said").textContent = text;
