@@ -114,6 +114,8 @@ def started(here, name, *command):
     try:
         yield wait(lambda: next((word.strip(";") for word in said.read_text().split() if word.startswith("http://")), None), 60)
     finally:
+        if process.poll() is not None:
+            print(f"ended by itself: {' '.join(map(str, command))}\n{said.read_text()}", file=sys.stderr)
         process.kill()
         process.wait()
 

@@ -50,7 +50,7 @@ fn metrics_are_served_to_this_machine_alone() {
     );
     assert!(answer.contains("reveille_ttis_total 0\n"), "{answer}");
     assert!(get(address, "/metrics", "evil.example").starts_with("HTTP/1.1 421"));
-    assert!(get(address, "/", "localhost").starts_with("HTTP/1.1 404"));
+    assert!(get(address, "/", "localhost").starts_with("HTTP/1.1 307"));
     folder.wait_for_tti(&run, 0);
     folder.clock(&run, "resume");
     assert!(up.finish().is_success());

@@ -95,6 +95,8 @@ fn filters_and_joined_wake_ups_show_what_they_say() {
     let unheard = |line: &&Value| line["kind"] == "woken" && line["message"]["outcome"] == "Unheard";
     let deaf = shown(&folder, "r.mcap --state deaf --kind wake");
     assert_eq!(deaf.len(), all.iter().filter(unheard).count());
+    // Whoever is woken was asleep before, and is shown with what came of it.
+    assert_eq!(shown(&folder, "r.mcap --join --state S4 --kind wake"), joined);
     // Every device is in one cluster.
     let clusters = folder.run("inspect tail --from r.mcap --cluster 999");
     assert_refused(&clusters, 1, &["--cluster 999", "clusters, 0 to"]);

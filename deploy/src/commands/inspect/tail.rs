@@ -8,6 +8,7 @@ use reveille_common::deployment::Deployment;
 use reveille_common::ids::DeviceId;
 use reveille_common::message::{Frame, MessageKind, Plane};
 use reveille_common::scenario::Scenario;
+use reveille_common::state::DeviceState;
 use reveille_view::filter::Filter;
 use reveille_view::join::{Join, Joined, Step};
 use reveille_view::line::Line;
@@ -96,6 +97,8 @@ struct Printer<'a> {
     join: Option<Join>,
     /// Tells the states of devices, where they are asked for.
     mirror: Option<Mirror>,
+    /// The state of the device that was woken last, before that.
+    before_wake: Option<DeviceState>,
     has_colour: bool,
     printed: u64,
 }
@@ -105,6 +108,7 @@ impl<'a> Printer<'a> {
         let is_wanted = |_: &&Scenario| !filter.states.is_empty();
         Self {
             join: args.join.then(Join::default),
+            before_wake: None,
             mirror: scenario
                 .filter(is_wanted)
                 .map(|scenario| Mirror::new(scenario, &Deployment::new(scenario))),
@@ -167,6 +171,9 @@ impl<'a> Printer<'a> {
         let mut state = None;
         if let Some(mirror) = &mut self.mirror {
             state = frame.number.and_then(|number| mirror.state(DeviceId(number)));
+            if frame.kind == MessageKind::Wake {
+                self.before_wake = state;
+            }
             if let Ok(message) = &line.message {
                 mirror.take(frame, message)?;
             }
@@ -181,7 +188,7 @@ impl<'a> Printer<'a> {
                 kind: MessageKind::Wake,
                 ..frame.clone()
             };
-            let passes = self.filter.passes(&wake, line.message.as_ref().ok(), state);
+            let passes = self.filter.passes(&wake, line.message.as_ref().ok(), self.before_wake);
             return Ok(passes.then(|| self.joined(&joined)));
         }
         let passes = step == Step::Alone && self.filter.passes(frame, line.message.as_ref().ok(), state);
