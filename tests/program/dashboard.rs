@@ -121,7 +121,7 @@ fn a_run_is_followed_paused_and_stepped() {
     let history = page.get("/api/device/3?from=20&end=120");
     assert_eq!(history["batteries"].as_array().map(Vec::len), Some(100));
     // Another pace: 20 TTIs take 200 ms at the least.
-    let paced = page.drive("pace?n=10");
+    let paced = page.drive("pace?n=10000");
     assert_eq!(paced["status"]["pace"]["RealTime"], 10_000, "{paced}");
     let start = now();
     page.drive("step?n=20");
@@ -130,6 +130,15 @@ fn a_run_is_followed_paused_and_stepped() {
     });
     assert!(start.elapsed() > Duration::from_millis(180), "{:?}", start.elapsed());
     assert!(folder.clock(&run, "status").contains("a TTI every 10ms"));
+    // A pause does not wait for a TTI that is a minute away.
+    page.drive("pace?n=60000000");
+    page.drive("resume");
+    wait_until("TTI 172", PATIENCE, || {
+        (page.get("/api/now")["next"] == 172).then_some(())
+    });
+    let start = now();
+    assert!(folder.clock(&run, "pause").starts_with("paused before TTI 172 "));
+    assert!(start.elapsed() < Duration::from_secs(30), "{:?}", start.elapsed());
     assert!(!folder.clock(&run, "pace max").contains("every"));
     page.drive("resume");
     assert!(up.finish().is_success());
@@ -315,6 +324,7 @@ fn strangers_are_refused() {
         (vec![token, ("Origin", "http://evil.example")], 403),
         (vec![token, ("Origin", "null")], 403),
         (vec![token, ("Host", "evil.example")], 421),
+        (vec![token, ("Sec-Fetch-Site", "cross-site")], 403),
     ] {
         let (found, body) = page.ask("POST", "/api/clock/resume", &headers);
         assert_eq!(found, status, "{headers:?}: {body}");

@@ -136,13 +136,6 @@ impl Comparison {
         }
     }
 
-    /// Nothing is known of one of the runs before `tti`: what the other one says before that is not compared.
-    pub fn skip_to(&mut self, tti: Tti) {
-        for kind in self.kinds.values_mut() {
-            kind.waiting.retain(|frame| frame.tti >= tti);
-        }
-    }
-
     /// The run on `side` says nothing more.
     pub fn end(&mut self, side: Side) {
         self.reach(side, Tti::NEVER);
@@ -371,23 +364,6 @@ mod tests {
         let own =
             |j: &u32| one.duty_cycle(DeviceId(*j)).is_on(first.tti) != two.duty_cycle(DeviceId(*j)).is_on(first.tti);
         assert_eq!(first.devices(), (0..30).filter(own).map(DeviceId).collect::<Vec<_>>());
-    }
-
-    #[test]
-    fn a_run_that_is_joined_late_is_compared_from_there_on() {
-        let all = frames(&[], true);
-        let late: Vec<Frame> = all.iter().filter(|frame| frame.tti >= Tti(100)).cloned().collect();
-        let mut comparison = Comparison::default();
-        for frame in &all {
-            comparison.take(Side::Other, frame);
-        }
-        comparison.end(Side::Other);
-        comparison.skip_to(Tti(100));
-        for frame in &late {
-            comparison.take(Side::This, frame);
-        }
-        comparison.end(Side::This);
-        assert!(comparison.differences().is_empty());
     }
 
     #[test]

@@ -254,12 +254,13 @@ impl Story {
         let passing = numbered
             .take_while(|(_, frame)| !filter.is_over(frame.tti))
             .filter(|(_, frame)| {
-                let message = frame.message().ok();
                 let state = states.as_mut().and_then(|run| {
-                    let state = frame.number.and_then(|number| run.mirror_mut().state(DeviceId(number)));
+                    let state = frame.device().and_then(|device| run.mirror_mut().state(device));
                     let _discrepancy = run.take(frame).is_err();
                     state
                 });
+                // Only whom it concerns takes reading it.
+                let message = filter.devices.as_ref().and_then(|_| frame.message().ok());
                 filter.passes(frame, message.as_ref(), state)
             });
         passing.take(most).collect()

@@ -154,6 +154,10 @@ impl Loop<'_> {
     async fn grant(&mut self, observer: &mut impl Observer) -> Result<bool, BsError> {
         let first = self.cycle.next_tti();
         self.keep_pace(first).await?;
+        if self.shared.lock().clock.until() <= first {
+            // It was told to stop while it waited.
+            return Ok(true);
+        }
         self.voice.bus.set_tti(first);
         if self.cycle.wants_batteries() {
             self.cycle.tell_batteries(self.views.iter().map(|view| view.battery));
@@ -278,13 +282,13 @@ impl Loop<'_> {
         self.sleep_until(due).await
     }
 
-    /// Sleeps, but not through a loss, a wish to stop or another pace.
+    /// Sleeps, but not through a loss, another pace, or a wish to stop or to pause.
     async fn sleep_until(&mut self, due: Instant) -> Result<(), BsError> {
         while now() < due && !self.progress.stop.load(Ordering::Relaxed) {
             tokio::time::sleep_until(due.min(now() + LOOK).into()).await;
             let mut state = self.shared.lock();
             self.check(&mut state)?;
-            if state.clock.pace() != self.pace {
+            if state.clock.pace() != self.pace || state.clock.until() <= self.cycle.next_tti() {
                 return Ok(());
             }
         }

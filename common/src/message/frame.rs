@@ -2,9 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Address, Message, MessageKind, Payload};
+use super::{Address, Addressee, Message, MessageKind, Payload};
 use crate::codec::{self, CodecError};
-use crate::ids::Tti;
+use crate::ids::{DeviceId, Tti};
 
 /// A copy of one message: what a tail shows, a recording holds and the tap of the bus carries.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -28,6 +28,12 @@ impl Frame {
             number: address.number(),
             payload: codec::encode(message),
         }
+    }
+
+    /// The device that the message is to or from; none where the number in its key is a host's, or there is none.
+    pub fn device(&self) -> Option<DeviceId> {
+        let is_own = self.kind.addressee() == Addressee::Device;
+        self.number.filter(|_| is_own).map(DeviceId)
     }
 
     /// The message.

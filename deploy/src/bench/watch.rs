@@ -1,6 +1,7 @@
 //! `reveille bench watch`: what looking at a run costs it.
 //!
-//! The same run by itself, and watched: recorded, its metrics scraped every second, its dashboard read by browsers. Both sides take turns, so that a machine that gets busy is busy for both.
+//! The same run by itself, and watched: recorded, its metrics scraped every second, its dashboard read by browsers. Both
+//! sides take turns, so that a machine that gets busy is busy for both.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
@@ -43,8 +44,16 @@ pub fn run(args: &WatchBenchArgs) -> anyhow::Result<ExitCode> {
     ))?;
     for lookahead in [true, false] {
         let mut pairs = Vec::new();
-        for _ in 0..args.repeat {
-            pairs.push([emulate(args, lookahead, false)?, emulate(args, lookahead, true)?]);
+        for nth in 0..args.repeat {
+            // Whoever comes second may find another machine: they take turns in that as well.
+            let mut pair = [
+                emulate(args, lookahead, nth % 2 == 1)?,
+                emulate(args, lookahead, nth % 2 == 0)?,
+            ];
+            if nth % 2 == 1 {
+                pair.reverse();
+            }
+            pairs.push(pair);
         }
         let of = |value: fn(&[Ran; 2]) -> f64| median(pairs.iter().map(value).collect());
         let is_same = pairs.iter().flatten().all(|ran| ran.digest == pairs[0][0].digest);
@@ -135,14 +144,16 @@ fn watch<'scope>(
     for line in lines {
         let address = line.split("http://").nth(1).and_then(|rest| rest.split('/').next());
         if let Some(address) = address.map(str::to_owned) {
-            let (path, readers) = if line.contains("/metrics") {
-                ("/metrics", 1)
+            let (paths, readers) = if line.contains("/metrics") {
+                (&["/metrics"][..], 1)
             } else {
-                ("/api/live", browsers)
+                (&["/api/live", "/api/curves"][..], browsers)
             };
             for _ in 0..readers {
-                let address = address.clone();
-                looking.push(scope.spawn(move || look(&address, path, is_over)));
+                for path in paths {
+                    let address = address.clone();
+                    looking.push(scope.spawn(move || look(&address, path, is_over)));
+                }
             }
         }
         said = format!("{said}{line}\n");

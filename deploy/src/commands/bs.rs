@@ -22,7 +22,7 @@ use super::inspect::source::groups;
 use super::resolution::resolve;
 use super::run::Interrupted;
 use crate::cli::{BsArgs, DriveArgs, OutputArgs};
-use crate::dashboard::feed::Feed;
+use crate::dashboard::feed::{Feed, Hose};
 use crate::display::{Bar, note};
 use crate::results::RunFolder;
 use crate::summary::{Summary, Timing};
@@ -31,6 +31,8 @@ use crate::{interrupt, local, recording};
 
 /// Time between two looks for a signal.
 const LOOK: Duration = Duration::from_millis(20);
+/// How long pages that follow the run have to be told that it has ended.
+const SHOWN: Duration = Duration::from_millis(200);
 /// How long observers on the bus may take for the last messages once a run has ended.
 const DRAIN: Duration = Duration::from_secs(1);
 
@@ -147,6 +149,7 @@ pub async fn serve(
         described: _described,
         stop,
         watch,
+        shown,
     } = match prepare(service).await {
         Ok(prepared) => prepared,
         Err(error) => {
@@ -199,6 +202,10 @@ pub async fn serve(
     };
     host::dismiss(bus, ended.as_ref().err().map(|error| format!("{error:#}")))?;
     bus.drain(DRAIN).await;
+    if let Some(hose) = shown {
+        hose.end();
+        tokio::time::sleep(SHOWN).await;
+    }
     ended
 }
 
@@ -240,6 +247,8 @@ struct Prerequisites {
     described: Declared,
     stop: Arc<AtomicBool>,
     watch: Watch,
+    /// What the dashboard is fed by, if there is one.
+    shown: Option<Hose>,
 }
 
 async fn prepare(service: &Service<'_>) -> anyhow::Result<Prerequisites> {
@@ -273,12 +282,15 @@ async fn prepare(service: &Service<'_>) -> anyhow::Result<Prerequisites> {
         }
     };
     let watch = Watch::start(output, &run.to_string(), scenario, process).await?;
+    let mut shown = None;
     let hose = match service.dashboard {
         Some(address) => {
             let feed = Feed::new(&run.to_string(), scenario, groups(scenario), true, None);
             let served = crate::dashboard::serve(address, Arc::clone(&feed), Some((*bus).clone())).await?;
             note!("dashboard at {}", served.url);
-            Some(feed.open()?)
+            let hose = feed.open()?;
+            shown = Some(hose.clone());
+            Some(hose)
         }
         None => None,
     };
@@ -298,6 +310,7 @@ async fn prepare(service: &Service<'_>) -> anyhow::Result<Prerequisites> {
         described,
         stop: interrupt::watch()?,
         watch,
+        shown,
     })
 }
 

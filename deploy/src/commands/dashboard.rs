@@ -57,7 +57,9 @@ fn beside(path: Option<&Path>) -> anyhow::Result<Option<(Beside, String)>> {
     let scenario = open(path).with_context(named)?.bundle().scenario.clone();
     let mut comparison = Comparison::default();
     let feed = read(path, None, |frame| comparison.take(Side::Other, frame)).with_context(named)?;
-    comparison.end(Side::Other);
+    if feed.is_whole() {
+        comparison.end(Side::Other);
+    }
     let beside = Beside {
         feed,
         fields: Vec::new(),

@@ -16,9 +16,10 @@ use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{ClockCommand, MessageKind, Pace, Plane};
 use reveille_view::filter::{Filter, Named};
 use reveille_view::line::{Line, hex, whose};
+use reveille_view::story::Story;
 use serde::Deserialize;
 use serde_json::{Value, json};
-use tokio::sync::watch;
+use tokio::sync::{Semaphore, watch};
 
 use super::feed::Feed;
 use crate::web::is_meant;
@@ -29,8 +30,10 @@ const TOKEN: &str = "x-reveille-token";
 const BEAT: Duration = Duration::from_millis(40);
 /// The most messages that are listed at a time.
 const MOST: usize = 1_000;
-/// The longest history of a device, TTIs.
-const LONGEST: u64 = 20_000;
+/// The longest history of a device, and the most TTIs that are searched for states, TTIs.
+const LONGEST: u64 = 5_000;
+/// How many may look through the run at the same time.
+const READERS: usize = 2;
 /// How long the clock may take to answer.
 const PATIENCE: Duration = Duration::from_secs(5);
 
@@ -42,14 +45,16 @@ pub(super) struct Served {
     token: Arc<str>,
     at: SocketAddr,
     /// Where the run is, told to all at the same time.
-    now: watch::Receiver<Arc<str>>,
+    now: Arc<watch::Sender<Arc<str>>>,
+    /// How many may look through the run at the same time.
+    readers: Arc<Semaphore>,
 }
 
 impl Served {
     /// For what listens at `at`. To be called within a runtime.
     pub(super) fn new(feed: Arc<Feed>, bus: Option<Bus>, token: String, at: SocketAddr) -> Self {
-        let (send, now) = watch::channel(Arc::from(feed.now().to_string()));
-        let own = Arc::clone(&feed);
+        let now = Arc::new(watch::Sender::new(Arc::from("{}")));
+        let (own, send) = (Arc::clone(&feed), Arc::clone(&now));
         tokio::spawn(async move {
             loop {
                 let rung = tokio::time::timeout(Duration::from_secs(1), own.bell.notified()).await;
@@ -57,8 +62,8 @@ impl Served {
                     tokio::time::sleep(BEAT).await;
                 }
                 // Nobody looks: nothing has to be worked out.
-                if send.receiver_count() > 1 && send.send(Arc::from(own.now().to_string())).is_err() {
-                    return;
+                if send.receiver_count() > 0 {
+                    let _gone = send.send(Arc::from(own.now().to_string())).is_err();
                 }
             }
         });
@@ -68,7 +73,25 @@ impl Served {
             token: token.into(),
             at,
             now,
+            readers: Arc::new(Semaphore::new(READERS)),
         }
+    }
+
+    /// Does `look` on a thread that nobody else waits for; few at a time, so that the run's own is not kept waiting.
+    async fn aside<T: Send + 'static>(&self, look: impl FnOnce(&Feed) -> T + Send + 'static) -> Result<T, Refusal> {
+        let busy = || {
+            Refusal(
+                StatusCode::SERVICE_UNAVAILABLE,
+                "the dashboard is being ended".to_owned(),
+            )
+        };
+        let permit = Arc::clone(&self.readers).acquire_owned().await.map_err(|_| busy())?;
+        let feed = Arc::clone(&self.feed);
+        let looked = tokio::task::spawn_blocking(move || {
+            let _permit = permit;
+            look(&feed)
+        });
+        looked.await.map_err(|_| busy())
     }
 }
 
@@ -108,6 +131,12 @@ fn refused(served: &Served, request: &Request) -> Option<Refusal> {
             "this comes from another site".to_owned(),
         ));
     }
+    if get("sec-fetch-site") == Some("cross-site") && request.uri().path().starts_with("/api/") {
+        return Some(Refusal(
+            StatusCode::FORBIDDEN,
+            "a page of another site asks for this".to_owned(),
+        ));
+    }
     let is_reading = request.method() == Method::GET;
     let is_page = !request.uri().path().starts_with("/api/");
     let is_free = is_reading && (is_page || served.at.ip().is_loopback());
@@ -134,12 +163,15 @@ pub(super) async fn now(State(served): State<Served>) -> Json<Value> {
 
 /// Server-sent events: where the run is, whenever that has changed. Who reads slowly skips some.
 pub(super) async fn live(State(served): State<Served>) -> Response {
-    let events = futures::stream::unfold((served.now.clone(), true), |(mut now, is_first)| async move {
-        if !is_first {
+    let first = Some(served.feed.now().to_string());
+    let events = futures::stream::unfold((served.now.subscribe(), first), |(mut now, first)| async move {
+        let told = if let Some(first) = first {
+            first
+        } else {
             now.changed().await.ok()?;
-        }
-        let text = format!("data: {}\n\n", &*now.borrow_and_update());
-        Some((Ok::<_, Infallible>(text), (now, false)))
+            now.borrow_and_update().to_string()
+        };
+        Some((Ok::<_, Infallible>(format!("data: {told}\n\n")), (now, None)))
     });
     let headers = [
         (header::CONTENT_TYPE, "text/event-stream"),
@@ -149,32 +181,32 @@ pub(super) async fn live(State(served): State<Served>) -> Response {
 }
 
 pub(super) async fn tti(State(served): State<Served>, Path(tti): Path<u64>) -> Answer {
-    let found = served.feed.at(Tti(tti));
+    let found = served.aside(move |feed| feed.at(Tti(tti))).await?;
     found
         .map(Json)
         .ok_or_else(|| Refusal(StatusCode::NOT_FOUND, format!("TTI {tti} is not kept")))
 }
 
-/// The feed of the run that this one is compared with.
-fn beside(served: &Served) -> Result<&Feed, Refusal> {
-    let other = served.feed.other();
-    other.ok_or_else(|| Refusal(StatusCode::NOT_FOUND, "there is no run to compare with".to_owned()))
+fn alone() -> Refusal {
+    Refusal(StatusCode::NOT_FOUND, "there is no run to compare with".to_owned())
 }
 
 pub(super) async fn other_tti(State(served): State<Served>, Path(tti): Path<u64>) -> Answer {
-    let found = beside(&served)?.at(Tti(tti));
+    let found = served
+        .aside(move |feed| feed.other().map(|other| other.at(Tti(tti))))
+        .await?;
     found
+        .ok_or_else(alone)?
         .map(Json)
         .ok_or_else(|| Refusal(StatusCode::NOT_FOUND, format!("the other run has no TTI {tti}")))
 }
 
 pub(super) async fn other_curves(State(served): State<Served>) -> Answer {
-    Ok(Json(beside(&served)?.curves()))
+    served.feed.other().map(|other| Json(other.curves())).ok_or_else(alone)
 }
 
 pub(super) async fn compared(State(served): State<Served>) -> Answer {
-    beside(&served)?;
-    Ok(Json(json!(served.feed.compared())))
+    served.feed.compared().map(Json).ok_or_else(alone)
 }
 
 pub(super) async fn curves(State(served): State<Served>) -> Json<Value> {
@@ -231,6 +263,15 @@ impl Wanted {
                 .map(|found| found.map(|(_, state)| state))
                 .collect::<Result<_, _>>()?,
         };
+        let (first, last) = feed.story(Story::span);
+        let (from, end) = (
+            first.0.max(self.since.unwrap_or(0)),
+            last.0.min(self.until.unwrap_or(u64::MAX)),
+        );
+        if !filter.states.is_empty() && end.saturating_sub(from) > LONGEST {
+            let why = format!("states are looked for in at most {LONGEST} TTIs: say from which TTI to which");
+            return Err(Refusal(StatusCode::BAD_REQUEST, why));
+        }
         filter.check().map_err(|why| Refusal(StatusCode::BAD_REQUEST, why))?;
         Ok(filter)
     }
@@ -245,24 +286,28 @@ fn listed(names: Option<&str>) -> impl Iterator<Item = &str> {
 pub(super) async fn messages(State(served): State<Served>, Query(wanted): Query<Wanted>) -> Answer {
     let filter = wanted.filter(&served.feed)?;
     let most = wanted.limit.unwrap_or(MOST).min(MOST);
-    let rows = served.feed.story(|story| {
-        let row = |(number, frame): (u64, &reveille_common::message::Frame)| {
-            let text = match frame.message() {
-                Ok(message) => message.to_string(),
-                Err(error) => format!("not a message: {error}"),
-            };
-            json!({
-                "id": number,
-                "tti": frame.tti,
-                "plane": frame.kind.plane().name(),
-                "kind": frame.kind.name(),
-                "whose": whose(frame.kind, frame.number),
-                "bytes": frame.payload.len(),
-                "text": text,
+    let rows = served
+        .aside(move |feed| {
+            feed.story(|story| {
+                let row = |(number, frame): (u64, &reveille_common::message::Frame)| {
+                    let text = match frame.message() {
+                        Ok(message) => message.to_string(),
+                        Err(error) => format!("not a message: {error}"),
+                    };
+                    json!({
+                        "id": number,
+                        "tti": frame.tti,
+                        "plane": frame.kind.plane().name(),
+                        "kind": frame.kind.name(),
+                        "whose": whose(frame.kind, frame.number),
+                        "bytes": frame.payload.len(),
+                        "text": text,
+                    })
+                };
+                story.frames(&filter, most).into_iter().map(row).collect::<Vec<Value>>()
             })
-        };
-        story.frames(&filter, most).into_iter().map(row).collect::<Vec<Value>>()
-    });
+        })
+        .await?;
     Ok(Json(json!(rows)))
 }
 
@@ -288,13 +333,14 @@ pub(super) struct Span {
 
 pub(super) async fn device(State(served): State<Served>, Path(device): Path<u32>, Query(span): Query<Span>) -> Answer {
     let (from, end) = (span.from.unwrap_or(0), span.end.unwrap_or(u64::MAX));
-    let (history, totals) = served.feed.story(|story| {
+    let look = move |story: &Story| {
         let (first, last) = story.span();
-        let (from, end) = (Tti(from).max(first), Tti(end).min(last));
+        let (from, end) = (Tti(from).max(first).min(last), Tti(end).min(last));
         let end = end.min(from + LONGEST);
         let totals = span.at.and_then(|at| story.totals(DeviceId(device), Tti(at)));
         (story.history(DeviceId(device), from, end), totals)
-    });
+    };
+    let (history, totals) = served.aside(move |feed| feed.story(look)).await?;
     if history.is_empty() {
         return Err(Refusal(
             StatusCode::NOT_FOUND,
@@ -342,9 +388,10 @@ pub(super) async fn command(
         ("step", n) => ClockCommand::Step(n.unwrap_or(1).max(1)),
         ("run-to", Some(n)) => ClockCommand::RunTo(Tti(n)),
         ("pace", Some(0)) => ClockCommand::Pace(Pace::Max),
-        ("pace", Some(n)) => ClockCommand::Pace(Pace::RealTime(n.saturating_mul(1_000))),
+        ("pace", Some(n)) => ClockCommand::Pace(Pace::RealTime(n)),
         _ => {
-            let why = "the clock knows pause, resume, step?n=1, run-to?n=4000, and pace?n=5 for 5 ms a TTI, 0 for none";
+            let why =
+                "the clock knows pause, resume, step?n=1, run-to?n=4000, and pace?n=5000 for 5000 µs a TTI, 0 for none";
             let why = why.to_owned();
             return Err(Refusal(StatusCode::BAD_REQUEST, why));
         }

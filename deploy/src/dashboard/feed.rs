@@ -52,6 +52,8 @@ pub struct Feed {
     /// The group of each device, where the policy has groups.
     groups: Option<Vec<u32>>,
     known: Mutex<Known>,
+    /// Length K of the run.
+    ttis: u64,
     /// The run that it is compared with.
     beside: Option<Beside>,
     /// Rung when something has come.
@@ -89,12 +91,23 @@ struct Known {
 
 /// Hands frames to a feed.
 #[derive(Clone)]
-pub struct Hose(SyncSender<Frame>);
+pub struct Hose(SyncSender<Item>);
+
+enum Item {
+    Frame(Frame),
+    /// No more comes.
+    End,
+}
 
 impl Hose {
     /// Takes in a frame; waits while too many are waiting. False once nobody takes them any more.
     pub fn take(&self, frame: Frame) -> bool {
-        self.0.send(frame).is_ok()
+        self.0.send(Item::Frame(frame)).is_ok()
+    }
+
+    /// No more comes: what is waiting is still taken in.
+    pub fn end(&self) {
+        let _gone = self.0.send(Item::End).is_err();
     }
 }
 
@@ -149,6 +162,7 @@ impl Feed {
                 under_way: Vec::new(),
                 ticker: VecDeque::new(),
             }),
+            ttis: scenario.ttis,
             beside,
             bell: Notify::new(),
             is_over: AtomicBool::new(false),
@@ -164,20 +178,27 @@ impl Feed {
         let (feed, mut batches) = (Arc::clone(self), Batches::new(frames));
         let take = move || {
             step_back();
+            let mut is_over = false;
             loop {
                 match batches.next(IDLE) {
                     Ok(batch) => {
                         let mut known = feed.known();
-                        for frame in batch {
-                            known.take(frame);
+                        for item in batch {
+                            match item {
+                                Item::Frame(frame) => known.take(frame),
+                                Item::End => is_over = true,
+                            }
                         }
                     }
                     Err(RecvTimeoutError::Timeout) => continue,
-                    Err(RecvTimeoutError::Disconnected) => break,
+                    Err(RecvTimeoutError::Disconnected) => is_over = true,
+                }
+                if is_over {
+                    feed.end();
+                    return;
                 }
                 feed.bell.notify_waiters();
             }
-            feed.end();
         };
         std::thread::Builder::new().name("dashboard".to_owned()).spawn(take)?;
         Ok(Hose(send))
@@ -190,9 +211,17 @@ impl Feed {
 
     /// No more comes.
     pub fn end(&self) {
-        if let Some(comparison) = &mut self.known().comparison {
+        let mut known = self.known();
+        let (_, next) = known.story.span();
+        if next > Tti::ZERO {
+            known.draw(next);
+        }
+        // What a run that was cut short would have done is not known.
+        let is_whole = next.0 >= self.ttis;
+        if let Some(comparison) = known.comparison.as_mut().filter(|_| is_whole) {
             comparison.end(Side::This);
         }
+        drop(known);
         self.is_over.store(true, Ordering::Relaxed);
         self.bell.notify_waiters();
     }
@@ -250,6 +279,11 @@ impl Feed {
             "woken": woken,
             "belief": moment.belief.as_ref().map(|belief| &belief.places),
         })
+    }
+
+    /// Whether all TTIs of the run were taken in.
+    pub fn is_whole(&self) -> bool {
+        self.known().story.span().1.0 >= self.ttis
     }
 
     /// The run that it is compared with, if there is one.
@@ -311,12 +345,12 @@ impl Feed {
 impl Known {
     fn take(&mut self, frame: Frame) {
         self.traffic.count(&frame);
+        if self.broken.is_some() {
+            // Nothing that comes fits to what was before it any more.
+            return;
+        }
         self.tick(&frame);
-        let is_first = self.story.span().1 == Tti::ZERO;
         if let Some(comparison) = &mut self.comparison {
-            if is_first {
-                comparison.skip_to(frame.tti);
-            }
             comparison.take(Side::This, &frame);
         }
         if let Err(error) = self.story.take(frame) {

@@ -8,7 +8,7 @@ use reveille_common::message::{ClockCommand, ClockStatus, Describe, Frame, TapBa
 use reveille_common::scenario::Scenario;
 use reveille_view::recording::Bundle;
 use tokio::sync::Notify;
-use tokio::sync::mpsc::UnboundedReceiver;
+use tokio::sync::mpsc::Receiver;
 
 use super::past::Past;
 use crate::cli::TargetArgs;
@@ -16,6 +16,8 @@ use crate::display::note;
 use crate::local;
 
 const PATIENCE: Duration = Duration::from_secs(5);
+/// Batches of frames that may wait to be taken.
+const QUEUE: usize = 4_096;
 /// How long to wait for each of the last frames of a run that has ended.
 const LAST: Duration = Duration::from_millis(300);
 
@@ -28,7 +30,7 @@ pub struct Live {
     pub devices: u32,
     /// Where it was when this connected.
     status: ClockStatus,
-    batches: UnboundedReceiver<TapBatch>,
+    batches: Receiver<TapBatch>,
     ended: Arc<Notify>,
     is_over: bool,
     /// The number of the next frame, once one has come.
@@ -52,7 +54,7 @@ impl Live {
         let Some(status) = bus.ask(&ClockCommand::Status, PATIENCE).await? else {
             return Err(bus.no_run().await.into());
         };
-        let (send, batches) = tokio::sync::mpsc::unbounded_channel();
+        let (send, batches) = tokio::sync::mpsc::channel(QUEUE);
         let ended = Arc::new(Notify::new());
         let bell = Arc::clone(&ended);
         let watch = bus.watch_alive(bus.keys().bs_alive(), move |_, alive| {
@@ -61,7 +63,8 @@ impl Live {
             }
         })?;
         let tap = bus.observe(move |batch| {
-            let _gone = send.send(batch).is_err();
+            // The gap in the numbers of its frames tells of one that has no room.
+            let _no_room = send.try_send(batch).is_err();
         })?;
         Ok(Self {
             run: bus.keys().run().to_string(),

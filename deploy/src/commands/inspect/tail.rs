@@ -170,7 +170,7 @@ impl<'a> Printer<'a> {
         let line = Line::of(frame);
         let mut state = None;
         if let Some(mirror) = &mut self.mirror {
-            state = frame.number.and_then(|number| mirror.state(DeviceId(number)));
+            state = frame.device().and_then(|device| mirror.state(device));
             if frame.kind == MessageKind::Wake {
                 self.before_wake = state;
             }

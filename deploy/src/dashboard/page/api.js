@@ -5,7 +5,8 @@ const headers = token ? { "x-reveille-token": token } : {};
 
 export async function get(path, method = "GET") {
   const answer = await fetch(path, { headers, method });
-  const found = await answer.json();
+  const isTold = answer.headers.get("content-type")?.startsWith("application/json");
+  const found = isTold ? await answer.json() : { error: await answer.text() };
   if (!answer.ok) throw new Error(found.error ?? answer.statusText);
   return found;
 }

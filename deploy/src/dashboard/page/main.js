@@ -8,7 +8,7 @@ const by = (id) => document.getElementById(id);
 const page = { run: null, now: null, tti: 0, follows: true, moment: null, device: -1, points: [], marks: [], updates: 0, other: null };
 // For tests, and for whoever looks at the console.
 window.reveille = page;
-let map, otherMap, charts, asked = 0;
+let map, otherMap, charts, asked = 0, besideIsAsked = false;
 
 function tell(text, isAlarm = false) {
   by("state").textContent = text;
@@ -55,7 +55,7 @@ async function show(tti) {
   page.moment = moment;
   if (page.other) page.other.moment = beside;
   paint();
-  if (page.device >= 0) showDevice();
+  if (page.device >= 0) refresh(showDevice);
   if (by("filters").here.checked) showMessages();
 }
 
@@ -67,6 +67,8 @@ async function besides(tti) {
 // Where the two runs first differ.
 async function compare() {
   const told = await get("api/compare");
+  if (JSON.stringify(told) === by("differences").dataset.told) return;
+  by("differences").dataset.told = JSON.stringify(told);
   const names = (devices) => (devices.length ? `, of ${devices.length} devices` : "");
   by("fields").textContent = told.fields.map(([name, own, other]) => `${name}: ${own}, other ${other}`).join(" · ");
   by("differences").replaceChildren(...told.differences.map((difference, nth) => {
@@ -97,6 +99,28 @@ function see(now) {
   by("scrubber").max = Math.max(now.next - 1, now.first);
   const end = now.over ? "ended" : page.run.live ? "live" : "recording";
   tell(`${end} · TTI ${now.next} of ${page.run.ttis} · ${now.events} events counted, ${now.missed} missed · ${now.messages} messages`);
+  // What has not changed stays: it may be under a finger.
+  const told = JSON.stringify(now.ticker);
+  if (told !== by("ticker").dataset.told) {
+    by("ticker").dataset.told = told;
+    showTicker(now);
+  }
+  if (now.broken) tell(`states are not known any more: ${now.broken}; start the dashboard once more`, true);
+  if (page.follows && now.next > now.first) {
+    page.tti = now.next - 1;
+    page.moment = now;
+    if (page.other && !besideIsAsked && page.tti < page.other.run.ttis) {
+      besideIsAsked = true;
+      besides(page.tti).then((moment) => {
+        besideIsAsked = false;
+        if (page.follows) page.other.moment = moment;
+      });
+    }
+    requestAnimationFrame(paint);
+  }
+}
+
+function showTicker(now) {
   by("ticker").replaceChildren(...now.ticker.map(({ tti, text, who }) => {
     const line = document.createElement("li"), jump = document.createElement("button");
     jump.textContent = `TTI ${tti}`;
@@ -104,20 +128,17 @@ function see(now) {
     line.append(jump, ` ${text}${who.length ? ` (${who.join(", ")})` : ""}`);
     return line;
   }));
-  if (now.broken) tell(`states are not known any more: ${now.broken}`, true);
-  if (page.follows && now.next > now.first) {
-    page.tti = now.next - 1;
-    page.moment = now;
-    besides(page.tti).then((moment) => {
-      if (page.other && page.follows) page.other.moment = moment;
-    });
-    requestAnimationFrame(paint);
-  }
 }
 
+// Shows something again; why it cannot be shown is told.
+const refresh = (show) => show().catch((error) => tell(error.message, true));
+
 async function showDevice() {
+  const device = page.device;
   const from = Math.max(page.now.first, page.tti - 300), end = Math.min(page.now.next, page.tti + 100);
-  const told = await get(`api/device/${page.device}?from=${from}&end=${end}&at=${page.tti}`);
+  const told = await get(`api/device/${device}?from=${from}&end=${end}&at=${page.tti}`);
+  if (device !== page.device) return;
+  by("device").value = device;
   by("one").hidden = false;
   by("one-title").textContent = `Device ${page.device}, TTIs ${told.from} to ${told.from + told.batteries.length - 1}`;
   history(by("history"), told, page.run.e_max[page.device], page.tti);
@@ -202,7 +223,12 @@ function mark() {
 
 function repaint() {
   paint();
-  if (page.device >= 0) showDevice().catch((error) => tell(error.message, true));
+  if (page.device >= 0) refresh(showDevice);
+}
+
+function choose(device) {
+  page.device = device;
+  repaint();
 }
 
 function follow() {
@@ -221,23 +247,23 @@ function listen() {
   by("mark").onclick = mark;
   by("pause").onclick = pause;
   by("step").onclick = () => drive("step?n=1");
-  by("run-to").onclick = () => drive(`run-to?n=${+by("target").value}`);
-  by("set-pace").onclick = () => drive(`pace?n=${Math.round(+by("pace").value)}`);
+  by("run-to").onclick = () => drive(`run-to?n=${+by("target").value || 0}`);
+  by("set-pace").onclick = () => drive(`pace?n=${Math.round(1000 * by("pace").value)}`);
   by("map").onclick = (event) => {
-    page.device = map.near(event);
-    paint();
-    showDevice().catch((error) => tell(error.message, true));
+    choose(map.near(event));
   };
+  by("device").max = page.run.devices - 1;
+  by("device").onchange = (event) => choose(Math.max(0, Math.min(+event.target.value, page.run.devices - 1)));
   by("filters").onsubmit = (event) => {
     event.preventDefault();
-    showMessages().catch((error) => tell(error.message, true));
+    refresh(showMessages);
   };
   by("messages").tBodies[0].addEventListener("click", (event) => {
     const line = event.target.closest("tr");
-    if (line) showMessage(line.dataset.id);
+    if (line) refresh(() => showMessage(line.dataset.id));
   });
   by("messages").tBodies[0].addEventListener("keydown", (event) => {
-    if (event.key === "Enter") showMessage(event.target.dataset.id);
+    if (event.key === "Enter") refresh(() => showMessage(event.target.dataset.id));
   });
   addEventListener("keydown", (event) => {
     if (event.target.closest("input, select, dialog, tr") || event.ctrlKey || event.metaKey || event.altKey) return;
@@ -267,6 +293,8 @@ async function curves() {
     }
   } catch { /* told by the stream */ }
   if (!page.now?.over) setTimeout(curves, 1000);
+  if (page.follows && page.device >= 0) refresh(showDevice);
+  if (page.follows && by("filters").here.checked) refresh(showMessages);
   paint();
 }
 
