@@ -44,7 +44,8 @@ def check(reveille, here):
         assert lint.returncode == 0 and not lint.stderr.strip(), lint.stderr
         assert get(url, Accept="application/openmetrics-text").endswith("# EOF\n")
         assert status(url, Host="evil.example") == 421
-        assert status(url.replace("/metrics", "/")) == 404
+        assert get(url.replace("/metrics", "/")).startswith("# HELP"), "the way to /metrics"
+        assert status(url.replace("/metrics", "/other")) == 404
         port = free_port()
         (here / "prometheus.yml").write_text(
             "global: { scrape_interval: 1s }\n"

@@ -64,7 +64,8 @@ impl Row {
             bytes: frame.payload.len(),
             report,
             message: match message {
-                Ok(message) => json!(message).to_string(),
+                // Not by way of a value, which would make more digits of numbers in single precision.
+                Ok(message) => serde_json::to_string(&message).expect("messages have a form in JSON"),
                 Err(error) => json!({ "malformed": error.to_string() }).to_string(),
             },
         }
