@@ -100,6 +100,11 @@ fn a_run_is_followed_paused_and_stepped() {
     wait_until("TTI 150", PATIENCE, || {
         (page.get("/api/now")["next"] == 150).then_some(())
     });
+    let token = ("x-reveille-token", &page.token[..]);
+    for outside in ["149", "401"] {
+        let (status, body) = page.ask("POST", &format!("/api/clock/run-to?n={outside}"), &[token]);
+        assert!(status == 400 && body.contains("150"), "{status}: {body}");
+    }
     page.drive("step?n=1");
     wait_until("TTI 151", PATIENCE, || {
         (page.get("/api/now")["next"] == 151).then_some(())
@@ -211,7 +216,7 @@ fn a_run_that_dies_while_it_is_watched_is_shown_to_its_end() {
     });
     up.signal(Signal::KILL);
     for (page, watching) in [(&page, &watching), (&other, &second)] {
-        watching.wait_for_stderr("the run has ended");
+        watching.wait_for_stderr("it was interrupted or has failed; what was seen");
         wait_until("the end", PATIENCE, || {
             (page.get("/api/now")["over"] == true).then_some(())
         });

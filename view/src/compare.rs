@@ -56,20 +56,16 @@ pub struct Difference {
 }
 
 impl Difference {
-    /// What the run on `side` says there, in words.
+    /// What the run on `side` says there, in words; in all of its fields where both runs say the same in words.
     pub fn says(&self, side: Side) -> String {
-        let frame = match side {
-            Side::This => &self.this,
-            Side::Other => &self.other,
+        let (own, others) = match side {
+            Side::This => (&self.this, &self.other),
+            Side::Other => (&self.other, &self.this),
         };
-        let Some(frame) = frame else {
-            return "nothing".to_owned();
-        };
-        let (whose, says) = (whose(frame.kind, frame.number), Line::of(frame).says());
-        if whose.is_empty() {
-            says
-        } else {
-            format!("{whose}: {says}")
+        match (own, others) {
+            (None, _) => "nothing".to_owned(),
+            (Some(own), Some(others)) if words(own) == words(others) => Line::of(own).to_json(),
+            (Some(own), _) => words(own),
         }
     }
 
@@ -85,6 +81,15 @@ impl Difference {
         let ids = (0..reach(&this).max(reach(&other)) as u32).map(DeviceId);
         ids.filter(|device| this.duty_cycle(*device) != other.duty_cycle(*device))
             .collect()
+    }
+}
+
+fn words(frame: &Frame) -> String {
+    let (whose, says) = (whose(frame.kind, frame.number), Line::of(frame).says());
+    if whose.is_empty() {
+        says
+    } else {
+        format!("{whose}: {says}")
     }
 }
 
@@ -120,6 +125,7 @@ impl Comparison {
         if !COMPARED.contains(&frame.kind) {
             return;
         }
+        let has_passed = self.reached[side.opposite() as usize] > frame.tti;
         let kind = self.kinds.entry(frame.kind).or_default();
         if kind.first.is_some() {
             return;
@@ -130,6 +136,9 @@ impl Comparison {
             if before != *frame {
                 kind.differ(Some((side.opposite(), before)), Some((side, frame.clone())));
             }
+        } else if has_passed {
+            // The other run has said nothing of the kind there.
+            kind.differ(Some((side, frame.clone())), None);
         } else {
             kind.ahead = Some(side);
             kind.waiting.push_back(frame.clone());
@@ -311,6 +320,12 @@ mod tests {
             let expected = brute_force(&this, &other).expect("they differ");
             for stride in [1, 7, 1_000_000] {
                 let comparison = compared(&this, &other, stride);
+                // Whichever comes first.
+                let mirrored = compared(&other, &this, stride);
+                let kinds = |of: &Comparison| -> Vec<(Tti, MessageKind)> {
+                    of.differences().into_iter().map(|one| (one.tti, one.kind)).collect()
+                };
+                assert_eq!(kinds(&comparison), kinds(&mirrored), "{set:?}, {stride}");
                 let differences = comparison.differences();
                 let first = differences.first().expect("they differ");
                 assert_eq!((first.tti, first.kind), expected, "{set:?}, {stride}");

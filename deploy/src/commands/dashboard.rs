@@ -43,10 +43,12 @@ fn read(path: &Path, beside: Option<Beside>, mut see: impl FnMut(&Frame)) -> any
             Err(error) => break Some(error),
         }
     };
-    feed.end();
     if let Some(error) = torn {
-        note!("{}: {error}; what is before is shown", named());
+        let why = format!("{}: {error}; what is before is shown", named());
+        note!("{why}");
+        feed.tear(why);
     }
+    feed.end();
     Ok(feed)
 }
 
@@ -99,8 +101,11 @@ async fn live(args: &DashboardArgs) -> anyhow::Result<()> {
     let hose = feed.open()?;
     live.follow(scenario, |frame| hose.take(frame)).await;
     drop(hose);
-    if live.has_ended() {
-        note!("the run has ended; what was seen of it is shown until Ctrl-C");
+    if live.has_ended() && !live.is_interrupted {
+        let how = live
+            .check_whole()
+            .map_or_else(|why| why.to_string(), |()| "the run has ended".to_owned());
+        note!("{how}; what was seen of it is shown until Ctrl-C");
         crate::interrupt::told().await?;
     }
     Ok(())

@@ -404,6 +404,11 @@ async fn ask(served: &Served, command: ClockCommand) -> Answer {
         return Err(Refusal(StatusCode::CONFLICT, "a recording has no clock".to_owned()));
     };
     match bus.ask(&command, PATIENCE).await {
+        Ok(Some(status)) if matches!(command, ClockCommand::RunTo(k) if k < status.tti || k.0 > status.ttis) => {
+            let (next, ttis) = (status.tti, status.ttis);
+            let why = format!("the next TTI is {next}, and the run ends before TTI {ttis}: say one between");
+            Err(Refusal(StatusCode::BAD_REQUEST, why))
+        }
         Ok(Some(status)) => Ok(Json(json!({ "status": status, "text": status.to_string() }))),
         Ok(None) => Err(Refusal(StatusCode::GONE, "the run has ended".to_owned())),
         Err(error) => Err(Refusal(StatusCode::BAD_GATEWAY, error.to_string())),

@@ -209,6 +209,11 @@ impl Feed {
         self.known().take(frame);
     }
 
+    /// What comes next cannot be read, for the reason given.
+    pub fn tear(&self, why: String) {
+        self.known().broken = Some(why);
+    }
+
     /// No more comes.
     pub fn end(&self) {
         let mut known = self.known();
@@ -354,7 +359,9 @@ impl Known {
             comparison.take(Side::This, &frame);
         }
         if let Err(error) = self.story.take(frame) {
-            self.broken.get_or_insert_with(|| error.to_string());
+            self.broken = Some(format!(
+                "states are not known any more: {error}; start the dashboard once more"
+            ));
         }
         let (_, next) = self.story.span();
         if next >= self.due && next > Tti::ZERO {

@@ -4,7 +4,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use reveille_common::bus::{Bus, Declared};
-use reveille_common::message::{ClockCommand, ClockStatus, Describe, Frame, TapBatch};
+use reveille_common::ids::Tti;
+use reveille_common::message::{ClockCommand, ClockStatus, Describe, Frame, Message, MessageKind, TapBatch};
 use reveille_common::scenario::Scenario;
 use reveille_view::recording::Bundle;
 use tokio::sync::Notify;
@@ -33,6 +34,10 @@ pub struct Live {
     batches: Receiver<TapBatch>,
     ended: Arc<Notify>,
     is_over: bool,
+    /// Whether Ctrl-C was pressed.
+    pub is_interrupted: bool,
+    /// The TTI before which all is handed on by [`Self::follow`].
+    reached: Tti,
     /// The number of the next frame, once one has come.
     expected: Option<u64>,
     /// Frames that were left out because this could not keep up.
@@ -74,6 +79,8 @@ impl Live {
             batches,
             ended,
             is_over: false,
+            is_interrupted: false,
+            reached: Tti::ZERO,
             expected: None,
             left_out: 0,
             _declared: [watch, tap],
@@ -113,18 +120,48 @@ impl Live {
             tokio::select! {
                 batch = self.batches.recv() => return batch.map(|batch| self.take(batch)),
                 () = self.ended.notified() => self.is_over = true,
-                _ = crate::interrupt::told() => return None,
+                _ = crate::interrupt::told() => {
+                    self.is_interrupted = true;
+                    return None;
+                }
             }
         }
         // That the run has ended is told faster than what it said last.
-        let last = tokio::time::timeout(LAST, self.batches.recv()).await;
-        last.ok().flatten().map(|batch| self.take(batch))
+        tokio::select! {
+            last = tokio::time::timeout(LAST, self.batches.recv()) => last.ok().flatten().map(|batch| self.take(batch)),
+            _ = crate::interrupt::told() => {
+                self.is_interrupted = true;
+                None
+            }
+        }
+    }
+
+    /// Says that the run was cut short, if what was followed has come to the end of it before its last TTI.
+    ///
+    /// # Errors
+    /// It was.
+    pub fn check_whole(&self) -> anyhow::Result<()> {
+        let (reached, ttis) = (self.reached, self.status.ttis);
+        anyhow::ensure!(
+            !self.is_over || reached.0 >= ttis,
+            "the run ended before TTI {reached} of {ttis}: it was interrupted or has failed"
+        );
+        Ok(())
     }
 
     /// Hands to `take` every frame of the run of `scenario` from TTI 0 on, whenever this has connected, but for those
     /// of the emulation plane of before; until the run ends, Ctrl-C is pressed, or `take` wants no more. Messages that
     /// were left out on the way are said once, and counted.
     pub async fn follow(&mut self, scenario: Scenario, mut take: impl FnMut(Frame) -> bool) {
+        let mut reached = Tti::ZERO;
+        let mut take = |frame: Frame| {
+            if frame.kind == MessageKind::World
+                && let Ok(Message::World(world)) = frame.message()
+            {
+                reached = world.last + 1;
+            }
+            take(frame)
+        };
         let mut past = Past::new(scenario);
         let (mut goes_on, mut is_told) = (true, false);
         // Nobody else has a say in this process: what has to be worked out may take its time.
@@ -141,6 +178,7 @@ impl Live {
                 is_told = true;
             }
         }
+        self.reached = reached;
     }
 
     fn take(&mut self, batch: TapBatch) -> (Vec<Frame>, u64) {

@@ -30,7 +30,7 @@ pub async fn run(args: &InspectRecordArgs) -> anyhow::Result<ExitCode> {
     };
     live.follow(bundle.load()?, record).await;
     drop(tape);
-    let left_out = live.left_out;
+    let (left_out, whole) = (live.left_out, live.check_whole());
     let recorded = recorder.finish(None).map_err(failed)?;
     live.close().await;
     note!(
@@ -46,5 +46,6 @@ pub async fn run(args: &InspectRecordArgs) -> anyhow::Result<ExitCode> {
             path.display()
         );
     }
+    whole?;
     Ok(Exit::Done.into())
 }

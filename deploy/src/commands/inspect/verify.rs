@@ -55,10 +55,12 @@ pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     }
     let Some(summary) = summary else {
         out(&format!("{said}\ndigest of these TTIs {}\n", own.digest))?;
-        bail!(
-            "{}: there is no summary to compare with: the run was cut short",
-            named()
-        );
+        let why = if ttis < scenario.ttis {
+            format!("the run was cut short, before TTI {}", scenario.ttis)
+        } else {
+            "it was recorded by another program than the run's, or its end was damaged".to_owned()
+        };
+        bail!("{}: there is no summary to compare with: {why}", named());
     };
     let summary: Told = serde_json::from_str(&summary).with_context(named)?;
     let metrics = compare(&own, ttis, &summary).with_context(named)?;

@@ -105,7 +105,7 @@ function see(now) {
     by("ticker").dataset.told = told;
     showTicker(now);
   }
-  if (now.broken) tell(`states are not known any more: ${now.broken}; start the dashboard once more`, true);
+  if (now.broken) tell(now.broken, true);
   if (page.follows && now.next > now.first) {
     page.tti = now.next - 1;
     page.moment = now;
