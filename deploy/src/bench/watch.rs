@@ -1,7 +1,7 @@
 //! `reveille bench watch`: what looking at a run costs it.
 //!
-//! The same run by itself, and watched: recorded, its metrics scraped every second, its dashboard read by browsers. Both
-//! sides take turns, so that a machine that gets busy is busy for both.
+//! The same run by itself, and watched: recorded, its metrics scraped every second, its dashboard read by browsers.
+//! Both sides take turns, so that a machine that gets busy is busy for both.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
