@@ -374,8 +374,8 @@ impl Observer for Gauged {
     }
 }
 
-/// OpenMetrics in the older text form of Prometheus: a counter's name has its ending in its description too, and there is
-/// no end mark.
+/// OpenMetrics in the older text form of Prometheus: a counter's name has its ending in its description too, and there
+/// is no end mark.
 fn plain(open: &str) -> String {
     let counters: Vec<&str> = open
         .lines()

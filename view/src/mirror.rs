@@ -96,8 +96,8 @@ impl Mirror {
         Some(machine.view())
     }
 
-    /// State and battery of all devices in TTI `tti`, in the order of ids, unless more is heard of it: one after another
-    /// the TTIs from the one that has been reached to those that come next, under the plan in force.
+    /// State and battery of all devices in TTI `tti`, in the order of ids, unless more is heard of it: one after
+    /// another the TTIs from the one that has been reached to those that come next, under the plan in force.
     ///
     /// # Panics
     /// If a device has gone beyond it.

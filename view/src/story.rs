@@ -1,8 +1,8 @@
 //! A run as it can be looked at again: every TTI of it, with the states of all devices.
 //!
-//! Only frames are kept, and now and then the run as it was: what a TTI looked like is worked out from the last of those
-//! before it. So a run of a hundred thousand TTIs takes little more memory than its messages, and any TTI of it is at
-//! hand in milliseconds.
+//! Only frames are kept, and now and then the run as it was: what a TTI looked like is worked out from the last of
+//! those before it. So a run of a hundred thousand TTIs takes little more memory than its messages, and any TTI of it
+//! is at hand in milliseconds.
 
 use std::collections::VecDeque;
 
@@ -200,8 +200,8 @@ impl Story {
         run.mirror().ledger(device, tti + 1).map(|ledger| ledger.whole)
     }
 
-    /// State and battery of `device` in the TTIs from `from` up to and not including `end`, as far as they can be looked
-    /// at, one after the other.
+    /// State and battery of `device` in the TTIs from `from` up to and not including `end`, as far as they can be
+    /// looked at, one after the other.
     pub fn history(&self, device: DeviceId, from: Tti, end: Tti) -> Vec<(Tti, DeviceView)> {
         let (first, last) = self.span();
         let (from, end) = (from.max(first), end.min(last));

@@ -9,7 +9,7 @@ use syn::punctuated::Punctuated;
 use syn::visit::{self, Visit};
 
 /// The crates, each after all that it may use.
-pub const CRATES: [&str; 7] = ["common", "device", "bs", "lab", "study", "deploy", "tests"];
+pub const CRATES: [&str; 8] = ["common", "device", "bs", "lab", "study", "view", "deploy", "tests"];
 
 /// One file.
 pub struct Source {

@@ -1,4 +1,4 @@
-//! Messages as packets, for Wireshark: pcapng (IETF draft-ietf-opsawg-pcapng) of the link type USER0, with virtual time.
+//! Messages as packets, for Wireshark: pcapng (IETF draft-ietf-opsawg-pcapng), link type USER0, with virtual time.
 //!
 //! A packet is a header and the payload as encoded. The header, little-endian: the number of the kind (one byte, in the
 //! order of [`MessageKind::ALL`]), whether a number follows (one byte, 0 or 1), the number at the end of the key (four

@@ -1,7 +1,7 @@
 //! A run as a trace for Perfetto: protocol buffers of type `perfetto.protos.Trace` with track events.
 //!
-//! A track for each device with slices of its states, a counter with its battery, and for each wake-up an arrow from the
-//! base station to the device that reports. A TTI is a millisecond.
+//! A track for each device with slices of its states, a counter with its battery, and for each wake-up an arrow from
+//! the base station to the device that reports. A TTI is a millisecond.
 
 use std::io::{self, Write};
 

@@ -1,9 +1,9 @@
 //! Recordings: all that an observer of a run is told, in one file that other tools open.
 //!
-//! The file is an MCAP container. Each kind of message is a channel, `/air/report` for one, whose messages are the lines
-//! of JSON that [`Line::to_json`](crate::line::Line::to_json) gives, with a schema. Log time is virtual: a TTI is a
-//! millisecond. Beside the messages it holds the scenario, the files that this names, and at the end the summary. Chunks
-//! of messages are compressed and come one after the other, so a file that was torn can be read up to the tear.
+//! The file is an MCAP container. Each kind of message is a channel, `/air/report` for one, whose messages are the
+//! lines of JSON that [`Line::to_json`](crate::line::Line::to_json) gives, with a schema. Log time is virtual: a TTI is
+//! a millisecond. Beside the messages it holds the scenario, the files that this names, and at the end the summary.
+//! Chunks of messages are compressed and come one after the other, so a file that was torn can be read up to the tear.
 
 mod bundle;
 mod channel;

@@ -33,7 +33,8 @@ pub enum RecordingError {
     Foreign(String),
     /// Another version wrote it.
     #[error(
-        "is a recording of version {found}, with messages of version {wire}; this program reads version {VERSION} with {WIRE_VERSION}: use the release of reveille that recorded it"
+        "is a recording of version {found}, with messages of version {wire}; this program reads version {VERSION} \
+         with {WIRE_VERSION}: use the release of reveille that recorded it"
     )]
     Version {
         /// The version of its form.
