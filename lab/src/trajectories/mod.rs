@@ -111,8 +111,8 @@ pub fn record(
         ended();
         chunks
     };
-    let chunks: Vec<Option<Vec<Chunk>>> = runs.into_par_iter().map(one).collect();
-    let chunks: Option<Vec<Vec<Chunk>>> = chunks.into_iter().collect();
+    // The first run that is stopped ends it: those that are left are not even set up.
+    let chunks: Option<Vec<Vec<Chunk>>> = runs.into_par_iter().map(one).collect();
     let about = vec![
         ("experiment".to_owned(), grid.experiment.to_toml()),
         ("scenarios".to_owned(), grid.fingerprint().to_string()),
