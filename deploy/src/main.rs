@@ -15,6 +15,7 @@ mod exit;
 mod inputs;
 mod interrupt;
 mod launch;
+mod limits;
 mod local;
 mod paths;
 mod recording;

@@ -27,7 +27,7 @@ use crate::display::{Bar, note};
 use crate::results::RunFolder;
 use crate::summary::{Summary, Timing};
 use crate::watch::Watch;
-use crate::{interrupt, local, recording};
+use crate::{interrupt, limits, local, recording};
 
 /// Time between two looks for a signal.
 const LOOK: Duration = Duration::from_millis(20);
@@ -41,6 +41,7 @@ pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     let started = crate::wall::now();
     let scenario = resolve(&args.scenario)?;
     check(&args.output, &args.drive)?;
+    limits::for_any_station(scenario.devices)?;
     let bus = Bus::listen(&args.listen, args.run.clone()).await?;
     let folder = RunFolder::create(&args.output, &scenario)?;
     let window = window(&args.output, &scenario);

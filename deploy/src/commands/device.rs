@@ -8,14 +8,14 @@ use reveille_device::host::{self, HostError};
 use crate::cli::DeviceArgs;
 use crate::display::note;
 use crate::exit::Exit;
-use crate::launch;
+use crate::{interrupt, launch, limits};
 
 /// Carries devices to the end of a run.
 pub async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
     if let Some(parent) = args.parent {
         launch::die_with(parent)?;
     }
-    let stop = stopped()?;
+    limits::for_device()?;
     // Children of `up` leave the talking to it.
     let is_alone = args.parent.is_none();
     let say = |host, first, last| {
@@ -36,20 +36,11 @@ pub async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
             Err(HostError::RunFailed(_)) if !is_alone => Ok(Exit::Done.into()),
             Err(error) => Err(error.into()),
         },
-        () = stop => Ok(Exit::Interrupted.into()),
-    }
-}
-
-/// Ends at Ctrl-C or SIGTERM.
-fn stopped() -> std::io::Result<impl Future<Output = ()>> {
-    use tokio::signal::unix::{SignalKind, signal};
-    let (mut interrupt, mut terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
-    Ok(async move {
-        tokio::select! {
-            _ = interrupt.recv() => {}
-            _ = terminate.recv() => {}
+        told = interrupt::told() => {
+            told?;
+            Ok(Exit::Interrupted.into())
         }
-    })
+    }
 }
 
 /// A number that tells this process from others that join; nothing of the model depends on it.

@@ -39,6 +39,7 @@ pub async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
         tracing::warn!("--on-loss has no effect: with --processes 0 there is no device process to lose");
     }
     check(&args.output, &args.drive)?;
+    crate::limits::for_station(processes)?;
     // Before there is a folder: one that is to be replaced stays as it is, if this is where it ends.
     let endpoint = bus::free_to_listen(&args.listen)?;
     let folder = RunFolder::create(&args.output, &scenario)?;

@@ -1,0 +1,78 @@
+//! How many files this process may have open, sockets among them: as many as the system lets it, and enough for the run.
+
+use anyhow::bail;
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+
+/// Files of a base station without device processes: 34, and some for a recording, pages, scrapers and observers.
+const STATION: u64 = 48;
+/// Files of a device process: 28 to 30, and some while it connects.
+const DEVICE: u64 = 32;
+
+/// Makes room for a base station with `processes` device processes, each of which takes a file.
+///
+/// # Errors
+/// The system does not let this process have as many files open.
+pub fn for_station(processes: u32) -> anyhow::Result<()> {
+    let (allowed, needed) = (raise(), STATION + u64::from(processes));
+    if allowed >= needed {
+        return Ok(());
+    }
+    let carried = allowed.saturating_sub(STATION);
+    let fewer = if carried > 0 {
+        format!(", or take {carried} device processes at the most")
+    } else {
+        String::new()
+    };
+    let plural = if processes == 1 { "" } else { "es" };
+    bail!(
+        "this process may have {allowed} files open, and a base station with {processes} device process{plural} needs {needed}; raise the limit \
+         (`ulimit -n {needed}`, LimitNOFILE= of a service){fewer}"
+    )
+}
+
+/// Makes room for a base station with whatever device processes come, `devices` of them at the most.
+///
+/// # Errors
+/// The system does not even let it have one.
+pub fn for_any_station(devices: u32) -> anyhow::Result<()> {
+    for_station(1)?;
+    let carried = raise() - STATION;
+    if carried < u64::from(devices) {
+        tracing::warn!(
+            "this process may have {} files open, so {carried} device processes at the most can join; `ulimit -n` \
+             raises the limit",
+            raise()
+        );
+    }
+    Ok(())
+}
+
+/// Makes room for a device process.
+///
+/// # Errors
+/// The system does not let this process have as many files open.
+pub fn for_device() -> anyhow::Result<()> {
+    let allowed = raise();
+    if allowed < DEVICE {
+        bail!(
+            "this process may have {allowed} files open, and a device process needs {DEVICE}; raise the limit \
+             (`ulimit -n {DEVICE}`, LimitNOFILE= of a service)"
+        );
+    }
+    Ok(())
+}
+
+/// Raises the limit as far as the system lets this process, and gives it.
+fn raise() -> u64 {
+    let limit = getrlimit(Resource::Nofile);
+    let most = Rlimit {
+        current: limit.maximum,
+        maximum: limit.maximum,
+    };
+    let now = if setrlimit(Resource::Nofile, most).is_ok() {
+        limit.maximum
+    } else {
+        limit.current
+    };
+    now.unwrap_or(u64::MAX)
+}

@@ -1,0 +1,163 @@
+//! Where the system sets limits, a run takes what it may have, and says before it begins what is not enough.
+
+use std::fs;
+use std::net::TcpListener;
+use std::process::Command;
+use std::time::Duration;
+
+use reveille_tests::disk::{ReadOnly, SmallDisk};
+use reveille_tests::process::{
+    Finished, Folder, Process, Summary, assert_refused, free_endpoint, reveille, unique_run,
+};
+
+/// How long a refusal may take on a busy machine; what it replaces took thirty seconds.
+const AT_ONCE: Duration = Duration::from_secs(10);
+
+/// Starts `reveille ARGS` with at most `files` open files, of which it has `now` to begin with.
+fn limited(folder: &Folder, files: u32, now: u32, args: &str) -> Process {
+    let line = format!(
+        "ulimit -Sn {now}; ulimit -Hn {files}; exec {} {args}",
+        reveille().display()
+    );
+    let mut command = Command::new("sh");
+    command
+        .args(["-c", &line])
+        .current_dir(folder.path())
+        .env("XDG_RUNTIME_DIR", folder.join("runtime"))
+        .env_remove("RUST_LOG");
+    Process::start(&mut command)
+}
+
+/// The end of a command that is refused before there is a run folder.
+fn refused(folder: &Folder, files: u32, args: &str, parts: &[&str]) {
+    let end = limited(folder, files, files, args).finish_within(AT_ONCE);
+    assert_refused(&end, 1, parts);
+    let left: Vec<String> = folder.list(".").into_iter().filter(|name| name != "runtime").collect();
+    assert_eq!(left, [""; 0]);
+}
+
+#[test]
+fn too_few_files_are_refused_before_the_run() {
+    let folder = Folder::new();
+    let said = |files: u32| format!("may have {files} files open");
+    refused(
+        &folder,
+        64,
+        "up -n 50 -P 50",
+        &[
+            &said(64),
+            "50 device processes needs 98",
+            "ulimit -n 98",
+            "16 device processes at the most",
+        ],
+    );
+    refused(&folder, 24, "up -P 4", &[&said(24), "ulimit -n 52"]);
+    let bs = format!("bs --run x --listen {}", free_endpoint());
+    refused(&folder, 24, &bs, &[&said(24), "ulimit -n 49"]);
+    let device = format!("device --run x --count 1 --connect {}", free_endpoint());
+    refused(&folder, 24, &device, &[&said(24), "a device process needs 32"]);
+}
+
+#[test]
+fn what_is_said_to_be_enough_is() {
+    let folder = Folder::new();
+    let expected = folder.summary("run -n 50 -k 200");
+    // As many as it asks for, and half of them to begin with: it takes what it may.
+    for (processes, files) in [(16, 64), (4, 52), (0, 48)] {
+        let run = unique_run("few");
+        let up = limited(
+            &folder,
+            files,
+            files / 2,
+            &format!("up -n 50 -k 200 -P {processes} --json --run {run} --out {run} --record {run}.mcap"),
+        );
+        assert_eq!(up.finish().summary().digest(), expected.digest());
+    }
+    let (run, endpoint) = (unique_run("hand"), free_endpoint());
+    let bs = limited(
+        &folder,
+        49,
+        24,
+        &format!("bs -n 50 -k 200 --json --run {run} --listen {endpoint} --out hand"),
+    );
+    bs.wait_for_stderr("1 device processes at the most can join");
+    let device = format!("device --run {run} --count 50 --connect {endpoint}");
+    let device = limited(&folder, 32, 16, &device).finish();
+    assert!(device.is_success(), "{device}");
+    assert_eq!(bs.finish().summary().digest(), expected.digest());
+}
+
+/// A refusal that leaves no run folder `out`, or one that says why it failed.
+fn assert_clear(folder: &Folder, end: &Finished, parts: &[&str]) {
+    assert_refused(end, 1, parts);
+    let left = folder.list("out");
+    assert!(
+        !left.iter().any(|name| name == "RUNNING" || name == "summary.json"),
+        "{left:?}"
+    );
+}
+
+#[test]
+fn a_port_that_is_taken_is_named_before_the_run() {
+    let folder = Folder::new();
+    let taken = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let endpoint = format!("tcp/{}", taken.local_addr().expect("bound"));
+    for command in ["up -P 1", "bs --run x"] {
+        let end = folder.run(&format!("{command} -n 5 -k 50 --out out --listen {endpoint}"));
+        assert_clear(&folder, &end, &["cannot listen on", &endpoint]);
+        assert!(!folder.join("out").exists());
+    }
+}
+
+#[test]
+fn a_folder_that_cannot_be_written_to_is_named() {
+    let folder = Folder::new();
+    fs::create_dir(folder.join("disk")).expect("possible");
+    let path = folder.join("disk");
+    let Some(_disk) = ReadOnly::mount(&path) else {
+        eprintln!("not tested: a folder cannot be mounted read-only here (it takes root)");
+        return;
+    };
+    for command in ["run", "up -P 1", "bs --run x --listen tcp/127.0.0.1:0"] {
+        let end = folder.run(&format!("{command} -n 5 -k 50 --out disk/out"));
+        assert_clear(&folder, &end, &["disk/out", "Read-only file system"]);
+    }
+}
+
+#[test]
+fn a_run_on_a_full_disk_ends_with_words_and_can_be_replaced() {
+    let folder = Folder::new();
+    let path = folder.join("disk");
+    let Some(_disk) = SmallDisk::mount(&path) else {
+        eprintln!("not tested: a small tmpfs cannot be mounted here (it takes root)");
+        return;
+    };
+    let expected = folder.summary("run -n 20 -k 400");
+    for command in ["run", "up -P 2"] {
+        // The rows do not fit.
+        let long = format!("{command} -n 20 -k 400000 --window 10 --out disk/out --force");
+        let end = folder.run(&long);
+        assert_refused(&end, 1, &["disk/out", "No space left on device"]);
+        let left = folder.list("disk/out");
+        assert!(
+            left.contains(&"FAILED".to_owned()) && !left.contains(&"RUNNING".to_owned()),
+            "{left:?}"
+        );
+        assert!(!left.contains(&"summary.json".to_owned()), "{left:?}");
+        let rows = String::from_utf8(folder.bytes("disk/out/windows.csv")).expect("text");
+        assert!(rows.lines().count() > 100, "{rows}");
+        // What the disk has taken in is replaced.
+        let short = folder.summary(&format!("{command} -n 20 -k 400 --out disk/out --force"));
+        assert_eq!(short.digest(), expected.digest());
+        assert_eq!(Summary::read(&folder.join("disk/out")).digest(), expected.digest());
+    }
+    // No room for the beginning: nothing is left that is in the way of the next run.
+    fs::remove_dir_all(folder.join("disk/out")).expect("removable");
+    let full = fs::write(folder.join("disk/ballast"), vec![0; 300 * 1024]);
+    assert!(full.is_err(), "the disk is larger than it should be");
+    let end = folder.run("run -n 20 -k 400 --out disk/out");
+    assert_clear(&folder, &end, &["disk/out", "No space left on device"]);
+    fs::remove_file(folder.join("disk/ballast")).expect("removable");
+    let again = folder.summary("run -n 20 -k 400 --out disk/out");
+    assert_eq!(again.digest(), expected.digest());
+}
