@@ -1,6 +1,7 @@
 //! What a person sees: the progress bar and the closing table.
 
 use std::io;
+use std::os::fd::AsFd;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -8,13 +9,14 @@ use std::time::Duration;
 use anyhow::Context;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};
-use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use reveille_bs::host::Progress;
 use reveille_common::scenario::Scenario;
 use reveille_common::score::{Acts, Group, Metrics};
 use reveille_common::units::MICRO_PER_UNIT;
 
 use crate::summary::{Class, Summary};
+use crate::terminal;
 
 /// Writes `text` to standard output. Nobody reading it any more is no error: whatever it told of has happened.
 ///
@@ -24,7 +26,7 @@ pub fn out(text: &str) -> anyhow::Result<()> {
     use std::io::Write;
     let mut stdout = io::stdout().lock();
     match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
-        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+        Err(error) if !terminal::is_gone(&error, stdout.as_fd()) => {
             Err(error).context("cannot write to standard output")
         }
         Ok(()) | Err(_) => Ok(()),
@@ -49,7 +51,8 @@ pub fn count(number: usize, noun: &str) -> String {
 }
 
 /// All bars of the process: log lines are written between them, not over them.
-static BARS: std::sync::LazyLock<MultiProgress> = std::sync::LazyLock::new(MultiProgress::new);
+static BARS: std::sync::LazyLock<MultiProgress> =
+    std::sync::LazyLock::new(|| MultiProgress::with_draw_target(terminal::target()));
 
 /// Writes log lines to standard error without tearing a progress bar.
 #[derive(Clone, Copy)]
@@ -80,10 +83,7 @@ pub fn bar(length: u64, template: &str, hidden: bool) -> ProgressBar {
     let bar = if hidden {
         ProgressBar::hidden()
     } else {
-        BARS.add(ProgressBar::with_draw_target(
-            Some(length),
-            ProgressDrawTarget::stderr(),
-        ))
+        BARS.add(ProgressBar::new(length))
     };
     let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
     bar.set_style(style.progress_chars("━╸ "));

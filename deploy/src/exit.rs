@@ -35,7 +35,7 @@ impl Exit {
             Self::Done => "done",
             Self::Failed => "failed; standard error says why",
             Self::Usage => "the command line is wrong, or this build lacks the feature",
-            Self::Interrupted => "interrupted by Ctrl-C or SIGTERM; what is finished is kept",
+            Self::Interrupted => "interrupted by Ctrl-C, SIGTERM or a closed terminal; what is finished is kept",
         }
     }
 

@@ -22,6 +22,7 @@ mod recording;
 mod results;
 mod series;
 mod summary;
+mod terminal;
 mod wall;
 mod watch;
 mod web;

@@ -1,0 +1,196 @@
+//! A window that is closed while a command runs in it, and output that nobody reads: the command ends in order or goes
+//! on, and leaves nobody behind.
+
+use std::fs;
+use std::process::{Command, ExitStatus};
+use std::time::Duration;
+
+use reveille_tests::process::{
+    Folder, PATIENCE, Process, Summary, free_endpoint, hosts_of, send_signal, unique_run, wait_until,
+};
+use reveille_tests::terminal::Windowed;
+use rustix::process::Signal;
+
+/// A run that would take a minute.
+const LONG: &str = "-n 30 -k 12000 --pace 5ms";
+/// How long an end may take on a busy machine.
+const SOON: Duration = Duration::from_secs(20);
+
+/// Waits until no device process of `run` is left.
+fn assert_nobody_left(run: &str) {
+    wait_until("the device processes to end", PATIENCE, || {
+        hosts_of(run).is_empty().then_some(())
+    });
+}
+
+/// Closes the window of a command, as a terminal and its shell do, and waits for its end.
+fn closed(window: &mut Windowed) -> ExitStatus {
+    let pid = window.pid();
+    window.close();
+    // The shell tells its commands as well as the kernel does.
+    for _ in 0..3 {
+        send_signal(pid, Signal::HUP);
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    window.finish_within(SOON)
+}
+
+/// The summary of a run that a closed window has ended.
+fn assert_interrupted(folder: &Folder, end: ExitStatus) {
+    assert_eq!(end.code(), Some(130), "{end}");
+    let files = folder.list("out");
+    for name in ["devices.csv", "events.csv", "summary.json", "windows.csv"] {
+        assert!(files.iter().any(|file| file == name), "{files:?}");
+    }
+    assert!(!files.iter().any(|file| file == "RUNNING"), "{files:?}");
+    let summary = Summary::read(&folder.join("out"));
+    assert_eq!(summary.status(), "interrupted");
+    assert!(summary.number("ttis_done") > 0, "{summary:?}");
+}
+
+#[test]
+fn a_closed_window_ends_up_with_what_there_is() {
+    let (folder, run) = (Folder::new(), unique_run("window"));
+    let mut up = Windowed::start(&folder.command(&format!("up -P 4 {LONG} --out out --run {run}")), true);
+    up.wait_for("TTI/s");
+    assert_eq!(hosts_of(&run).len(), 4);
+    let end = closed(&mut up);
+    assert_interrupted(&folder, end);
+    assert_nobody_left(&run);
+}
+
+#[test]
+fn a_closed_window_ends_bs_and_device_with_what_there_is() {
+    let (folder, run, endpoint) = (Folder::new(), unique_run("windows"), free_endpoint());
+    let bs = format!("bs {LONG} --out out --run {run} --listen {endpoint}");
+    let mut bs = Windowed::start(&folder.command(&bs), true);
+    bs.wait_for("waiting for 30 devices");
+    let device = format!("device --connect {endpoint} --run {run} --count 30");
+    let mut device = Windowed::start(&folder.command(&device), true);
+    bs.wait_for("TTI/s");
+    let end = closed(&mut bs);
+    assert_interrupted(&folder, end);
+    assert!(device.finish_within(SOON).success(), "{}", device.shown());
+
+    // A device process alone: it has nothing to keep.
+    let device = format!("device --connect {} --run {run} --count 30", free_endpoint());
+    let mut device = Windowed::start(&folder.command(&device), true);
+    wait_for_hang_up(device.pid());
+    assert_eq!(closed(&mut device).code(), Some(130));
+}
+
+/// Waits until a process takes SIGHUP itself.
+fn wait_for_hang_up(pid: u32) {
+    wait_until("the process to take a signal", PATIENCE, || {
+        let status = fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
+        let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"))?;
+        let caught = u64::from_str_radix(caught.trim(), 16).ok()?;
+        (caught >> (Signal::HUP.as_raw() - 1) & 1 == 1).then_some(())
+    });
+}
+
+#[test]
+fn a_closed_window_ends_a_run_in_memory_with_what_there_is() {
+    let folder = Folder::new();
+    let run = "run -n 50 -k 1000000000 --window 10000 --out out";
+    let mut run = Windowed::start(&folder.command(run), true);
+    run.wait_for("TTI/s");
+    let end = closed(&mut run);
+    assert_interrupted(&folder, end);
+}
+
+#[test]
+fn a_closed_window_ends_a_sweep_and_a_recording() {
+    let folder = Folder::new();
+    let sweep = "sweep --devices 20 --ttis 5000 --seeds 900000 --out s";
+    let mut sweep = Windowed::start(&folder.command(sweep), true);
+    sweep.wait_for("runs");
+    assert_eq!(closed(&mut sweep).code(), Some(130));
+    assert!(folder.join("s/runs.journal").exists());
+    let record = "train record -p knn -n 20 -k 5000 --seeds 900000 --chunk 12 --every 40 --out c.parquet";
+    let mut record = Windowed::start(&folder.command(record), true);
+    record.wait_for("runs");
+    assert_eq!(closed(&mut record).code(), Some(130));
+    assert!(!folder.join("c.parquet").exists());
+}
+
+#[test]
+fn a_run_that_is_not_told_goes_on_without_its_terminal() {
+    let (folder, run) = (Folder::new(), unique_run("untold"));
+    let expected = folder.summary("run -n 30 -k 900");
+    // With messages, so that it writes to the terminal after that is gone.
+    let up = format!("-vv up -P 2 -n 30 -k 900 --pace 3ms --out out --run {run}");
+    let mut up = Windowed::start(&folder.command(&up), false);
+    up.wait_for("TTI/s");
+    up.close();
+    let end = up.finish_within(PATIENCE);
+    assert!(end.success(), "{end}");
+    let summary = Summary::read(&folder.join("out"));
+    assert_eq!((summary.status(), summary.digest()), ("complete", expected.digest()));
+    assert_nobody_left(&run);
+}
+
+#[test]
+fn a_run_whose_output_nobody_reads_goes_on() {
+    let (folder, run) = (Folder::new(), unique_run("unread"));
+    let expected = folder.summary("run -n 30 -k 900");
+    // Both pipes lead to a process that has ended.
+    let line = format!(
+        "{{ {{ {program} -vv up -P 2 -n 30 -k 900 --pace 3ms --out out --run {run} 2>&3; echo $? > code; }} | true; }} \
+         3>&1 | true",
+        program = reveille_tests::process::reveille().display()
+    );
+    assert!(sh(&folder, &line).finish().is_success());
+    let code = wait_until("the run to end", PATIENCE, || {
+        fs::read_to_string(folder.join("code"))
+            .ok()
+            .filter(|code| code.ends_with('\n'))
+    });
+    assert_eq!(code, "0\n");
+    let summary = Summary::read(&folder.join("out"));
+    assert_eq!((summary.status(), summary.digest()), ("complete", expected.digest()));
+}
+
+#[test]
+fn nohup_is_respected() {
+    let (folder, run) = (Folder::new(), unique_run("nohup"));
+    let program = reveille_tests::process::reveille().display();
+    let line = format!("trap '' HUP; exec {program} up -P 2 {LONG} --out out --run {run}");
+    let up = sh(&folder, &line);
+    let at = folder.wait_for_tti(&run, 10);
+    up.signal(Signal::HUP);
+    folder.wait_for_tti(&run, at + 50);
+    up.signal(Signal::TERM);
+    let end = up.finish();
+    assert_eq!(end.code(), Some(130), "{end}");
+    assert_eq!(Summary::read(&folder.join("out")).status(), "interrupted");
+}
+
+#[test]
+fn a_stopped_run_goes_on_as_if_nothing_had_been() {
+    let folder = Folder::new();
+    let args = "-n 50 -k 400000 --window 1000";
+    let expected = folder.summary(&format!("run {args}"));
+    let run = folder.start(&format!("run {args} --out out --json"));
+    wait_until("the run to begin", PATIENCE, || {
+        folder.join("out/windows.csv").exists().then_some(())
+    });
+    for _ in 0..3 {
+        run.signal(Signal::STOP);
+        std::thread::sleep(Duration::from_millis(100));
+        run.signal(Signal::CONT);
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    assert_eq!(run.finish().summary().digest(), expected.digest());
+}
+
+/// A shell in `folder`.
+fn sh(folder: &Folder, line: &str) -> Process {
+    let mut command = Command::new("sh");
+    command
+        .args(["-c", line])
+        .current_dir(folder.path())
+        .env("XDG_RUNTIME_DIR", folder.join("runtime"))
+        .env_remove("RUST_LOG");
+    Process::start(&mut command)
+}

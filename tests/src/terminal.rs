@@ -1,0 +1,144 @@
+//! A terminal that a command is started in, and that can be closed like a window.
+
+use std::fs::{File, OpenOptions};
+use std::io::Read;
+use std::os::fd::OwnedFd;
+use std::os::unix::fs::OpenOptionsExt;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use rustix::fs::OFlags;
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+
+use crate::process::{PATIENCE, now, wait_until};
+
+/// A command in a terminal of its own; killed when dropped.
+pub struct Windowed {
+    child: Child,
+    shown: Arc<Mutex<Vec<u8>>>,
+    is_closed: Arc<AtomicBool>,
+    /// Keeps the terminal open while it reads from it.
+    reader: Option<JoinHandle<()>>,
+}
+
+impl Windowed {
+    /// Starts `command` in a new terminal. `is_told` says whether the terminal is the one that tells the command when it
+    /// is closed, as that of a shell does; otherwise the command only cannot write any more.
+    ///
+    /// # Panics
+    /// If there is no terminal to be had.
+    pub fn start(command: &Command, is_told: bool) -> Self {
+        let flags = OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC;
+        let master = openpt(flags).expect("there are terminals");
+        grantpt(&master).expect("the terminal is ours");
+        unlockpt(&master).expect("the terminal is ours");
+        let name = ptsname(&master, Vec::new()).expect("a terminal has a name");
+        let slave = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .custom_flags(OFlags::NOCTTY.bits().cast_signed())
+            .open(name.to_str().expect("a path"))
+            .expect("the terminal can be opened");
+        let copy = || Stdio::from(slave.try_clone().expect("a file can be opened twice"));
+        let mut under = Command::new("setsid");
+        if is_told {
+            under.arg("--ctty");
+        }
+        under
+            .arg(command.get_program())
+            .args(command.get_args())
+            .env("TERM", "xterm");
+        for (name, value) in command.get_envs() {
+            match value {
+                Some(value) => under.env(name, value),
+                None => under.env_remove(name),
+            };
+        }
+        if let Some(folder) = command.get_current_dir() {
+            under.current_dir(folder);
+        }
+        let child = under.stdin(copy()).stdout(copy()).stderr(copy()).spawn();
+        let (shown, is_closed) = (Arc::default(), Arc::default());
+        let (filled, closed) = (Arc::clone(&shown), Arc::clone(&is_closed));
+        Self {
+            child: child.expect("setsid is there"),
+            reader: Some(std::thread::spawn(move || read(master, &filled, &closed))),
+            shown,
+            is_closed,
+        }
+    }
+
+    /// Its process id: `setsid` becomes the command.
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// What the terminal shows, as the command wrote it.
+    pub fn shown(&self) -> String {
+        let shown = self.shown.lock().unwrap_or_else(PoisonError::into_inner);
+        String::from_utf8_lossy(&shown).into_owned()
+    }
+
+    /// Waits until the terminal shows `text`.
+    ///
+    /// # Panics
+    /// If it does not.
+    pub fn wait_for(&self, text: &str) {
+        wait_until(&format!("{text:?} in the terminal"), PATIENCE, || {
+            self.shown().contains(text).then_some(())
+        });
+    }
+
+    /// Closes the terminal.
+    ///
+    /// # Panics
+    /// If it cannot.
+    pub fn close(&mut self) {
+        self.is_closed.store(true, Ordering::Release);
+        if let Some(reader) = self.reader.take() {
+            reader.join().expect("the terminal can be read");
+        }
+    }
+
+    /// Waits for the end of the command.
+    ///
+    /// # Panics
+    /// If it does not end within `patience`.
+    pub fn finish_within(&mut self, patience: Duration) -> ExitStatus {
+        let deadline = now() + patience;
+        loop {
+            if let Some(status) = self.child.try_wait().expect("a child can be waited for") {
+                return status;
+            }
+            assert!(now() < deadline, "not ended within {patience:?}: {}", self.shown());
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+}
+
+impl Drop for Windowed {
+    fn drop(&mut self) {
+        let _ended = self.child.kill().is_err();
+        let _reaped = self.child.wait().is_err();
+        self.is_closed.store(true, Ordering::Release);
+    }
+}
+
+/// Gathers what is shown until the terminal is to be closed; it is when this ends.
+fn read(master: OwnedFd, shown: &Mutex<Vec<u8>>, is_closed: &AtomicBool) {
+    rustix::fs::fcntl_setfl(&master, OFlags::NONBLOCK).expect("a flag of our own file");
+    let (mut master, mut part) = (File::from(master), [0; 4096]);
+    while !is_closed.load(Ordering::Acquire) {
+        match master.read(&mut part) {
+            Ok(n) => shown
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .extend_from_slice(&part[..n]),
+            // Nothing new, or the command has ended.
+            Err(_) => std::thread::sleep(Duration::from_millis(5)),
+        }
+    }
+}
