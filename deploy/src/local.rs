@@ -1,10 +1,11 @@
 //! The runs on this machine, so that `inspect` and `clock` find them without an address.
 
-use std::fs;
-use std::os::unix::fs::DirBuilderExt;
-use std::path::PathBuf;
+use std::fs::{self, OpenOptions};
+use std::io::{self, Write};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
+use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use reveille_common::keys::RunName;
 use serde::{Deserialize, Serialize};
 
@@ -33,10 +34,12 @@ impl Drop for Registered {
 /// If the note cannot be written.
 pub fn register(run: &RunName, endpoint: &str) -> anyhow::Result<Registered> {
     let folder = folder();
-    let mut builder = fs::DirBuilder::new();
-    // What is in it is believed: nobody else may write there.
-    let made = builder.recursive(true).mode(0o700).create(&folder);
-    made.with_context(|| format!("cannot create {}", folder.display()))?;
+    // Whatever is in its place is looked at below.
+    if folder.symlink_metadata().is_err() {
+        let made = fs::DirBuilder::new().recursive(true).mode(0o700).create(&folder);
+        made.with_context(|| format!("cannot create {}", folder.display()))?;
+    }
+    check(&folder)?;
     let pid = i32::try_from(std::process::id()).context("process ids are 31 bits")?;
     let path = folder.join(format!("{run}-{pid}.json"));
     let entry = Entry {
@@ -44,19 +47,50 @@ pub fn register(run: &RunName, endpoint: &str) -> anyhow::Result<Registered> {
         endpoint: endpoint.to_owned(),
         pid,
     };
-    fs::write(&path, serde_json::to_vec(&entry)?).with_context(|| format!("cannot write {}", path.display()))?;
+    write(&path, &serde_json::to_vec(&entry)?).with_context(|| format!("cannot write {}", path.display()))?;
     Ok(Registered(path))
+}
+
+/// Writes an entry, which nobody else may read.
+fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    // Of a process that had this one's id and was killed.
+    if path.symlink_metadata().is_ok() {
+        fs::remove_file(path)?;
+    }
+    let mut file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(path)?;
+    file.write_all(bytes)
+}
+
+/// Refuses a folder that others may have written into: what is in it is believed.
+fn check(folder: &Path) -> anyhow::Result<()> {
+    let own = rustix::process::getuid().as_raw();
+    let named = folder.display();
+    let found = folder.symlink_metadata().with_context(|| named.to_string())?;
+    if !found.is_dir() {
+        bail!("{named} is to be a folder, and is a link or a file");
+    }
+    if found.uid() != own {
+        let other = found.uid();
+        bail!(
+            "{named} belongs to another user ({other}, you are {own}), who could lead you to a run that is not yours"
+        );
+    }
+    let mode = found.permissions().mode() & 0o777;
+    if mode & 0o077 != 0 {
+        bail!("{named} is open to other users (mode {mode:o}): make it yours alone with `chmod 700 {named}`");
+    }
+    Ok(())
 }
 
 /// The endpoint and name of the run that `target` means.
 ///
 /// # Errors
-/// If there is none, or more than one.
+/// If there is none, or more than one, or others could have put them there.
 pub fn find(target: &TargetArgs) -> anyhow::Result<(String, RunName)> {
     if let (Some(endpoint), Some(run)) = (&target.connect, &target.run) {
         return Ok((endpoint.clone(), run.clone()));
     }
-    let entries: Vec<Entry> = entries()
+    let entries: Vec<Entry> = entries()?
         .into_iter()
         .filter(|entry| target.run.as_ref().is_none_or(|run| run.to_string() == entry.run))
         .collect();
@@ -78,10 +112,15 @@ pub fn find(target: &TargetArgs) -> anyhow::Result<(String, RunName)> {
 }
 
 /// The entries of processes that live; those of others are removed.
-fn entries() -> Vec<Entry> {
-    let Ok(files) = fs::read_dir(folder()) else {
-        return Vec::new();
-    };
+fn entries() -> anyhow::Result<Vec<Entry>> {
+    let folder = folder();
+    if folder.symlink_metadata().is_err() {
+        return Ok(Vec::new());
+    }
+    check(&folder).map_err(|why| {
+        anyhow!("{why:#}; or give --run and --connect, or let XDG_RUNTIME_DIR name a folder of your own")
+    })?;
+    let files = fs::read_dir(&folder).with_context(|| folder.display().to_string())?;
     let mut found = Vec::new();
     for path in files.flatten().map(|file| file.path()) {
         let entry: Option<Entry> = fs::read(&path)
@@ -94,7 +133,7 @@ fn entries() -> Vec<Entry> {
         }
     }
     found.sort_by(|a, b| a.run.cmp(&b.run));
-    found
+    Ok(found)
 }
 
 fn is_alive(pid: i32) -> bool {
@@ -102,9 +141,10 @@ fn is_alive(pid: i32) -> bool {
 }
 
 fn folder() -> PathBuf {
-    let uid = rustix::process::getuid().as_raw();
-    std::env::var_os("XDG_RUNTIME_DIR").map_or_else(
-        || std::env::temp_dir().join(format!("reveille-{uid}")),
-        |folder| PathBuf::from(folder).join("reveille"),
-    )
+    let given = std::env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from);
+    // One that depends on where a command is given is to be ignored, says its specification.
+    match given.filter(|folder| folder.is_absolute()) {
+        Some(folder) => folder.join("reveille"),
+        None => std::env::temp_dir().join(format!("reveille-{}", rustix::process::getuid().as_raw())),
+    }
 }

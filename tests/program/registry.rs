@@ -1,0 +1,125 @@
+//! The folder in which runs on this machine are found is believed only where nobody else can write, and is nobody else's
+//! to read.
+
+use std::fs::{self, Permissions};
+use std::os::unix::fs::{PermissionsExt, chown, symlink};
+
+use reveille_tests::process::{Folder, PATIENCE, Process, assert_refused, free_endpoint, unique_run, wait_until};
+use rustix::process::{Signal, getuid};
+
+/// The folder of entries.
+const REGISTRY: &str = "runtime/reveille";
+/// Somebody else.
+const NOBODY: u32 = 65_534;
+
+/// The permissions of something.
+fn mode(folder: &Folder, name: &str) -> u32 {
+    let found = fs::symlink_metadata(folder.join(name)).expect("there");
+    found.permissions().mode() & 0o777
+}
+
+#[test]
+fn entries_are_for_their_owner_alone() {
+    let (folder, run) = (Folder::new(), unique_run("own"));
+    let mut command = std::process::Command::new("sh");
+    let program = reveille_tests::process::reveille().display();
+    let endpoint = free_endpoint();
+    command
+        .args([
+            "-c",
+            &format!("umask 0; exec {program} bs -n 30 --run {run} --listen {endpoint}"),
+        ])
+        .current_dir(folder.path())
+        .env("XDG_RUNTIME_DIR", folder.join("runtime"));
+    let bs = Process::start(&mut command);
+    let entry = wait_until("the run to be registered", PATIENCE, || {
+        folder.list(REGISTRY).first().cloned()
+    });
+    assert_eq!(mode(&folder, REGISTRY), 0o700);
+    assert_eq!(mode(&folder, &format!("{REGISTRY}/{entry}")), 0o600);
+    // What was there before under this name is not written into.
+    bs.signal(Signal::INT);
+    assert_eq!(bs.finish().code(), Some(130));
+}
+
+/// A run goes on without the folder, and says so; `clock` does not believe what is in it, and touches nothing.
+fn is_not_believed(folder: &Folder, why: &str) {
+    let (run, endpoint) = (unique_run("doubt"), free_endpoint());
+    // Of a process that lives: this one.
+    let entry = format!(
+        r#"{{"run":"{run}","endpoint":"{endpoint}","pid":{}}}"#,
+        std::process::id()
+    );
+    let planted = format!("{REGISTRY}/{run}-1.json");
+    let is_folder = folder.join(REGISTRY).is_dir();
+    if is_folder {
+        folder.write(&planted, &entry);
+    }
+    for command in ["clock status", "inspect tail --count 1"] {
+        let end = folder.run(&format!("{command} --run {run}"));
+        assert_refused(&end, 1, &[REGISTRY, why, "XDG_RUNTIME_DIR", "--connect"]);
+    }
+    let before = folder.list(REGISTRY);
+    let up = folder.run(&format!("up -P 1 -n 5 -k 100 --quiet --run {run} --out {run}"));
+    assert!(up.is_success(), "{up}");
+    for part in [REGISTRY, why, "will not find this run"] {
+        assert!(up.stderr.contains(part), "no {part:?}: {up}");
+    }
+    assert_eq!(folder.list(REGISTRY), before);
+    if is_folder {
+        fs::remove_file(folder.join(&planted)).expect("ours");
+    }
+}
+
+#[test]
+fn a_folder_that_is_open_to_others_is_not_believed() {
+    let folder = Folder::new();
+    fs::create_dir(folder.join(REGISTRY)).expect("possible");
+    for mode in [0o755, 0o770, 0o1777] {
+        fs::set_permissions(folder.join(REGISTRY), Permissions::from_mode(mode)).expect("ours");
+        is_not_believed(&folder, "chmod 700");
+    }
+    fs::set_permissions(folder.join(REGISTRY), Permissions::from_mode(0o700)).expect("ours");
+    let end = folder.run("clock status");
+    assert_refused(&end, 1, &["no run on this machine"]);
+}
+
+#[test]
+fn a_link_in_its_place_is_not_followed() {
+    let folder = Folder::new();
+    fs::create_dir(folder.join("elsewhere")).expect("possible");
+    fs::set_permissions(folder.join("elsewhere"), Permissions::from_mode(0o700)).expect("ours");
+    symlink(folder.join("elsewhere"), folder.join(REGISTRY)).expect("possible");
+    is_not_believed(&folder, "a link or a file");
+    fs::remove_file(folder.join(REGISTRY)).expect("ours");
+    symlink(folder.join("nowhere"), folder.join(REGISTRY)).expect("possible");
+    is_not_believed(&folder, "a link or a file");
+    assert!(!folder.join("nowhere").exists());
+    fs::remove_file(folder.join(REGISTRY)).expect("ours");
+    folder.write(REGISTRY, "");
+    is_not_believed(&folder, "a link or a file");
+}
+
+#[test]
+fn the_folder_of_another_user_is_not_believed() {
+    if !getuid().is_root() {
+        eprintln!("not tested: to give a folder to another user takes root");
+        return;
+    }
+    let folder = Folder::new();
+    fs::create_dir(folder.join(REGISTRY)).expect("possible");
+    fs::set_permissions(folder.join(REGISTRY), Permissions::from_mode(0o700)).expect("ours");
+    chown(folder.join(REGISTRY), Some(NOBODY), Some(NOBODY)).expect("root may");
+    is_not_believed(&folder, "another user (65534, you are 0)");
+}
+
+#[test]
+fn a_folder_of_no_fixed_place_is_not_used() {
+    let (folder, run) = (Folder::new(), unique_run("relative"));
+    let mut command = folder.command(&format!("up -P 0 -n 5 -k 100 --quiet --run {run} --out out"));
+    command.env("XDG_RUNTIME_DIR", "runtime").env("TMPDIR", folder.path());
+    let end = Process::start(&mut command).finish();
+    assert!(end.is_success(), "{end}");
+    assert!(!folder.join(REGISTRY).exists());
+    assert_eq!(mode(&folder, &format!("reveille-{}", getuid().as_raw())), 0o700);
+}
