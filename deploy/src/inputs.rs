@@ -6,6 +6,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use reveille_bs::scenario::load;
 use reveille_common::scenario::Scenario;
 use reveille_view::recording::Bundle;
 
@@ -51,6 +52,24 @@ impl Inputs {
         self.0
             .iter()
             .try_for_each(|input| fs::write(folder.join(&input.name), &input.bytes))
+    }
+
+    /// Checks that the scenario file at `path`, which names the copies, means `scenario`.
+    ///
+    /// # Errors
+    /// It does not: a file was changed after it had been read.
+    pub fn check(&self, path: &Path, scenario: &Scenario) -> anyhow::Result<()> {
+        if self.0.is_empty() {
+            return Ok(());
+        }
+        let copy = load(&path.to_string_lossy(), &[])?;
+        let names: Vec<String> = self.0.iter().map(|input| input.path.display().to_string()).collect();
+        anyhow::ensure!(
+            copy.hash_hex() == scenario.hash_hex(),
+            "a file of the scenario was changed while it was read; start the run again ({})",
+            names.join(", ")
+        );
+        Ok(())
     }
 
     /// `scenario` with its files, as one thing.

@@ -6,6 +6,7 @@
 )]
 
 mod bench;
+mod claim;
 mod cli;
 mod commands;
 mod dashboard;
@@ -20,6 +21,7 @@ mod local;
 mod paths;
 mod recording;
 mod results;
+mod rows;
 mod series;
 mod summary;
 mod terminal;

@@ -1,11 +1,11 @@
 //! The recording of a run that this process makes.
 
-use std::fs;
-use std::path::PathBuf;
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use reveille_common::scenario::Scenario;
-use reveille_view::recording::{Bundle, Recorder, Tape};
+use reveille_view::recording::{self, Bundle, Recorder, Tape};
 
 use crate::cli::OutputArgs;
 use crate::display::note;
@@ -68,6 +68,11 @@ impl Recording {
         }
         Ok(())
     }
+}
+
+/// Whether somebody is writing the recording at `path`.
+pub fn is_growing(path: &Path) -> bool {
+    File::open(path).is_ok_and(|file| recording::is_growing(&file))
 }
 
 /// `scenario` with the files that it names.

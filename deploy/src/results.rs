@@ -9,11 +9,10 @@
 //! | `devices.csv` | a row per device |
 //! | `learned.json` | the tables of a policy that has learned in the run |
 //! | `summary.json` | metrics, digest, timing, versions |
-//! | `RUNNING` | there while the run goes; left behind, the run was killed |
+//! | `RUNNING` | there and locked while the run goes; left behind, the run was killed |
 //! | `FAILED` | why a run ended without a summary |
 
-use std::fs::{self, File};
-use std::io::BufWriter;
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
@@ -24,12 +23,13 @@ use reveille_common::score::WindowRecord;
 use reveille_lab::io::replace;
 use reveille_lab::training::learned_in;
 
+use crate::claim::{Claim, RUNNING};
 use crate::cli::OutputArgs;
 use crate::inputs::{self, Inputs};
+use crate::rows::Tables;
 use crate::series;
 use crate::summary::Summary;
 
-const RUNNING: &str = "RUNNING";
 const FAILED: &str = "FAILED";
 /// The resolved scenario.
 pub const SCENARIO: &str = "scenario.toml";
@@ -37,6 +37,11 @@ pub const SCENARIO: &str = "scenario.toml";
 pub const SUMMARY: &str = "summary.json";
 const LEARNED: &str = "learned.json";
 const DEVICES: &str = "devices.csv";
+const EVENTS: &str = "events.csv";
+const WINDOWS: &str = "windows.csv";
+/// The places of the two in [`Tables`].
+const EVENT: usize = 0;
+const WINDOW: usize = 1;
 /// What a run that was killed while it wrote may have left.
 const PARTS: [&str; 4] = [
     "scenario.toml.part",
@@ -48,46 +53,41 @@ const PARTS: [&str; 4] = [
 /// A run folder that is being filled.
 pub struct RunFolder {
     path: PathBuf,
-    events: csv::Writer<BufWriter<File>>,
-    windows: csv::Writer<BufWriter<File>>,
+    /// Until the run has ended in the folder.
+    claim: Option<Claim>,
+    tables: Tables,
     devices: u32,
-    error: Option<csv::Error>,
-    is_closed: bool,
 }
 
 impl RunFolder {
     /// Makes the folder that `args` names, or the next free one under `runs/`, and marks it as running.
     ///
     /// # Errors
-    /// If the folder holds something already, or cannot be written.
+    /// If the folder holds something already, a run is writing there, or it cannot be written to.
     pub fn create(args: &OutputArgs, scenario: &Scenario) -> anyhow::Result<Self> {
         // Before a folder is emptied that may hold them.
         let inputs = Inputs::read(scenario)?;
-        let path = match &args.out {
-            Some(path) => {
-                clear(path, args.force)?;
-                path.clone()
+        let (path, mut claim) = match &args.out {
+            Some(path) => (path.clone(), clear(path, args.force)?),
+            None => {
+                let path = free_name(scenario)?;
+                let claim = Claim::take(&path)?;
+                (path, claim)
             }
-            None => free_name(scenario)?,
         };
-        let cannot = || format!("cannot write in the run folder {}", path.display());
-        fs::create_dir_all(&path).with_context(cannot)?;
-        fs::write(path.join(RUNNING), format!("pid {}\n", std::process::id())).with_context(cannot)?;
-        inputs.write(&path).with_context(cannot)?;
-        replace(&path.join(SCENARIO), inputs.to_toml(scenario).as_bytes()).with_context(cannot)?;
-        let open =
-            |name: &str| File::create(path.join(name)).map(|file| csv::Writer::from_writer(BufWriter::new(file)));
-        let mut folder = Self {
-            events: open("events.csv").with_context(cannot)?,
-            windows: open("windows.csv").with_context(cannot)?,
-            devices: scenario.devices,
-            error: None,
-            is_closed: false,
-            path,
-        };
-        folder.events.write_record(series::EVENTS)?;
-        folder.windows.write_record(series::window_columns())?;
-        Ok(folder)
+        match fill(&path, &mut claim, &inputs, scenario) {
+            Ok(tables) => Ok(Self {
+                path,
+                claim: Some(claim),
+                tables,
+                devices: scenario.devices,
+            }),
+            Err(error) => {
+                // What is left of a run that has not begun is in the way of the next one.
+                let _emptied = empty(&path).is_ok() && claim.release().is_ok();
+                Err(error)
+            }
+        }
     }
 
     /// The path of the folder.
@@ -115,16 +115,10 @@ impl RunFolder {
     /// If something cannot be written.
     pub fn finish(mut self, scenario: &Scenario, outcome: &Outcome, summary: &Summary<'_>) -> anyhow::Result<()> {
         let cannot = || format!("cannot write in the run folder {}", self.path.display());
-        if let Some(error) = self.error.take() {
-            return Err(error).with_context(cannot);
-        }
-        self.events.flush().with_context(cannot)?;
-        self.windows.flush().with_context(cannot)?;
+        self.tables.flush().with_context(cannot)?;
         self.write_devices(scenario, outcome).with_context(cannot)?;
         replace(&self.path.join(SUMMARY), summary.to_json()?.as_bytes()).with_context(cannot)?;
-        fs::remove_file(self.path.join(RUNNING)).with_context(cannot)?;
-        self.is_closed = true;
-        Ok(())
+        self.claim.take().map_or(Ok(()), Claim::release).with_context(cannot)
     }
 
     /// Keeps what the policy has learned in the run, if it learns.
@@ -152,73 +146,99 @@ impl RunFolder {
     }
 
     fn mark(&mut self, why: &str) {
+        let Some(claim) = self.claim.take() else { return };
         // The run has failed already; what cannot be written about it is not worth another error.
-        let _ = self.events.flush();
-        let _ = self.windows.flush();
+        let _ = self.tables.flush();
         // Written in place: on a full disk an empty mark is better than none.
         let _ = fs::write(self.path.join(FAILED), why);
-        let _ = fs::remove_file(self.path.join(RUNNING));
-        self.is_closed = true;
+        let _ = claim.release();
     }
 }
 
 impl Drop for RunFolder {
     fn drop(&mut self) {
-        if !self.is_closed {
-            self.mark("the run ended without its summary; its error is on the standard error of the command\n");
-        }
+        self.mark("the run ended without its summary; its error is on the standard error of the command\n");
     }
 }
 
 impl Observer for RunFolder {
     fn see(&mut self, happening: &Happening<'_>) {
-        if let (Happening::EventEnded(event), None) = (happening, &self.error) {
-            self.error = self.events.write_record(series::event(event)).err();
+        if let Happening::EventEnded(event) = happening {
+            self.tables.add(EVENT, series::event(event));
         }
     }
 
     fn window(&mut self, window: &WindowRecord) -> bool {
-        if window.end > window.first && self.error.is_none() {
-            self.error = self.windows.write_record(series::window(self.devices, window)).err();
+        if window.end > window.first {
+            self.tables.add(WINDOW, series::window(self.devices, window));
         }
-        self.error.is_none()
+        self.tables.is_well()
     }
 }
 
-/// Empties a folder that held a run, if that is wanted.
-fn clear(path: &Path, force: bool) -> anyhow::Result<()> {
-    let Ok(mut files) = fs::read_dir(path) else {
-        return Ok(());
-    };
-    if files.next().is_none() {
-        return Ok(());
-    }
-    let is_run = path.join(SCENARIO).exists();
-    if !force || !is_run {
-        let hint = if is_run {
-            "choose another, or add --force to replace it"
-        } else {
-            "and it is not a run: choose another"
-        };
-        bail!("--out {}: the folder is not empty; {hint}", path.display());
-    }
-    let files = [
-        SUMMARY,
-        LEARNED,
-        RUNNING,
-        FAILED,
-        SCENARIO,
-        DEVICES,
-        "events.csv",
-        "windows.csv",
+/// Puts what a run begins with into a folder.
+fn fill(path: &Path, claim: &mut Claim, inputs: &Inputs, scenario: &Scenario) -> anyhow::Result<Tables> {
+    let cannot = || format!("cannot write in the run folder {}", path.display());
+    claim.mark().with_context(cannot)?;
+    inputs.write(path).with_context(cannot)?;
+    replace(&path.join(SCENARIO), inputs.to_toml(scenario).as_bytes()).with_context(cannot)?;
+    inputs.check(&path.join(SCENARIO), scenario)?;
+    let tables = [
+        (EVENTS, series::EVENTS.to_vec()),
+        (WINDOWS, series::window_columns().collect()),
     ];
-    for name in files.into_iter().chain(PARTS) {
+    Tables::begin(path, &tables).with_context(cannot)
+}
+
+/// Claims a folder, and empties it of the run that it held, if that is wanted.
+fn clear(path: &Path, force: bool) -> anyhow::Result<Claim> {
+    // A folder that is no run is not written into.
+    if !path.join(RUNNING).exists() {
+        check_free(path, force, false)?;
+    }
+    let claim = Claim::take(path)?;
+    // A run may have come and gone meanwhile.
+    if let Err(refusal) = check_free(path, force, claim.was_killed()) {
+        claim.withdraw();
+        return Err(refusal);
+    }
+    empty(path)?;
+    Ok(claim)
+}
+
+/// Takes out of a folder what a run has left there, all but its mark.
+fn empty(path: &Path) -> anyhow::Result<()> {
+    let files = [SUMMARY, LEARNED, FAILED, DEVICES, EVENTS, WINDOWS];
+    // What makes it a run goes last: a folder that could not be emptied can still be replaced.
+    for name in files.into_iter().chain(PARTS).chain([SCENARIO]) {
         let file = path.join(name);
         if file.exists() {
             fs::remove_file(&file).with_context(|| format!("cannot replace {}", file.display()))?;
         }
     }
-    inputs::remove(path).with_context(|| format!("cannot replace {}", path.join(inputs::FOLDER).display()))
+    let inputs = path.join(inputs::FOLDER);
+    inputs::remove(path).with_context(|| format!("cannot replace {}", inputs.display()))
+}
+
+/// Refuses a folder that holds something, unless it is a run that may be replaced.
+fn check_free(path: &Path, force: bool, was_killed: bool) -> anyhow::Result<()> {
+    let Ok(files) = fs::read_dir(path) else {
+        return Ok(());
+    };
+    let is_mark = |file: &fs::DirEntry| file.file_name() == RUNNING;
+    if files.flatten().all(|file| is_mark(&file)) {
+        return Ok(());
+    }
+    let is_run = was_killed || path.join(SCENARIO).exists();
+    if force && is_run {
+        return Ok(());
+    }
+    let hint = match (is_run, was_killed) {
+        (false, _) => "the folder is not empty; and it is not a run: choose another",
+        (true, false) => "the folder is not empty; choose another, or add --force to replace it",
+        (true, true) => "the folder holds a run that was killed; choose another, or add --force to replace it",
+    };
+    bail!("--out {}: {hint}", path.display())
 }
 
 /// A folder under `runs/` that does not exist yet. It is made here, so that two runs never share one.

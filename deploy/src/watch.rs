@@ -10,7 +10,7 @@ use reveille_view::recording::Tape;
 
 use crate::cli::OutputArgs;
 use crate::paths::check_place;
-use crate::recording::Recording;
+use crate::recording::{Recording, is_growing};
 use crate::web;
 
 /// Takes in every frame of the run.
@@ -33,6 +33,13 @@ pub fn check(args: &OutputArgs) -> anyhow::Result<()> {
         if path.exists() && !may_replace {
             bail!(
                 "--record {}: is there already; choose another, or move it away",
+                path.display()
+            );
+        }
+        if may_replace && is_growing(path) {
+            bail!(
+                "--record {}: a run is recording in this file; choose another, or wait until it has ended: --force \
+                 never replaces what is being written",
                 path.display()
             );
         }

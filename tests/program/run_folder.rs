@@ -58,3 +58,38 @@ fn a_run_folder_that_was_moved_can_be_run_again() {
     assert_ne!(plain.digest(), first.digest());
     assert!(!folder.join("again/inputs").exists());
 }
+
+/// A model of the decision transformer, and traces in the form of tables of sweeps.
+#[test]
+fn models_and_traces_of_other_forms_are_kept_as_well() {
+    let folder = Folder::new();
+    let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/../bs/src/policy/dt/shipped.safetensors");
+    fs::copy(shipped, folder.join("model.safetensors")).expect("it is shipped");
+    let swept = folder.run("sweep -n 5 --ttis 100 --seeds 8 --quiet --out s");
+    assert!(swept.is_success(), "{swept}");
+    fs::rename(folder.join("s/results.parquet"), folder.join("sun.parquet")).expect("a table");
+    folder.write(
+        "my.toml",
+        "devices = 8\nttis = 300\npolicy.name = \"dt\"\npolicy.dt.model = \"model.safetensors\"\n\
+         [harvest]\nkind = \"trace\"\ntrace.file = \"sun.parquet\"\ntrace.column = \"reports_per_event\"\n",
+    );
+    let first = folder.summary("up -P 2 -s my.toml --out first");
+    assert_eq!(folder.list("first/inputs"), ["model.safetensors", "sun.parquet"]);
+    for gone in ["model.safetensors", "sun.parquet", "my.toml"] {
+        fs::remove_file(folder.join(gone)).expect("a file");
+    }
+    fs::create_dir(folder.join("elsewhere")).expect("a folder");
+    fs::rename(folder.join("first"), folder.join("elsewhere/moved")).expect("a move");
+    let again = folder.summary("run -s elsewhere/moved/scenario.toml --out again");
+    assert_eq!(again.digest(), first.digest());
+    let hash = |name: &str| {
+        let text = String::from_utf8(folder.bytes(&format!("{name}/summary.json"))).expect("text");
+        let hash = text
+            .lines()
+            .find(|line| line.contains("scenario_hash"))
+            .expect("a hash")
+            .to_owned();
+        hash
+    };
+    assert_eq!(hash("again"), hash("elsewhere/moved"));
+}

@@ -16,7 +16,7 @@ mod writer;
 pub use bundle::{Bundle, SCENARIO, SUMMARY};
 pub use channel::{NANOS_PER_TTI, topic};
 pub use reader::{Reader, RecordingError};
-pub use recorder::{Recorded, Recorder, Tape};
+pub use recorder::{Recorded, Recorder, Tape, is_growing};
 pub use writer::Writer;
 
 /// The form of recordings; a file of another is refused.

@@ -1,6 +1,6 @@
 //! A recording of a run that goes on: written by a thread of its own, which the run waits for when it must.
 
-use std::fs::File;
+use std::fs::{File, TryLockError};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -63,6 +63,14 @@ pub struct Tape {
     shared: Arc<Shared>,
 }
 
+/// Whether a recorder is writing the file that was opened as `file`.
+pub fn is_growing(file: &File) -> bool {
+    let is_locked = matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock));
+    // Only asked: the lock is for who writes.
+    let _free = file.unlock().is_ok();
+    is_locked
+}
+
 impl Recorder {
     /// Begins the recording of the run called `run`, of what is in `bundle`, in a new file at `path`.
     ///
@@ -71,6 +79,8 @@ impl Recorder {
     pub fn start(path: &Path, run: &str, bundle: &Bundle) -> Result<Self, String> {
         let file = File::options().write(true).create_new(true).open(path);
         let file = file.map_err(|error| error.to_string())?;
+        // For as long as it is written, so that others see that it is. Some network file systems cannot lock.
+        let _locked = file.try_lock().is_ok();
         let writer = Writer::begin(BufWriter::new(file), run, bundle).map_err(|error| error.to_string())?;
         let (queue, items) = sync_channel(QUEUE);
         let shared = Arc::new(Shared::default());

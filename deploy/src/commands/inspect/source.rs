@@ -10,10 +10,11 @@ use reveille_bs::prepared::Prepared;
 use reveille_common::ids::Tti;
 use reveille_common::message::Frame;
 use reveille_common::scenario::Scenario;
-use reveille_view::recording::{Bundle, Reader};
+use reveille_view::recording::{Bundle, Reader, is_growing};
 
 use super::live::Live;
 use crate::cli::TargetArgs;
+use crate::display::note;
 
 /// A recording on the disk.
 pub type Recording = Reader<BufReader<File>>;
@@ -30,6 +31,9 @@ pub fn open(path: &Path) -> anyhow::Result<Recording> {
         "{}: is not a file",
         named()
     );
+    if is_growing(&file) {
+        note!("{} is still being written: this is what there is so far", named());
+    }
     Reader::open(BufReader::new(file)).with_context(named)
 }
 

@@ -13,6 +13,7 @@ use reveille_lab::training::checkpoint;
 use reveille_lab::trajectories::{Chunk, HORIZON, Recording, Trajectories, record, record_again, write};
 
 use super::q_learning::Interrupted;
+use crate::claim::{Standing, standing};
 use crate::cli::RecordArgs;
 use crate::commands::experiment::experiment;
 use crate::display::{self, note};
@@ -119,6 +120,14 @@ fn of_folders(
 fn digest(folder: &Path) -> anyhow::Result<String> {
     let path = folder.join(SUMMARY);
     let refuse = |why: String| anyhow::anyhow!("{}: {why}", path.display());
+    match standing(folder) {
+        Standing::Ended => {}
+        Standing::Alive(_) => bail!(
+            "{}: its run is still going on; wait until it has ended",
+            folder.display()
+        ),
+        Standing::Killed => bail!("{}: its run was killed, so it has no digest", folder.display()),
+    }
     let text = std::fs::read_to_string(&path).map_err(|error| refuse(error.to_string()))?;
     let summary: serde_json::Value = serde_json::from_str(&text).map_err(|error| refuse(error.to_string()))?;
     let digest = summary["digest"].as_str().map(str::to_owned);

@@ -1,0 +1,185 @@
+//! A run folder, and a recording, has one writer: what goes on is never replaced, what was killed can be.
+
+use std::fs;
+
+use reveille_tests::process::{
+    Finished, Folder, PATIENCE, Process, Summary, assert_refused, hosts_of, now, unique_run, wait_until,
+};
+use rustix::process::Signal;
+
+/// `up` with two device processes in the folder `out`, past its first TTIs.
+fn alive(folder: &Folder, run: &str, args: &str) -> Process {
+    let up = folder.start(&format!(
+        "up -P 2 -n 30 -k 12000 --pace 5ms --out out --run {run} {args}"
+    ));
+    folder.wait_for_tti(run, 10);
+    up
+}
+
+/// The next free name on this machine, with nobody left of it.
+fn gone(run: &str) {
+    wait_until("the device processes to end", PATIENCE, || {
+        hosts_of(run).is_empty().then_some(())
+    });
+}
+
+#[test]
+fn a_run_that_goes_on_is_never_replaced() {
+    let (folder, run) = (Folder::new(), unique_run("writer"));
+    let up = alive(&folder, &run, "");
+    let scenario = folder.bytes("out/scenario.toml");
+    let pid = format!("(pid {})", up.pid());
+    for command in ["run", "up -P 0", "bs --run other --listen tcp/127.0.0.1:0"] {
+        for force in ["", "--force"] {
+            let end = folder.run(&format!("{command} -n 7 -k 50 --out out {force}"));
+            assert_refused(&end, 1, &["--out out", "a run is going on", &pid, "--force never"]);
+        }
+    }
+    let end = folder.run("train record --from out --chunk 12 --every 40 --out c.parquet");
+    assert_refused(&end, 1, &["out", "still going on"]);
+    up.signal(Signal::INT);
+    let end = up.finish();
+    assert_eq!(end.code(), Some(130), "{end}");
+    assert!(folder.bytes("out/scenario.toml") == scenario);
+    let summary = Summary::read(&folder.join("out"));
+    assert_eq!((summary.number("n"), summary.status()), (30, "interrupted"));
+    assert!(folder.run("run -n 7 -k 50 --quiet --out out --force").is_success());
+}
+
+#[test]
+fn a_run_that_was_killed_is_told_from_one_that_goes_on() {
+    let (folder, run) = (Folder::new(), unique_run("stale"));
+    let expected = folder.summary("run -n 7 -k 50");
+    let up = alive(&folder, &run, "");
+    up.signal(Signal::KILL);
+    up.finish();
+    gone(&run);
+    assert!(folder.list("out").contains(&"RUNNING".to_owned()));
+    let end = folder.run("run -n 7 -k 50 --out out");
+    assert_refused(&end, 1, &["--out out", "was killed", "--force"]);
+    let record = folder.run("train record --from out --chunk 12 --every 40 --out c.parquet");
+    assert_refused(&record, 1, &["out", "was killed"]);
+    assert!(
+        folder.list("out").contains(&"RUNNING".to_owned()),
+        "it is left as it was"
+    );
+    let replaced = folder.summary("up -P 2 -n 7 -k 50 --out out --force");
+    assert_eq!(replaced.digest(), expected.digest());
+    assert_eq!(
+        folder.list("out"),
+        [
+            "devices.csv",
+            "events.csv",
+            "scenario.toml",
+            "summary.json",
+            "windows.csv"
+        ]
+    );
+}
+
+#[test]
+fn of_runs_that_begin_at_once_one_has_the_folder() {
+    let folder = Folder::new();
+    for force in [false, true] {
+        let args = |seed: u64| {
+            format!(
+                "run -n 20 -k 200000 --seed {seed} --out new --json {}",
+                if force { "--force" } else { "" }
+            )
+        };
+        let runs: Vec<Process> = (1..=6).map(|seed| folder.start(&args(seed))).collect();
+        let ends: Vec<Finished> = runs.into_iter().map(Process::finish).collect();
+        let (won, lost): (Vec<&Finished>, Vec<&Finished>) = ends.iter().partition(|end| end.is_success());
+        for end in lost {
+            assert_refused(end, 1, &["--out new"]);
+        }
+        // With --force a later one may replace one that has ended.
+        assert!(if force { !won.is_empty() } else { won.len() == 1 }, "{ends:?}");
+        let kept = Summary::read(&folder.join("new"));
+        assert!(won.iter().any(|end| end.summary().digest() == kept.digest()));
+        assert!(!folder.list("new").contains(&"RUNNING".to_owned()));
+        let text = String::from_utf8(folder.bytes("new/scenario.toml")).expect("text");
+        let seed = kept.number("seed");
+        assert!(
+            text.contains(&format!("seed = {seed}")),
+            "one run's scenario, another's summary: {text}"
+        );
+        fs::remove_dir_all(folder.join("new")).expect("removable");
+        fs::create_dir(folder.join("new")).expect("possible");
+    }
+}
+
+#[test]
+fn a_folder_that_is_no_run_is_left_as_it_is() {
+    let folder = Folder::new();
+    fs::create_dir(folder.join("mine")).expect("possible");
+    folder.write("mine/letter", "dear");
+    for mark in [None, Some("to the sea")] {
+        if let Some(mark) = mark {
+            folder.write("mine/RUNNING", mark);
+        }
+        let before = folder.list("mine");
+        for force in ["", "--force"] {
+            let end = folder.run(&format!("run -n 7 -k 50 --out mine {force}"));
+            assert_refused(&end, 1, &["--out mine", "not a run"]);
+            assert_eq!(folder.list("mine"), before);
+        }
+    }
+    assert_eq!(folder.bytes("mine/RUNNING"), b"to the sea");
+}
+
+#[test]
+fn a_recording_that_grows_is_never_replaced_and_said_to_grow() {
+    let (folder, run) = (Folder::new(), unique_run("tape"));
+    let up = alive(&folder, &run, "--record r.mcap");
+    let end = folder.run("run -n 7 -k 50 --out other --record r.mcap --force");
+    assert_refused(&end, 1, &["--record r.mcap", "is recording", "--force never"]);
+    assert!(!folder.join("other").exists());
+    // The beginning of a recording may still be on its way.
+    wait_until("the recording to be readable", PATIENCE, || {
+        let end = folder.run("inspect tail --from r.mcap --count 1");
+        end.stderr.contains("r.mcap is still being written").then_some(())
+    });
+    up.signal(Signal::INT);
+    assert_eq!(up.finish().code(), Some(130));
+    let end = folder.run("inspect tail --from r.mcap --count 1");
+    assert!(end.is_success() && !end.stderr.contains("still being written"), "{end}");
+    assert!(
+        folder
+            .run("run -n 7 -k 50 --quiet --out other --record r.mcap --force")
+            .is_success()
+    );
+}
+
+#[test]
+fn a_killed_run_has_its_rows_whole_and_up_to_the_last_second() {
+    let (folder, run) = (Folder::new(), unique_run("rows"));
+    let up = folder.start(&format!(
+        "up -P 2 -n 30 -k 12000 --pace 5ms --window 10 --set events.alpha=0.2 --out out --run {run}"
+    ));
+    folder.wait_for_tti(&run, 10);
+    let began = now();
+    let at = folder.wait_for_tti(&run, 400);
+    // A row may wait for a second; a machine may be busy.
+    let rows = |name: &str| {
+        let text = String::from_utf8(folder.bytes(&format!("out/{name}"))).expect("text");
+        assert!(text.ends_with('\n'), "half a row: {text}");
+        let columns = text.lines().next().expect("a header").split(',').count();
+        assert!(text.lines().all(|line| line.split(',').count() == columns), "{text}");
+        text.lines().count() - 1
+    };
+    wait_until("the rows to be written while the run goes on", PATIENCE, || {
+        (rows("windows.csv") as u64 >= at / 10).then_some(())
+    });
+    let tti = folder.wait_for_tti(&run, 0);
+    assert!(
+        tti < 11_000,
+        "only at the end, {:?} after the beginning",
+        began.elapsed()
+    );
+    up.signal(Signal::KILL);
+    up.finish();
+    assert!(rows("windows.csv") as u64 >= at / 10);
+    assert!(rows("events.csv") > 5);
+    gone(&run);
+}
