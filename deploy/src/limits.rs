@@ -1,4 +1,5 @@
-//! How many files this process may have open, sockets among them: as many as the system lets it, and enough for the run.
+//! How many files this process may have open, sockets among them: as many as the system lets it, and enough for the
+//! run.
 
 use anyhow::bail;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
@@ -25,8 +26,8 @@ pub fn for_station(processes: u32) -> anyhow::Result<()> {
     };
     let plural = if processes == 1 { "" } else { "es" };
     bail!(
-        "this process may have {allowed} files open, and a base station with {processes} device process{plural} needs {needed}; raise the limit \
-         (`ulimit -n {needed}`, LimitNOFILE= of a service){fewer}"
+        "this process may have {allowed} files open, and a base station with {processes} device process{plural} needs \
+         {needed}; raise the limit (`ulimit -n {needed}`, LimitNOFILE= of a service){fewer}"
     )
 }
 
@@ -39,8 +40,8 @@ pub fn for_any_station(devices: u32) -> anyhow::Result<()> {
     let carried = raise() - STATION;
     if carried < u64::from(devices) {
         tracing::warn!(
-            "this process may have {} files open, so {carried} device processes at the most can join; `ulimit -n` \
-             raises the limit",
+            "this process may have {} files open, so device processes can join up to a number of {carried}; \
+             `ulimit -n` raises the limit",
             raise()
         );
     }

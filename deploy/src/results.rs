@@ -67,13 +67,12 @@ impl RunFolder {
     pub fn create(args: &OutputArgs, scenario: &Scenario) -> anyhow::Result<Self> {
         // Before a folder is emptied that may hold them.
         let inputs = Inputs::read(scenario)?;
-        let (path, mut claim) = match &args.out {
-            Some(path) => (path.clone(), clear(path, args.force)?),
-            None => {
-                let path = free_name(scenario)?;
-                let claim = Claim::take(&path)?;
-                (path, claim)
-            }
+        let (path, mut claim) = if let Some(path) = &args.out {
+            (path.clone(), clear(path, args.force)?)
+        } else {
+            let path = free_name(scenario)?;
+            let claim = Claim::take(&path)?;
+            (path, claim)
         };
         match fill(&path, &mut claim, &inputs, scenario) {
             Ok(tables) => Ok(Self {

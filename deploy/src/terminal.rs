@@ -1,5 +1,5 @@
-//! The terminal that a command was started in. One that is gone, as its window was closed, is no error: the run matters,
-//! and is not to end in the middle of a drawing.
+//! The terminal that a command was started in. One that is gone, as its window was closed, is no error: the run
+//! matters, and is not to end in the middle of a drawing.
 
 use std::fs::File;
 use std::io::{self, IsTerminal, Write};
@@ -25,7 +25,7 @@ pub fn target() -> ProgressDrawTarget {
     }
 }
 
-/// Whether `error`, of writing to `output`, means that nobody reads it any more: the pipe is closed, or the terminal is.
+/// Whether `error`, of writing to `output`, means that nobody reads it any more: the pipe or the terminal is closed.
 pub fn is_gone(error: &io::Error, output: BorrowedFd<'_>) -> bool {
     // A terminal that is gone is none any more, but a device still.
     let is_device = || {

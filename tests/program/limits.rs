@@ -80,7 +80,7 @@ fn what_is_said_to_be_enough_is() {
         24,
         &format!("bs -n 50 -k 200 --json --run {run} --listen {endpoint} --out hand"),
     );
-    bs.wait_for_stderr("1 device processes at the most can join");
+    bs.wait_for_stderr("device processes can join up to a number of 1;");
     let device = format!("device --run {run} --count 50 --connect {endpoint}");
     let device = limited(&folder, 32, 16, &device).finish();
     assert!(device.is_success(), "{device}");

@@ -1,5 +1,5 @@
-//! The folder in which runs on this machine are found is believed only where nobody else can write, and is nobody else's
-//! to read.
+//! The folder in which runs on this machine are found is believed only where nobody else can write, and nobody
+//! else can read it.
 
 use std::fs::{self, Permissions};
 use std::os::unix::fs::{PermissionsExt, chown, symlink};

@@ -84,12 +84,8 @@ fn models_and_traces_of_other_forms_are_kept_as_well() {
     assert_eq!(again.digest(), first.digest());
     let hash = |name: &str| {
         let text = String::from_utf8(folder.bytes(&format!("{name}/summary.json"))).expect("text");
-        let hash = text
-            .lines()
-            .find(|line| line.contains("scenario_hash"))
-            .expect("a hash")
-            .to_owned();
-        hash
+        let hash = text.lines().find(|line| line.contains("scenario_hash"));
+        hash.expect("a hash").to_owned()
     };
     assert_eq!(hash("again"), hash("elsewhere/moved"));
 }

@@ -25,8 +25,8 @@ pub struct Windowed {
 }
 
 impl Windowed {
-    /// Starts `command` in a new terminal. `is_told` says whether the terminal is the one that tells the command when it
-    /// is closed, as that of a shell does; otherwise the command only cannot write any more.
+    /// Starts `command` in a new terminal. `is_told` says whether the command is told when that is closed, as by
+    /// the terminal of a shell; otherwise it only cannot write any more.
     ///
     /// # Panics
     /// If there is no terminal to be had.
