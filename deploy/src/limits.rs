@@ -20,7 +20,7 @@ pub fn for_station(processes: u32) -> anyhow::Result<()> {
     }
     let carried = allowed.saturating_sub(STATION);
     let fewer = if carried > 0 {
-        format!(", or take {carried} device processes at the most")
+        format!(", or take fewer device processes, {carried} at the most")
     } else {
         String::new()
     };

@@ -48,7 +48,7 @@ fn too_few_files_are_refused_before_the_run() {
             &said(64),
             "50 device processes needs 98",
             "ulimit -n 98",
-            "16 device processes at the most",
+            "fewer device processes, 16 at the most",
         ],
     );
     refused(&folder, 24, "up -P 4", &[&said(24), "ulimit -n 52"]);
