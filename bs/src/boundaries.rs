@@ -23,6 +23,12 @@ impl Boundaries {
         }
     }
 
+    /// The boundaries of the same run, if it ends before TTI `end`.
+    #[must_use]
+    pub const fn until(self, end: Tti) -> Self {
+        Self { end, ..self }
+    }
+
     /// The end of the warm-up: the first measured TTI.
     pub const fn warm_up_end(&self) -> Tti {
         self.warm_up_end

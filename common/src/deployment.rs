@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use crate::geometry::{Point, place};
-use crate::ids::{DeviceId, HostId};
-use crate::message::{Assignment, DeviceSetup};
+use crate::ids::DeviceId;
+use crate::message::{Assignment, DeviceSetup, Membership};
 use crate::scenario::{Scenario, assign_classes};
 use crate::units::Energy;
 
@@ -56,8 +56,8 @@ impl Deployment {
         self.devices.iter().map(|d| d.position).collect()
     }
 
-    /// What `host` needs to carry the devices `first .. first + count`.
-    pub fn assignment(&self, scenario: &Scenario, host: HostId, first: u32, count: u32) -> Assignment {
+    /// What the host of `membership` needs to carry the devices `first .. first + count` from TTI 0 on.
+    pub fn assignment(&self, scenario: &Scenario, membership: Membership, first: u32, count: u32) -> Assignment {
         let devices = self.devices[first as usize..(first + count) as usize].to_vec();
         let traces = if devices.iter().any(|d| d.harvest.reads_a_trace()) {
             self.traces.clone()
@@ -65,7 +65,8 @@ impl Deployment {
             Vec::new()
         };
         Assignment {
-            host,
+            membership,
+            resumption: None,
             seed: scenario.seed,
             ttis: scenario.ttis,
             measured_from: scenario.warm_up_end(),

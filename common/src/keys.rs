@@ -2,18 +2,27 @@
 //!
 //! | key | what |
 //! |---|---|
-//! | `reveille/{run}/{plane}/{kind}` | a [kind of message](MessageKind) that has a single key |
-//! | `reveille/{run}/{plane}/{kind}/{number}` | one that has a key for each device or each host |
-//! | `reveille/{run}/emu/alive/{host}`, `reveille/{run}/emu/bs` | liveliness tokens |
+//! | `reveille/{run}/{plane}/{kind}` | queries that anyone may ask |
+//! | `reveille/{run}/@{secret}/{plane}/{kind}` | what the BS tells all hosts, and a host's query |
+//! | `…/air/wake/{host}/{device}` | a wake-up, to the host that carries the device |
+//! | `…/{plane}/{kind}/{host}/{token}` | what a host sends: reports and answers |
+//! | `…/emu/alive/{host}/{token}` | liveliness tokens of hosts |
+//! | `reveille/{run}/emu/bs` | the liveliness token of the BS |
 //! | `reveille/{run}/tap` | [`TapBatch`](crate::message::TapBatch), BS → observers |
 //!
-//! Nothing travels on keys of the plane of truth: its kinds come to observers by the tap alone.
+//! The secret is told to hosts with their places, the token to one host alone. No wildcard of zenoh matches a part of a
+//! key that begins with `@`: who does not know the secret can neither name those keys nor hear of them, and who does
+//! cannot speak for another host. Nothing travels on keys of the plane of truth: its kinds come to observers by the tap
+//! alone.
 
 use std::fmt;
 use std::str::FromStr;
 
-use crate::ids::HostId;
-use crate::message::{Address, MessageKind, Payload};
+use serde::{Deserialize, Serialize};
+
+use crate::ids::{DeviceId, HostId};
+use crate::message::{Access, MessageKind};
+use crate::secret::Secret;
 
 /// A run's name on the bus: 1 to 64 letters, digits, `-` and `_`, and no `-` to begin with, as options have it.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -45,16 +54,51 @@ impl fmt::Display for RunName {
     }
 }
 
+/// By what the BS knows a host: the number that it got with its places, and a token that nobody else was told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct HostPass {
+    /// The host.
+    pub host: HostId,
+    /// Its token.
+    pub token: Secret,
+}
+
+impl HostPass {
+    /// The pass at the end of `key`, where a host's own keys have it.
+    pub fn at_end_of(key: &str) -> Option<Self> {
+        let mut parts = key.rsplit('/');
+        let token = parts.next()?.parse().ok()?;
+        let host = parts.next()?.parse().ok().map(HostId)?;
+        Some(Self { host, token })
+    }
+}
+
+impl fmt::Display for HostPass {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.host, self.token)
+    }
+}
+
 /// The keys of one run.
 #[derive(Clone, Debug)]
 pub struct Keys {
     run: RunName,
+    /// What the keys of members begin with; without it, as observers have them, they are nobody's.
+    secret: Option<Secret>,
 }
 
 impl Keys {
-    /// The keys of `run`.
+    /// The keys of `run` for who is no member of it.
     pub const fn new(run: RunName) -> Self {
-        Self { run }
+        Self { run, secret: None }
+    }
+
+    /// The keys of `run` for its members.
+    pub const fn of_members(run: RunName, secret: Secret) -> Self {
+        Self {
+            run,
+            secret: Some(secret),
+        }
     }
 
     /// The run.
@@ -62,37 +106,48 @@ impl Keys {
         &self.run
     }
 
-    /// The key of a kind that has only one; where there is one for each device or host, what they begin with.
+    /// What members were told, if these keys are a member's.
+    pub const fn secret(&self) -> Option<Secret> {
+        self.secret
+    }
+
+    /// The key of a kind that has only one; where there are more, what they begin with.
     pub fn of(&self, kind: MessageKind) -> String {
-        format!("reveille/{}/{}/{}", self.run, kind.plane().name(), kind.name())
+        let prefix = match kind.access() {
+            Access::Anyone => format!("reveille/{}", self.run),
+            Access::Members => self.members(),
+        };
+        format!("{prefix}/{}/{}", kind.plane().name(), kind.name())
     }
 
-    /// The key of a kind for the device or host with this number.
-    pub fn to(&self, kind: MessageKind, number: u32) -> String {
-        format!("{}/{number}", self.of(kind))
+    /// The key of wake-ups for `device`, which `host` carries.
+    pub fn wake(&self, host: HostId, device: DeviceId) -> String {
+        format!("{}/{host}/{device}", self.of(MessageKind::Wake))
     }
 
-    /// All keys of a kind that has one for each device or host.
-    pub fn all(&self, kind: MessageKind) -> String {
-        format!("{}/*", self.of(kind))
+    /// The keys of wake-ups for all devices that `host` carries.
+    pub fn wakes_of(&self, host: HostId) -> String {
+        format!("{}/{host}/*", self.of(MessageKind::Wake))
     }
 
-    /// The key that payloads of type `P` travel on.
-    pub fn typed<P: Payload>(&self, address: P::Address) -> String {
-        match address.number() {
-            Some(number) => self.to(P::KIND, number),
-            None => self.of(P::KIND),
-        }
+    /// The key on which the host with this pass sends messages of `kind`.
+    pub fn uplink(&self, kind: MessageKind, pass: HostPass) -> String {
+        format!("{}/{pass}", self.of(kind))
     }
 
-    /// The liveliness token of a host.
-    pub fn alive(&self, host: HostId) -> String {
-        format!("reveille/{}/emu/alive/{host}", self.run)
+    /// The keys on which hosts send messages of `kind`.
+    pub fn uplinks(&self, kind: MessageKind) -> String {
+        format!("{}/*/*", self.of(kind))
+    }
+
+    /// The liveliness token of the host with this pass.
+    pub fn alive(&self, pass: HostPass) -> String {
+        format!("{}/emu/alive/{pass}", self.members())
     }
 
     /// The liveliness tokens of all hosts.
     pub fn all_alive(&self) -> String {
-        format!("reveille/{}/emu/alive/*", self.run)
+        format!("{}/emu/alive/*/*", self.members())
     }
 
     /// The liveliness token of the BS.
@@ -109,16 +164,23 @@ impl Keys {
     pub fn tap(&self) -> String {
         format!("reveille/{}/tap", self.run)
     }
+
+    fn members(&self) -> String {
+        match self.secret {
+            Some(secret) => format!("reveille/{}/@{secret}", self.run),
+            None => format!("reveille/{}/@", self.run),
+        }
+    }
 }
 
-/// The number at the end of a key, such as a device's or a host's.
+/// The number at the end of a key, such as a device's.
 pub fn last_number(key: &str) -> Option<u32> {
     key.rsplit('/').next()?.parse().ok()
 }
 
-/// The kind of message that `key` carries, and the number at its end if it has one.
+/// The kind of message that `key` carries, and the number that follows, a host's, if it has one.
 pub fn classify(key: &str) -> Option<(MessageKind, Option<u32>)> {
-    let mut parts = key.split('/').skip(2);
+    let mut parts = key.split('/').skip(2).filter(|part| !part.starts_with('@'));
     let (plane, name) = (parts.next()?, parts.next()?);
     let kind = MessageKind::ALL
         .iter()
@@ -130,34 +192,64 @@ pub fn classify(key: &str) -> Option<(MessageKind, Option<u32>)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ids::DeviceId;
-    use crate::message::{Answer, PlanUpdate, WakeUp};
+
+    const SECRET: Secret = Secret::new([0xab; 16]);
+
+    fn pass() -> HostPass {
+        HostPass {
+            host: HostId(2),
+            token: Secret::new([0x01; 16]),
+        }
+    }
 
     #[test]
     fn run_names_cannot_break_out_of_their_key() {
-        for bad in ["", "a/b", "*", "a b", "é", &"x".repeat(65), "a$", "-x"] {
+        for bad in ["", "a/b", "*", "a b", "é", &"x".repeat(65), "a$", "-x", "@x"] {
             assert!(bad.parse::<RunName>().is_err(), "{bad:?}");
         }
         assert!("Run-7_b".parse::<RunName>().is_ok());
     }
 
     #[test]
-    fn the_key_of_a_payload_is_as_it_is_declared() {
-        let keys = Keys::new("r1".parse().expect("valid"));
-        assert_eq!(keys.typed::<WakeUp>(DeviceId(17)), "reveille/r1/air/wake/17");
-        assert_eq!(keys.typed::<Answer>(HostId(2)), "reveille/r1/emu/answer/2");
-        assert_eq!(keys.typed::<PlanUpdate>(()), "reveille/r1/air/plan");
+    fn members_have_keys_that_no_wildcard_matches() {
+        let keys = Keys::of_members("r1".parse().expect("valid"), SECRET);
+        let secret = "ab".repeat(16);
+        let token = "01".repeat(16);
+        assert_eq!(keys.of(MessageKind::Clock), format!("reveille/r1/@{secret}/emu/clock"));
+        assert_eq!(
+            keys.wake(HostId(2), DeviceId(17)),
+            format!("reveille/r1/@{secret}/air/wake/2/17")
+        );
+        assert_eq!(
+            keys.uplink(MessageKind::Report, pass()),
+            format!("reveille/r1/@{secret}/air/report/2/{token}")
+        );
+        assert_eq!(keys.of(MessageKind::Join), "reveille/r1/emu/join");
+        let stranger = Keys::new("r1".parse().expect("valid"));
+        assert_eq!(stranger.of(MessageKind::Join), keys.of(MessageKind::Join));
+        assert_eq!(stranger.of(MessageKind::Clock), "reveille/r1/@/emu/clock");
+    }
+
+    #[test]
+    fn a_pass_is_read_off_the_keys_that_carry_it() {
+        let keys = Keys::of_members("r1".parse().expect("valid"), SECRET);
+        for key in [keys.uplink(MessageKind::Answer, pass()), keys.alive(pass())] {
+            assert_eq!(HostPass::at_end_of(&key), Some(pass()), "{key}");
+        }
+        for other in ["", "2", "x/2/3", "reveille/r1/emu/answer/2/0101", "-2/01", "*/*"] {
+            assert_eq!(HostPass::at_end_of(other), None, "{other}");
+        }
     }
 
     #[test]
     fn keys_are_classified() {
-        let keys = Keys::new("r1".parse().expect("valid"));
+        let keys = Keys::of_members("r1".parse().expect("valid"), SECRET);
         for &kind in MessageKind::ALL {
             assert_eq!(classify(&keys.of(kind)), Some((kind, None)));
-            assert_eq!(classify(&keys.to(kind, 17)), Some((kind, Some(17))));
+            assert_eq!(classify(&keys.uplink(kind, pass())), Some((kind, Some(2))));
         }
         assert_eq!(classify("reveille/r1/air/clock"), None);
         assert_eq!(classify("reveille"), None);
-        assert_eq!(last_number(&keys.alive(HostId(3))), Some(3));
+        assert_eq!(last_number(&keys.wake(HostId(3), DeviceId(5))), Some(5));
     }
 }

@@ -25,6 +25,7 @@ pub mod plan;
 pub mod rng;
 pub mod scenario;
 pub mod score;
+pub mod secret;
 pub mod sensing;
 pub mod state;
 pub mod totals;

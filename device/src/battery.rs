@@ -2,10 +2,11 @@
 
 use reveille_common::scenario::EnergyModel;
 use reveille_common::units::Energy;
+use serde::{Deserialize, Serialize};
 
 /// A battery of capacity E_max that never holds less than nothing, with the account of all that came in. What goes out
 /// is in the books of who took it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Battery {
     level: Energy,
     capacity: Energy,
@@ -25,6 +26,11 @@ impl Battery {
             overflow: Energy::ZERO,
             initial: model.initial,
         }
+    }
+
+    /// Whether this can be a battery of this model.
+    pub fn is_of(&self, model: &EnergyModel) -> bool {
+        self.capacity == model.e_max && self.initial == model.initial && self.level <= self.capacity
     }
 
     /// The level B, `0 ..= E_max`.

@@ -7,6 +7,7 @@ use reveille_common::ids::Tti;
 use reveille_common::scenario::EnergyModel;
 use reveille_common::totals::{DeviceTotals, Ledger, Spent};
 use reveille_common::units::Energy;
+use serde::{Deserialize, Serialize};
 
 use crate::battery::Battery;
 
@@ -14,7 +15,7 @@ use crate::battery::Battery;
 type Paid = Result<(), Energy>;
 
 /// The books of one device since TTI 0.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Books {
     sensing_ttis: u64,
     failed_ttis: u64,

@@ -20,17 +20,19 @@
 
 use std::sync::Arc;
 
+use reveille_common::codec;
 use reveille_common::event::Stimulus;
 use reveille_common::geometry::Point;
 use reveille_common::harvest::{HarvestSource, Sources};
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{DeviceSetup, Failure, Report, WakeOutcome};
+use reveille_common::message::{Checkpoint, DeviceSetup, Failure, Report, WakeOutcome};
 use reveille_common::plan::DutyCycle;
 use reveille_common::scenario::EnergyModel;
 use reveille_common::sensing::Sensing;
 use reveille_common::state::{DeviceState, DeviceView};
 use reveille_common::totals::{DeviceTotals, Ledger};
 use reveille_common::units::Energy;
+use serde::{Deserialize, Serialize};
 
 use crate::battery::Battery;
 use crate::books::Books;
@@ -81,6 +83,17 @@ impl Physics {
     }
 }
 
+/// What a machine has become since TTI 0; all else of it follows from its setup and the seed.
+#[derive(Serialize, Deserialize)]
+struct Kept {
+    battery: Battery,
+    duty: DutyCycle,
+    state: DeviceState,
+    next: Tti,
+    open: bool,
+    books: Books,
+}
+
 /// One device.
 #[derive(Clone, Debug)]
 pub struct Machine {
@@ -113,6 +126,42 @@ impl Machine {
             open: false,
             books: Books::new(physics.measured_from),
         }
+    }
+
+    /// The device as it is, for another process to go on with.
+    pub fn checkpoint(&self) -> Checkpoint {
+        Checkpoint(codec::encode(&Kept {
+            battery: self.battery.clone(),
+            duty: self.duty,
+            state: self.state,
+            next: self.next,
+            open: self.open,
+            books: self.books.clone(),
+        }))
+    }
+
+    /// The device of `setup` as `checkpoint` has it.
+    ///
+    /// # Errors
+    /// What is wrong with the checkpoint, in words.
+    pub fn resumed(setup: &DeviceSetup, physics: &Physics, checkpoint: &Checkpoint) -> Result<Self, String> {
+        let kept: Kept = codec::decode(&checkpoint.0).map_err(|error| error.to_string())?;
+        let mut machine = Self::new(setup, physics);
+        if !kept.battery.is_of(&setup.energy) || kept.books.measured_from() != physics.measured_from {
+            return Err(format!("the checkpoint of device {} is another device's", setup.id));
+        }
+        while machine.source.next() < kept.next {
+            machine.source.take();
+        }
+        (machine.battery, machine.books) = (kept.battery, kept.books);
+        (machine.duty, machine.state) = (kept.duty, kept.state);
+        (machine.next, machine.open) = (kept.next, kept.open);
+        Ok(machine)
+    }
+
+    /// δ as the device has it.
+    pub const fn duty(&self) -> DutyCycle {
+        self.duty
     }
 
     /// Its number.

@@ -6,6 +6,7 @@ pub mod preparation;
 pub mod reading;
 pub mod run;
 pub mod series;
+pub mod shadow;
 pub mod stats;
 pub mod sweep;
 pub mod table;

@@ -2,11 +2,12 @@
 
 use reveille_bs::boundaries::Boundaries;
 use reveille_bs::cycle::{Cycle, Step};
+use reveille_bs::host::{Start, Taken};
 use reveille_bs::observe::{Happening, Observer};
 use reveille_bs::outcome::Outcome;
 use reveille_bs::prepared::Prepared;
-use reveille_common::ids::Tti;
-use reveille_common::message::{Failure, Report};
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::{Checkpoint, Failure, Report};
 use reveille_common::score::{Accounts, WindowRecord};
 use reveille_common::state::DeviceView;
 use reveille_common::totals::Ledger;
@@ -39,6 +40,10 @@ pub struct Run {
     boundaries: Boundaries,
     accounts: Accounts,
     options: Options,
+    /// The TTI from which the plan in force holds.
+    plan_from: Option<Tti>,
+    /// The last boundary whose sums were taken.
+    reached: Tti,
     reports: Vec<Report>,
     failures: Vec<Failure>,
 }
@@ -79,6 +84,8 @@ impl Run {
             physics,
             boundaries,
             options,
+            plan_from: None,
+            reached: Tti::ZERO,
             reports: Vec::new(),
             failures: Vec::new(),
         }
@@ -107,12 +114,8 @@ impl Run {
 
     /// Runs to the end, or until `observer` says stop.
     pub fn finish(mut self, observer: &mut impl Observer) -> Outcome {
-        while self.cycle.next_tti() < self.boundaries.end() {
-            self.grant(observer);
-            let k = self.cycle.next_tti();
-            if self.boundaries.is_boundary(k) && !self.reach(k, observer) {
-                break;
-            }
+        if self.advance(self.boundaries.end(), observer) {
+            self.reach(observer);
         }
         let end = self.cycle.next_tti();
         let ledgers: Vec<Ledger> = self
@@ -123,14 +126,65 @@ impl Run {
         self.cycle.finish(&ledgers)
     }
 
+    /// Runs to TTI `to`, which is then the next, or until `observer` says stop; false if it does. The sums of a window
+    /// that ends with `to` are taken when the run goes on from there.
+    pub fn advance(&mut self, to: Tti, observer: &mut impl Observer) -> bool {
+        while self.cycle.next_tti() < to {
+            if !self.reach(observer) {
+                return false;
+            }
+            self.grant_before(to, observer);
+        }
+        true
+    }
+
+    /// What the run comes to if it ends before the next TTI.
+    pub fn cut_short(mut self) -> Outcome {
+        self.boundaries = self.boundaries.until(self.cycle.next_tti());
+        self.finish(&mut ())
+    }
+
+    /// The devices from `first` on, `count` of them, for other processes to go on with.
+    pub fn checkpoints(&self, first: DeviceId, count: u32) -> Vec<Checkpoint> {
+        let machines = &self.machines[first.index()..][..count as usize];
+        machines.iter().map(Machine::checkpoint).collect()
+    }
+
+    /// The run for hosts on the bus to go on with.
+    pub fn hand_over(mut self) -> Taken {
+        let next = self.cycle.next_tti();
+        let views = self
+            .machines
+            .iter_mut()
+            .map(|machine| settled(machine, next).view())
+            .collect();
+        let start = Start {
+            next,
+            plan: self.plan_from,
+            devices: self.checkpoints(DeviceId(0), self.machines.len() as u32),
+        };
+        Taken {
+            cycle: self.cycle,
+            accounts: self.accounts,
+            start: start.into(),
+            views,
+        }
+    }
+
     /// One grant of the clock: all its TTIs, with the reports and wake-ups of the last.
     pub fn grant(&mut self, observer: &mut impl Observer) {
+        self.grant_before(Tti::NEVER, observer);
+    }
+
+    /// As [`Self::grant`], of TTIs before `limit` alone.
+    fn grant_before(&mut self, limit: Tti, observer: &mut impl Observer) {
         let Self {
             cycle,
             machines,
             physics,
             reports,
             failures,
+            plan_from,
             ..
         } = self;
         let k = cycle.next_tti();
@@ -146,8 +200,9 @@ impl Run {
             k + 1
         };
         let wants_states = observer.wants_states();
-        let granted = cycle.grant(horizon, observer);
+        let granted = cycle.grant(horizon.min(limit), observer);
         if let Some(update) = &granted.update {
+            *plan_from = Some(update.from);
             for machine in machines.iter_mut() {
                 machine.set_duty(update.from, update.plan.duty_cycle(machine.id()));
             }
@@ -180,7 +235,13 @@ impl Run {
         }
     }
 
-    fn reach(&mut self, k: Tti, observer: &mut impl Observer) -> bool {
+    /// Takes the sums at the next TTI, if it is a boundary whose sums were not taken. False if `observer` says stop.
+    fn reach(&mut self, observer: &mut impl Observer) -> bool {
+        let k = self.cycle.next_tti();
+        if !self.boundaries.is_boundary(k) || k <= self.reached {
+            return true;
+        }
+        self.reached = k;
         let energy = self
             .machines
             .iter_mut()

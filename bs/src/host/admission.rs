@@ -1,6 +1,18 @@
-//! Before the run: who joins, and gets which devices to carry.
+//! Who joins, and gets which devices to carry.
+//!
+//! ```text
+//!            join                        ready, and its token is there
+//!   nobody ───────► joined ──────────────────────────────────────────► carries
+//!                     │ too late, or its token is gone                   │ its token is gone
+//!                     ▼                                                  ▼
+//!                    gone ◄──────────────────────────────────────────  lost (see `losses`)
+//! ```
+
+use std::time::{Duration, Instant};
 
 use reveille_common::ids::{DeviceId, HostId};
+use reveille_common::keys::HostPass;
+use reveille_common::secret::Secret;
 
 /// The places that a host got.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,14 +32,36 @@ impl Places {
     }
 }
 
-#[derive(Clone, Copy, Debug)]
+/// A host process that asks for places.
+#[derive(Clone, Debug)]
+pub struct Newcomer {
+    /// The number that it drew: who asks again gets the same places.
+    pub nonce: u64,
+    /// The token that it is given.
+    pub token: Secret,
+    /// What it calls itself.
+    pub name: String,
+    /// How many devices it would carry.
+    pub count: u32,
+    /// When it asked.
+    pub asked: Instant,
+}
+
+#[derive(Clone, Debug)]
 struct Entry {
-    nonce: u64,
+    newcomer: Newcomer,
     places: Places,
+    /// It has subscribed to everything.
     is_ready: bool,
-    /// Looks that have passed since it joined without its being ready.
-    waited: u32,
-    is_lost: bool,
+    /// Its liveliness token is there.
+    is_alive: bool,
+    is_gone: bool,
+}
+
+impl Entry {
+    const fn carries(&self) -> bool {
+        self.is_ready && self.is_alive && !self.is_gone
+    }
 }
 
 /// The hosts that have joined, and the devices that each is to carry.
@@ -54,68 +88,101 @@ impl Admission {
         self.devices
     }
 
-    /// Gives up to `count` places to the host process that drew `nonce`, the same ones if it asks again; `None` when
-    /// all devices are taken.
-    pub fn join(&mut self, nonce: u64, count: u32) -> Option<Places> {
-        if let Some(entry) = self.hosts.iter().find(|e| e.nonce == nonce && !e.is_lost) {
-            return Some(entry.places);
-        }
+    /// The places and the token that the process which drew `nonce` has, if it has asked before.
+    pub fn known(&self, nonce: u64) -> Option<(Places, Secret)> {
+        let entry = self.hosts.iter().find(|e| e.newcomer.nonce == nonce && !e.is_gone)?;
+        Some((entry.places, entry.newcomer.token))
+    }
+
+    /// Gives a newcomer free places, as many as it would carry if there are so many; `None` when all are taken.
+    pub fn join(&mut self, newcomer: Newcomer) -> Option<Places> {
         let (first, available) = self.free.pop()?;
-        let count = count.clamp(1, available);
+        let count = newcomer.count.clamp(1, available);
         if count < available {
             self.free.push((first + count, available - count));
         }
-        let places = Places {
-            host: HostId(self.hosts.len() as u32),
-            first: DeviceId(first),
-            count,
-        };
+        Some(self.enter(newcomer, DeviceId(first), count))
+    }
+
+    /// Gives a newcomer the places of a host that is lost.
+    pub fn take_over(&mut self, newcomer: Newcomer, lost: Places) -> Places {
+        self.enter(newcomer, lost.first, lost.count)
+    }
+
+    fn enter(&mut self, newcomer: Newcomer, first: DeviceId, count: u32) -> Places {
+        let host = HostId(self.hosts.len() as u32);
+        let places = Places { host, first, count };
         self.hosts.push(Entry {
-            nonce,
+            newcomer,
             places,
             is_ready: false,
-            waited: 0,
-            is_lost: false,
+            is_alive: false,
+            is_gone: false,
         });
-        Some(places)
+        places
     }
 
-    /// `host` has subscribed to everything. Whether there is such a host and its places are still its own.
-    pub fn ready(&mut self, host: HostId) -> bool {
-        let entry = self.entry(host).filter(|entry| !entry.is_lost);
-        entry.map(|entry| entry.is_ready = true).is_some()
+    /// Whether this is the pass of a host whose places are its own.
+    pub fn is_valid(&self, pass: HostPass) -> bool {
+        let entry = self.hosts.get(pass.host.index());
+        entry.is_some_and(|entry| entry.newcomer.token == pass.token && !entry.is_gone)
     }
 
-    /// The BS has looked once more: a host that has not become ready within `patience` looks has died on the way, and
-    /// its places are free again. Gives those hosts.
-    pub fn look(&mut self, patience: u32) -> Vec<HostId> {
-        for entry in self.hosts.iter_mut().filter(|entry| !entry.is_ready && !entry.is_lost) {
-            entry.waited += 1;
+    /// The host has subscribed to everything. Whether its places are still its own.
+    pub fn ready(&mut self, pass: HostPass) -> bool {
+        let is_valid = self.is_valid(pass);
+        if is_valid {
+            self.hosts[pass.host.index()].is_ready = true;
         }
-        let late = self
-            .hosts
+        is_valid
+    }
+
+    /// The token of a host with a valid pass has come or is gone.
+    pub fn set_alive(&mut self, host: HostId, is_alive: bool) {
+        self.hosts[host.index()].is_alive = is_alive;
+    }
+
+    /// Whether the host carries its devices: it is ready, and its token is there.
+    pub fn carries(&self, host: HostId) -> bool {
+        self.hosts.get(host.index()).is_some_and(Entry::carries)
+    }
+
+    /// The hosts that have asked for places more than `patience` before `now` and do not carry them yet.
+    pub fn late(&self, now: Instant, patience: Duration) -> Vec<HostId> {
+        let is_late = |entry: &&Entry| {
+            let is_open = !entry.is_ready && !entry.is_gone;
+            is_open && now.saturating_duration_since(entry.newcomer.asked) > patience
+        };
+        self.hosts
             .iter()
-            .filter(|entry| !entry.is_ready && !entry.is_lost && entry.waited > patience);
-        let late: Vec<HostId> = late.map(|entry| entry.places.host).collect();
-        for host in &late {
-            self.leave(*host);
-        }
-        late
+            .filter(is_late)
+            .map(|entry| entry.places.host)
+            .collect()
     }
 
-    /// `host` has gone before the run began: its places are free again.
+    /// The host has gone before the run began: its places are free again.
     pub fn leave(&mut self, host: HostId) -> Option<Places> {
-        let entry = self.entry(host).filter(|entry| !entry.is_lost)?;
-        entry.is_lost = true;
-        let places = entry.places;
+        let places = self.retire(host)?;
         self.free.push((places.first.0, places.count));
         Some(places)
     }
 
+    /// The places of the host are no longer its own.
+    pub fn retire(&mut self, host: HostId) -> Option<Places> {
+        let entry = self.hosts.get_mut(host.index()).filter(|entry| !entry.is_gone)?;
+        entry.is_gone = true;
+        Some(entry.places)
+    }
+
     /// The places of `host`, if they are still its own.
     pub fn places(&self, host: HostId) -> Option<Places> {
-        let entry = self.hosts.get(host.index()).filter(|entry| !entry.is_lost);
+        let entry = self.hosts.get(host.index()).filter(|entry| !entry.is_gone);
         entry.map(|entry| entry.places)
+    }
+
+    /// What `host` calls itself.
+    pub fn name(&self, host: HostId) -> &str {
+        self.hosts.get(host.index()).map_or("", |entry| &entry.newcomer.name)
     }
 
     /// Devices that have a place with a living host.
@@ -123,56 +190,99 @@ impl Admission {
         self.devices - self.free.iter().map(|(_, count)| count).sum::<u32>()
     }
 
-    /// The hosts of the run, once every device has one and all are ready.
+    /// The hosts of the run, once every device has one and all of them carry theirs.
     pub fn complete(&self) -> Option<Vec<Places>> {
-        let living = || self.hosts.iter().filter(|entry| !entry.is_lost);
-        (self.taken() == self.devices && living().all(|entry| entry.is_ready))
+        let living = || self.hosts.iter().filter(|entry| !entry.is_gone);
+        (self.taken() == self.devices && living().all(Entry::carries))
             .then(|| living().map(|entry| entry.places).collect())
-    }
-
-    fn entry(&mut self, host: HostId) -> Option<&mut Entry> {
-        self.hosts.get_mut(host.index())
     }
 }
 
 #[cfg(test)]
+#[expect(clippy::disallowed_methods, reason = "the tests need some moment")]
 mod tests {
     use super::*;
+
+    fn newcomer(nonce: u64, count: u32) -> Newcomer {
+        Newcomer {
+            nonce,
+            token: Secret::new([nonce as u8; 16]),
+            name: format!("host {nonce}"),
+            count,
+            asked: Instant::now(),
+        }
+    }
+
+    fn pass(places: Places, nonce: u64) -> HostPass {
+        HostPass {
+            host: places.host,
+            token: Secret::new([nonce as u8; 16]),
+        }
+    }
 
     #[test]
     fn places_are_given_once_and_again_to_the_same_asker() {
         let mut admission = Admission::new(10);
-        let a = admission.join(1, 4).expect("free");
-        let b = admission.join(2, 100).expect("free");
+        let a = admission.join(newcomer(1, 4)).expect("free");
+        let b = admission.join(newcomer(2, 100)).expect("free");
         assert_eq!((a.first, a.count, b.first, b.count), (DeviceId(0), 4, DeviceId(4), 6));
-        assert_eq!(admission.join(1, 4), Some(a));
-        assert_eq!(admission.join(3, 1), None);
-        assert_eq!(admission.complete(), None);
-        assert!(admission.ready(a.host) && admission.ready(b.host));
-        assert!(!admission.ready(HostId(9)));
+        assert_eq!(admission.known(1), Some((a, Secret::new([1; 16]))));
+        assert_eq!((admission.known(3), admission.join(newcomer(3, 1))), (None, None));
+        for (places, nonce) in [(a, 1), (b, 2)] {
+            assert!(admission.ready(pass(places, nonce)));
+            assert_eq!(admission.complete(), None, "a token is missing");
+            admission.set_alive(places.host, true);
+        }
         assert_eq!(admission.complete(), Some(vec![a, b]));
     }
 
     #[test]
-    fn a_host_that_never_becomes_ready_loses_its_places() {
+    fn nobody_speaks_for_another_host() {
         let mut admission = Admission::new(10);
-        let (a, b) = (admission.join(1, 5).expect("free"), admission.join(2, 5).expect("free"));
-        admission.ready(a.host);
-        assert_eq!(admission.look(1), []);
-        assert_eq!(admission.look(1), [b.host]);
-        assert_eq!((admission.look(1), admission.taken()), (vec![], 5));
+        let (a, b) = (
+            admission.join(newcomer(1, 5)).expect("free"),
+            admission.join(newcomer(2, 5)).expect("free"),
+        );
+        assert!(!admission.ready(pass(a, 2)) && !admission.is_valid(pass(b, 1)));
+        let nobody = Places { host: HostId(9), ..a };
+        assert!(!admission.ready(pass(nobody, 1)));
+        assert!(admission.is_valid(pass(a, 1)));
+    }
+
+    #[test]
+    fn a_host_that_never_becomes_ready_is_late() {
+        let mut admission = Admission::new(10);
+        let a = admission.join(newcomer(1, 5)).expect("free");
+        let b = admission.join(newcomer(2, 5)).expect("free");
+        admission.ready(pass(a, 1));
+        let patience = Duration::from_secs(20);
+        let now = Instant::now();
+        assert_eq!(admission.late(now, patience), []);
+        assert_eq!(admission.late(now + patience + patience, patience), [b.host]);
     }
 
     #[test]
     fn a_host_that_leaves_early_frees_its_places() {
         let mut admission = Admission::new(10);
-        let a = admission.join(1, 6).expect("free");
-        admission.join(2, 4);
+        let a = admission.join(newcomer(1, 6)).expect("free");
+        admission.join(newcomer(2, 4));
         assert_eq!(admission.leave(a.host), Some(a));
         assert_eq!(admission.leave(a.host), None);
-        assert!(!admission.ready(a.host));
+        assert!(!admission.ready(pass(a, 1)));
         assert_eq!(admission.taken(), 4);
-        let again = admission.join(3, 6).expect("free");
+        let again = admission.join(newcomer(3, 6)).expect("free");
         assert_eq!((again.first, again.count, again.host), (a.first, 6, HostId(2)));
+    }
+
+    #[test]
+    fn who_takes_over_is_another_host_with_the_same_devices() {
+        let mut admission = Admission::new(10);
+        let a = admission.join(newcomer(1, 10)).expect("free");
+        assert!(admission.ready(pass(a, 1)));
+        let b = admission.take_over(newcomer(2, 40), a);
+        assert_eq!((b.first, b.count, b.host), (a.first, a.count, HostId(1)));
+        admission.retire(a.host);
+        assert!(!admission.is_valid(pass(a, 1)) && admission.is_valid(pass(b, 2)));
+        assert_eq!(admission.name(b.host), "host 2");
     }
 }

@@ -1,7 +1,8 @@
 //! What the BS waits for: the answers of all hosts to a grant, the outcome of a wake-up, or the ledgers at the end.
 //!
-//! Answers are kept by host and TTI: one that comes late, from nobody, or with figures that its sender cannot have is
-//! counted and dropped; one that comes twice takes the place of the first.
+//! Answers are kept by host and TTI: one with figures that its sender cannot have is counted and dropped; one that
+//! comes twice takes the place of the first; one that nobody waits for any more, as after a question that was asked
+//! again, is dropped.
 
 use reveille_common::ids::{DeviceId, HostId, Tti};
 use reveille_common::message::{Answer, Failure, Report, WakeOutcome};
@@ -100,6 +101,8 @@ enum Stage {
 pub struct Barrier {
     roster: Roster,
     stage: Stage,
+    /// The last TTI that was granted.
+    granted: Option<Tti>,
     strays: u64,
 }
 
@@ -109,6 +112,7 @@ impl Barrier {
         Self {
             roster,
             stage: Stage::Nothing,
+            granted: None,
             strays: 0,
         }
     }
@@ -121,6 +125,7 @@ impl Barrier {
     /// Waits for the answers to a grant that ends with `tti`, with all that was `asked`. Without a `stimulus` no device
     /// has anything to report.
     pub fn expect_grant(&mut self, tti: Tti, stimulus: bool, asked: Asked) {
+        self.granted = Some(tti);
         self.stage = Stage::Grant {
             tti,
             stimulus,
@@ -147,9 +152,17 @@ impl Barrier {
         };
     }
 
-    /// A report has come on the key of the device numbered `key`. Whether that was the last thing waited for.
-    pub fn report(&mut self, key: Option<u32>, report: Report) -> bool {
-        let is_sound = key == Some(report.device.0) && self.roster.can_report(&report);
+    /// A message has come that nobody waited for, from somebody who has no say.
+    pub const fn stray(&mut self) {
+        self.strays += 1;
+    }
+
+    /// A report has come from `host`. Whether that was the last thing waited for.
+    pub fn report(&mut self, host: HostId, report: Report) -> bool {
+        let owner = self.roster.position(host);
+        let is_sound =
+            owner.is_some_and(|position| self.roster.owns(position, report.device)) && self.roster.can_report(&report);
+        let is_late = is_sound && self.is_past(report.tti);
         match &mut self.stage {
             Stage::Grant {
                 tti,
@@ -164,21 +177,45 @@ impl Barrier {
             Stage::Wake { tti, device, outcome } if is_sound && report.tti == *tti && report.device == *device => {
                 *outcome = Some(WakeOutcome::Reported(report));
             }
-            Stage::Nothing | Stage::Grant { .. } | Stage::Wake { .. } | Stage::Finish { .. } => self.strays += 1,
+            Stage::Nothing | Stage::Grant { .. } | Stage::Wake { .. } | Stage::Finish { .. } => {
+                self.strays += u64::from(!is_late);
+            }
         }
         self.is_complete()
     }
 
-    /// An answer has come on the key of the host numbered `key`. Whether that was the last thing waited for.
-    pub fn answer(&mut self, key: Option<u32>, answer: Answer) -> bool {
-        let Some(host) = key.map(HostId).and_then(|host| self.roster.position(host)) else {
-            self.strays += 1;
-            return self.is_complete();
+    /// Whether what concerns `tti` may have been asked for already.
+    fn is_past(&self, tti: Tti) -> bool {
+        self.granted.is_some_and(|last| tti <= last)
+    }
+
+    /// An answer has come from `host`. Whether that was the last thing waited for.
+    pub fn answer(&mut self, host: HostId, answer: Answer) -> bool {
+        let is_late = match &answer {
+            Answer::Done { tti, .. } | Answer::NotWoken { tti, .. } => self.is_past(*tti),
+            Answer::Final { .. } => false,
         };
-        if !self.take(host, answer) {
+        let is_open = self.is_about_what_is_open(&answer);
+        let is_taken = self.roster.position(host).is_some_and(|at| self.take(at, answer));
+        if !is_taken && (is_open || !is_late) {
             self.strays += 1;
         }
         self.is_complete()
+    }
+
+    /// Whether the answer is about what is waited for.
+    fn is_about_what_is_open(&self, answer: &Answer) -> bool {
+        match (&self.stage, answer) {
+            (Stage::Grant { tti, .. }, Answer::Done { tti: answered, .. }) => tti == answered,
+            (
+                Stage::Wake { tti, device, .. },
+                Answer::NotWoken {
+                    tti: when, device: who, ..
+                },
+            ) => (tti, device) == (when, who),
+            (Stage::Finish { .. }, Answer::Final { .. }) => true,
+            (Stage::Nothing | Stage::Grant { .. } | Stage::Wake { .. } | Stage::Finish { .. }, _) => false,
+        }
     }
 
     /// Keeps the answer of the host at position `host`, if it is what is waited for and can be true.
@@ -332,7 +369,8 @@ impl Barrier {
     /// The hosts that have not answered.
     pub fn waiting(&self) -> Vec<HostId> {
         let is_missing: Vec<bool> = match &self.stage {
-            Stage::Nothing | Stage::Wake { .. } => Vec::new(),
+            Stage::Nothing => Vec::new(),
+            Stage::Wake { device, .. } => return self.roster.carrier(*device).into_iter().collect(),
             Stage::Grant { answers, .. } => answers.of.iter().map(Option::is_none).collect(),
             Stage::Finish { answers } => answers.of.iter().map(Option::is_none).collect(),
         };
@@ -349,6 +387,7 @@ impl Barrier {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::host::admission::Places;
     use crate::host::roster::tests::roster;
 
     fn done(host: u32, tti: u64, reports: u32) -> Answer {
@@ -379,45 +418,64 @@ mod tests {
     }
 
     fn hear(b: &mut Barrier, report: Report) -> bool {
-        b.report(Some(report.device.0), report)
+        b.report(HostId(report.device.0 / 5), report)
     }
 
     #[test]
     fn a_grant_waits_for_every_host_and_every_report() {
         let mut b = barrier(true);
-        assert!(!b.answer(Some(0), done(0, 5, 2)));
-        assert!(!b.answer(Some(0), done(0, 5, 2)), "the same answer twice");
-        assert!(!b.answer(Some(7), done(7, 5, 0)), "a host that nobody knows");
-        assert!(!b.answer(Some(1), done(0, 5, 0)), "in another's name");
-        assert!(!b.answer(Some(1), done(1, 4, 0)), "an answer to another grant");
-        assert!(!b.answer(Some(1), done(1, 5, 6)), "more reports than devices");
+        assert!(!b.answer(HostId(0), done(0, 5, 2)));
+        assert!(!b.answer(HostId(0), done(0, 5, 2)), "the same answer twice");
+        assert!(!b.answer(HostId(7), done(7, 5, 0)), "a host that nobody knows");
+        assert!(!b.answer(HostId(1), done(0, 5, 0)), "in another's name");
+        assert!(!b.answer(HostId(1), done(1, 4, 0)), "an answer to another grant");
+        assert!(!b.answer(HostId(1), done(1, 5, 6)), "more reports than devices");
         assert_eq!(b.waiting(), [HostId(1)]);
-        assert!(!b.answer(Some(1), done(1, 5, 0)));
+        assert!(!b.answer(HostId(1), done(1, 5, 0)));
         assert!(!hear(&mut b, report(3, 5)));
         assert!(!hear(&mut b, report(3, 5)), "the same report twice");
         assert!(!hear(&mut b, report(4, 4)), "a report of another TTI");
         assert!(!hear(&mut b, report(10, 5)), "a report of a device that is not there");
-        assert!(!b.report(Some(2), report(4, 5)), "on another device's key");
+        assert!(!b.report(HostId(1), report(4, 5)), "another host's device");
         assert!(hear(&mut b, report(4, 5)));
         assert_eq!(b.take_gathered().reports.len(), 2);
-        assert_eq!(b.strays(), 7);
+        // The answer to another grant and the report of another TTI came late: those of a question asked again may.
+        assert_eq!(b.strays(), 5);
     }
 
     #[test]
     fn a_better_answer_takes_the_place_of_a_false_one() {
         let mut b = barrier(true);
-        assert!(!b.answer(Some(0), done(0, 5, 3)), "false: nobody reports");
-        assert!(!b.answer(Some(1), done(1, 5, 0)));
-        assert!(b.answer(Some(0), done(0, 5, 0)));
+        assert!(!b.answer(HostId(0), done(0, 5, 3)), "false: nobody reports");
+        assert!(!b.answer(HostId(1), done(1, 5, 0)));
+        assert!(b.answer(HostId(0), done(0, 5, 0)));
     }
 
     #[test]
     fn nobody_reports_on_nothing() {
         let mut b = barrier(false);
         assert!(!hear(&mut b, report(3, 5)));
-        assert!(!b.answer(Some(0), done(0, 5, 1)));
-        assert!(!b.answer(Some(0), done(0, 5, 0)) && b.answer(Some(1), done(1, 5, 0)));
+        assert!(!b.answer(HostId(0), done(0, 5, 1)));
+        assert!(!b.answer(HostId(0), done(0, 5, 0)) && b.answer(HostId(1), done(1, 5, 0)));
         assert_eq!((b.take_gathered().reports.len(), b.strays()), (0, 2));
+    }
+
+    #[test]
+    fn who_takes_over_says_the_same_once_more() {
+        let mut b = barrier(true);
+        b.answer(HostId(0), done(0, 5, 1));
+        hear(&mut b, report(3, 5));
+        let heir = Places {
+            host: HostId(2),
+            ..b.roster().places(0)
+        };
+        b.roster().replace(HostId(0), heir);
+        assert!(!b.answer(HostId(0), done(0, 5, 1)), "it has no say any more");
+        assert!(!b.report(HostId(2), report(3, 5)) && !b.answer(HostId(2), done(2, 5, 1)));
+        assert!(b.answer(HostId(1), done(1, 5, 0)));
+        assert_eq!(b.take_gathered().reports.len(), 1);
+        b.answer(HostId(2), done(2, 5, 1));
+        assert_eq!(b.strays(), 1, "what is late is no stray");
     }
 
     #[test]
@@ -430,9 +488,10 @@ mod tests {
         let mut b = Barrier::new(roster());
         b.expect_wake(Tti(5), DeviceId(3));
         assert!(!hear(&mut b, report(4, 5)));
-        assert!(!b.answer(Some(0), not_woken(4)));
-        assert!(!b.answer(Some(1), not_woken(5)), "another host's device");
-        assert!(b.answer(Some(0), not_woken(5)));
+        assert!(!b.answer(HostId(0), not_woken(4)));
+        assert!(!b.answer(HostId(1), not_woken(5)), "another host's device");
+        assert_eq!(b.waiting(), [HostId(0)]);
+        assert!(b.answer(HostId(0), not_woken(5)));
         assert_eq!(b.take_outcome(), WakeOutcome::Unheard);
     }
 }

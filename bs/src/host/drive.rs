@@ -1,12 +1,18 @@
 //! How a base station is driven, how far it has come, and what came of it.
 
-use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
-use reveille_common::message::Pace;
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::{Checkpoint, Pace, Resumption};
+use reveille_common::score::Accounts;
+use reveille_common::secret::Secret;
+use reveille_common::state::DeviceView;
 
+use super::admission::Places;
 use super::clock::Lateness;
+use crate::cycle::Cycle;
 use crate::outcome::Outcome;
 
 /// What to do when a host is lost.
@@ -14,8 +20,41 @@ use crate::outcome::Outcome;
 pub enum OnLoss {
     /// End the run with an error.
     End,
-    /// Hold the clock until the host is back. Only the same process can come back: nobody else has its devices' states.
+    /// Hold the clock until the host is back, or another one carries its devices from where they were.
     Wait,
+}
+
+/// Where a run is taken up that is not at its beginning.
+pub struct Start {
+    /// The TTI to be granted next.
+    pub next: Tti,
+    /// The TTI from which the plan in force holds.
+    pub plan: Option<Tti>,
+    /// All devices, in the order of ids.
+    pub devices: Vec<Checkpoint>,
+}
+
+impl Start {
+    /// The devices of these places.
+    pub(super) fn resumption(&self, places: Places) -> Resumption {
+        Resumption {
+            next: self.next,
+            plan: self.plan,
+            devices: self.devices[places.first.index()..][..places.count as usize].to_vec(),
+        }
+    }
+}
+
+/// A run that was brought to some TTI without the bus.
+pub struct Taken {
+    /// Its world, base station and score.
+    pub cycle: Cycle,
+    /// The sums up to the last boundary.
+    pub accounts: Accounts,
+    /// Where hosts take up its devices.
+    pub start: Arc<Start>,
+    /// The devices at the end of the last TTI, in the order of ids.
+    pub views: Vec<DeviceView>,
 }
 
 /// How the BS runs; none of it changes the outcome.
@@ -35,6 +74,10 @@ pub struct Settings {
     pub paused: bool,
     /// TTIs between two of which observers are told the states of all devices; 0 for none.
     pub states_every: u64,
+    /// The run's key, which operators must show; `None` where anyone may pause the run.
+    pub key: Option<Secret>,
+    /// Whether hosts must show the key as well.
+    pub members_only: bool,
 }
 
 /// How far a run has come, for a display in another thread.
@@ -58,10 +101,22 @@ pub struct Progress {
     pub late_ttis: AtomicU64,
     /// The largest delay of a TTI, nanoseconds.
     pub max_late: AtomicU64,
+    /// Who carries which devices: the host's places and what it is called.
+    pub carriers: Mutex<Vec<(Places, String)>>,
     /// Set from outside, before `stop`: why the run cannot go on.
     pub cause: OnceLock<String>,
     /// Set from outside: end the run at the next TTI.
     pub stop: AtomicBool,
+}
+
+impl Progress {
+    /// Who carries `device`, in words.
+    pub fn carrier(&self, device: DeviceId) -> Option<String> {
+        let carriers = self.carriers.lock().unwrap_or_else(PoisonError::into_inner);
+        let own = |places: &Places| (places.first..=places.last()).contains(&device);
+        let (places, name) = carriers.iter().find(|(places, _)| own(places))?;
+        Some(format!("Host {}, {name},", places.host))
+    }
 }
 
 /// What a run over the bus came to.
@@ -83,4 +138,6 @@ pub struct Served {
     pub malformed: u64,
     /// Messages that were dropped because nobody waited for them or they could not be true.
     pub strays: u64,
+    /// How long each loss of a host lasted.
+    pub losses: Vec<Duration>,
 }

@@ -22,8 +22,7 @@ pub enum BsError {
     /// A host is gone.
     #[error(
         "lost host {host} with devices {first} to {last} at TTI {tti}: its process ended, froze for longer than the \
-            lease, or the link broke. The run cannot go on without it (--on-loss wait holds the clock for one that \
-            froze or whose link broke)"
+            lease, or the link broke. With --on-loss wait another process could have taken its devices over"
     )]
     HostLost {
         /// The host.
@@ -43,14 +42,14 @@ pub enum BsError {
         /// The hosts that did not answer.
         hosts: Vec<HostId>,
     },
+    /// Something that a lost host would be replaced by cannot be had.
+    #[error("{0}")]
+    CannotGoOn(String),
     /// Stopped from outside before there was anything to sum up.
     #[error("interrupted before all devices had joined")]
     Interrupted,
     /// Stopped from outside while there was no way to sum up.
-    #[error(
-        "interrupted at TTI {tti}, while the clock was held for lost host {host} with devices {first} to {last}: \
-            without their ledgers there is no summary"
-    )]
+    #[error("interrupted at TTI {tti}, while the clock was held for lost host {host} with devices {first} to {last}")]
     InterruptedWaiting {
         /// The host.
         host: HostId,
@@ -68,7 +67,7 @@ impl BsError {
     pub const fn is_interruption(&self) -> bool {
         match self {
             Self::Interrupted | Self::InterruptedWaiting { .. } | Self::NoAnswer { .. } => true,
-            Self::Bus(_) | Self::TooFew { .. } | Self::HostLost { .. } => false,
+            Self::Bus(_) | Self::TooFew { .. } | Self::HostLost { .. } | Self::CannotGoOn(_) => false,
         }
     }
 }

@@ -18,6 +18,8 @@ pub struct Roster {
     hosts: Vec<Places>,
     /// The position in `hosts` of each host by its number.
     positions: Vec<Option<usize>>,
+    /// The position in `hosts` of each device's host, once there are any.
+    carriers: Vec<usize>,
 }
 
 impl Roster {
@@ -28,16 +30,48 @@ impl Roster {
             psi,
             hosts: Vec::new(),
             positions: Vec::new(),
+            carriers: Vec::new(),
         }
     }
 
     /// The run begins with these hosts.
     pub fn set_hosts(&mut self, hosts: Vec<Places>) {
-        self.positions = vec![None; hosts.iter().map(|places| places.host.index() + 1).max().unwrap_or(0)];
+        self.positions.clear();
+        self.carriers = vec![0; self.devices.len()];
         for (position, places) in hosts.iter().enumerate() {
-            self.positions[places.host.index()] = Some(position);
+            self.set_position(places.host, Some(position));
+            self.carriers[places.first.index()..][..places.count as usize].fill(position);
         }
         self.hosts = hosts;
+    }
+
+    /// From now on the devices of the host `lost` are those of `heir`, the same ones.
+    ///
+    /// # Panics
+    /// If `lost` carries no devices, or others.
+    pub fn replace(&mut self, lost: HostId, heir: Places) {
+        let position = self.position(lost).expect("a host of this run");
+        let Places { first, count, .. } = self.hosts[position];
+        assert_eq!(
+            (first, count),
+            (heir.first, heir.count),
+            "an heir has all that was left"
+        );
+        self.set_position(lost, None);
+        self.set_position(heir.host, Some(position));
+        self.hosts[position] = heir;
+    }
+
+    /// The host that carries `device`, once there are any.
+    pub fn carrier(&self, device: DeviceId) -> Option<HostId> {
+        let position = *self.carriers.get(device.index())?;
+        Some(self.hosts[position].host)
+    }
+
+    fn set_position(&mut self, host: HostId, position: Option<usize>) {
+        let length = self.positions.len().max(host.index() + 1);
+        self.positions.resize(length, None);
+        self.positions[host.index()] = position;
     }
 
     /// How many hosts there are.

@@ -5,13 +5,15 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use reveille_common::deployment::Deployment;
 use reveille_common::ids::{HostId, Tti};
-use reveille_common::message::{ClockCommand, ClockStatus, LostHost, Pace};
+use reveille_common::message::{ClockCommand, ClockStatus, LostHost};
 use reveille_common::scenario::Scenario;
 use tokio::sync::Notify;
 
+use super::drive::{OnLoss, Progress, Settings};
 use crate::host::admission::Admission;
 use crate::host::barrier::Barrier;
 use crate::host::clock::VirtualClock;
+use crate::host::losses::Losses;
 use crate::host::roster::Roster;
 
 /// The state that callbacks change and the loop looks at.
@@ -23,14 +25,18 @@ pub(super) struct BsState {
     pub(super) next: Tti,
     /// Whether the loop stands before `next`, with every TTI before it closed.
     pub(super) stands: bool,
-    /// Hosts whose token is gone.
-    pub(super) lost: BTreeSet<HostId>,
+    /// Devices whose host is lost.
+    pub(super) losses: Losses,
     /// Lost hosts that were already spoken of.
     pub(super) reported: BTreeSet<HostId>,
-    /// Hosts that came back since the loop last looked.
+    /// Whether somebody came, or came back, who has to be asked again.
     pub(super) returned: bool,
-    /// Whether the run has begun: from then on no place is given.
+    /// Whether the run has begun: from then on only places of lost hosts are given.
     pub(super) is_running: bool,
+    /// Why the run cannot go on, where a callback has found out.
+    pub(super) failure: Option<String>,
+    /// What to do when a host is lost.
+    pub(super) on_loss: OnLoss,
 }
 
 impl BsState {
@@ -41,10 +47,21 @@ impl BsState {
         self.stands
     }
 
+    /// Tells `progress` who carries which devices.
+    pub(super) fn name_carriers(&mut self, progress: &Progress) {
+        let roster = self.barrier.roster();
+        let all = (0..roster.hosts())
+            .map(|position| roster.places(position))
+            .collect::<Vec<_>>();
+        let named = all
+            .into_iter()
+            .map(|places| (places, self.admission.name(places.host).to_owned()));
+        *progress.carriers.lock().unwrap_or_else(PoisonError::into_inner) = named.collect();
+    }
+
     /// What an operator is told. A clock that has been told to stop runs until the TTI in work is closed.
     pub(super) fn status(&self) -> ClockStatus {
         let end = self.clock.end();
-        let lost = self.lost.iter().filter_map(|&host| self.admission.places(host));
         ClockStatus {
             tti: self.next,
             ttis: end.0,
@@ -53,7 +70,9 @@ impl BsState {
             pace: self.clock.pace(),
             begun: self.is_running,
             devices: self.admission.devices(),
-            lost: lost
+            lost: self
+                .losses
+                .places()
                 .map(|places| LostHost {
                     host: places.host,
                     first: places.first,
@@ -71,21 +90,24 @@ pub(super) struct Shared {
 }
 
 impl Shared {
-    pub(super) fn new(scenario: &Scenario, deployment: &Deployment, pace: Pace, paused: bool) -> Arc<Self> {
-        let mut clock = VirtualClock::new(Tti(scenario.ttis), pace);
-        if paused {
-            clock.obey(ClockCommand::Pause, Tti::ZERO);
+    /// The state of a run that begins with TTI `next`.
+    pub(super) fn new(scenario: &Scenario, deployment: &Deployment, settings: &Settings, next: Tti) -> Arc<Self> {
+        let mut clock = VirtualClock::new(Tti(scenario.ttis), settings.pace);
+        if settings.paused {
+            clock.obey(ClockCommand::Pause, next);
         }
         let state = BsState {
             admission: Admission::new(scenario.devices),
             barrier: Barrier::new(Roster::new(deployment.devices.clone(), scenario.sensing.psi)),
             clock,
-            next: Tti::ZERO,
+            next,
             stands: true,
-            lost: BTreeSet::new(),
+            losses: Losses::default(),
             reported: BTreeSet::new(),
             returned: false,
             is_running: false,
+            failure: None,
+            on_loss: settings.on_loss,
         };
         Arc::new(Self {
             state: Mutex::new(state),

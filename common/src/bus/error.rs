@@ -38,8 +38,8 @@ pub enum BusError {
     /// A reply that cannot be read.
     #[error("the reply cannot be read: {0}")]
     Reply(#[from] CodecError),
-    /// The other side could not read the question.
-    #[error("the base station could not read the request: {0}")]
+    /// The other side will not answer the question, or could not read it.
+    #[error("the base station refused: {0}")]
     Refused(String),
     /// Anything else that zenoh reports.
     #[error("zenoh: {0}")]

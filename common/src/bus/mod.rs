@@ -2,8 +2,10 @@
 //!
 //! The BS listens as a zenoh router, everything else connects to it as a client over TCP. Links are reliable and
 //! blocking: losses and delays of the modelled radio never come from here. See [`crate::message`] for what travels: a
-//! payload's type names its kind, and with it the key, so that no type travels on another's key.
+//! payload's type names its kind, and with it the key, so that no type travels on another's key. What a peer may do on
+//! a run's bus is in `access`.
 
+mod access;
 mod alive;
 mod error;
 mod query;
@@ -24,13 +26,14 @@ use zenoh::qos::CongestionControl;
 use zenoh::sample::Sample;
 
 use crate::codec::{self, CodecError};
-use crate::ids::Tti;
-use crate::keys::{self, Keys, RunName};
-use crate::message::{Address, Frame, Payload, Plane, TapBatch};
+use crate::ids::{DeviceId, HostId, Tti};
+use crate::keys::{self, HostPass, Keys};
+use crate::message::{Frame, Payload, Plane, TapBatch, WakeUp};
+use crate::secret::Secret;
 
 pub use error::BusError;
 pub use raw::RawTopic;
-pub use session::{LEASE_MS, free_to_listen};
+pub use session::{LEASE_MS, draw_nonce, draw_secret, free_to_listen};
 pub use tap::{Sink, Tap};
 
 /// Time between two looks at what is to be sent to observers.
@@ -42,6 +45,8 @@ pub struct Bus {
     session: zenoh::Session,
     keys: Arc<Keys>,
     endpoint: Arc<str>,
+    /// What is shown with questions that not everybody may ask.
+    key: Option<Secret>,
     malformed: Arc<AtomicU64>,
     tap: Option<Arc<Tap>>,
 }
@@ -55,12 +60,13 @@ pub struct Declared {
 type Take = dyn Fn(&str, &[u8]) + Send + Sync;
 
 impl Bus {
-    fn new(session: zenoh::Session, run: RunName, endpoint: &str) -> Self {
+    fn new(session: zenoh::Session, keys: Keys, endpoint: &str) -> Self {
         let malformed = Arc::default();
         Self {
             session,
-            keys: Arc::new(Keys::new(run)),
+            keys: Arc::new(keys),
             endpoint: endpoint.into(),
+            key: None,
             malformed,
             tap: None,
         }
@@ -69,6 +75,21 @@ impl Bus {
     /// The keys of the run.
     pub fn keys(&self) -> &Keys {
         &self.keys
+    }
+
+    /// This session with what a member of the run is told: the keys of all hosts.
+    #[must_use]
+    pub fn with_secret(&self, secret: Secret) -> Self {
+        Self {
+            keys: Arc::new(Keys::of_members(self.keys.run().clone(), secret)),
+            ..self.clone()
+        }
+    }
+
+    /// This session of somebody who has the run's key, and shows it with every question.
+    #[must_use]
+    pub fn with_key(&self, key: Option<Secret>) -> Self {
+        Self { key, ..self.clone() }
     }
 
     /// Where the BS listens.
@@ -134,48 +155,81 @@ impl Bus {
         }
     }
 
-    /// The topic of messages of type `P`, from or to `address`.
+    /// The topic of messages of type `P`, which have a single key.
     ///
     /// # Errors
     /// If zenoh refuses.
-    pub fn publisher<P: Payload>(&self, address: P::Address) -> Result<Topic<P>, BusError> {
-        let publisher = self
-            .session
-            .declare_publisher(self.keys.typed::<P>(address))
-            .congestion_control(CongestionControl::Block)
-            .wait()?;
+    pub fn publisher<P: Payload<Address = ()>>(&self) -> Result<Topic<P>, BusError> {
+        self.topic(self.keys.of(P::KIND), None)
+    }
+
+    /// The topic of wake-ups for `device`, which `host` carries.
+    ///
+    /// # Errors
+    /// If zenoh refuses.
+    pub fn waker(&self, host: HostId, device: DeviceId) -> Result<Topic<WakeUp>, BusError> {
+        self.topic(self.keys.wake(host, device), Some(device.0))
+    }
+
+    /// The topic of messages of type `P` from the host with this pass.
+    ///
+    /// # Errors
+    /// If zenoh refuses.
+    pub fn uplink<P: Payload>(&self, pass: HostPass) -> Result<Topic<P>, BusError> {
+        self.topic(self.keys.uplink(P::KIND, pass), Some(pass.host.0))
+    }
+
+    fn topic<P: Payload>(&self, key: String, number: Option<u32>) -> Result<Topic<P>, BusError> {
+        let publisher = self.session.declare_publisher(key);
         Ok(Topic {
-            publisher,
-            number: address.number(),
+            publisher: publisher.congestion_control(CongestionControl::Block).wait()?,
+            number,
             tap: self.tap.clone(),
             _payload: PhantomData,
         })
     }
 
-    /// Calls `handle` with each message of type `P` from or to `address`. It must not block.
+    /// Calls `handle` with each message of type `P`, which has a single key. It must not block.
     ///
     /// # Errors
     /// If zenoh refuses.
-    pub fn subscribe<P, F>(&self, address: P::Address, handle: F) -> Result<Declared, BusError>
+    pub fn subscribe<P, F>(&self, handle: F) -> Result<Declared, BusError>
     where
-        P: Payload,
+        P: Payload<Address = ()>,
         F: Fn(P) + Send + Sync + 'static,
     {
-        self.listen_on(self.keys.typed::<P>(address), move |_, message| handle(message))
+        self.listen_on(self.keys.of(P::KIND), move |_, message| {
+            handle(message);
+            true
+        })
     }
 
-    /// Calls `handle` with each message of type `P`, whosever it is, and with the number at the end of its key. It must
-    /// not block.
+    /// Calls `handle` with each wake-up for a device that `host` carries. It must not block.
     ///
     /// # Errors
     /// If zenoh refuses.
-    pub fn subscribe_all<P, F>(&self, handle: F) -> Result<Declared, BusError>
+    pub fn subscribe_wakes<F>(&self, host: HostId, handle: F) -> Result<Declared, BusError>
+    where
+        F: Fn(DeviceId, WakeUp) + Send + Sync + 'static,
+    {
+        self.listen_on(self.keys.wakes_of(host), move |key, wake| {
+            let device = keys::last_number(key).map(DeviceId);
+            device.map(|device| handle(device, wake)).is_some()
+        })
+    }
+
+    /// Calls `handle` with each message of type `P` from any host, and with the pass that its key shows. It must not
+    /// block.
+    ///
+    /// # Errors
+    /// If zenoh refuses.
+    pub fn subscribe_uplinks<P, F>(&self, handle: F) -> Result<Declared, BusError>
     where
         P: Payload,
-        F: Fn(Option<u32>, P) + Send + Sync + 'static,
+        F: Fn(HostPass, P) + Send + Sync + 'static,
     {
-        self.listen_on(self.keys.all(P::KIND), move |key, message| {
-            handle(keys::last_number(key), message);
+        self.listen_on(self.keys.uplinks(P::KIND), move |key, message| {
+            HostPass::at_end_of(key).map(|pass| handle(pass, message)).is_some()
         })
     }
 
@@ -184,20 +238,23 @@ impl Bus {
     /// # Errors
     /// If zenoh refuses.
     pub fn observe(&self, handle: impl Fn(TapBatch) + Send + Sync + 'static) -> Result<Declared, BusError> {
-        self.listen_on(self.keys.tap(), move |_, batch| handle(batch))
+        self.listen_on(self.keys.tap(), move |_, batch| {
+            handle(batch);
+            true
+        })
     }
 
+    /// Calls `handle` with the key and the message of each sample; it says whether the key can be one of such messages.
     fn listen_on<T, F>(&self, key: String, handle: F) -> Result<Declared, BusError>
     where
         T: DeserializeOwned,
-        F: Fn(&str, T) + Send + Sync + 'static,
+        F: Fn(&str, T) -> bool + Send + Sync + 'static,
     {
         let bus = self.clone();
         let take = move |key: &str, payload: &[u8]| {
             bus.see(key, payload);
-            match bus.read(key, payload) {
-                Some(message) => handle(key, message),
-                None => bus.see_malformed(key, payload),
+            if !bus.read(key, payload).is_some_and(|message| handle(key, message)) {
+                bus.see_malformed(key, payload);
             }
         };
         self.listen_for_bytes(key, Box::new(take))
@@ -232,10 +289,11 @@ impl Bus {
     /// Copies what was heard on the air plane and is no message: the run tells nothing of it.
     fn see_malformed(&self, key: &str, payload: &[u8]) {
         if let Some(tap) = self.tap.as_ref().filter(|tap| tap.is_observed())
-            && let Some((kind, number)) = keys::classify(key)
+            && let Some((kind, _)) = keys::classify(key)
             && kind.plane() != Plane::Emu
         {
-            tap.tell_bytes(kind, number, payload);
+            // Whose it is nobody knows: the key names a host.
+            tap.tell_bytes(kind, None, payload);
         }
     }
 

@@ -7,16 +7,20 @@ use zenoh::Wait;
 use zenoh::query::{ConsolidationMode, Query, QueryTarget};
 
 use super::{Bus, BusError, Declared};
-use crate::codec::{self, CodecError};
+use crate::codec;
 use crate::message::Question;
+use crate::secret::Secret;
 
 /// How long one try of a repeated question may take.
 const ONE_TRY: Duration = Duration::from_secs(2);
 /// The pause between two tries.
 const BETWEEN_TRIES: Duration = Duration::from_millis(200);
 
-/// Makes an encoded reply of an encoded request.
-type Answer = dyn Fn(&[u8]) -> Result<Vec<u8>, CodecError> + Send + Sync;
+/// What is said of a request that is no message, before it is counted.
+const MALFORMED: &str = "the request is no message of its kind";
+
+/// Makes an encoded reply of an encoded request and of what the asker shows with it; `Err` says why not.
+type Answer = dyn Fn(&[u8], Option<Secret>) -> Result<Vec<u8>, String> + Send + Sync;
 /// An encoded reply, if there comes one.
 type Reply<'b> = Pin<Box<dyn Future<Output = Result<Option<Vec<u8>>, BusError>> + Send + 'b>>;
 
@@ -30,23 +34,41 @@ impl Bus {
         Q: Question<Address = ()>,
         F: Fn(Q) -> Q::Reply + Send + Sync + 'static,
     {
-        let reply = move |request: &[u8]| Ok(codec::encode(&answer(codec::decode(request)?)));
+        self.serve_shown(move |request, _| Ok(answer(request)))
+    }
+
+    /// As [`Self::serve`], for questions that not everybody may ask: `answer` gets what the asker shows besides, or
+    /// says why not.
+    ///
+    /// # Errors
+    /// If zenoh refuses.
+    pub fn serve_shown<Q, F>(&self, answer: F) -> Result<Declared, BusError>
+    where
+        Q: Question<Address = ()>,
+        F: Fn(Q, Option<Secret>) -> Result<Q::Reply, String> + Send + Sync + 'static,
+    {
+        let bus = self.clone();
+        let reply = move |request: &[u8], shown: Option<Secret>| {
+            let request = codec::decode(request).map_err(|error| {
+                bus.count_malformed(Q::KIND.name(), &error);
+                format!("{MALFORMED}: {error}")
+            })?;
+            Ok(codec::encode(&answer(request, shown)?))
+        };
         self.serve_bytes(self.keys.of(Q::KIND), Box::new(reply))
     }
 
-    /// As [`Self::serve`], in bytes. It stands apart so that zenoh's generic code is compiled here and once.
+    /// As [`Self::serve_shown`], in bytes. It stands apart so that zenoh's generic code is compiled here and once.
     fn serve_bytes(&self, key: String, answer: Box<Answer>) -> Result<Declared, BusError> {
         let bus = self.clone();
         let on_query = move |query: Query| {
             let payload = query.payload().map(|p| p.to_bytes().into_owned()).unwrap_or_default();
+            let shown = query.attachment().and_then(|a| a.try_to_string().ok()?.parse().ok());
             let key = query.key_expr().as_str();
             bus.see(key, &payload);
-            let reply = match answer(&payload) {
+            let reply = match answer(&payload, shown) {
                 Ok(reply) => query.reply(key, reply).wait(),
-                Err(error) => {
-                    bus.count_malformed(key, &error);
-                    query.reply_err(codec::encode(&error.to_string())).wait()
-                }
+                Err(why) => query.reply_err(codec::encode(&why)).wait(),
             };
             if let Err(error) = reply {
                 tracing::debug!(key, %error, "the asker has gone");
@@ -67,13 +89,18 @@ impl Bus {
     ///
     /// # Errors
     /// As [`Self::ask`].
-    pub async fn ask_until<Q>(&self, request: &Q, patience: Duration) -> Result<Option<Q::Reply>, BusError>
+    pub async fn ask_until<Q>(
+        &self,
+        request: &Q,
+        shown: Option<Secret>,
+        patience: Duration,
+    ) -> Result<Option<Q::Reply>, BusError>
     where
         Q: Question<Address = ()>,
     {
         let deadline = tokio::time::Instant::now() + patience;
         while tokio::time::Instant::now() < deadline {
-            let reply = self.ask(request, ONE_TRY).await?;
+            let reply = self.ask_showing(request, shown, ONE_TRY).await?;
             if reply.is_some() {
                 return Ok(reply);
             }
@@ -90,19 +117,40 @@ impl Bus {
     where
         Q: Question<Address = ()>,
     {
+        self.ask_showing(request, self.key, patience).await
+    }
+
+    /// As [`Self::ask`], showing something else than the run's key.
+    ///
+    /// # Errors
+    /// As [`Self::ask`]; [`BusError::Refused`] if the other side will not answer.
+    pub async fn ask_showing<Q>(
+        &self,
+        request: &Q,
+        shown: Option<Secret>,
+        patience: Duration,
+    ) -> Result<Option<Q::Reply>, BusError>
+    where
+        Q: Question<Address = ()>,
+    {
         let reply = self
-            .question(self.keys.of(Q::KIND), codec::encode(request), patience)
+            .question(self.keys.of(Q::KIND), codec::encode(request), shown, patience)
             .await?;
         Ok(reply.map(|payload| codec::decode(&payload)).transpose()?)
     }
 
     /// Asks in bytes; boxed so that zenoh's part of it is compiled here and once, not in each program that asks.
-    pub(super) fn question(&self, key: String, payload: Vec<u8>, patience: Duration) -> Reply<'_> {
+    pub(super) fn question(
+        &self,
+        key: String,
+        payload: Vec<u8>,
+        shown: Option<Secret>,
+        patience: Duration,
+    ) -> Reply<'_> {
         Box::pin(async move {
-            let replies = self
-                .session
-                .get(key)
-                .payload(payload)
+            let question = self.session.get(key).payload(payload);
+            let replies = question
+                .attachment(shown.map(|secret| secret.to_string()))
                 .target(QueryTarget::BestMatching)
                 .consolidation(ConsolidationMode::None)
                 .timeout(patience)

@@ -66,6 +66,6 @@ impl Bus {
         payload: Vec<u8>,
         patience: Duration,
     ) -> Result<Option<Vec<u8>>, BusError> {
-        self.question(key, payload, patience).await
+        self.question(key, payload, None, patience).await
     }
 }

@@ -4,8 +4,9 @@ use std::time::Duration;
 
 use zenoh::Wait;
 
-use super::{Bus, BusError, Tap};
-use crate::keys::RunName;
+use super::{Bus, BusError, Tap, access};
+use crate::keys::{Keys, RunName};
+use crate::secret::Secret;
 
 /// How long a link may be silent before its peer counts as lost, milliseconds.
 pub const LEASE_MS: u64 = 2_000;
@@ -21,19 +22,37 @@ const COMMON: [(&str, &str); 6] = [
 ];
 
 impl Bus {
-    /// Opens the BS's session, listening on `endpoint`; the port 0 stands for any free one.
+    /// Opens the BS's session, listening on `endpoint`; the port 0 stands for any free one. Others may do there what
+    /// observers, hosts and operators need, and nothing else.
     ///
     /// # Errors
     /// If the endpoint is not one, or is in use.
     pub async fn listen(endpoint: &str, run: RunName) -> Result<Self, BusError> {
+        let keys = Keys::of_members(run, draw_secret()?);
+        let rules = access::rules(&keys);
+        Self::listen_as(endpoint, keys, &[("access_control", &rules)]).await
+    }
+
+    /// As [`Self::listen`], on a bus where everybody may do everything: for a bare barrier to compare with.
+    ///
+    /// # Errors
+    /// As [`Self::listen`].
+    pub async fn listen_open(endpoint: &str, run: RunName) -> Result<Self, BusError> {
+        Self::listen_as(endpoint, Keys::new(run), &[]).await
+    }
+
+    async fn listen_as(endpoint: &str, keys: Keys, extra: &[(&str, &str)]) -> Result<Self, BusError> {
         let endpoint = free_to_listen(endpoint)?;
         let mut config = config(&[("mode", "\"router\"")])?;
         set(&mut config, "listen/endpoints", &format!("[{endpoint:?}]"))?;
         set(&mut config, "listen/exit_on_failure", "true")?;
+        for (key, value) in access::LIMITS.iter().chain(extra) {
+            set(&mut config, key, value)?;
+        }
         let session = open(config)
             .await?
             .map_err(|e| BusError::Listen(endpoint.clone(), e.to_string()))?;
-        let mut bus = Self::new(session, run, &endpoint);
+        let mut bus = Self::new(session, keys, &endpoint);
         bus.tap = Some(Tap::start(&bus.session, bus.keys.tap())?);
         Ok(bus)
     }
@@ -60,8 +79,26 @@ impl Bus {
                 patience,
             }
         })?;
-        Ok(Self::new(session, run, endpoint))
+        Ok(Self::new(session, Keys::new(run), endpoint))
     }
+}
+
+/// A secret that nobody can guess.
+///
+/// # Errors
+/// If the operating system has no randomness to give.
+pub fn draw_secret() -> Result<Secret, BusError> {
+    let mut random = [0; 16];
+    getrandom::fill(&mut random).map_err(|e| BusError::Zenoh(format!("no randomness to be had: {e}")))?;
+    Ok(Secret::new(random))
+}
+
+/// A number that tells one asker from others.
+///
+/// # Errors
+/// If the operating system has no randomness to give.
+pub fn draw_nonce() -> Result<u64, BusError> {
+    getrandom::u64().map_err(|e| BusError::Zenoh(format!("no randomness to be had: {e}")))
 }
 
 fn config(extra: &[(&str, &str)]) -> Result<zenoh::Config, BusError> {

@@ -16,13 +16,17 @@ pub struct JoinRequest {
     pub count: u32,
     /// A number that this host process drew for itself: a repeated request gets the same places.
     pub nonce: u64,
+    /// What the host calls itself, for messages to people; not believed.
+    pub name: String,
 }
 
 /// Emulation, BS → host: the reply to a [`JoinRequest`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum JoinReply {
     /// The host's places.
-    Welcome(Assignment),
+    Welcome(Box<Assignment>),
+    /// There is no place now, but there may be one: the host may ask again. Why, in words.
+    Later(String),
     /// The host is refused; the reason in words.
     Refused(String),
 }
@@ -35,6 +39,7 @@ impl Concerns for JoinRequest {
 
 impl fmt::Display for JoinRequest {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "offers to carry {} devices, reveille {}", self.count, self.version)
+        let Self { version, count, .. } = self;
+        write!(f, "{:?} offers to carry {count} devices, reveille {version}", self.name)
     }
 }

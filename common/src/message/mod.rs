@@ -40,15 +40,16 @@ pub use join::{JoinReply, JoinRequest};
 pub use plan::PlanUpdate;
 pub use ready::Ready;
 pub use report::Report;
-pub use setup::{Assignment, DeviceSetup};
+pub use setup::{Assignment, Checkpoint, DeviceSetup, Membership, Resumption};
 pub use truth::{EventNews, FailedReport, States, Woken, World};
 pub use wake::{WakeOutcome, WakeUp};
 
-/// Declares the kinds of message: kind "name": payload, plane, what stands at the end of the key, direction, help;
-/// a query has its reply behind `=>`.
+/// Declares the kinds of message: kind "name": payload, plane, who may send it, whose number goes with it, direction,
+/// help; a query has its reply behind `=>`.
 macro_rules! messages {
     ($(
-        $kind:ident $name:literal: $payload:ty $(=> $reply:ty)?, $plane:ident, $address:ty, $direction:literal,
+        $kind:ident $name:literal: $payload:ty $(=> $reply:ty)?, $plane:ident, $access:ident, $address:ty,
+        $direction:literal,
         $about:literal;
     )+) => {
         /// The kinds of message, each with a key of its own.
@@ -75,7 +76,14 @@ macro_rules! messages {
                 }
             }
 
-            /// Whose number stands at the end of its key.
+            /// Who may send and hear it.
+            pub const fn access(self) -> Access {
+                match self {
+                    $(Self::$kind => Access::$access,)+
+                }
+            }
+
+            /// Whose number goes with it.
             pub const fn addressee(self) -> Addressee {
                 match self {
                     $(Self::$kind => <$address as Address>::ADDRESSEE,)+
@@ -203,35 +211,35 @@ macro_rules! messages {
 }
 
 messages! {
-    Plan "plan": PlanUpdate, Air, (), "BS → all devices",
+    Plan "plan": PlanUpdate, Air, Members, (), "BS → all devices",
         "The plan δ: who senses in which TTI. Sent when it changes and for synchronisation.";
-    Wake "wake": WakeUp, Air, DeviceId, "BS → one device",
+    Wake "wake": WakeUp, Air, Members, DeviceId, "BS → one device",
         "A wake-up for a device's wake-up radio.";
-    Report "report": Report, Air, DeviceId, "device → BS",
+    Report "report": Report, Air, Members, DeviceId, "device → BS",
         "What a device in S3 sends: information and battery.";
-    Clock "clock": Clock, Emu, (), "BS → all hosts",
+    Clock "clock": Clock, Emu, Members, (), "BS → all hosts",
         "The virtual clock: a grant of TTIs with what the world shows in them, or the end of the run.";
-    Answer "answer": Answer, Emu, HostId, "host → BS",
+    Answer "answer": Answer, Emu, Members, HostId, "host → BS",
         "A host's answer to the clock or to a wake-up: how many reports precede it, who could not transmit, sums.";
-    Join "join": JoinRequest => JoinReply, Emu, (), "host → BS",
+    Join "join": JoinRequest => JoinReply, Emu, Anyone, (), "host → BS",
         "A query: a host asks for places in the run.";
-    Ready "ready": Ready => bool, Emu, (), "host → BS",
+    Ready "ready": Ready => bool, Emu, Members, (), "host → BS",
         "A query: a host is subscribed to everything and waits for the first TTI.";
-    Control "control": ClockCommand => ClockStatus, Emu, (), "operator → BS",
+    Control "control": ClockCommand => ClockStatus, Emu, Anyone, (), "operator → BS",
         "A query: pause, step, resume, or where the clock is.";
-    Describe "describe": Describe => Description, Emu, (), "observer → BS",
+    Describe "describe": Describe => Description, Emu, Anyone, (), "observer → BS",
         "A query: the scenario of the run, with the files that it names.";
-    World "world": World, Truth, (), "world → observers",
+    World "world": World, Truth, Members, (), "world → observers",
         "TTIs that the devices go through, and what the world shows in the last of them.";
-    Event "event": EventNews, Truth, (), "world → observers",
+    Event "event": EventNews, Truth, Members, (), "world → observers",
         "An event starts, or has ended with all that came of it.";
-    Failed "failed": FailedReport, Truth, DeviceId, "world → observers",
+    Failed "failed": FailedReport, Truth, Members, DeviceId, "world → observers",
         "A device has detected an event and could not pay for a report.";
-    Woken "woken": Woken, Truth, DeviceId, "world → observers",
+    Woken "woken": Woken, Truth, Members, DeviceId, "world → observers",
         "What came of a wake-up.";
-    Belief "belief": Belief, Truth, (), "BS → observers",
+    Belief "belief": Belief, Truth, Members, (), "BS → observers",
         "Where the BS believes the event to be after the reports of a TTI, where its policy has such a belief.";
-    States "states": States, Truth, (), "world → observers",
+    States "states": States, Truth, Members, (), "world → observers",
         "State and battery of all devices at the end of a TTI, where a recording was asked for them.";
 }
 
@@ -270,7 +278,16 @@ impl Plane {
     }
 }
 
-/// Whose number stands at the end of a kind's keys.
+/// Who may send and hear a kind of message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Access {
+    /// The BS and hosts that it has given places.
+    Members,
+    /// Whoever reaches the BS may ask.
+    Anyone,
+}
+
+/// Whose number goes with a kind's messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Addressee {
     /// Nobody's: the kind has a single key.
@@ -292,12 +309,12 @@ impl Addressee {
     }
 }
 
-/// A value that completes the key of a kind: a device, a host, or `()` for a kind with a single key.
+/// Whom a message is to, from or about: a device, a host, or `()` for a kind that has nobody's number.
 pub trait Address: Copy {
     /// Whose number it is.
     const ADDRESSEE: Addressee;
 
-    /// The number at the end of the key.
+    /// The number.
     fn number(self) -> Option<u32>;
 }
 
@@ -327,7 +344,7 @@ impl Address for HostId {
 
 /// A payload that knows its kind, so that no key can carry another type than its own.
 pub trait Payload: Concerns + fmt::Display + Serialize + DeserializeOwned {
-    /// What completes the key.
+    /// Whose number goes with it.
     type Address: Address;
     /// Its kind.
     const KIND: MessageKind;

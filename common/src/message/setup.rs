@@ -7,15 +7,44 @@ use serde::{Deserialize, Serialize};
 use crate::energy::EnergyModel;
 use crate::geometry::Point;
 use crate::harvest::HarvestSetup;
-use crate::ids::{DeviceId, HostId, Tti};
+use crate::ids::{DeviceId, Tti};
+use crate::keys::HostPass;
+use crate::secret::Secret;
 use crate::sensing::Sensing;
 use crate::units::Energy;
+
+/// What the BS tells a host of the bus, and nobody else.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Membership {
+    /// The host's number, and its own token.
+    pub pass: HostPass,
+    /// What the keys of all members begin with.
+    pub secret: Secret,
+}
+
+/// A device in the middle of a run, as its machine has it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Checkpoint(pub Vec<u8>);
+
+/// Where a host takes up devices in the middle of a run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Resumption {
+    /// The first TTI that they have not been granted.
+    pub next: Tti,
+    /// The TTI from which the plan holds that they have; `None` if there was none yet.
+    pub plan: Option<Tti>,
+    /// The devices, in the order of ids.
+    pub devices: Vec<Checkpoint>,
+}
 
 /// What a host needs to carry its devices.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Assignment {
-    /// The host's number.
-    pub host: HostId,
+    /// How the host is known on the bus.
+    pub membership: Membership,
+    /// Where its devices stand, if not before TTI 0.
+    pub resumption: Option<Resumption>,
     /// Seed of the run's streams.
     pub seed: u64,
     /// Length K of the run in TTIs.
@@ -50,6 +79,13 @@ impl Assignment {
             if !setup.harvest.is_sound(&self.traces) {
                 return Err(format!("device {device} has an impossible energy source"));
             }
+        }
+        if self
+            .resumption
+            .as_ref()
+            .is_some_and(|r| r.devices.len() != self.devices.len())
+        {
+            return Err("it has more or fewer checkpoints than devices".to_owned());
         }
         Ok(())
     }

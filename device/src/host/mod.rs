@@ -5,6 +5,7 @@
 //! answer.
 
 pub mod actor;
+mod joining;
 pub mod round;
 pub mod uplink;
 
@@ -14,8 +15,8 @@ use std::time::Duration;
 use reveille_common::bus::{Bus, BusError, Declared};
 use reveille_common::event::Stimulus;
 use reveille_common::geometry::Point;
-use reveille_common::ids::{DeviceId, HostId, Tti};
-use reveille_common::message::{Assignment, Clock, JoinReply, JoinRequest, PlanUpdate, Ready, Tick, WakeUp};
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::{Assignment, Clock, Membership, PlanUpdate, Ready, Tick, WakeUp};
 use reveille_common::plan::DutyCycle;
 use tokio::runtime::Handle;
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
@@ -26,8 +27,11 @@ use crate::host::round::{Part, Question, Round};
 use crate::host::uplink::Uplink;
 use crate::machine::{Machine, Physics};
 
-/// How long a host that has lost its BS waits for it to come back.
-const BS_GRACE: Duration = Duration::from_secs(5);
+pub use self::joining::{News, Offer, carry};
+
+/// How long a BS that is back is asked whether it still knows a host: one that was started anew does not hear the
+/// question.
+const ANOTHER: Duration = Duration::from_secs(3);
 
 /// Why a host could not do its work.
 #[derive(Debug, thiserror::Error)]
@@ -48,12 +52,17 @@ pub enum HostError {
     #[error("the run has failed: {0}")]
     RunFailed(String),
     /// The BS is gone.
-    #[error("lost the base station of run {run} after TTI {tti}: its process ended or the link broke")]
+    #[error(
+        "lost the base station of run {run} after TTI {tti}: its process ended or the link broke, and it did not come \
+            back within {patience:?}"
+    )]
     BsLost {
         /// The run.
         run: String,
         /// The last TTI granted.
         tti: Tti,
+        /// How long it was waited for.
+        patience: Duration,
     },
 }
 
@@ -62,9 +71,19 @@ pub enum HostError {
 enum Progress {
     Running,
     BsMissing,
+    /// The BS is there again, or another one in its place.
+    BsBack,
     DeviceFailed,
     Dismissed,
     RunFailed(String),
+}
+
+/// How a host has come to the end of what it carries.
+enum Left {
+    /// The run is over.
+    Dismissed,
+    /// The BS has given the devices to another host, or is another BS.
+    Replaced,
 }
 
 /// Says so when an actor's task panics, which tokio would keep to itself.
@@ -80,7 +99,7 @@ impl Drop for Obituary {
 
 /// What a host carries, shared by the callbacks of its subscriptions.
 struct Shared {
-    host: HostId,
+    membership: Membership,
     first: DeviceId,
     positions: Vec<Point>,
     d_max: f64,
@@ -104,55 +123,11 @@ struct HostState {
     round: Option<Arc<Round>>,
 }
 
-/// Joins the run of `bus` with up to `count` devices, carries them to the end of the run, and leaves. `on_joined` is
-/// told the host's number and its first and last device.
-///
-/// # Errors
-/// If there is no such run within `patience`, the BS refuses, or it is lost on the way.
-pub async fn carry(
-    bus: &Bus,
-    count: u32,
-    nonce: u64,
-    patience: Duration,
-    on_joined: impl FnOnce(HostId, DeviceId, DeviceId),
-) -> Result<(), HostError> {
-    let assignment = join(bus, count, nonce, patience).await?;
-    let host = assignment.host;
-    let (first, last) = (
-        assignment.devices[0].id,
-        assignment.devices[assignment.devices.len() - 1].id,
-    );
-    tracing::info!(%host, %first, %last, "joined");
-    on_joined(host, first, last);
-    let shared = Arc::new(Shared::new(bus, assignment)?);
-    let _declared = shared.declare(bus)?;
-    match bus.ask_until(&Ready { host }, patience).await? {
-        Some(true) => shared.stay(bus).await,
-        Some(false) => Err(HostError::Refused("it has given this host's places away".to_owned())),
-        None => Err(bus.no_run().await.into()),
-    }
-}
-
-async fn join(bus: &Bus, count: u32, nonce: u64, patience: Duration) -> Result<Assignment, HostError> {
-    let request = JoinRequest {
-        version: env!("CARGO_PKG_VERSION").to_owned(),
-        count,
-        nonce,
-    };
-    match bus.ask_until(&request, patience).await? {
-        Some(JoinReply::Welcome(assignment)) => {
-            assignment.check().map_err(HostError::Assignment)?;
-            Ok(assignment)
-        }
-        Some(JoinReply::Refused(why)) => Err(HostError::Refused(why)),
-        None => Err(bus.no_run().await.into()),
-    }
-}
-
 impl Shared {
-    fn new(bus: &Bus, assignment: Assignment) -> Result<Self, BusError> {
+    fn new(bus: &Bus, assignment: Assignment) -> Result<Self, HostError> {
         let Assignment {
-            host,
+            membership,
+            resumption,
             seed,
             ttis,
             measured_from,
@@ -161,31 +136,36 @@ impl Shared {
             traces,
         } = assignment;
         let first = devices.first().map_or(DeviceId(0), |d| d.id);
-        let uplink = Arc::new(Uplink::new(bus, host, first, devices.len() as u32)?);
+        let uplink = Arc::new(Uplink::new(bus, membership.pass)?);
         let positions = devices.iter().map(|d| d.position).collect();
         let d_max = sensing.d_max;
         let physics = Arc::new(Physics::new(seed, measured_from, sensing, &devices, traces));
-        let mut resting = Vec::new();
-        let mailboxes = devices
-            .iter()
-            .map(|setup| {
-                let (mailbox, inputs) = unbounded_channel();
-                let actor = Actor::new(Machine::new(setup, &physics), Arc::clone(&physics), Arc::clone(&uplink));
-                resting.push((actor, inputs));
-                mailbox
-            })
-            .collect();
-        let duties = vec![DutyCycle::ASLEEP; devices.len()];
+        let machines: Vec<Machine> = match &resumption {
+            None => devices.iter().map(|setup| Machine::new(setup, &physics)).collect(),
+            Some(resumption) => devices
+                .iter()
+                .zip(&resumption.devices)
+                .map(|(setup, checkpoint)| Machine::resumed(setup, &physics, checkpoint))
+                .collect::<Result<_, _>>()
+                .map_err(HostError::Assignment)?,
+        };
+        let duties = machines.iter().map(Machine::duty).collect();
+        let (mut resting, mut mailboxes) = (Vec::new(), Vec::new());
+        for machine in machines {
+            let (mailbox, inputs) = unbounded_channel();
+            mailboxes.push(mailbox);
+            resting.push((Actor::new(machine, Arc::clone(&physics), Arc::clone(&uplink)), inputs));
+        }
         let state = Mutex::new(HostState {
             duties,
             resting,
-            plan_from: None,
-            next: Tti::ZERO,
+            plan_from: resumption.as_ref().and_then(|r| r.plan),
+            next: resumption.map_or(Tti::ZERO, |r| r.next),
             tick: None,
             round: None,
         });
         Ok(Self {
-            host,
+            membership,
             first,
             positions,
             d_max,
@@ -204,53 +184,77 @@ impl Shared {
         let keys = bus.keys();
         let mut declared = Vec::new();
         let this = Arc::clone(self);
-        declared.push(bus.subscribe((), move |update: PlanUpdate| this.on_plan(&update))?);
-        for device in (self.first.0..).take(self.mailboxes.len()).map(DeviceId) {
-            let this = Arc::clone(self);
-            declared.push(bus.subscribe(device, move |wake: WakeUp| this.on_wake(device, wake))?);
-        }
+        declared.push(bus.subscribe(move |update: PlanUpdate| this.on_plan(&update))?);
         let this = Arc::clone(self);
-        declared.push(bus.subscribe((), move |clock: Clock| this.on_clock(clock))?);
+        let host = self.membership.pass.host;
+        declared.push(bus.subscribe_wakes(host, move |device, wake| this.on_wake(device, wake))?);
+        let this = Arc::clone(self);
+        declared.push(bus.subscribe(move |clock: Clock| this.on_clock(clock))?);
         let this = Arc::clone(self);
         declared.push(bus.watch_alive(keys.bs_alive(), move |_, alive| this.on_bs(alive))?);
-        declared.push(bus.declare_alive(keys.alive(self.host))?);
+        declared.push(bus.declare_alive(keys.alive(self.membership.pass))?);
         Ok(declared)
     }
 
-    /// Waits until the BS dismisses the host or is lost.
-    async fn stay(&self, bus: &Bus) -> Result<(), HostError> {
+    /// Waits until the BS dismisses the host, has given its devices away, or is lost for longer than `patience`.
+    async fn stay(&self, bus: &Bus, patience: Duration) -> Result<Left, HostError> {
         let mut progress = self.progress.subscribe();
         loop {
             let now = progress.borrow_and_update().clone();
             let changed = match now {
-                Progress::Dismissed => return Ok(()),
+                Progress::Dismissed => return Ok(Left::Dismissed),
                 Progress::RunFailed(why) => return Err(HostError::RunFailed(why)),
                 Progress::DeviceFailed => return Err(HostError::DeviceFailed),
                 Progress::Running => progress.changed().await.is_ok(),
-                Progress::BsMissing => tokio::time::timeout(BS_GRACE, progress.changed()).await.is_ok(),
+                Progress::BsMissing => tokio::time::timeout(patience, progress.changed()).await.is_ok(),
+                Progress::BsBack => {
+                    if !self.is_still_known(bus, patience).await? {
+                        return Ok(Left::Replaced);
+                    }
+                    self.progress.send_if_modified(|progress| {
+                        let is_back = *progress == Progress::BsBack;
+                        if is_back {
+                            *progress = Progress::Running;
+                        }
+                        is_back
+                    });
+                    true
+                }
             };
             if !changed {
                 let tti = self.lock().tick.map_or(Tti::ZERO, |t| t.last);
                 return Err(HostError::BsLost {
                     run: bus.keys().run().to_string(),
                     tti,
+                    patience,
                 });
             }
         }
     }
 
+    /// Whether the BS still counts on this host. One that was started anew serves other keys and does not answer.
+    async fn is_still_known(&self, bus: &Bus, patience: Duration) -> Result<bool, BusError> {
+        let pass = self.membership.pass;
+        let ready = Ready { host: pass.host };
+        let patience = patience.min(ANOTHER);
+        Ok(bus.ask_until(&ready, Some(pass.token), patience).await? == Some(true))
+    }
+
     fn on_bs(&self, alive: bool) {
-        self.progress.send_modify(|progress| match progress {
-            Progress::Dismissed | Progress::RunFailed(_) | Progress::DeviceFailed => {}
-            Progress::Running | Progress::BsMissing => {
-                *progress = if alive { Progress::Running } else { Progress::BsMissing };
-            }
+        self.progress.send_modify(|progress| match (&progress, alive) {
+            (Progress::Dismissed | Progress::RunFailed(_) | Progress::DeviceFailed, _)
+            | (Progress::Running | Progress::BsBack, true) => {}
+            (Progress::Running | Progress::BsMissing | Progress::BsBack, false) => *progress = Progress::BsMissing,
+            (Progress::BsMissing, true) => *progress = Progress::BsBack,
         });
     }
 
     /// Starts the actors, on the runtime that delivers their messages: there a message wakes its actor without handing
     /// over to another thread, which costs more than all that the actor does.
     fn start_actors(&self, state: &mut HostState) {
+        if state.resting.is_empty() {
+            return;
+        }
         let runtime = Handle::try_current().unwrap_or_else(|_| self.fallback.clone());
         for (actor, inputs) in state.resting.drain(..) {
             let obituary = Obituary(self.progress.clone());
@@ -271,9 +275,7 @@ impl Shared {
             );
             return;
         }
-        if !state.resting.is_empty() {
-            self.start_actors(&mut state);
-        }
+        self.start_actors(&mut state);
         state.plan_from = Some(update.from);
         for (j, duty) in state.duties.iter_mut().enumerate() {
             let new = update.plan.duty_cycle(DeviceId(self.first.0 + j as u32));
@@ -285,7 +287,14 @@ impl Shared {
     }
 
     fn on_wake(&self, device: DeviceId, wake: WakeUp) {
-        let j = device.index() - self.first.index();
+        let Some(j) = device
+            .index()
+            .checked_sub(self.first.index())
+            .filter(|&j| j < self.mailboxes.len())
+        else {
+            tracing::debug!(%device, "a wake-up for a device that this host does not carry");
+            return;
+        };
         let stimulus = self
             .lock()
             .tick
@@ -311,7 +320,7 @@ impl Shared {
     fn leave(&self, end: Progress) {
         self.progress.send_modify(|progress| match progress {
             Progress::Dismissed | Progress::RunFailed(_) | Progress::DeviceFailed => {}
-            Progress::Running | Progress::BsMissing => *progress = end,
+            Progress::Running | Progress::BsMissing | Progress::BsBack => *progress = end,
         });
     }
 
@@ -338,6 +347,8 @@ impl Shared {
             );
             return;
         }
+        // The plan may have come before this host took the devices over.
+        self.start_actors(&mut state);
         state.next = tick.last.saturating_add(1);
         let listeners: Vec<usize> = match tick.stimulus {
             Some(stimulus) => (0..state.duties.len())
@@ -347,7 +358,7 @@ impl Shared {
         };
         let questions = usize::from(tick.account) + usize::from(tick.views);
         let round = Arc::new(Round::new(
-            self.host,
+            self.membership.pass.host,
             Question::Grant(tick.last),
             questions * self.mailboxes.len() + listeners.len(),
         ));
@@ -389,7 +400,11 @@ impl Shared {
             return;
         }
         self.start_actors(&mut state);
-        let round = Arc::new(Round::new(self.host, Question::Ledgers, self.mailboxes.len()));
+        let round = Arc::new(Round::new(
+            self.membership.pass.host,
+            Question::Ledgers,
+            self.mailboxes.len(),
+        ));
         state.round = Some(Arc::clone(&round));
         drop(state);
         for j in 0..self.mailboxes.len() {

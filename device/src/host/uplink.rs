@@ -1,36 +1,30 @@
 //! A host's way to the BS.
 
 use reveille_common::bus::{Bus, BusError, Topic};
-use reveille_common::ids::{DeviceId, HostId};
+use reveille_common::keys::HostPass;
 use reveille_common::message::{Answer, Report};
 
 /// The topics that a host publishes on: reports on the air plane, answers on the emulation plane.
 pub struct Uplink {
-    first: DeviceId,
-    reports: Vec<Topic<Report>>,
+    reports: Topic<Report>,
     answers: Topic<Answer>,
 }
 
 impl Uplink {
-    /// The uplink of `host`, which carries `count` devices from `first` on.
+    /// The uplink of the host with this pass.
     ///
     /// # Errors
     /// If the bus refuses.
-    pub fn new(bus: &Bus, host: HostId, first: DeviceId, count: u32) -> Result<Self, BusError> {
-        let reports = (first.0..first.0 + count)
-            .map(|j| bus.publisher(DeviceId(j)))
-            .collect::<Result<_, _>>()?;
+    pub fn new(bus: &Bus, pass: HostPass) -> Result<Self, BusError> {
         Ok(Self {
-            first,
-            reports,
-            answers: bus.publisher(host)?,
+            reports: bus.uplink(pass)?,
+            answers: bus.uplink(pass)?,
         })
     }
 
     /// Sends a device's report.
     pub fn report(&self, report: &Report) {
-        let topic = &self.reports[(report.device.0 - self.first.0) as usize];
-        complain(topic.put(report));
+        complain(self.reports.put(report));
     }
 
     /// Sends the host's answer.
