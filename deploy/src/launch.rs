@@ -5,90 +5,35 @@ use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 use anyhow::Context;
+use reveille_common::secret::Secret;
 use rustix::process::{Pid, Signal};
+
+use crate::key;
 
 /// What makes zenoh answer a tick with the fewest hand-overs between threads. Only for processes that carry devices.
 const LEAF_RUNTIME: &str =
     "(rx:(handover:app),acc:(handover:app),tx:(handover:app),net:(handover:app),app:(worker_threads:1))";
 
 /// How long child processes may take to leave by themselves.
-const LEAVE: Duration = Duration::from_secs(5);
+pub const LEAVE: Duration = Duration::from_secs(5);
 
-/// The device processes of a run.
+/// Processes of this program that are not looked after.
 pub struct Children {
     running: Vec<Child>,
 }
 
 impl Children {
-    /// Starts `processes` processes that together carry `devices` devices. `log` are their options for logging.
-    ///
-    /// Call it from a thread that lives as long as the run: the kernel ends the children when the thread that started
-    /// them ends.
-    ///
-    /// # Errors
-    /// If a process cannot be started.
-    pub fn start(devices: u32, processes: u32, endpoint: &str, run: &str, log: &[String]) -> anyhow::Result<Self> {
-        // In one argument, so that no name is taken for an option.
-        let run = format!("--run={run}");
-        Self::spawn(shares(devices, processes).map(|count| {
-            let (count, parent) = (count.to_string(), std::process::id().to_string());
-            [
-                "device",
-                "--connect",
-                endpoint,
-                &run,
-                "--count",
-                &count,
-                "--parent",
-                &parent,
-            ]
-            .into_iter()
-            .map(str::to_owned)
-            .chain(log.iter().cloned())
-            .collect()
-        }))
-    }
-
     /// Starts a process of this program for each list of arguments.
     ///
     /// # Errors
     /// If a process cannot be started.
     pub fn spawn(arguments: impl Iterator<Item = Vec<String>>) -> anyhow::Result<Self> {
-        let program = std::env::current_exe().context("cannot find the reveille program itself")?;
         let mut children = Self { running: Vec::new() };
         for (number, arguments) in arguments.enumerate() {
-            let child = Command::new(&program)
-                .args(arguments)
-                .env("ZENOH_RUNTIME", LEAF_RUNTIME)
-                .stdin(Stdio::null())
-                .stdout(Stdio::null())
-                // Ctrl-C in the terminal is for the parent, which tells the children.
-                .process_group(0)
-                .spawn()
-                .with_context(|| format!("cannot start process {number}"))?;
+            let child = spawn(&arguments, None).with_context(|| format!("cannot start process {number}"))?;
             children.running.push(child);
         }
         Ok(children)
-    }
-
-    /// The processes' ids.
-    pub fn pids(&self) -> Vec<u32> {
-        self.running.iter().map(Child::id).collect()
-    }
-
-    /// Looks for a process that has ended with an error.
-    pub fn failed(&mut self) -> Option<String> {
-        for child in &mut self.running {
-            if let Ok(Some(status)) = child.try_wait()
-                && !status.success()
-            {
-                return Some(format!(
-                    "the device process with pid {} ended with {status}",
-                    child.id()
-                ));
-            }
-        }
-        None
     }
 
     /// Waits for all to leave, and ends those that do not.
@@ -117,6 +62,52 @@ impl Drop for Children {
             let _reaped = child.wait().is_err();
         }
     }
+}
+
+/// What each of `processes` processes is told that together carry `devices` devices of `run` at `endpoint`. `log` are
+/// their options for logging.
+pub fn device_commands(devices: u32, processes: u32, endpoint: &str, run: &str, log: &[String]) -> Vec<Vec<String>> {
+    // In one argument, so that no name is taken for an option.
+    let run = format!("--run={run}");
+    let parent = std::process::id().to_string();
+    let command = |count: u32| {
+        let count = count.to_string();
+        let own = [
+            "device",
+            "--connect",
+            endpoint,
+            &run,
+            "--count",
+            &count,
+            "--parent",
+            &parent,
+        ];
+        own.into_iter().map(str::to_owned).chain(log.iter().cloned()).collect()
+    };
+    shares(devices, processes).map(command).collect()
+}
+
+/// Starts a process of this program, and tells it the run's `key`.
+///
+/// Call it from a thread that lives as long as the run: the kernel ends a child that ends with its parent when the
+/// thread that started it ends.
+///
+/// # Errors
+/// If it cannot be started.
+pub fn spawn(arguments: &[String], key: Option<Secret>) -> anyhow::Result<Child> {
+    let program = std::env::current_exe().context("cannot find the reveille program itself")?;
+    let mut command = Command::new(program);
+    if let Some(key) = key {
+        command.env(key::VARIABLE, key.to_string());
+    }
+    Ok(command
+        .args(arguments)
+        .env("ZENOH_RUNTIME", LEAF_RUNTIME)
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        // Ctrl-C in the terminal is for the parent, which tells the children.
+        .process_group(0)
+        .spawn()?)
 }
 
 /// How many devices each of `processes` processes carries: as even as possible, never none.

@@ -7,9 +7,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, bail};
 use reveille_common::keys::RunName;
+use reveille_common::secret::Secret;
 use serde::{Deserialize, Serialize};
 
 use crate::cli::TargetArgs;
+use crate::key;
 
 /// Where a run is to be found.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -17,6 +19,18 @@ struct Entry {
     run: String,
     endpoint: String,
     pid: i32,
+    /// The run's key.
+    key: Option<String>,
+}
+
+/// A run to connect to.
+pub struct Found {
+    /// Where its BS listens.
+    pub endpoint: String,
+    /// Its name.
+    pub run: RunName,
+    /// Its key, if it is to be had.
+    pub key: Option<Secret>,
 }
 
 /// An entry of this process's run, removed when dropped.
@@ -28,11 +42,11 @@ impl Drop for Registered {
     }
 }
 
-/// Notes that this process runs the BS of `run` at `endpoint`.
+/// Notes that this process runs the BS of `run`, with this `key`, at `endpoint`.
 ///
 /// # Errors
 /// If the note cannot be written.
-pub fn register(run: &RunName, endpoint: &str) -> anyhow::Result<Registered> {
+pub fn register(run: &RunName, endpoint: &str, key: Option<Secret>) -> anyhow::Result<Registered> {
     let folder = folder();
     // Whatever is in its place is looked at below.
     if folder.symlink_metadata().is_err() {
@@ -46,6 +60,7 @@ pub fn register(run: &RunName, endpoint: &str) -> anyhow::Result<Registered> {
         run: run.to_string(),
         endpoint: endpoint.to_owned(),
         pid,
+        key: key.map(|key| key.to_string()),
     };
     write(&path, &serde_json::to_vec(&entry)?).with_context(|| format!("cannot write {}", path.display()))?;
     Ok(Registered(path))
@@ -82,20 +97,29 @@ fn check(folder: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The endpoint and name of the run that `target` means.
+/// The run that `target` means.
 ///
 /// # Errors
 /// If there is none, or more than one, or others could have put them there.
-pub fn find(target: &TargetArgs) -> anyhow::Result<(String, RunName)> {
+pub fn find(target: &TargetArgs) -> anyhow::Result<Found> {
+    let key = target.key_file.as_deref().map(key::read).transpose()?;
     if let (Some(endpoint), Some(run)) = (&target.connect, &target.run) {
-        return Ok((endpoint.clone(), run.clone()));
+        return Ok(Found {
+            key: key.or_else(|| key_of(endpoint, run)),
+            endpoint: endpoint.clone(),
+            run: run.clone(),
+        });
     }
     let entries: Vec<Entry> = entries()?
         .into_iter()
         .filter(|entry| target.run.as_ref().is_none_or(|run| run.to_string() == entry.run))
         .collect();
     match &entries[..] {
-        [entry] => Ok((entry.endpoint.clone(), entry.run.parse()?)),
+        [entry] => Ok(Found {
+            endpoint: entry.endpoint.clone(),
+            run: entry.run.parse()?,
+            key: key.or_else(|| entry.key()),
+        }),
         [] => match &target.run {
             Some(run) => bail!("no run {run} on this machine. For a run elsewhere give --connect too"),
             None => bail!("no run on this machine. Start one with `reveille up`, or give --connect and --run"),
@@ -108,6 +132,21 @@ pub fn find(target: &TargetArgs) -> anyhow::Result<(String, RunName)> {
                 names.join(", ")
             )
         }
+    }
+}
+
+/// The key of a run that is named with its address, if it is one of this machine.
+fn key_of(endpoint: &str, run: &RunName) -> Option<Secret> {
+    let entries = entries().ok()?;
+    let own = entries
+        .iter()
+        .find(|entry| entry.endpoint == endpoint && entry.run == run.to_string());
+    own.and_then(Entry::key)
+}
+
+impl Entry {
+    fn key(&self) -> Option<Secret> {
+        self.key.as_ref()?.parse().ok()
     }
 }
 

@@ -9,6 +9,7 @@
 //! | `devices.csv` | a row per device |
 //! | `learned.json` | the tables of a policy that has learned in the run |
 //! | `summary.json` | metrics, digest, timing, versions |
+//! | `mark.json` | how far the run has come, for `--resume`; gone once it is complete |
 //! | `RUNNING` | there and locked while the run goes; left behind, the run was killed |
 //! | `FAILED` | why a run ended without a summary |
 
@@ -26,6 +27,7 @@ use reveille_lab::training::learned_in;
 use crate::claim::{Claim, RUNNING};
 use crate::cli::OutputArgs;
 use crate::inputs::{self, Inputs};
+use crate::marks::MARK;
 use crate::rows::Tables;
 use crate::series;
 use crate::summary::Summary;
@@ -43,7 +45,8 @@ const WINDOWS: &str = "windows.csv";
 const EVENT: usize = 0;
 const WINDOW: usize = 1;
 /// What a run that was killed while it wrote may have left.
-const PARTS: [&str; 4] = [
+const PARTS: [&str; 5] = [
+    "mark.json.part",
     "scenario.toml.part",
     "summary.json.part",
     "learned.json.part",
@@ -67,6 +70,9 @@ impl RunFolder {
     pub fn create(args: &OutputArgs, scenario: &Scenario) -> anyhow::Result<Self> {
         // Before a folder is emptied that may hold them.
         let inputs = Inputs::read(scenario)?;
+        if let Some(path) = &args.resume {
+            return Self::reopen(path, scenario);
+        }
         let (path, mut claim) = if let Some(path) = &args.out {
             (path.clone(), clear(path, args.force)?)
         } else {
@@ -87,6 +93,24 @@ impl RunFolder {
                 Err(error)
             }
         }
+    }
+
+    /// Opens the folder of a run that is to go on. What it holds of the run's results is written anew.
+    fn reopen(path: &Path, scenario: &Scenario) -> anyhow::Result<Self> {
+        let cannot = || format!("cannot write in the run folder {}", path.display());
+        let mut claim = Claim::take(path)?;
+        if is_complete(path) {
+            claim.withdraw();
+            bail!("--resume {}: the run in this folder is complete", path.display());
+        }
+        claim.mark().with_context(cannot)?;
+        remove(path, [SUMMARY, LEARNED, FAILED, DEVICES].into_iter().chain(PARTS))?;
+        Ok(Self {
+            tables: tables(path).with_context(cannot)?,
+            path: path.to_owned(),
+            claim: Some(claim),
+            devices: scenario.devices,
+        })
     }
 
     /// The path of the folder.
@@ -182,11 +206,22 @@ fn fill(path: &Path, claim: &mut Claim, inputs: &Inputs, scenario: &Scenario) ->
     inputs.write(path).with_context(cannot)?;
     replace(&path.join(SCENARIO), inputs.to_toml(scenario).as_bytes()).with_context(cannot)?;
     inputs.check(&path.join(SCENARIO), scenario)?;
+    tables(path).with_context(cannot)
+}
+
+/// The tables that are filled as the run goes.
+fn tables(path: &Path) -> anyhow::Result<Tables> {
     let tables = [
         (EVENTS, series::EVENTS.to_vec()),
         (WINDOWS, series::window_columns().collect()),
     ];
-    Tables::begin(path, &tables).with_context(cannot)
+    Ok(Tables::begin(path, &tables)?)
+}
+
+/// Whether the run in a folder has come to its end.
+fn is_complete(path: &Path) -> bool {
+    let text = fs::read_to_string(path.join(SUMMARY)).unwrap_or_default();
+    serde_json::from_str::<serde_json::Value>(&text).is_ok_and(|summary| summary["status"] == "complete")
 }
 
 /// Claims a folder, and empties it of the run that it held, if that is wanted.
@@ -207,16 +242,22 @@ fn clear(path: &Path, force: bool) -> anyhow::Result<Claim> {
 
 /// Takes out of a folder what a run has left there, all but its mark.
 fn empty(path: &Path) -> anyhow::Result<()> {
-    let files = [SUMMARY, LEARNED, FAILED, DEVICES, EVENTS, WINDOWS];
+    let files = [SUMMARY, LEARNED, FAILED, DEVICES, EVENTS, WINDOWS, MARK];
     // What makes it a run goes last: a folder that could not be emptied can still be replaced.
-    for name in files.into_iter().chain(PARTS).chain([SCENARIO]) {
+    remove(path, files.into_iter().chain(PARTS).chain([SCENARIO]))?;
+    let inputs = path.join(inputs::FOLDER);
+    inputs::remove(path).with_context(|| format!("cannot replace {}", inputs.display()))
+}
+
+/// Removes files of a folder, those that are there.
+fn remove(path: &Path, names: impl Iterator<Item = &'static str>) -> anyhow::Result<()> {
+    for name in names {
         let file = path.join(name);
         if file.exists() {
             fs::remove_file(&file).with_context(|| format!("cannot replace {}", file.display()))?;
         }
     }
-    let inputs = path.join(inputs::FOLDER);
-    inputs::remove(path).with_context(|| format!("cannot replace {}", inputs.display()))
+    Ok(())
 }
 
 /// Refuses a folder that holds something, unless it is a run that may be replaced.

@@ -44,6 +44,9 @@ pub struct Summary<'a> {
     /// Where there are several device classes, what each came to.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub classes: Vec<Class<'a>>,
+    /// How far a run over the bus was compared with a replay: `whole`, `before TTI …`, or `off`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub audit: Option<String>,
     /// How long things took; the only part that differs between two runs of a scenario.
     pub timing: Timing,
     /// Versions of what wrote this.
@@ -109,6 +112,10 @@ pub struct Timing {
     pub malformed: u64,
     /// Messages on the bus that nobody waited for, or that could not be true, and were dropped.
     pub strays: u64,
+    /// Times that a device process was lost and its devices were carried again.
+    pub losses: usize,
+    /// The longest of those, seconds.
+    pub longest_loss_s: f64,
     /// Mean resident memory of a device process in MB, 0 where there is none.
     pub host_rss_mb: f64,
     /// Mean proportional memory of a device process in MB (shared pages split), 0 where there is none.
@@ -150,6 +157,7 @@ impl<'a> Summary<'a> {
             metrics: outcome.metrics,
             totals: outcome.totals,
             classes: Class::all(scenario, outcome),
+            audit: None,
             timing,
             versions: Versions {
                 reveille: env!("CARGO_PKG_VERSION"),

@@ -1,4 +1,5 @@
-//! Peers that do not keep to the rules: what they send is refused or counted, and changes nothing.
+//! Peers that do not keep to the rules: what they send is refused or counted, and changes nothing. Those here have been
+//! let in as hosts, and know the run's secret; strangers do not come as far.
 
 use std::time::Duration;
 
@@ -7,14 +8,16 @@ use reveille_common::codec;
 use reveille_common::event::Stimulus;
 use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, EventId, HostId, Tti};
-use reveille_common::keys::Keys;
+use reveille_common::keys::{HostPass, Keys};
 use reveille_common::message::{
-    Answer, Clock, Failure, JoinReply, JoinRequest, MessageKind, PlanUpdate, Report, Tick, WakeUp,
+    Answer, Clock, ClockCommand, Failure, JoinReply, JoinRequest, Membership, MessageKind, PlanUpdate, Report, Tick,
+    WakeUp,
 };
 use reveille_common::plan::{DutyCycle, Plan};
+use reveille_common::secret::Secret;
 use reveille_common::totals::{DeviceTotals, Ledger};
 use reveille_common::units::Energy;
-use reveille_tests::process::{Folder, PATIENCE, Summary, ask, free_endpoint, unique_run};
+use reveille_tests::process::{Folder, PATIENCE, Process, Summary, ask, free_endpoint, unique_run};
 
 /// Opens a session of a peer that plays by its own rules.
 async fn peer(endpoint: &str, run: &str) -> Bus {
@@ -22,6 +25,43 @@ async fn peer(endpoint: &str, run: &str) -> Bus {
     Bus::connect(endpoint, run, PATIENCE)
         .await
         .expect("the base station listens")
+}
+
+/// A peer that was let in, told the run's secret, and left before the run began. It knows all keys, and its pass is
+/// worth nothing.
+async fn turncoat(endpoint: &str, run: &str) -> (Bus, HostPass) {
+    let bus = peer(endpoint, run).await;
+    let request = JoinRequest {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        count: 1,
+        nonce: 99,
+        name: "a turncoat".to_owned(),
+    };
+    let reply = ask(&bus, &request).await.expect("a reply");
+    let JoinReply::Welcome(assignment) = reply else {
+        panic!("{reply:?}")
+    };
+    let Membership { pass, secret } = assignment.membership;
+    let bus = bus.with_secret(secret);
+    drop(bus.declare_alive(bus.keys().alive(pass)).expect("declared"));
+    (bus, pass)
+}
+
+/// A paused run of 30 devices with two device processes, and a turncoat beside it.
+async fn testbed(folder: &Folder, run: &str, ttis: u32) -> (Process, [Process; 2], Bus, HostPass) {
+    let endpoint = free_endpoint();
+    let pace = "--pace 3ms --paused --out out";
+    let bs = folder.start(&format!("bs -n 30 -k {ttis} {pace} --run {run} --listen {endpoint}"));
+    bs.wait_for_stderr("waiting for 30 devices");
+    let (bus, pass) = turncoat(&endpoint, run).await;
+    bs.wait_for_stderr("left before the run began");
+    let hosts = [15, 15].map(|count| {
+        let host = folder.start(&format!("device --connect {endpoint} --run {run} --count {count}"));
+        host.wait_for_stderr("joined");
+        host
+    });
+    folder.wait_for_tti(run, 0);
+    (bs, hosts, bus, pass)
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
@@ -33,6 +73,7 @@ async fn another_version_is_refused_in_words() {
         version: "0.0.9".to_owned(),
         count: 1,
         nonce: 1,
+        name: String::new(),
     };
     let reply = ask(&bus, &request).await.expect("a reply");
     let JoinReply::Refused(why) = reply else {
@@ -71,21 +112,21 @@ fn garbage() -> Vec<Vec<u8>> {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn garbage_on_every_key_changes_nothing() {
-    let (folder, run, endpoint) = (Folder::new(), unique_run("garbage"), free_endpoint());
+    let (folder, run) = (Folder::new(), unique_run("garbage"));
     let expected = folder.summary("run -n 30 -k 1200");
-    let args = format!("up -P 4 -n 30 -k 1200 --pace 5ms --paused --run {run} --listen {endpoint} --out out");
-    let up = folder.start(&args);
-    folder.wait_for_tti(&run, 0);
+    let (bs, hosts, bus, pass) = testbed(&folder, &run, 1200).await;
     let tail = folder.start(&format!("inspect tail --run {run}"));
-    let bus = peer(&endpoint, &run).await;
     let keys = bus.keys();
     let mut all: Vec<String> = MessageKind::ALL.iter().map(|&kind| keys.of(kind)).collect();
-    all.extend(
-        [0, 7, 29, 30, u32::MAX]
-            .into_iter()
-            .flat_map(|j| [MessageKind::Wake, MessageKind::Report, MessageKind::Answer].map(|kind| keys.to(kind, j))),
-    );
-    all.extend([format!("{}/x", keys.of(MessageKind::Answer)), keys.tap()]);
+    for j in [0, 7, 29, 30, u32::MAX] {
+        let other = HostPass {
+            host: HostId(j),
+            ..pass
+        };
+        all.push(keys.wake(HostId(1), DeviceId(j)));
+        all.extend([MessageKind::Report, MessageKind::Answer].map(|kind| keys.uplink(kind, other)));
+    }
+    all.extend([format!("{}/x/y", keys.of(MessageKind::Answer)), keys.tap()]);
     folder.clock(&run, "resume");
     for payload in garbage() {
         for key in &all {
@@ -98,7 +139,7 @@ async fn garbage_on_every_key_changes_nothing() {
         }
     }
     bus.close().await;
-    let end = up.finish();
+    let end = bs.finish();
     assert!(end.is_success(), "{end}");
     assert!(!end.stderr.contains("panicked"), "{end}");
     let summary = Summary::read(&folder.join("out"));
@@ -106,10 +147,17 @@ async fn garbage_on_every_key_changes_nothing() {
     assert!(summary.number("timing.malformed") > 0, "{summary:?}");
     let tail = tail.finish();
     assert!(tail.is_success() && !tail.stderr.contains("panicked"), "{tail}");
+    for host in hosts {
+        let host = host.finish();
+        assert!(
+            host.is_success() && !host.stderr.contains("dropped a payload"),
+            "{host}"
+        );
+    }
 }
 
 /// Messages that decode well and cannot be true, each with its key.
-fn forgeries(keys: &Keys, tti: u64) -> Vec<(String, Vec<u8>)> {
+fn forgeries(keys: &Keys, pass: HostPass, tti: u64) -> Vec<(String, Vec<u8>)> {
     let tick = |first, last| {
         let stimulus = Some(Stimulus {
             event: EventId(1),
@@ -165,56 +213,89 @@ fn forgeries(keys: &Keys, tti: u64) -> Vec<(String, Vec<u8>)> {
     };
     let mut all: Vec<(String, Vec<u8>)> = clock
         .iter()
-        .map(|c| (keys.typed::<Clock>(()), codec::encode(c)))
+        .map(|c| (keys.of(MessageKind::Clock), codec::encode(c)))
         .collect();
-    all.push((keys.typed::<PlanUpdate>(()), codec::encode(&plan)));
-    all.push((
-        keys.typed::<WakeUp>(DeviceId(0)),
-        codec::encode(&WakeUp { tti: Tti(u64::MAX) }),
-    ));
-    for (key, report) in [
-        (9999, report(9999, 0.5)),
-        (3, report(4, 0.5)),
-        (3, report(3, f64::NAN)),
-        (3, report(3, 7.0)),
+    all.push((keys.of(MessageKind::Plan), codec::encode(&plan)));
+    for when in [tti, u64::MAX] {
+        let wake = codec::encode(&WakeUp { tti: Tti(when) });
+        all.extend([1, 2].map(|host| (keys.wake(HostId(host), DeviceId(0)), wake.clone())));
+    }
+    let own = |host| HostPass {
+        host: HostId(host),
+        ..pass
+    };
+    for (host, report) in [
+        (1, report(9999, 0.5)),
+        (1, report(4, 0.5)),
+        (2, report(3, f64::NAN)),
+        (0, report(3, 0.7)),
     ] {
-        all.push((keys.typed::<Report>(DeviceId(key)), codec::encode(&report)));
+        all.push((keys.uplink(MessageKind::Report, own(host)), codec::encode(&report)));
     }
     for (key, answer) in [
-        (0, done(0, 1000, 1)),
-        (0, done(1, 0, 1)),
+        (1, done(1, 1000, 1)),
+        (1, done(1, 0, 0)),
         (9, done(9, 0, 1)),
         (0, done(0, 0, u64::MAX)),
         (0, last),
     ] {
-        all.push((keys.typed::<Answer>(HostId(key)), codec::encode(&answer)));
+        all.push((keys.uplink(MessageKind::Answer, own(key)), codec::encode(&answer)));
     }
     all
 }
 
+/// What one who knows all keys but has no valid pass sends of the TTI that is open changes nothing.
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
-async fn messages_that_cannot_be_true_change_nothing() {
-    let (folder, run, endpoint) = (Folder::new(), unique_run("forged"), free_endpoint());
+async fn forged_messages_change_nothing() {
+    let (folder, run) = (Folder::new(), unique_run("forged"));
     let expected = folder.summary("run -n 30 -k 600");
-    let args = format!("up -P 4 -n 30 -k 600 --pace 3ms --paused --run {run} --listen {endpoint} --out out");
-    let up = folder.start(&args);
-    folder.wait_for_tti(&run, 0);
-    // Past the TTIs that some of them name: at their time nobody could tell those from the base station's own.
-    folder.clock(&run, "run-to 10");
-    folder.wait_for_tti(&run, 10);
-    let bus = peer(&endpoint, &run).await;
+    let (bs, hosts, bus, pass) = testbed(&folder, &run, 600).await;
     folder.clock(&run, "resume");
     for tti in 0..600 {
-        for (key, payload) in forgeries(bus.keys(), tti) {
+        for (key, payload) in forgeries(bus.keys(), pass, tti) {
             bus.put_raw(&key, payload).expect("sent");
         }
         tokio::time::sleep(Duration::from_millis(2)).await;
     }
     bus.close().await;
-    let end = up.finish();
+    let end = bs.finish();
     assert!(end.is_success(), "{end}");
     assert!(!end.stderr.contains("panicked"), "{end}");
     let summary = Summary::read(&folder.join("out"));
     assert_eq!(summary.digest(), expected.digest());
     assert!(summary.number("timing.strays") > 0, "{summary:?}");
+    assert!(hosts.into_iter().all(|host| host.finish().is_success()));
+}
+
+/// Who has not the run's key can neither stop its clock nor carry its devices.
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
+async fn without_the_key_nobody_commands_or_joins() {
+    let (folder, run, endpoint) = (Folder::new(), unique_run("keyless"), free_endpoint());
+    let up = folder.start(&format!(
+        "up -P 2 -n 30 -k 300 --pace 3ms --paused --run {run} --listen {endpoint} --out out"
+    ));
+    folder.wait_for_tti(&run, 0);
+    let bus = peer(&endpoint, &run).await;
+    let status = ask(&bus, &ClockCommand::Status).await.expect("anyone may look");
+    assert!(status.paused);
+    for key in [None, Some(Secret::new([0; 16]))] {
+        let refused = ask(&bus.with_key(key), &ClockCommand::Resume).await;
+        let why = refused.expect_err("nobody may").to_string();
+        assert!(why.contains("needs the run's key"), "{why}");
+    }
+    let request = JoinRequest {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        count: 30,
+        nonce: 5,
+        name: String::new(),
+    };
+    let reply = ask(&bus, &request).await.expect("a reply");
+    assert!(
+        matches!(&reply, JoinReply::Refused(why) if why.contains("key")),
+        "{reply:?}"
+    );
+    bus.close().await;
+    folder.clock(&run, "resume");
+    let end = up.finish();
+    assert!(end.is_success(), "{end}");
 }

@@ -414,6 +414,15 @@ impl Summary {
         self.0["status"].as_str().expect("a status is text")
     }
 
+    /// The text at a path such as `audit`.
+    ///
+    /// # Panics
+    /// If there is none.
+    pub fn text(&self, path: &str) -> &str {
+        let value = path.split('.').fold(&self.0, |value, name| &value[name]);
+        value.as_str().unwrap_or_else(|| panic!("{path} is no text: {value}"))
+    }
+
     /// The whole number at a path such as `timing.malformed`.
     ///
     /// # Panics

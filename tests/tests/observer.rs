@@ -4,7 +4,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use reveille_bs::host::{OnLoss, Progress, Settings, dismiss, serve};
+use reveille_bs::host::{Course, OnLoss, Progress, Settings, dismiss, serve};
 use reveille_bs::observe::{Happening, Observer};
 use reveille_bs::policy::kind::Registered;
 use reveille_bs::policy::registry::POLICIES;
@@ -12,7 +12,7 @@ use reveille_bs::prepared::Prepared;
 use reveille_bs::scenario::{Override, load};
 use reveille_common::bus::Bus;
 use reveille_common::message::Pace;
-use reveille_device::host::carry;
+use reveille_device::host::{Offer, carry};
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Options, Run};
 
@@ -70,14 +70,14 @@ async fn over_the_bus(prepared: &Prepared, lookahead: bool, hosts: u32) -> Vec<S
             let own = Bus::connect(&endpoint, run.parse().expect("a name"), PATIENCE)
                 .await
                 .expect("a link");
-            carry(
-                &own,
-                devices.div_ceil(hosts),
-                u64::from(host) + 1,
-                PATIENCE,
-                |_, _, _| {},
-            )
-            .await
+            let offer = Offer {
+                count: devices.div_ceil(hosts),
+                name: format!("host {host} of a test"),
+                key: None,
+                patience: PATIENCE,
+                stands_by: false,
+            };
+            carry(&own, offer, &|_| {}).await
         });
     }
     let settings = Settings {
@@ -88,10 +88,17 @@ async fn over_the_bus(prepared: &Prepared, lookahead: bool, hosts: u32) -> Vec<S
         join_patience: Some(PATIENCE),
         paused: false,
         states_every: 0,
+        key: None,
+        members_only: false,
+    };
+    let course = Course {
+        prepared,
+        taken: None,
+        replay: None,
     };
     let mut record = Record::default();
     let progress = Arc::new(Progress::default());
-    serve(&bus, prepared, &settings, &progress, &mut record)
+    serve(&bus, course, &settings, &progress, &mut record)
         .await
         .expect("a run");
     dismiss(&bus, None).expect("a bus");

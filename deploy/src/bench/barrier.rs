@@ -9,6 +9,8 @@ use std::time::Duration;
 use anyhow::ensure;
 use reveille_common::bus::{Bus, BusError, Declared, RawTopic};
 use reveille_common::ids::HostId;
+use reveille_common::keys::HostPass;
+use reveille_common::secret::Secret;
 
 /// How long a tick may take before it counts as lost.
 const PATIENCE: Duration = Duration::from_secs(10);
@@ -71,7 +73,11 @@ pub async fn host(bus: &Bus, number: u32, answer: usize) -> Result<(), BusError>
         // The link is gone with the BS.
         let _gone = answers.put(&payload).is_err();
     })?;
-    let _here = bus.declare_alive(bus.keys().alive(HostId(number)))?;
+    let pass = HostPass {
+        host: HostId(number),
+        token: Secret::new([0; 16]),
+    };
+    let _here = bus.declare_alive(bus.keys().alive(pass))?;
     let gone = Arc::new(tokio::sync::Notify::new());
     let bell = Arc::clone(&gone);
     let _watch = bus.watch_alive(bus.keys().bs_alive(), move |_, alive| {

@@ -24,7 +24,7 @@ pub use inspect::{
     VerifyArgs,
 };
 pub use report::{ReportArgs, ReportCommand, SearchArgs};
-pub use run::{BsArgs, DeviceArgs, DriveArgs, OnLossArg, OutputArgs, RunArgs, ScenarioArgs, UpArgs};
+pub use run::{AuditArg, BsArgs, DeviceArgs, DriveArgs, OnLossArg, OutputArgs, RunArgs, ScenarioArgs, UpArgs};
 pub use sweep::{GridArgs, MergeArgs, SweepArgs};
 pub use tools::{BenchCommand, BusBenchArgs, ClockArgs, MemoryBenchArgs, ScenarioCommand, TargetArgs, WatchBenchArgs};
 pub use train::{DtArgs, RecordArgs, TrainArgs, TrainCommand};

@@ -10,11 +10,14 @@ use reveille_common::message::Pace;
 
 use super::parse::{one_policy, parse_duration, parse_pace};
 
+/// The scenario where none is named.
+const DEFAULT_SCENARIO: &str = "paper";
+
 /// The options that choose the scenario.
 #[derive(Args, Clone, Debug)]
 pub struct ScenarioArgs {
     /// A preset's name (paper, paper-literal, quick) or a TOML file. See `reveille scenario show`.
-    #[arg(long, short, default_value = "paper")]
+    #[arg(long, short, default_value = DEFAULT_SCENARIO)]
     pub scenario: String,
 
     /// Override one field, for example --set sensing.d_max=5. May be repeated.
@@ -42,6 +45,25 @@ pub struct ScenarioArgs {
     pub seed: Option<String>,
 }
 
+impl ScenarioArgs {
+    /// Whether any of them says something.
+    pub fn is_given(&self) -> bool {
+        let Self {
+            scenario,
+            set,
+            devices,
+            policy,
+            learn,
+            ttis,
+            seed,
+        } = self;
+        scenario != DEFAULT_SCENARIO
+            || !set.is_empty()
+            || *learn
+            || [devices, policy, ttis, seed].into_iter().any(Option::is_some)
+    }
+}
+
 /// The options that say where results go.
 #[derive(Args, Clone, Debug)]
 pub struct OutputArgs {
@@ -52,6 +74,11 @@ pub struct OutputArgs {
     /// Replace the run that the folder given by --out holds.
     #[arg(long, requires = "out")]
     pub force: bool,
+
+    /// Go on with the run in this folder, which was killed, interrupted or has failed. The scenario is the one in the
+    /// folder. The run is replayed in memory up to its last mark, a second before its end at the most.
+    #[arg(long, value_name = "FOLDER", conflicts_with_all = ["out", "force"])]
+    pub resume: Option<PathBuf>,
 
     /// Print summary.json to standard output instead of the table.
     #[arg(long)]
@@ -106,11 +133,18 @@ pub struct DriveArgs {
 
     /// What to do when a device process is lost.
     ///
-    /// `wait` is for links that break for a while and processes that freeze: the clock is held until the same process
-    /// is back, and the run ends with the same digest. A process that is started anew cannot take over the devices of a
-    /// lost one, whose states are gone with it: the base station refuses it.
-    #[arg(long, value_enum, default_value = "end")]
+    /// With `wait` the clock is held until the process is back or another one carries its devices, from where a replay
+    /// of the run finds them: `up` starts another one by itself, under `bs` any `reveille device` will do. The run ends
+    /// with the same digest.
+    #[arg(long, value_enum, default_value = "wait")]
     pub on_loss: OnLossArg,
+
+    /// Compare the run with a replay in memory as it goes, so that nobody changes its result unseen.
+    ///
+    /// A difference ends the run with an error that names the TTI. `auto` takes a twentieth of the time at the most,
+    /// and says so if the replay could not follow to the end.
+    #[arg(long, value_enum, default_value = "auto")]
+    pub audit: AuditArg,
 
     /// Serve a dashboard for the browser at this address while the run goes; port 0 takes any free one.
     #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = "127.0.0.1:8464")]
@@ -166,6 +200,9 @@ pub struct BsArgs {
     /// Give up if not all devices have joined after this time [default: wait].
     #[arg(long, value_parser = parse_duration)]
     pub join_timeout: Option<Duration>,
+    /// Let only processes carry devices that have the key in this file; the file is made if it is not there.
+    #[arg(long, value_name = "FILE")]
+    pub key_file: Option<PathBuf>,
 }
 
 /// `reveille device`.
@@ -180,9 +217,12 @@ pub struct DeviceArgs {
     /// How many devices to carry, at the most.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     pub count: u32,
-    /// How long to try to reach the base station and to join.
+    /// How long to try to reach the base station and to join, and to wait for one that is lost.
     #[arg(long, default_value = "30s", value_parser = parse_duration)]
     pub patience: Duration,
+    /// The file with the run's key, where the base station asks for it.
+    #[arg(long, value_name = "FILE")]
+    pub key_file: Option<PathBuf>,
     /// The process that started this one; when it ends, this one does.
     #[arg(long, hide = true)]
     pub parent: Option<i32>,
@@ -193,8 +233,19 @@ pub struct DeviceArgs {
 pub enum OnLossArg {
     /// End the run with an error.
     End,
-    /// Hold the clock until the same process is back.
+    /// Hold the clock until its devices are carried again.
     Wait,
+}
+
+/// Whether a run is audited.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum AuditArg {
+    /// As far as it costs little.
+    Auto,
+    /// All of it.
+    On,
+    /// Not at all.
+    Off,
 }
 
 impl From<OnLossArg> for OnLoss {

@@ -55,6 +55,10 @@ pub struct TargetArgs {
     /// The run's name [default: the only run on this machine].
     #[arg(long, global = true)]
     pub run: Option<RunName>,
+    /// The file with the run's key, which commands to the clock need [default: the key of a run of yours on this
+    /// machine].
+    #[arg(long, value_name = "FILE", global = true)]
+    pub key_file: Option<PathBuf>,
 }
 
 /// `reveille clock`.

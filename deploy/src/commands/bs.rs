@@ -1,36 +1,43 @@
 //! `reveille bs`: the base station, for devices started by hand. Also what `up` and `bs` share.
 
+use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, anyhow, bail};
-use reveille_bs::host::{self, BsError, Progress, Served, Settings};
+use reveille_bs::host::{self, BsError, Course, OnLoss, Progress, Served, Settings, Taken};
+use reveille_bs::observe::Observer;
 use reveille_bs::prepared::Prepared;
-use reveille_common::bus::{Bus, Declared};
+use reveille_common::bus::{Bus, Declared, draw_secret};
+use reveille_common::ids::Tti;
 use reveille_common::keys::RunName;
 use reveille_common::message::{Describe, Description, Pace};
 use reveille_common::scenario::Scenario;
 use reveille_lab::preparation::prepare as prepare_run;
-use reveille_lab::run::StopWhen;
+use reveille_lab::run::{Options, Run, StopWhen};
 use reveille_view::metrics::Process;
 use tokio::sync::oneshot;
 
 use super::conclusion::{conclude, window};
 use super::inspect::source::groups;
-use super::resolution::resolve;
+use super::resolution::resolve_run;
 use super::run::Interrupted;
-use crate::cli::{BsArgs, DriveArgs, OutputArgs};
+use crate::cli::{AuditArg, BsArgs, DriveArgs, OutputArgs};
 use crate::dashboard::feed::{Feed, Hose};
 use crate::display::{Bar, note};
+use crate::marks::{Mark, Marker};
 use crate::results::RunFolder;
+use crate::shadow::{Auditor, whose};
 use crate::summary::{Summary, Timing};
 use crate::watch::Watch;
-use crate::{interrupt, limits, local, recording};
+use crate::{interrupt, key, limits, local, recording};
 
 /// Time between two looks for a signal.
 const LOOK: Duration = Duration::from_millis(20);
+/// TTIs of a replay between two looks for a signal.
+const STRIDE: u64 = 10_000;
 /// How long pages that follow the run have to be told that it has ended.
 const SHOWN: Duration = Duration::from_millis(200);
 /// How long observers on the bus may take for the last messages once a run has ended.
@@ -39,13 +46,22 @@ const DRAIN: Duration = Duration::from_secs(1);
 /// Serves a run to devices that come from elsewhere.
 pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     let started = crate::wall::now();
-    let scenario = resolve(&args.scenario)?;
+    let scenario = resolve_run(&args.scenario, &args.output)?;
     check(&args.output, &args.drive)?;
     limits::for_any_station(scenario.devices)?;
     let bus = Bus::listen(&args.listen, args.run.clone()).await?;
     let folder = RunFolder::create(&args.output, &scenario)?;
     let window = window(&args.output, &scenario);
-    let settings = settings(&args.drive, &args.output, window, args.join_timeout);
+    let key = match &args.key_file {
+        Some(path) => key::read_or_make(path)?,
+        None => draw_secret()?,
+    };
+    let settings = Settings {
+        join_patience: args.join_timeout,
+        key: Some(key),
+        members_only: args.key_file.is_some(),
+        ..settings(&args.drive, &args.output, window)
+    };
     if !args.output.quiet {
         note!(
             "waiting for {} devices: reveille device --connect {} --run {} --count …",
@@ -63,12 +79,12 @@ pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
             settings,
             output: &args.output,
             dashboard: args.drive.dashboard.as_deref(),
+            audit: args.drive.audit,
             progress,
             started,
         },
         folder,
         |_| {},
-        async || None,
     )
     .await
 }
@@ -94,6 +110,8 @@ pub struct Service<'a> {
     pub output: &'a OutputArgs,
     /// Where the dashboard is served, if it is.
     pub dashboard: Option<&'a str>,
+    /// Whether it is compared with a replay.
+    pub audit: AuditArg,
     /// How far the run has come.
     pub progress: Arc<Progress>,
     /// When the command was given.
@@ -113,7 +131,7 @@ pub fn check(output: &OutputArgs, drive: &DriveArgs) -> anyhow::Result<()> {
 }
 
 /// The settings that the command line means.
-pub fn settings(drive: &DriveArgs, output: &OutputArgs, window: u64, join_patience: Option<Duration>) -> Settings {
+pub fn settings(drive: &DriveArgs, output: &OutputArgs, window: u64) -> Settings {
     if drive.no_lookahead && drive.pace != Pace::Max {
         tracing::warn!("--no-lookahead has no effect: a real-time --pace grants every TTI by itself anyway");
     }
@@ -122,24 +140,23 @@ pub fn settings(drive: &DriveArgs, output: &OutputArgs, window: u64, join_patien
         pace: drive.pace,
         on_loss: drive.on_loss.into(),
         window,
-        join_patience,
+        join_patience: None,
         paused: drive.paused,
         states_every: output.record_states.unwrap_or(0),
+        key: None,
+        members_only: false,
     }
 }
 
-/// Serves the run, writes the results, dismisses the hosts. `look` is called with the timing before anyone leaves;
-/// `cause` is asked after a failure whether a device process is behind it.
+/// Serves the run, writes the results, dismisses the hosts. `look` is called with the timing before anyone leaves.
 pub async fn serve(
     service: &Service<'_>,
     mut folder: RunFolder,
     look: impl FnOnce(&mut Timing),
-    cause: impl AsyncFnOnce() -> Option<String>,
 ) -> anyhow::Result<ExitCode> {
     let Service {
         bus,
         scenario,
-        settings,
         output,
         progress,
         started,
@@ -158,6 +175,7 @@ pub async fn serve(
             return Err(error);
         }
     };
+    let path = folder.path().to_owned();
     let mut observer = (&mut folder, (watch.gauged(), StopWhen(watch.is_broken())));
     let (watched, seen) = (Arc::clone(&stop), Arc::clone(progress));
     let relay = tokio::spawn(async move {
@@ -171,19 +189,20 @@ pub async fn serve(
         Ok(prepared) => {
             let preparing = started.elapsed();
             prepared.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
-            let served = host::serve(bus, &prepared, settings, progress, &mut observer).await;
-            (preparing, served.map_err(anyhow::Error::from))
+            (preparing, play(service, &prepared, &path, &mut observer).await)
         }
         Err(error) => (started.elapsed(), Err(error)),
     };
     relay.abort();
     drop(bar);
     let ended = match served {
-        Ok(served) => {
+        Ok((served, audited)) => {
             let mut timing = timing(&served, preparing);
             look(&mut timing);
-            let summary = Summary::new(scenario, &served.outcome, timing);
-            let path = folder.path().to_owned();
+            let summary = Summary {
+                audit: Some(audited),
+                ..Summary::new(scenario, &served.outcome, timing)
+            };
             let kept = folder.keep_learned(scenario, &served.outcome);
             let recorded = summary.to_json().and_then(|text| watch.finish(Some(text)));
             kept.and(recorded)
@@ -191,7 +210,7 @@ pub async fn serve(
                 .and_then(|()| conclude(output, &summary, &path))
         }
         Err(error) => {
-            let error = match cause().await {
+            let error = match cause(progress).await {
                 Some(why) => because(&why, &error),
                 None => error,
             };
@@ -210,8 +229,108 @@ pub async fn serve(
     ended
 }
 
+/// The run over the bus, and its shadow beside it.
+async fn play(
+    service: &Service<'_>,
+    prepared: &Prepared,
+    folder: &Path,
+    observer: &mut impl Observer,
+) -> anyhow::Result<(Served, String)> {
+    let Service {
+        bus,
+        scenario,
+        settings,
+        output,
+        progress,
+        audit,
+        ..
+    } = service;
+    let mark = match &output.resume {
+        Some(_) => Mark::read(folder, scenario)?,
+        None => None,
+    };
+    let window = mark.as_ref().map_or(settings.window, |mark| mark.window);
+    let settings = Settings { window, ..*settings };
+    let from = mark.as_ref().map(|mark| Tti(mark.tti));
+    let mut marker = Marker::new(folder, scenario, window, mark);
+    let taken = match from {
+        Some(from) => Some(tokio::task::block_in_place(|| {
+            replay(prepared, from, window, progress, &mut (&mut *observer, &mut marker))
+        })?),
+        None => None,
+    };
+    marker.check()?;
+    let auditor = Auditor::start(prepared, from.unwrap_or_default(), *audit, progress);
+    let course = Course {
+        prepared,
+        taken,
+        replay: (settings.on_loss == OnLoss::Wait).then(|| auditor.replay()),
+    };
+    let mut observers = (observer, (&mut marker, auditor.ear()));
+    let served = host::serve(bus, course, &settings, progress, &mut observers).await;
+    drop(observers);
+    marker.finish(served.as_ref().is_ok_and(|served| served.outcome.complete))?;
+    let served = served?;
+    let audited = auditor.finish(&served.outcome);
+    if audited.is_err() {
+        // What is wrong is not gone on with.
+        marker.finish(true)?;
+    }
+    if let Some(why) = progress.cause.get() {
+        bail!("{why}");
+    }
+    match audited {
+        Ok(audited) => Ok((served, audited.to_string())),
+        Err(difference) => bail!(
+            "the run is not what it should be. {difference}{}",
+            whose(progress, &difference)
+        ),
+    }
+}
+
+/// Brings a run that is taken up to TTI `to`, in memory.
+fn replay(
+    prepared: &Prepared,
+    to: Tti,
+    window: u64,
+    progress: &Progress,
+    observer: &mut impl Observer,
+) -> anyhow::Result<Taken> {
+    note!("replaying the run up to TTI {to}");
+    let options = Options {
+        lookahead: true,
+        window,
+    };
+    let mut run = Run::new(prepared, options);
+    while run.cycle().next_tti() < to {
+        if progress.stop.load(Ordering::Relaxed) {
+            bail!(Interrupted);
+        }
+        let next = run.cycle().next_tti();
+        if !run.advance(to.min(next + STRIDE), observer) {
+            break;
+        }
+        progress.tti.store(run.cycle().next_tti().0, Ordering::Relaxed);
+    }
+    Ok(run.hand_over())
+}
+
+/// Why the run was stopped, if that is known: the connection of a process is gone a moment before it is.
+async fn cause(progress: &Progress) -> Option<String> {
+    for _ in 0..10 {
+        if let Some(why) = progress.cause.get() {
+            return Some(why.clone());
+        }
+        tokio::time::sleep(LOOK).await;
+    }
+    None
+}
+
 /// `error`, which came about as `why` says. A process that has ended neither comes back nor was frozen.
 fn because(why: &str, error: &anyhow::Error) -> anyhow::Error {
+    if error.to_string() == why {
+        return anyhow!("{why}");
+    }
     if let Some(BsError::HostLost { host, first, last, tti }) = error.downcast_ref() {
         anyhow!(
             "{why}: lost host {host} with devices {first} to {last} at TTI {tti}, and the run cannot go on without it"
@@ -261,7 +380,7 @@ async fn prepare(service: &Service<'_>) -> anyhow::Result<Prerequisites> {
         progress,
         ..
     } = service;
-    let registered = local::register(run, bus.endpoint());
+    let registered = local::register(run, bus.endpoint(), service.settings.key);
     if let Err(error) = &registered {
         tracing::warn!(
             "{error:#}: `clock` and `inspect` will not find this run by themselves; give them --run {run} and \
@@ -287,7 +406,8 @@ async fn prepare(service: &Service<'_>) -> anyhow::Result<Prerequisites> {
     let hose = match service.dashboard {
         Some(address) => {
             let feed = Feed::new(&run.to_string(), scenario, groups(scenario), true, None);
-            let served = crate::dashboard::serve(address, Arc::clone(&feed), Some((*bus).clone())).await?;
+            let served =
+                crate::dashboard::serve(address, Arc::clone(&feed), Some(bus.with_key(service.settings.key))).await?;
             note!("dashboard at {}", served.url);
             let hose = feed.open()?;
             shown = Some(hose.clone());
@@ -327,6 +447,8 @@ fn timing(served: &Served, preparing: Duration) -> Timing {
         max_late_ms: served.lateness.max.as_secs_f64() * 1e3,
         malformed: served.malformed,
         strays: served.strays,
+        losses: served.losses.len(),
+        longest_loss_s: served.losses.iter().max().map_or(0.0, Duration::as_secs_f64),
         host_rss_mb: 0.0,
         host_pss_mb: 0.0,
     }

@@ -21,8 +21,10 @@ const CLOSING: Duration = Duration::from_secs(2);
 
 /// Sends one command to a run's clock and prints where it is.
 pub async fn run(args: &ClockArgs) -> anyhow::Result<ExitCode> {
-    let (endpoint, run) = local::find(&args.target)?;
-    let bus = Bus::connect(&endpoint, run, PATIENCE).await?;
+    let found = local::find(&args.target)?;
+    let bus = Bus::connect(&found.endpoint, found.run, PATIENCE)
+        .await?
+        .with_key(found.key);
     let ended = Arc::new(Notify::new());
     let bell = Arc::clone(&ended);
     let _watch = bus.watch_alive(bus.keys().bs_alive(), move |_, alive| {

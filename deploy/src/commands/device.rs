@@ -1,14 +1,18 @@
 //! `reveille device`: a process that carries devices.
 
 use std::process::ExitCode;
+use std::time::Duration;
 
 use reveille_common::bus::Bus;
-use reveille_device::host::{self, HostError};
+use reveille_device::host::{self, HostError, News, Offer};
 
 use crate::cli::DeviceArgs;
 use crate::display::note;
 use crate::exit::Exit;
-use crate::{interrupt, launch, limits};
+use crate::{interrupt, key, launch, limits};
+
+/// A child of `up` ends with it; until then it waits.
+const FOREVER: Duration = Duration::from_hours(24 * 365);
 
 /// Carries devices to the end of a run.
 pub async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
@@ -18,14 +22,27 @@ pub async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
     limits::for_device()?;
     // Children of `up` leave the talking to it.
     let is_alone = args.parent.is_none();
-    let say = |host, first, last| {
-        if is_alone {
+    let say = |news: News| match news {
+        News::Joined(host, first, last) if is_alone => {
             note!("joined run {} as host {host} with devices {first} to {last}", args.run);
         }
+        News::StandsBy if is_alone => note!("all devices of run {} are carried; standing by for lost ones", args.run),
+        News::Joined(..) | News::StandsBy => {}
+    };
+    let key = match &args.key_file {
+        Some(path) => Some(key::read(path)?),
+        None => key::inherited(),
+    };
+    let offer = Offer {
+        count: args.count,
+        name: format!("the process with pid {}", std::process::id()),
+        key,
+        patience: if is_alone { args.patience } else { FOREVER },
+        stands_by: true,
     };
     let work = async {
         let bus = Bus::connect(&args.connect, args.run.clone(), args.patience).await?;
-        let carried = host::carry(&bus, args.count, nonce(), args.patience, say).await;
+        let carried = host::carry(&bus, offer, &say).await;
         bus.close().await;
         carried
     };
@@ -41,10 +58,4 @@ pub async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
             Ok(Exit::Interrupted.into())
         }
     }
-}
-
-/// A number that tells this process from others that join; nothing of the model depends on it.
-fn nonce() -> u64 {
-    use std::hash::{BuildHasher, Hasher};
-    std::collections::hash_map::RandomState::new().build_hasher().finish()
 }

@@ -3,7 +3,26 @@
 use reveille_bs::policy::registry;
 use reveille_bs::scenario::{Override, Scenario, load};
 
-use crate::cli::ScenarioArgs;
+use crate::cli::{OutputArgs, ScenarioArgs};
+use crate::results::SCENARIO;
+
+/// The scenario of a run: that of the folder in which it is taken up, or what the command line means.
+pub fn resolve_run(args: &ScenarioArgs, output: &OutputArgs) -> anyhow::Result<Scenario> {
+    let Some(folder) = &output.resume else {
+        return resolve(args);
+    };
+    if args.is_given() {
+        anyhow::bail!(
+            "--resume {}: the scenario is the one in the folder; leave out the options that choose one",
+            folder.display()
+        );
+    }
+    let path = folder.join(SCENARIO);
+    if !path.is_file() {
+        anyhow::bail!("--resume {}: there is no run in this folder", folder.display());
+    }
+    Ok(load(&path.to_string_lossy(), &[])?)
+}
 
 /// The scenario that the command line means.
 pub fn resolve(args: &ScenarioArgs) -> anyhow::Result<Scenario> {

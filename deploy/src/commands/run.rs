@@ -18,9 +18,10 @@ use reveille_lab::run::{Options, Run, StopWhen};
 use reveille_view::metrics::Process;
 
 use super::conclusion::{conclude, window};
-use super::resolution::resolve;
+use super::resolution::resolve_run;
 use crate::cli::RunArgs;
 use crate::display::Bar;
+use crate::marks::{Mark, Marker};
 use crate::results::RunFolder;
 use crate::summary::{Summary, Timing};
 use crate::watch::{Sink, Watch};
@@ -30,13 +31,20 @@ const LOOK: Duration = Duration::from_millis(50);
 
 /// Runs a scenario in memory.
 pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
-    let scenario = resolve(&args.scenario)?;
+    let scenario = resolve_run(&args.scenario, &args.output)?;
     crate::watch::check(&args.output)?;
     let folder = RunFolder::create(&args.output, &scenario)?;
+    let mark = match &args.output.resume {
+        Some(_) => Mark::read(folder.path(), &scenario)?,
+        None => None,
+    };
     let options = Options {
         lookahead: !args.no_lookahead,
-        window: window(&args.output, &scenario),
+        window: mark
+            .as_ref()
+            .map_or_else(|| window(&args.output, &scenario), |mark| mark.window),
     };
+    let mut marker = Marker::new(folder.path(), &scenario, options.window, mark);
     let progress = Arc::new(Progress::default());
     let runtime = crate::wall::runtime(1)?;
     let stop = runtime.block_on(async { crate::interrupt::watch() })?;
@@ -73,7 +81,9 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         stop: &stop,
         devices: u64::from(scenario.devices),
     };
-    let outcome = run.finish(&mut shown);
+    let outcome = run.finish(&mut (&mut shown, &mut marker));
+    marker.check()?;
+    marker.finish(outcome.complete)?;
     let run_s = started.elapsed().as_secs_f64();
     drop(bar);
     let timing = Timing {

@@ -2,21 +2,21 @@
 
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use anyhow::Context;
-use reveille_bs::host::Progress;
-use reveille_common::bus::{self, Bus};
+use reveille_bs::host::{OnLoss, Settings};
+use reveille_common::bus::{self, Bus, draw_secret};
 use reveille_common::keys::RunName;
-use reveille_device::host::{self, HostError};
+use reveille_device::host::{self, HostError, Offer};
 
 use super::bs::{Service, check, serve, settings};
 use super::conclusion::window;
-use super::resolution::resolve;
+use super::resolution::resolve_run;
 use super::run::Interrupted;
 use crate::cli::{OnLossArg, UpArgs};
-use crate::launch::Children;
+use crate::launch;
+use crate::launcher::Launcher;
 use crate::results::RunFolder;
 use crate::summary::Timing;
 
@@ -28,7 +28,7 @@ const JOIN: Duration = Duration::from_mins(1);
 /// Runs everything on this machine.
 pub async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
     let started = crate::wall::now();
-    let scenario = resolve(&args.scenario)?;
+    let scenario = resolve_run(&args.scenario, &args.output)?;
     let devices = scenario.devices;
     let processes = args.processes.unwrap_or(PROCESSES.min(devices));
     anyhow::ensure!(
@@ -46,12 +46,18 @@ pub async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
     match listen(args, &endpoint, &folder).await {
         Ok((bus, run)) => {
             let service = Service {
-                settings: settings(&args.drive, &args.output, window(&args.output, &scenario), Some(JOIN)),
+                settings: Settings {
+                    join_patience: Some(JOIN),
+                    key: Some(draw_secret()?),
+                    members_only: true,
+                    ..settings(&args.drive, &args.output, window(&args.output, &scenario))
+                },
                 bus: &bus,
                 run: &run,
                 scenario: &scenario,
                 output: &args.output,
                 dashboard: args.drive.dashboard.as_deref(),
+                audit: args.drive.audit,
                 progress: Arc::default(),
                 started,
             };
@@ -78,8 +84,15 @@ async fn attend(processes: u32, service: &Service<'_>, folder: RunFolder, log: &
     let devices = service.scenario.devices;
     if processes == 0 {
         let own = service.bus.untapped();
-        let carried = tokio::spawn(async move { host::carry(&own, devices, 0, JOIN, |_, _, _| {}).await });
-        let code = serve(service, folder, |_| {}, async || None).await;
+        let offer = Offer {
+            count: devices,
+            name: "the base station's own process".to_owned(),
+            key: service.settings.key,
+            patience: JOIN,
+            stands_by: false,
+        };
+        let carried = tokio::spawn(async move { host::carry(&own, offer, &|_| {}).await });
+        let code = serve(service, folder, |_| {}).await;
         if code.as_ref().is_err_and(anyhow::Error::is::<Interrupted>) {
             // They wait to join a run that there will not be.
             carried.abort();
@@ -92,54 +105,20 @@ async fn attend(processes: u32, service: &Service<'_>, folder: RunFolder, log: &
         };
     }
     let (endpoint, run) = (service.bus.endpoint(), service.run.to_string());
-    let children = match Children::start(devices, processes, endpoint, &run, log) {
-        Ok(children) => children,
+    let commands = launch::device_commands(devices, processes, endpoint, &run, log);
+    let is_kept = service.settings.on_loss == OnLoss::Wait;
+    let launcher = match Launcher::start(commands, service.settings.key, is_kept, &service.progress) {
+        Ok(launcher) => launcher,
         Err(error) => {
             folder.fail(&error);
             return Err(error);
         }
     };
-    let pids = children.pids();
-    let children = Arc::new(std::sync::Mutex::new(Some(children)));
-    let guard = tokio::spawn(watch(Arc::clone(&children), Arc::clone(&service.progress)));
-    let cause = async || cause(&children, &service.progress).await;
-    let code = serve(service, folder, |timing| measure(&pids, timing), cause).await;
-    guard.abort();
-    let _watched = guard.await.is_err();
-    let children = children.lock().ok().and_then(|mut slot| slot.take());
-    if let (Ok(_), Some(children)) = (&code, children) {
-        children.wait();
+    let code = serve(service, folder, |timing| measure(&launcher.pids(), timing)).await;
+    if code.is_ok() {
+        launcher.wait();
     }
     code
-}
-
-/// How a device process has ended, if one has: its connection is gone a moment before it is.
-async fn cause(children: &std::sync::Mutex<Option<Children>>, progress: &Progress) -> Option<String> {
-    for _ in 0..10 {
-        let failed = || children.lock().ok()?.as_mut()?.failed();
-        if let Some(why) = progress.cause.get().cloned().or_else(failed) {
-            return Some(why);
-        }
-        tokio::time::sleep(Duration::from_millis(10)).await;
-    }
-    None
-}
-
-/// Looks after the device processes: one that has ended can neither join nor come back, so the run is not held for it.
-async fn watch(children: Arc<std::sync::Mutex<Option<Children>>>, progress: Arc<Progress>) {
-    loop {
-        let failed = children
-            .lock()
-            .ok()
-            .and_then(|mut slot| slot.as_mut().and_then(Children::failed));
-        if let Some(why) = failed {
-            // The first cause is the one that counts.
-            let _told_before = progress.cause.set(why).is_err();
-            progress.stop.store(true, Ordering::Relaxed);
-            return;
-        }
-        tokio::time::sleep(Duration::from_millis(100)).await;
-    }
 }
 
 /// The mean memory of the device processes while they live.

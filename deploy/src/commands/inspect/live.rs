@@ -51,8 +51,10 @@ impl Live {
     /// # Errors
     /// If there is no such run.
     pub async fn connect(target: &TargetArgs) -> anyhow::Result<Self> {
-        let (endpoint, run) = local::find(target)?;
-        let bus = Bus::connect(&endpoint, run, PATIENCE).await?;
+        let found = local::find(target)?;
+        let bus = Bus::connect(&found.endpoint, found.run, PATIENCE)
+            .await?
+            .with_key(found.key);
         if !bus.runs(PATIENCE).await?.contains(&bus.keys().run().to_string()) {
             return Err(bus.no_run().await.into());
         }

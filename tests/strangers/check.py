@@ -1,0 +1,256 @@
+#!/usr/bin/env python3
+"""Attacks on runs by a client that is not ours: eclipse-zenoh, from PyPI.
+
+    pip install eclipse-zenoh
+    tests/strangers/check.py target/release/reveille
+
+Each attack goes against a run of its own. The run must end as `reveille run` does, with the same digest, or be refused
+in words. Nothing may hang.
+"""
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+
+import zenoh
+
+SCENARIO = ["-n", "30", "-k", "1200"]
+# No run of these takes a quarter of this.
+PATIENCE = 120
+
+
+def free_endpoint():
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{listener.getsockname()[1]}"
+
+
+def session(endpoint):
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([endpoint]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    return zenoh.open(config)
+
+
+class Run:
+    """`up` with four device processes and a stranger beside it."""
+
+    def __init__(self, reveille, name, *args):
+        self.folder = tempfile.mkdtemp(prefix="strangers-")
+        self.name, self.endpoint = name, free_endpoint()
+        self.environment = dict(os.environ, XDG_RUNTIME_DIR=self.folder)
+        self.reveille = reveille
+        command = [reveille, "up", "-P", "4", *SCENARIO, "--pace", "3ms", "--paused", "--audit", "on"]
+        command += ["--run", name, "--listen", self.endpoint, "--out", "out", "--json", *args]
+        self.process = subprocess.Popen(
+            command, cwd=self.folder, env=self.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        self.wait_until_paused()
+
+    def clock(self, *args):
+        command = [self.reveille, "clock", *args, "--run", self.name]
+        return subprocess.run(command, cwd=self.folder, env=self.environment, capture_output=True, text=True)
+
+    def wait_until_paused(self):
+        deadline = time.monotonic() + PATIENCE
+        while time.monotonic() < deadline:
+            if "paused before TTI" in self.clock("status").stdout:
+                return
+            assert self.process.poll() is None, self.process.communicate()
+            time.sleep(0.05)
+        raise AssertionError("the run does not begin")
+
+    def resume(self):
+        assert self.clock("resume").returncode == 0
+
+    def memory_mb(self):
+        with open(f"/proc/{self.process.pid}/status") as status:
+            return int(re.search(r"VmHWM:\s+(\d+)", status.read())[1]) / 1024
+
+    def finish(self):
+        stdout, stderr = self.process.communicate(timeout=PATIENCE)
+        assert self.process.returncode == 0, (self.process.returncode, stderr)
+        return json.loads(stdout), stderr
+
+
+def keys_of(name):
+    """Keys that a stranger can think of."""
+    air = ["plan", "wake/0", "wake/0/0", "report/0", "report/0/0"]
+    emu = ["clock", "answer/0", "answer/0/0", "alive/0", "bs", "join", "ready", "control", "describe"]
+    prefixes = [f"reveille/{name}", f"reveille/{name}/@", f"reveille/{name}/@{'0' * 32}"]
+    own = [f"{prefix}/air/{key}" for prefix in prefixes for key in air]
+    own += [f"{prefix}/emu/{key}" for prefix in prefixes for key in emu]
+    return own + [f"reveille/{name}/tap", f"reveille/{name}/**", f"reveille/{name}/*/air/wake/*/*", "**"]
+
+
+def speaks(run):
+    """Puts noise and replayed copies of what observers see on every key."""
+    stranger = session(run.endpoint)
+    copies = []
+    listener = stranger.declare_subscriber(f"reveille/{run.name}/tap", lambda s: copies.append(s.payload.to_bytes()))
+    run.resume()
+    for _ in range(40):
+        payloads = [bytes([3, 0, 0]), bytes([3, 2]), os.urandom(64), *copies[-4:]]
+        for key in keys_of(run.name):
+            for payload in payloads:
+                try:
+                    stranger.put(key, payload)
+                except zenoh.ZError:
+                    pass
+        time.sleep(0.02)
+    assert copies, "an observer hears the tap"
+    listener.undeclare()
+    return stranger
+
+
+def listens(run):
+    """Subscribes to everything, and hears nothing but the tap; sees no token but the base station's."""
+    stranger = session(run.endpoint)
+    heard, seen = set(), set()
+    listeners = []
+    for key in ["**", f"reveille/{run.name}/**", f"reveille/{run.name}/*/emu/**", f"reveille/{run.name}/tap"]:
+        listeners.append(stranger.declare_subscriber(key, lambda s: heard.add(str(s.key_expr))))
+    live = stranger.liveliness()
+    for key in ["**", "reveille/*/emu/bs"]:
+        listeners.append(live.declare_subscriber(key, lambda s: seen.add(str(s.key_expr)), history=True))
+        for reply in live.get(key, timeout=1.0):
+            if reply.ok:
+                seen.add(str(reply.ok.key_expr))
+    run.resume()
+    run.process.wait(PATIENCE)
+    assert heard <= {f"reveille/{run.name}/tap"}, heard
+    assert seen <= {f"reveille/{run.name}/emu/bs"}, seen
+    assert heard and seen, (heard, seen)
+    return stranger
+
+
+def answers(run):
+    """Pretends to be the base station: answers questions, and holds the tokens of hosts."""
+    stranger = session(run.endpoint)
+    asked = []
+
+    def reply(query):
+        asked.append(str(query.key_expr))
+        query.reply(query.key_expr, b"\x03\x00")
+
+    held = []
+    for key in ["join", "ready", "control", "describe"]:
+        held.append(stranger.declare_queryable(f"reveille/{run.name}/emu/{key}", reply, complete=True))
+    held.append(stranger.declare_queryable(f"reveille/{run.name}/**", reply, complete=True))
+    for host in range(4):
+        held.append(stranger.liveliness().declare_token(f"reveille/{run.name}/emu/alive/{host}"))
+    # A lost host's token cannot be held for it.
+    pids = subprocess.run(["pgrep", "-f", f"device .*--run={run.name} "], capture_output=True, text=True).stdout.split()
+    run.resume()
+    time.sleep(0.5)
+    os.kill(int(pids[1]), signal.SIGKILL)
+    for _ in range(20):
+        run.clock("status")
+        time.sleep(0.02)
+    run.held = held
+    assert not asked, asked
+    return stranger
+
+
+def commands(run):
+    """Commands to the clock without the key: refused, and the run stays as it is."""
+    stranger = session(run.endpoint)
+    for command in range(6):
+        for attachment in [None, b"0" * 32, b"\xff" * 32]:
+            payload = bytes([3, command, 1])
+            replies = stranger.get(f"reveille/{run.name}/emu/control", payload=payload, attachment=attachment, timeout=3.0)
+            for reply in replies:
+                # The one command that anyone may give asks for the status.
+                assert reply.err is not None or command == 5, (command, reply)
+    assert "paused before TTI 0" in run.clock("status").stdout
+    run.resume()
+    return stranger
+
+
+def floods(run):
+    """Sends what no link should carry, and asks without end."""
+    stranger = session(run.endpoint)
+    run.resume()
+    stop = threading.Event()
+
+    def ask():
+        while not stop.is_set():
+            for reply in stranger.get(f"reveille/{run.name}/emu/control", payload=bytes([3, 5]), timeout=1.0):
+                assert reply.ok or reply.err
+
+    asking = threading.Thread(target=ask)
+    asking.start()
+    huge = bytes(200 << 20)
+    for key in [f"reveille/{run.name}/emu/join", f"reveille/{run.name}/air/report/0"]:
+        try:
+            session(run.endpoint).put(key, huge, congestion_control=zenoh.CongestionControl.BLOCK)
+        except zenoh.ZError:
+            pass
+    time.sleep(1)
+    stop.set()
+    asking.join()
+    assert run.memory_mb() < 400, f"{run.memory_mb():.0f} MB"
+    return stranger
+
+
+SLEEPER = """
+import json, os, signal, sys, zenoh
+config = zenoh.Config()
+config.insert_json5("mode", '"client"')
+config.insert_json5("connect/endpoints", json.dumps([sys.argv[1]]))
+stranger = zenoh.open(config)
+held = [stranger.declare_subscriber(key, lambda s: None) for key in ["**", f"reveille/{sys.argv[2]}/tap"]]
+print("there", flush=True)
+os.kill(os.getpid(), signal.SIGSTOP)
+"""
+
+
+def sleeps(run):
+    """An observer that stops reading holds nobody up."""
+    sleeper = subprocess.Popen(
+        [sys.executable, "-c", SLEEPER, run.endpoint, run.name], stdout=subprocess.PIPE, text=True
+    )
+    assert sleeper.stdout.readline() == "there\n"
+    started = time.monotonic()
+    run.resume()
+    run.process.wait(PATIENCE)
+    took = time.monotonic() - started
+    sleeper.kill()
+    sleeper.wait()
+    assert took < 30, f"{took:.0f} s"
+
+
+def main():
+    reveille = os.path.abspath(sys.argv[1])
+    with tempfile.TemporaryDirectory() as folder:
+        command = [reveille, "run", *SCENARIO, "--quiet", "--json", "--out", "out"]
+        memory = json.loads(subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True).stdout)
+    for attack in [speaks, listens, answers, commands, floods, sleeps]:
+        run = Run(reveille, attack.__name__)
+        started = time.monotonic()
+        try:
+            stranger = attack(run)
+            summary, stderr = run.finish()
+        finally:
+            run.process.kill()
+        if stranger is not None:
+            stranger.close()
+        assert summary["digest"] == memory["digest"], attack.__name__
+        assert summary["status"] == "complete" and summary["audit"] == "whole", summary
+        assert "panicked" not in stderr, stderr
+        timing = summary["timing"]
+        print(
+            f"{attack.__name__}: digest as in memory, {timing['malformed']} malformed, {timing['strays']} strays, "
+            f"{timing['losses']} losses, {time.monotonic() - started:.1f} s"
+        )
+
+
+main()
