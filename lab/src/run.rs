@@ -7,6 +7,7 @@ use reveille_bs::outcome::Outcome;
 use reveille_bs::prepared::Prepared;
 use reveille_common::ids::Tti;
 use reveille_common::message::{Failure, Report};
+use reveille_common::radio::Air;
 use reveille_common::score::{Accounts, WindowRecord};
 use reveille_common::state::DeviceView;
 use reveille_common::totals::Ledger;
@@ -36,6 +37,7 @@ pub struct Run {
     cycle: Cycle,
     machines: Vec<Machine>,
     physics: Physics,
+    air: Air,
     boundaries: Boundaries,
     accounts: Accounts,
     options: Options,
@@ -64,6 +66,7 @@ impl Run {
             scenario.seed,
             scenario.warm_up_end(),
             scenario.sensing.clone(),
+            scenario.radio,
             &deployment.devices,
             deployment.traces.clone(),
         );
@@ -76,6 +79,7 @@ impl Run {
                 .map(|setup| Machine::new(setup, &physics))
                 .collect(),
             accounts: Accounts::new(deployment),
+            air: Air::new(scenario.seed, &scenario.radio),
             physics,
             boundaries,
             options,
@@ -129,6 +133,7 @@ impl Run {
             cycle,
             machines,
             physics,
+            air,
             reports,
             failures,
             ..
@@ -148,7 +153,8 @@ impl Run {
         let wants_states = observer.wants_states();
         let granted = cycle.grant(horizon, observer);
         if let Some(update) = &granted.update {
-            for machine in machines.iter_mut() {
+            let air = air.at(update.from);
+            for machine in machines.iter_mut().filter(|machine| !air.misses_plan(machine.id())) {
                 machine.set_duty(update.from, update.plan.duty_cycle(machine.id()));
             }
         }

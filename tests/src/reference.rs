@@ -14,6 +14,7 @@ mod least;
 mod plane;
 mod policy;
 mod q_learning;
+mod radio;
 mod search;
 mod world;
 

@@ -38,7 +38,9 @@ impl Candidates {
                 let correlation = Correlation::new(sensing, &known.grids);
                 Order::P42(Ranking::new(&positions, area, correlation))
             }
-            WakeUpRanking::Posterior => Order::Posterior(Belief::new(&positions, area, sensing)),
+            WakeUpRanking::Posterior => {
+                Order::Posterior(Belief::new(&positions, area, sensing).losing(known.radio.silence()))
+            }
         })
     }
 

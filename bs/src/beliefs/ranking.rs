@@ -58,11 +58,12 @@ impl Ranking {
         self.event += 1;
     }
 
-    /// Takes in the report of `device`, which is `d` metres, 0 ..= `d_max`, from the event. A device that was already
-    /// given out for this event is not given out again.
+    /// Takes in the report of `device`, which is `d` metres, 0 ..= `d_max`, from the event. It is not given out for this
+    /// event any more: it was woken, or it senses, though perhaps nobody told it to and its plan was lost.
     pub fn add_reporter(&mut self, device: DeviceId, d: f64) {
         let reporter = self.reporters.len() as u32;
         self.reporters.push((device, d));
+        self.given_out[device.index()] = self.event;
         self.await_band(reporter, 0);
     }
 

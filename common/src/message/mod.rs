@@ -41,7 +41,7 @@ pub use plan::PlanUpdate;
 pub use ready::Ready;
 pub use report::Report;
 pub use setup::{Assignment, DeviceSetup};
-pub use truth::{EventNews, FailedReport, States, Woken, World};
+pub use truth::{EventNews, FailedReport, LostReport, States, Woken, World};
 pub use wake::{WakeOutcome, WakeUp};
 
 /// Declares the kinds of message: kind "name": payload, plane, what stands at the end of the key, direction, help;
@@ -231,6 +231,8 @@ messages! {
         "What came of a wake-up.";
     Belief "belief": Belief, Truth, (), "BS → observers",
         "Where the BS believes the event to be after the reports of a TTI, where its policy has such a belief.";
+    Lost "lost": LostReport, Truth, DeviceId, "world → observers",
+        "What a device with δ = 1 has sent, and what was lost on its way to the BS.";
     States "states": States, Truth, (), "world → observers",
         "State and battery of all devices at the end of a TTI, where a recording was asked for them.";
 }

@@ -17,6 +17,7 @@ use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, HostId, Tti};
 use reveille_common::message::{Assignment, Clock, JoinReply, JoinRequest, PlanUpdate, Ready, Tick, WakeUp};
 use reveille_common::plan::DutyCycle;
+use reveille_common::radio::Air;
 use tokio::runtime::Handle;
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::sync::watch;
@@ -96,6 +97,7 @@ struct HostState {
     /// Actors that have not been started; see [`Shared::start_actors`].
     resting: Vec<(Actor, UnboundedReceiver<Input>)>,
     duties: Vec<DutyCycle>,
+    air: Air,
     /// The TTI from which the plan that this host has holds.
     plan_from: Option<Tti>,
     /// The first TTI that has not been granted.
@@ -157,6 +159,7 @@ impl Shared {
             ttis,
             measured_from,
             sensing,
+            radio,
             devices,
             traces,
         } = assignment;
@@ -164,7 +167,7 @@ impl Shared {
         let uplink = Arc::new(Uplink::new(bus, host, first, devices.len() as u32)?);
         let positions = devices.iter().map(|d| d.position).collect();
         let d_max = sensing.d_max;
-        let physics = Arc::new(Physics::new(seed, measured_from, sensing, &devices, traces));
+        let physics = Arc::new(Physics::new(seed, measured_from, sensing, radio, &devices, traces));
         let mut resting = Vec::new();
         let mailboxes = devices
             .iter()
@@ -178,6 +181,7 @@ impl Shared {
         let duties = vec![DutyCycle::ASLEEP; devices.len()];
         let state = Mutex::new(HostState {
             duties,
+            air: Air::new(seed, &radio),
             resting,
             plan_from: None,
             next: Tti::ZERO,
@@ -275,9 +279,11 @@ impl Shared {
             self.start_actors(&mut state);
         }
         state.plan_from = Some(update.from);
+        let air = state.air.at(update.from);
         for (j, duty) in state.duties.iter_mut().enumerate() {
-            let new = update.plan.duty_cycle(DeviceId(self.first.0 + j as u32));
-            if *duty != new {
+            let device = DeviceId(self.first.0 + j as u32);
+            let new = update.plan.duty_cycle(device);
+            if *duty != new && !air.misses_plan(device) {
                 *duty = new;
                 self.send(j, Input::Duty(update.from, new));
             }
