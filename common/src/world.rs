@@ -85,7 +85,9 @@ impl World {
             return 0;
         }
         let now = self.air.at(from);
-        let heard = self.heard.get_or_insert_with(|| vec![DutyCycle::ASLEEP; self.positions.len()]);
+        let heard = self
+            .heard
+            .get_or_insert_with(|| vec![DutyCycle::ASLEEP; self.positions.len()]);
         let mut missed = 0;
         for (cycle, device) in heard.iter_mut().zip((0..).map(DeviceId)) {
             if now.misses_plan(device) {

@@ -244,9 +244,7 @@ impl Machine {
         if self.state == (DeviceState::Sleep { powered: true }) {
             let paid = self.battery.pay(self.costs.e_idle);
             self.books.false_wake(paid);
-            self.state = DeviceState::Sleep {
-                powered: paid.is_ok(),
-            };
+            self.state = DeviceState::Sleep { powered: paid.is_ok() };
         }
     }
 

@@ -87,7 +87,10 @@ fn random_scenarios_come_to_everything() {
         add("unheard", run.unheard);
         add("reports lost", run.losses.reports);
         add("plans missed", run.losses.missed_plans);
-        add("runs with wake-ups for nothing", u64::from(run.measured.false_wakes > 0));
+        add(
+            "runs with wake-ups for nothing",
+            u64::from(run.measured.false_wakes > 0),
+        );
         add("radios that never fail", u64::from(scenario.radio.is_perfect()));
         add("bursts of interference", u64::from(scenario.radio.bursts.is_some()));
         add("wake-ups spared", run.spared);

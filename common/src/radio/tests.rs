@@ -22,8 +22,14 @@ fn shares(radio: &Radio, ttis: u64) -> [f64; 3] {
     for k in 0..ttis {
         let now = air.at(Tti(k));
         for device in (0..50).map(DeviceId) {
-            let each = [now.misses_wake_up(device), now.loses_report(device), now.misses_plan(device)];
-            lost.iter_mut().zip(each).for_each(|(sum, is_lost)| *sum += u64::from(is_lost));
+            let each = [
+                now.misses_wake_up(device),
+                now.loses_report(device),
+                now.misses_plan(device),
+            ];
+            lost.iter_mut()
+                .zip(each)
+                .for_each(|(sum, is_lost)| *sum += u64::from(is_lost));
         }
     }
     lost.map(|sum| sum as f64 / (50 * ttis) as f64)
@@ -62,7 +68,11 @@ fn bursts_take_their_share_and_the_mean_is_known() {
         uplink_loss,
         plan_loss,
     } = radio.link();
-    let expected = [0.25 * 0.9 + 0.75 * 0.1, 0.25 * 0.9 + 0.75 * 0.25, 0.25 * 0.9 + 0.75 * 0.4];
+    let expected = [
+        0.25 * 0.9 + 0.75 * 0.1,
+        0.25 * 0.9 + 0.75 * 0.25,
+        0.25 * 0.9 + 0.75 * 0.4,
+    ];
     for (known, expected) in [wake_miss, uplink_loss, plan_loss].into_iter().zip(expected) {
         assert!((known - expected).abs() < 1e-12);
     }
@@ -97,7 +107,10 @@ fn a_burst_is_the_same_whoever_asks_and_when() {
         assert_eq!(now, seldom.at(Tti(k)), "asked again");
     }
     let in_burst = |now: &&Moment| now.loses_report(DeviceId(0));
-    let changes = each.windows(2).filter(|two| in_burst(&&two[0]) != in_burst(&&two[1])).count();
+    let changes = each
+        .windows(2)
+        .filter(|two| in_burst(&&two[0]) != in_burst(&&two[1]))
+        .count();
     // Cycles of 8 TTIs, two changes each.
     assert!((200..300).contains(&changes), "{changes}");
 }
@@ -118,7 +131,9 @@ fn false_wakes_are_bernoulli_trials() {
     assert_eq!(FalseWakes::new(5, 0.0, DeviceId(0)).next(), Tti::NEVER);
     let first = |seed, device| FalseWakes::new(seed, 0.001, DeviceId(device)).next();
     assert!(first(1, 0) != first(1, 1) && first(1, 0) != first(2, 0));
-    let at_once = (0..100_000).filter(|&d| FalseWakes::new(1, p, DeviceId(d)).next() == Tti(0)).count();
+    let at_once = (0..100_000)
+        .filter(|&d| FalseWakes::new(1, p, DeviceId(d)).next() == Tti(0))
+        .count();
     assert!((2_780..3_220).contains(&at_once), "{at_once} in TTI 0");
 }
 
@@ -133,7 +148,13 @@ fn a_radio_that_never_fails_is_no_part_of_a_scenario() {
     let same = load("paper", &set(&["radio.wake_miss=0", "radio.interference=none"])).expect("valid");
     assert_eq!((plain.hash(), plain.to_toml()), (same.hash(), same.to_toml()));
     let mut hashes = vec![plain.hash()];
-    for field in ["wake_miss=0.1", "false_wake=0.1", "uplink_loss=0.1", "plan_loss=0.1", "interference=bursts"] {
+    for field in [
+        "wake_miss=0.1",
+        "false_wake=0.1",
+        "uplink_loss=0.1",
+        "plan_loss=0.1",
+        "interference=bursts",
+    ] {
         let field = format!("radio.{field}");
         let scenario = load("paper", &set(&[&field])).expect("valid");
         assert!(!scenario.radio.is_perfect() && scenario.radio.is_sound(), "{field}");
@@ -141,7 +162,10 @@ fn a_radio_that_never_fails_is_no_part_of_a_scenario() {
         hashes.push(scenario.hash());
     }
     let both = load("paper", &set(&["radio.interference=bursts", "radio.bursts.loss=0.5"])).expect("valid");
-    assert_eq!(both.radio.bursts.map(|bursts| (bursts.burst_ttis, bursts.loss)), Some((10.0, 0.5)));
+    assert_eq!(
+        both.radio.bursts.map(|bursts| (bursts.burst_ttis, bursts.loss)),
+        Some((10.0, 0.5))
+    );
     assert!(load("paper", &set(&["radio.plan_loss=1.1"])).is_err());
     let unsound = Radio {
         wake_miss: f64::NAN,

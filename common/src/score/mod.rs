@@ -21,9 +21,7 @@ use crate::event::{ActiveEvent, EventRecord, Stimulus};
 use crate::ids::{DeviceId, Tti};
 use crate::message::{Failure, PlanUpdate, Report, WakeOutcome};
 use crate::scenario::Scenario;
-use crate::totals::{
-    EventTally, EventTotals, Ledger, Losses, Missed, PICO_PER_INFORMATION, Spread, Totals, Traffic,
-};
+use crate::totals::{EventTally, EventTotals, Ledger, Losses, Missed, PICO_PER_INFORMATION, Spread, Totals, Traffic};
 use crate::units::Energy;
 
 /// The event under way and what has come of it.

@@ -115,13 +115,19 @@ fn a_false_wake_costs_e_idle_in_s4_and_leaves_a_device_that_hears() {
     let (mut machine, world) = device_with(always, costs(500), &[0]);
     machine.begin(Tti(0));
     assert_eq!((machine.state(), machine.battery()), (ASLEEP, micro(489)));
-    assert!(matches!(machine.wake(Tti(0), &event(NEAR), &world), WakeOutcome::Reported(_)));
+    assert!(matches!(
+        machine.wake(Tti(0), &event(NEAR), &world),
+        WakeOutcome::Reported(_)
+    ));
     machine.set_duty(Tti(1), DutyCycle::SENSING);
     machine.begin(Tti(1));
     assert_eq!(machine.battery(), micro(379), "a device in S1 is awake anyway");
     machine.settle(Tti(2));
     let totals = machine.totals();
-    assert_eq!((totals.false_wakes, totals.spent.sleep, totals.spent.sensing), (1, micro(11), micro(10)));
+    assert_eq!(
+        (totals.false_wakes, totals.spent.sleep, totals.spent.sensing),
+        (1, micro(11), micro(10))
+    );
     // It cannot pay for the second: what is left is lost, and it is deaf.
     let (mut machine, world) = device_with(always, costs(16), &[0]);
     machine.begin(Tti(1));
@@ -129,7 +135,10 @@ fn a_false_wake_costs_e_idle_in_s4_and_leaves_a_device_that_hears() {
     assert_eq!(machine.wake(Tti(1), &event(NEAR), &world), WakeOutcome::Unheard);
     machine.settle(Tti(2));
     let totals = machine.totals();
-    assert_eq!((totals.false_wakes, totals.dark_ttis, totals.spent.sleep), (2, 0, micro(16)));
+    assert_eq!(
+        (totals.false_wakes, totals.dark_ttis, totals.spent.sleep),
+        (2, 0, micro(16))
+    );
     assert!(totals.closes());
 }
 
