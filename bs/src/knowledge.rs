@@ -60,8 +60,8 @@ pub struct DeviceKnowledge {
 /// ```
 /// or from what the radio will lose:
 /// ```compile_fail
-/// fn peek(known: &reveille_bs::knowledge::Knowledge) -> bool {
-///     known.radio.at(reveille_common::ids::Tti(5)).loses_report(reveille_common::ids::DeviceId(0))
+/// fn peek(known: &mut reveille_bs::knowledge::Knowledge) {
+///     known.radio.at(reveille_common::ids::Tti(5));
 /// }
 /// ```
 /// This is all that there is, so that whoever adds to it passes by here,

@@ -29,8 +29,8 @@ use crate::knowledge::{DeviceKnowledge, Knowledge};
 /// empty: of those that are well, one in three thousand is silent for so long, exp(−8). It is a few more where events
 /// last, since none starts during another.
 const SILENCE: f64 = 8.0;
-/// How unlikely it has to be that the radio alone kept a device silent, each time that it was asked, until it is taken to
-/// be empty.
+/// How unlikely it has to be that the radio alone kept a device silent, each time that it was asked, until it is taken
+/// to be empty.
 const UNLUCKY: f64 = 0.02;
 /// Circles within d_max, and places on each, over which the reach of a device is summed.
 const CIRCLES: u32 = 16;
@@ -328,14 +328,14 @@ impl Levels {
         self.of[device.index()] = level.min(account.energy.e_max);
     }
 
-    /// `device` has not reported in TTI `k`, in which it was woken: its battery is empty now, if it is not that the radio
-    /// has lost the wake-up or the report.
+    /// `device` has not reported in TTI `k`, in which it was woken: its battery is empty now, if it is not that the
+    /// radio has lost the wake-up or the report.
     pub fn silent(&mut self, device: DeviceId, k: Tti, plan: &Plan) {
         self.unheard(device, k, plan, self.radio.no_answer());
     }
 
-    /// `device` has not reported in TTI `k`, in which it must have, if it could and the radio, which keeps it silent with
-    /// probability `lost`, let it.
+    /// `device` has not reported in TTI `k`, in which it must have, if it could and the radio, which keeps it silent
+    /// with probability `lost`, let it.
     fn unheard(&mut self, device: DeviceId, k: Tti, plan: &Plan, lost: f64) {
         let luck = &mut self.devices[device.index()].luck;
         *luck *= lost;

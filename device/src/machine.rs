@@ -12,9 +12,9 @@
 //!    └──────────────────────────────────────────────────────────────┘
 //!            wake-up heard (WuR powered)
 //! ```
-//! A device that wakes for nothing goes S4 → S2 → S4 within a TTI, for E_idle on top of E_WuR; it hears a wake-up in that
-//! TTI like any other in S4, unless its battery was emptied by it. A device that cannot pay for S1 or for its wake-up radio ends up with an empty battery, in S4, deaf until the next
-//! TTI.
+//! A device that cannot pay for S1 or for its wake-up radio ends up with an empty battery, in S4, deaf until the next
+//! TTI. One that wakes for nothing, as its wake-up radio fails, goes S4 → S2 → S4 within a TTI, for E_idle on top of
+//! E_WuR; unless that empties its battery it hears a wake-up in that TTI like any other in S4.
 //!
 //! The machine is lazy: TTIs in which nothing but harvest and δ happens are caught up with, exactly and many at a time,
 //! when the device is next needed ([`Machine::settle`], [`Machine::begin`]).

@@ -58,8 +58,8 @@ impl Ranking {
         self.event += 1;
     }
 
-    /// Takes in the report of `device`, which is `d` metres, 0 ..= `d_max`, from the event. It is not given out for this
-    /// event any more: it was woken, or it senses, though perhaps nobody told it to and its plan was lost.
+    /// Takes in the report of `device`, which is `d` metres, 0 ..= `d_max`, from the event. It is not given out for
+    /// this event any more: it was woken, or it senses, perhaps by an old plan as it has missed the new one.
     pub fn add_reporter(&mut self, device: DeviceId, d: f64) {
         let reporter = self.reporters.len() as u32;
         self.reporters.push((device, d));

@@ -5,30 +5,18 @@ use reveille_common::event::EventRecord;
 use reveille_common::geometry::Point;
 use reveille_common::ids::{EventId, Tti};
 use reveille_common::rng::{Purpose, unit_for_pair};
-use reveille_common::scenario::{EnergyModel, Scenario, assign_classes};
+use reveille_common::scenario::{Scenario, assign_classes};
 use reveille_common::sensing::{DetectionKind, Fusion};
-use reveille_common::totals::{DeviceTotals, EventTally, EventTotals, Ledger, Losses, Spent};
+use reveille_common::totals::{DeviceTotals, EventTally, EventTotals, Ledger, Losses};
 use reveille_common::units::Energy;
 
+use super::device::{Device, State};
 use super::estimate::Estimate;
 use super::events::Events;
 use super::harvest::{Source, mean};
 use super::plane::distance;
 use super::policy::{Choice, Policy, Reporter, Situation};
 use super::radio::Radio;
-
-/// Where a device is at the end of a step.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum State {
-    /// S1.
-    Idle,
-    /// S3.
-    Transmission,
-    /// S4 with a wake-up radio that can hear.
-    Asleep,
-    /// S4 after an action that the battery could not pay.
-    Dark,
-}
 
 /// What the reference makes of a scenario.
 #[derive(Clone, Debug)]
@@ -102,66 +90,6 @@ pub(super) fn play(scenario: &Scenario, ground: &Ground, policy: Policy) -> Run 
     world.into_run()
 }
 
-/// One device and its books, micro-units.
-#[derive(Clone, Debug)]
-struct Device {
-    costs: EnergyModel,
-    source: Source,
-    state: State,
-    battery: u64,
-    harvested: u64,
-    /// By state: S1, S4, S2 to S3.
-    spent: [u64; 3],
-    overflow: u64,
-    battery_sum: u128,
-    low_ttis: u64,
-    sensing_ttis: u64,
-    failed_ttis: u64,
-    dark_ttis: u64,
-    false_wakes: u64,
-    /// TTIs one after another without power, up to now and at the most.
-    outage: [u64; 2],
-    /// Its sums at the start of the measured part.
-    before: Option<DeviceTotals>,
-}
-
-impl Device {
-    /// Pays `cost`, or loses what is left. Says what left the battery, and whether it was enough.
-    fn pay(&mut self, cost: Energy, state: usize) -> (u64, bool) {
-        let enough = self.battery >= cost.micro();
-        let gone = if enough { cost.micro() } else { self.battery };
-        self.battery -= gone;
-        self.spent[state] += gone;
-        (gone, enough)
-    }
-
-    fn ledger(&self) -> Ledger {
-        let whole = self.sums();
-        Ledger {
-            whole,
-            measured: self.before.map_or_else(DeviceTotals::default, |before| whole - before),
-            longest_outage: self.outage[1],
-        }
-    }
-
-    fn sums(&self) -> DeviceTotals {
-        let [sensing, sleep, report] = self.spent.map(Energy::from_micro);
-        DeviceTotals {
-            initial: self.costs.initial,
-            harvested: Energy::from_micro(self.harvested),
-            spent: Spent { sensing, sleep, report },
-            overflow: Energy::from_micro(self.overflow),
-            battery: Energy::from_micro(self.battery),
-            battery_sum: self.battery_sum,
-            low_ttis: self.low_ttis,
-            sensing_ttis: self.sensing_ttis,
-            failed_ttis: self.failed_ttis,
-            dark_ttis: self.dark_ttis,
-            false_wakes: self.false_wakes,
-        }
-    }
-}
-
 /// The event under way.
 #[derive(Clone, Debug)]
 struct Event {
@@ -217,23 +145,7 @@ impl<'a> World<'a> {
             } else {
                 source.by_its_mean(mean)
             };
-            devices.push(Device {
-                costs: kind.energy,
-                source,
-                state: State::Asleep,
-                battery: kind.energy.initial.micro(),
-                harvested: 0,
-                spent: [0; 3],
-                overflow: 0,
-                battery_sum: 0,
-                low_ttis: 0,
-                sensing_ttis: 0,
-                failed_ttis: 0,
-                dark_ttis: 0,
-                false_wakes: 0,
-                outage: [0; 2],
-                before: None,
-            });
+            devices.push(Device::new(kind.energy, source));
         }
         Self {
             policy,
