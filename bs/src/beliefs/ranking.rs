@@ -58,13 +58,17 @@ impl Ranking {
         self.event += 1;
     }
 
-    /// Takes in the report of `device`, which is `d` metres, 0 ..= `d_max`, from the event. It is not given out for
-    /// this event any more: it was woken, or it senses, perhaps by an old plan as it has missed the new one.
+    /// Takes in the report of `device`, which is `d` metres, 0 ..= `d_max`, from the event. A device that was already
+    /// given out for this event is not given out again.
     pub fn add_reporter(&mut self, device: DeviceId, d: f64) {
         let reporter = self.reporters.len() as u32;
         self.reporters.push((device, d));
-        self.given_out[device.index()] = self.event;
         self.await_band(reporter, 0);
+    }
+
+    /// `device` is not to be given out for this event.
+    pub fn take_out(&mut self, device: DeviceId) {
+        self.given_out[device.index()] = self.event;
     }
 
     /// Gives out the candidate with the largest `P_4,2` for which `is_candidate` holds (one in S4 that the policy may
