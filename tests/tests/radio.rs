@@ -106,7 +106,7 @@ fn reports_and_wake_ups_are_lost_as_they_are_drawn() {
         let lost = seen.reports[1].len() as f64 / all.len() as f64;
         // More than between bursts, since an event goes on while nobody hears of it.
         assert!(
-            all.len() > 100 && (0.2..0.6).contains(&lost),
+            all.len() > 60 && (0.2..0.6).contains(&lost),
             "{policy}: {lost} of {}",
             all.len()
         );
@@ -244,6 +244,8 @@ fn every_failure_has_its_metric() {
         "energy.e_max=10000",
         "energy.initial=10000",
         "bs.sync_interval=3",
+        // Many wake-ups.
+        "policy.name=genie",
     ];
     for (at, field) in fields.iter().enumerate() {
         let field = format!("radio.{field}");
