@@ -16,6 +16,11 @@ use crate::sensing::Sensing;
 pub trait Oracle {
     /// An event has started. Whether anybody is to be woken for it in this TTI.
     fn told(&mut self, stimulus: &Stimulus) -> bool;
+
+    /// Nothing was heard of the event, of which it was told, up to this TTI. Whether anybody is to be woken once more.
+    fn is_told_again(&mut self) -> bool {
+        false
+    }
 }
 
 /// What the world does.
@@ -126,7 +131,8 @@ impl World {
                 turns.push(Turn::Started(self.start(oracle.as_deref_mut())));
                 continue;
             };
-            if is_told && k == event.start {
+            let mut is_told_again = || oracle.as_deref_mut().is_some_and(Oracle::is_told_again);
+            if is_told && (k == event.start || is_told_again()) {
                 return Some(k);
             }
             let reaction = self.first_reaction(k, plan);

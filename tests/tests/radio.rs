@@ -16,6 +16,7 @@ use reveille_common::message::WakeOutcome;
 use reveille_common::plan::Plan;
 use reveille_common::radio::{Air, Link};
 use reveille_common::world::World;
+use reveille_device::machine::Machine;
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Options, Run};
 
@@ -162,7 +163,7 @@ fn devices_that_miss_plans_keep_the_old_one() {
         let mut run = Run::new(&prepared, Options::default());
         let mut watch = Watch::default();
         let mut air = Air::new(prepared.scenario.seed, &prepared.scenario.radio);
-        let mut heard: Vec<_> = run.machines().iter().map(|machine| machine.duty()).collect();
+        let mut heard: Vec<_> = run.machines().iter().map(Machine::duty).collect();
         let mut differing = 0_u64;
         while run.cycle().next_tti() < Tti(1500) {
             let before = watch.plans.len();

@@ -42,14 +42,14 @@ fn as_much_is_lost_as_is_said() {
         let error = (p * (1.0 - p) / (50 * ttis) as f64).sqrt();
         assert!((share - p).abs() < 4.0 * error, "{share}, not {p}");
     }
-    assert_eq!(shares(&Radio::default(), 100), [0.0; 3]);
+    assert!(shares(&Radio::default(), 100).iter().all(|share| *share <= 0.0));
     let all = Radio {
         wake_miss: 1.0,
         uplink_loss: 1.0,
         plan_loss: 1.0,
         ..radio
     };
-    assert_eq!(shares(&all, 100), [1.0; 3]);
+    assert!(shares(&all, 100).iter().all(|share| *share >= 1.0));
 }
 
 #[test]

@@ -220,6 +220,7 @@ fn draw_robustness(args: &RobustnessArgs) -> anyhow::Result<ExitCode> {
     for (place, impairment) in robustness::IMPAIRMENTS.iter().enumerate() {
         for metric in robustness::METRICS {
             let chart = robustness::chart(&points, place, metric, &scenarios[0]);
+            let metric = metric.0;
             write(
                 &args.pictures,
                 &format!("{name}-{}-{metric}", impairment.name),

@@ -18,8 +18,12 @@ use super::style::Style;
 
 /// Its name in commands and files.
 pub const NAME: &str = "robustness";
-/// What is drawn.
-pub const METRICS: [&str; 3] = ["info_p1", "energy_per_device_tti", "misdetection_pct"];
+/// What is drawn, and how titles call it.
+pub const METRICS: [(&str, &str); 3] = [
+    ("info_p1", "information"),
+    ("energy_per_device_tti", "energy"),
+    ("misdetection_pct", "missed events"),
+];
 /// The mean length of a burst of interference, TTIs.
 const BURST: f64 = 10.0;
 
@@ -160,8 +164,9 @@ pub fn measure(scenarios: &[Scenario], seeds: u64) -> Vec<Point> {
     points
 }
 
-/// The chart of `metric` against what fails by the place `impairment`, from `points` of runs of `scenario`.
-pub fn chart(points: &[Point], impairment: usize, metric: &str, scenario: &Scenario) -> Chart {
+/// The chart of a metric of [`METRICS`] against what fails by the place `impairment`, from `points` of runs of
+/// `scenario`.
+pub fn chart(points: &[Point], impairment: usize, (metric, word): (&str, &str), scenario: &Scenario) -> Chart {
     let Impairment {
         title, axis, levels, ..
     } = IMPAIRMENTS[impairment];
@@ -181,15 +186,16 @@ pub fn chart(points: &[Point], impairment: usize, metric: &str, scenario: &Scena
     let most = levels.iter().copied().fold(0.0, f64::max);
     let seeds = own.iter().map(|point| point.runs.len());
     let caption = format!(
-        "Preset {}, N = {}; {} of {} TTIs a point, mean with its 95 % interval as band and bar. Everything else gets \
-         through.",
+        "Preset {}, N = {}; {} of {} TTIs a point, mean with its 95 % interval as band and bar. Plans are sent \
+         again every {} TTIs; all that is not along x works.",
         scenario.preset,
         scenario.devices,
         runs_in_words((seeds.clone().min().unwrap_or(0), seeds.max().unwrap_or(0))),
-        scenario.ttis
+        scenario.ttis,
+        scenario.bs.sync_interval
     );
     Chart {
-        title: format!("{title}: {metric}"),
+        title: format!("{title}: {word}"),
         x_label: axis.to_owned(),
         y_label: Metrics::axis(metric).to_owned(),
         x: Scale::Linear {

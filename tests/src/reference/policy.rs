@@ -173,7 +173,7 @@ impl Policy {
     /// Whom to wake next.
     pub(super) fn choose(&self, seen: &Situation<'_>) -> Choice {
         match self {
-            Self::Genie if seen.first && (seen.woken.is_empty() || (seen.lossy && seen.reporters.is_empty())) => {
+            Self::Genie if seen.first && seen.woken.is_empty() || (seen.lossy && seen.reporters.is_empty()) => {
                 closest(seen).map_or(Choice::Stop, Choice::Wake)
             }
             Self::Random(_) | Self::Genie => Choice::Stop,

@@ -17,6 +17,8 @@ pub struct Genie {
     devices: usize,
     /// Whether a device that is well may not answer.
     is_lossy: bool,
+    /// Where the event is that has started last.
+    epicentre: Point,
     /// Whom to wake for the event that has just started, the next at the end. One device, where the radio never fails:
     /// one that cannot pay is what the bound is about.
     chosen: Vec<DeviceId>,
@@ -31,6 +33,7 @@ impl Genie {
             d_max,
             devices: known.n(),
             is_lossy: known.radio.no_answer() > 0.0,
+            epicentre: Point::new(0.0, 0.0),
             chosen: Vec::new(),
         }
     }
@@ -75,11 +78,20 @@ impl Bound for Genie {
 
 impl Oracle for Genie {
     fn told(&mut self, stimulus: &Stimulus) -> bool {
+        self.epicentre = stimulus.epicentre;
         self.chosen = if self.is_lossy {
             self.around(stimulus.epicentre)
         } else {
             self.closest(stimulus.epicentre).into_iter().collect()
         };
+        !self.chosen.is_empty()
+    }
+
+    /// A radio that fails now may not fail later.
+    fn is_told_again(&mut self) -> bool {
+        if self.is_lossy {
+            self.chosen = self.around(self.epicentre);
+        }
         !self.chosen.is_empty()
     }
 }
