@@ -260,3 +260,65 @@ pub fn csv(points: &[Point]) -> String {
     }
     out
 }
+
+#[cfg(test)]
+mod tests {
+    use reveille_bs::scenario::{Override, load};
+
+    use super::*;
+
+    #[test]
+    fn every_policy_has_a_point_at_every_level_of_everything() {
+        let of = |policy: &str| {
+            let set = [
+                format!("policy.name={policy}"),
+                "devices=12".to_owned(),
+                "ttis=400".to_owned(),
+                "bs.sync_interval=20".to_owned(),
+            ];
+            let set = set.map(|field| Override::parse(&field).expect("an override"));
+            load("paper", &set).expect("a scenario")
+        };
+        let scenarios = [of("random"), of("genie")];
+        let points = measure(&scenarios, 2);
+        let levels: usize = IMPAIRMENTS.iter().map(|impairment| impairment.levels.len()).sum();
+        assert_eq!(points.len(), 2 * levels);
+        let perfect: Vec<&Point> = points.iter().filter(|point| point.level <= 0.0).collect();
+        for point in &perfect {
+            assert_eq!(point.runs, perfect[usize::from(point.policy == "genie")].runs);
+        }
+        // The most of each, against none: what it is known by.
+        let shown = [
+            "unheard_wake_ups_pct",
+            "false_wakes_pct",
+            "lost_reports_pct",
+            "missed_plans_pct",
+            "misdetection_pct",
+        ];
+        for (impairment, metric) in shown.into_iter().enumerate() {
+            let own = points
+                .iter()
+                .filter(|point| point.impairment == impairment && point.policy == "genie");
+            let values: Vec<f64> = own.filter_map(|point| Some(point.reading(metric)?.mean)).collect();
+            let levels = IMPAIRMENTS[impairment].levels.len();
+            assert!(
+                values.len() == levels && values[levels - 1] > values[0] + 2.0,
+                "{metric}: {values:?}"
+            );
+            for drawn in METRICS {
+                let chart = chart(&points, impairment, drawn, &scenarios[0]);
+                assert_eq!(chart.series.len(), 2);
+                assert!(chart.series.iter().all(|line| line.samples.len() == levels));
+                assert!(
+                    chart.scene().height > 100.0 && chart.caption.contains("2 runs of 400 TTIs"),
+                    "{}",
+                    chart.caption
+                );
+            }
+        }
+        assert_eq!(
+            csv(&points).lines().next(),
+            Some("impairment,level,policy,metric,mean,half_width_95,runs")
+        );
+    }
+}
