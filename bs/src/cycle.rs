@@ -147,6 +147,8 @@ impl Cycle {
         let first = self.next;
         let update = self.station.announce(first).map(|(update, is_new)| {
             self.score.plan(&update, is_new, codec::encoded_len(&update));
+            let missed = self.world.plan_sent(first, &update.plan);
+            self.score.plan_missed(first, u64::from(self.scenario.devices), missed);
             observer.see(&Happening::Plan {
                 update: &update,
                 is_new,
@@ -195,27 +197,45 @@ impl Cycle {
         let tti = granted.grant.last;
         reports.sort_unstable_by_key(|report| report.device);
         failures.sort_unstable_by_key(|failure| failure.device);
-        for report in reports.iter() {
-            self.score.reported(report);
-            observer.see(&Happening::Reported(report));
-        }
+        let arrived = self.carry(tti, reports, observer);
         for failure in failures.iter() {
             self.score.failed(failure);
             observer.see(&Happening::Failed { tti, failure });
         }
-        self.station.gathered(tti, reports);
+        self.station.gathered(tti, &reports[..arrived]);
         self.next_step(tti, observer)
+    }
+
+    /// Carries the `reports` of a TTI to the base station. Gives how many arrive: those are the first then, in order.
+    fn carry(&mut self, tti: Tti, reports: &mut [Report], observer: &mut impl Observer) -> usize {
+        let air = self.world.air(tti);
+        let mut arrived = 0;
+        for at in 0..reports.len() {
+            let report = reports[at];
+            if air.loses_report(report.device) {
+                self.score.lost(&report);
+                observer.see(&Happening::Lost(&report));
+            } else {
+                self.score.reported(&report);
+                observer.see(&Happening::Reported(&report));
+                reports[arrived] = report;
+                arrived += 1;
+            }
+        }
+        arrived
     }
 
     /// What came of the wake-up that the last [`Step`] asked for.
     #[expect(clippy::needless_pass_by_value, reason = "a wake-up is used up by its outcome")]
     pub fn woken(&mut self, waking: Waking, outcome: &WakeOutcome, observer: &mut impl Observer) -> Step {
         let Waking { tti, device } = waking;
+        let air = self.world.air(tti);
+        let outcome = &outcome.over(|device| air.loses_report(device));
         self.score.woken(tti, device, outcome, self.world.is_far(device));
         observer.see(&Happening::Woken { tti, device, outcome });
         let report = match outcome {
             WakeOutcome::Reported(report) => Some(report),
-            WakeOutcome::Failed(_) | WakeOutcome::Unheard => None,
+            WakeOutcome::Failed(_) | WakeOutcome::Unheard | WakeOutcome::Lost(_) => None,
         };
         self.station.woken(tti, device, report);
         self.next_step(tti, observer)

@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use reveille_common::deployment::Deployment;
 use reveille_common::geometry::{Area, Point};
+use reveille_common::radio::Link;
 use reveille_common::rng::PolicyStreams;
 use reveille_common::scenario::{BsSettings, EnergyModel, Scenario};
 use reveille_common::sensing::Sensing;
@@ -57,13 +58,20 @@ pub struct DeviceKnowledge {
 ///     let _ = &known.devices[0].harvest;
 /// }
 /// ```
+/// or from what the radio will lose:
+/// ```compile_fail
+/// fn peek(known: &mut reveille_bs::knowledge::Knowledge) {
+///     known.radio.at(reveille_common::ids::Tti(5));
+/// }
+/// ```
 /// This is all that there is, so that whoever adds to it passes by here,
 /// ```
 /// use reveille_bs::knowledge::Knowledge;
 ///
 /// fn all(known: Knowledge) {
 ///     let Knowledge {
-///         area: _, sensing: _, alpha: _, tau: _, ttis: _, bs: _, classes: _, devices: _, streams: _, grids: _,
+///         area: _, sensing: _, radio: _, alpha: _, tau: _, ttis: _, bs: _, classes: _, devices: _, streams: _,
+///         grids: _,
 ///     } = known;
 /// }
 /// ```
@@ -82,6 +90,8 @@ pub struct Knowledge {
     pub area: Area,
     /// The sensing model, whose p is known and invertible.
     pub sensing: Sensing,
+    /// How often the radio loses what, in the long run.
+    pub radio: Link,
     /// Probability α that an event starts in a TTI in which none is active, `(0, 1]`; its long-run mean where it
     /// changes with time.
     pub alpha: f64,
@@ -109,6 +119,7 @@ impl Knowledge {
         Self {
             area: scenario.area,
             sensing: scenario.sensing.clone(),
+            radio: scenario.radio.link(),
             alpha: scenario.events.alpha,
             tau: scenario.tau,
             ttis: scenario.ttis,

@@ -21,12 +21,17 @@ use reveille_common::scenario::{BatteryKnowledge, EnergyModel};
 use reveille_common::sensing::{DetectionKind, Sensing};
 use reveille_common::units::Energy;
 
+use reveille_common::radio::Link;
+
 use crate::knowledge::{DeviceKnowledge, Knowledge};
 
 /// Reports that were to be expected of a device, or of a class, while it was silent, from which on it is taken to be
 /// empty: of those that are well, one in three thousand is silent for so long, exp(−8). It is a few more where events
 /// last, since none starts during another.
 const SILENCE: f64 = 8.0;
+/// How unlikely it has to be that the radio alone kept a device silent, each time that it was asked, until it is taken
+/// to be empty.
+const UNLUCKY: f64 = 0.02;
 /// Circles within d_max, and places on each, over which the reach of a device is summed.
 const CIRCLES: u32 = 16;
 const PLACES: u32 = 32;
@@ -42,6 +47,7 @@ pub struct Levels {
     devices: Vec<Account>,
     classes: Vec<Class>,
     surroundings: Surroundings,
+    radio: Link,
 }
 
 /// What is known of a class of devices, which have their kind of energy source in common.
@@ -93,6 +99,8 @@ struct Account {
     rate: f64,
     /// The sum of them since it was last heard of.
     silence: f64,
+    /// The probability that the radio alone has kept it silent, as often as it must have answered since.
+    luck: f64,
 }
 
 impl Account {
@@ -110,6 +118,7 @@ impl Account {
             doubt: Doubt::default(),
             rate,
             silence: 0.0,
+            luck: 1.0,
         }
     }
 
@@ -159,7 +168,7 @@ impl Account {
         if level > Energy::ZERO && level >= self.energy.e_tx {
             self.doubt.grow(k);
         }
-        (self.next, self.silence) = (k + 1, 0.0);
+        (self.next, self.silence, self.luck) = (k + 1, 0.0, 1.0);
     }
 }
 
@@ -174,7 +183,8 @@ impl Levels {
         };
         if !is_told {
             for (account, device) in levels.devices.iter_mut().zip(&known.devices) {
-                account.rate = known.alpha * share_in_reach(known, device.position);
+                let heard = 1.0 - known.radio.silence();
+                account.rate = known.alpha * heard * share_in_reach(known, device.position);
             }
         }
         levels
@@ -188,6 +198,7 @@ impl Levels {
             of: known.devices.iter().map(|device| device.energy.initial).collect(),
             classes: vec![Class::default(); known.classes.len()],
             devices: known.devices.iter().map(|device| Account::new(device, 0.0)).collect(),
+            radio: known.radio,
             surroundings: Surroundings {
                 buckets: Buckets::new(&positions, known.area, known.sensing.d_max),
                 positions,
@@ -305,20 +316,32 @@ impl Levels {
             });
         }
         for device in empty {
-            self.silent(device, k, plan);
+            self.unheard(device, k, plan, self.radio.silence());
         }
     }
 
     /// `device` has reported `level` in TTI `k`.
     pub fn heard(&mut self, device: DeviceId, k: Tti, level: Energy) {
         let account = &mut self.devices[device.index()];
-        (account.next, account.doubt, account.silence) = (k + 1, Doubt::default(), 0.0);
+        (account.next, account.doubt, account.silence, account.luck) = (k + 1, Doubt::default(), 0.0, 1.0);
         self.classes[usize::from(account.class)] = Class::default();
         self.of[device.index()] = level.min(account.energy.e_max);
     }
 
-    /// `device` has not reported in TTI `k`, in which it must have, if it could: its battery is empty now.
+    /// `device` has not reported in TTI `k`, in which it was woken: its battery is empty now, if it is not that the
+    /// radio has lost the wake-up or the report.
     pub fn silent(&mut self, device: DeviceId, k: Tti, plan: &Plan) {
+        self.unheard(device, k, plan, self.radio.no_answer());
+    }
+
+    /// `device` has not reported in TTI `k`, in which it must have, if it could and the radio, which keeps it silent
+    /// with probability `lost`, let it.
+    fn unheard(&mut self, device: DeviceId, k: Tti, plan: &Plan, lost: f64) {
+        let luck = &mut self.devices[device.index()].luck;
+        *luck *= lost;
+        if *luck > UNLUCKY {
+            return;
+        }
         let (carried, _) = self.carried(device, plan, k + 1);
         self.devices[device.index()].found_empty(carried, k);
         self.of[device.index()] = Energy::ZERO;

@@ -39,6 +39,8 @@ pub enum Happening<'a> {
     EventStarted(&'a ActiveEvent),
     /// A device with δ = 1 has reported the event.
     Reported(&'a Report),
+    /// A device with δ = 1 has reported the event, and the report was lost on its way. Ground truth.
+    Lost(&'a Report),
     /// A device with δ = 1 has detected the event and could not transmit. Ground truth.
     Failed {
         /// The TTI.

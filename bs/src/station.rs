@@ -200,8 +200,9 @@ impl Station {
         if let Some(report) = report {
             view.fuse(report);
         }
-        if let Mind::Policy(policy) = &mut self.mind {
-            policy.answered(&view.at(tti), report);
+        match &mut self.mind {
+            Mind::Policy(policy) => policy.answered(&view.at(tti), report),
+            Mind::Genie(genie) => genie.answered(report),
         }
     }
 }

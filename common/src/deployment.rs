@@ -71,6 +71,7 @@ impl Deployment {
             ttis: scenario.ttis,
             measured_from: scenario.warm_up_end(),
             sensing: scenario.sensing.clone(),
+            radio: scenario.radio,
             devices,
             traces,
         }

@@ -1,8 +1,8 @@
 //! The vocabulary of the Reveille emulator.
 //!
 //! Everything here but [`bus`], [`io`] and [`logging`] is pure: no clock, no entropy, no I/O. The physical world
-//! ([`sensing`], [`harvest`], [`event`]), the scenario that configures it, the messages that cross the bus, and the one
-//! definition of every metric and of the run's digest.
+//! ([`sensing`], [`harvest`], [`event`], [`radio`]), the scenario that configures it, the messages that cross the bus,
+//! and the one definition of every metric and of the run's digest.
 
 #[cfg(feature = "bus")]
 pub mod bus;
@@ -21,7 +21,9 @@ pub mod logging;
 pub mod message;
 #[cfg(test)]
 mod pages;
+pub mod phases;
 pub mod plan;
+pub mod radio;
 pub mod rng;
 pub mod scenario;
 pub mod score;

@@ -43,6 +43,16 @@ pub enum Purpose {
     Phases = 15,
     /// In which order devices take their offsets under the `adjusted` policy (one stream a run).
     Offsets = 16,
+    /// Whether a wake-up radio misses a wake-up (keyed by device and TTI).
+    WakeMiss = 20,
+    /// When a device wakes for nothing.
+    FalseWakes = 21,
+    /// Whether a report is lost on its way (keyed by device and TTI).
+    UplinkLoss = 22,
+    /// Whether a device misses a plan (keyed by device and TTI).
+    PlanLoss = 23,
+    /// The bursts of interference (one stream a run).
+    Interference = 24,
 }
 
 /// A stream of pseudo-random numbers (xoshiro256++), the same on every machine.

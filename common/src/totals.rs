@@ -15,7 +15,7 @@ pub const PICO_PER_INFORMATION: f64 = 1e12;
 pub struct Spent {
     /// In S1: E_idle.
     pub sensing: Energy,
-    /// In S4: E_WuR.
+    /// In S4: E_WuR, and E_idle where a device has woken for nothing.
     pub sleep: Energy,
     /// From S2 to S3: E_Tx.
     pub report: Energy,
@@ -73,6 +73,8 @@ pub struct DeviceTotals {
     pub failed_ttis: u64,
     /// Device-TTIs with δ = 0 in which the battery could not pay E_WuR: the wake-up radio was deaf.
     pub dark_ttis: u64,
+    /// Device-TTIs with δ = 0 in which the device woke for nothing.
+    pub false_wakes: u64,
 }
 
 impl DeviceTotals {
@@ -98,6 +100,7 @@ impl Add for DeviceTotals {
             sensing_ttis: self.sensing_ttis + other.sensing_ttis,
             failed_ttis: self.failed_ttis + other.failed_ttis,
             dark_ttis: self.dark_ttis + other.dark_ttis,
+            false_wakes: self.false_wakes + other.false_wakes,
         }
     }
 }
@@ -129,6 +132,7 @@ impl Sub for DeviceTotals {
             sensing_ttis: self.sensing_ttis - before.sensing_ttis,
             failed_ttis: self.failed_ttis - before.failed_ttis,
             dark_ttis: self.dark_ttis - before.dark_ttis,
+            false_wakes: self.false_wakes - before.false_wakes,
         }
     }
 }
@@ -164,6 +168,7 @@ impl Ledger {
                 && part.sensing_ttis <= whole.sensing_ttis
                 && part.failed_ttis <= part.sensing_ttis.min(whole.failed_ttis)
                 && part.dark_ttis <= whole.dark_ttis
+                && part.false_wakes <= whole.false_wakes
         };
         let outages = u128::from(measured.failed_ttis) + u128::from(measured.dark_ttis);
         whole.closes()
@@ -291,6 +296,8 @@ impl Spread {
 pub struct Missed {
     /// No device stands within `d_max` of the epicentre.
     pub out_of_reach: u64,
+    /// Somebody reported it, and all reports were lost on their way.
+    pub lost: u64,
     /// Somebody detected it, and nobody who did could pay for a report.
     pub unpaid: u64,
     /// Devices stand within `d_max`, and while it lasted none of them detected it: they slept, or could not pay for
@@ -301,8 +308,23 @@ pub struct Missed {
 impl Missed {
     /// All of them.
     pub const fn events(&self) -> u64 {
-        self.out_of_reach + self.unpaid + self.unseen
+        self.out_of_reach + self.lost + self.unpaid + self.unseen
     }
+}
+
+/// What the radio lost in the measured TTIs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Losses {
+    /// Reports that were sent and did not reach the BS.
+    pub reports: u64,
+    /// Wake-ups sent.
+    pub wake_ups: u64,
+    /// Those of them that the device did not hear: its radio missed it or had no power, or it was not asleep.
+    pub unheard: u64,
+    /// Plans sent, one for each device.
+    pub plans: u64,
+    /// Those of them that the device missed.
+    pub missed_plans: u64,
 }
 
 /// The exact totals of the measured part of a run. Every metric follows from them and the scenario.
@@ -320,8 +342,10 @@ pub struct Totals {
     pub delay_p95_ttis: u64,
     /// The control channel: δ, wake-ups and synchronisation, BS → devices.
     pub control: Traffic,
-    /// Reports, devices → BS, of measured TTIs.
+    /// Reports, devices → BS, of measured TTIs, those that arrived.
     pub uplink: Traffic,
+    /// What was lost.
+    pub losses: Losses,
     /// Sums over all devices.
     pub energy: DeviceTotals,
     /// How they differ.
@@ -349,6 +373,7 @@ mod tests {
             sensing_ttis: 12,
             failed_ttis: 2,
             dark_ttis: 4,
+            false_wakes: 2,
         };
         let at_warm_up = DeviceTotals {
             initial: micro(100),
@@ -373,12 +398,13 @@ mod tests {
         let good = ledger();
         assert!(good.is_sound());
         assert_eq!(good.measured.spent.total(), Energy::from_micro(50));
-        let breaks: [fn(&mut Ledger); 6] = [
+        let breaks: [fn(&mut Ledger); 7] = [
             |ledger| ledger.whole.spent.sleep += Energy::from_micro(1),
             |ledger| ledger.measured.spent.report += Energy::from_micro(1),
             |ledger| ledger.measured.low_ttis = 4,
             |ledger| ledger.measured.failed_ttis = 12,
             |ledger| ledger.longest_outage = 7,
+            |ledger| ledger.measured.false_wakes = 3,
             |ledger| ledger.whole.harvested = Energy::from_micro(u64::MAX),
         ];
         for (number, spoil) in breaks.into_iter().enumerate() {

@@ -7,7 +7,8 @@ use crate::deployment::Deployment;
 use crate::event::{ActiveEvent, EventProcess, Stimulus};
 use crate::geometry::{Buckets, Point};
 use crate::ids::{DeviceId, Tti};
-use crate::plan::Plan;
+use crate::plan::{DutyCycle, Plan};
+use crate::radio::{Air, Moment};
 use crate::scenario::Scenario;
 use crate::sensing::Sensing;
 
@@ -15,6 +16,11 @@ use crate::sensing::Sensing;
 pub trait Oracle {
     /// An event has started. Whether anybody is to be woken for it in this TTI.
     fn told(&mut self, stimulus: &Stimulus) -> bool;
+
+    /// Nothing was heard of the event, of which it was told, up to this TTI. Whether anybody is to be woken once more.
+    fn is_told_again(&mut self) -> bool {
+        false
+    }
 }
 
 /// What the world does.
@@ -42,6 +48,9 @@ pub struct World {
     positions: Vec<Point>,
     buckets: Buckets,
     process: EventProcess,
+    air: Air,
+    /// δ as the devices have it, where they may miss plans.
+    heard: Option<Vec<DutyCycle>>,
     current: Option<Current>,
     /// Devices that detect the event under way in any TTI in which they have δ = 1.
     audience: Vec<DeviceId>,
@@ -65,12 +74,39 @@ impl World {
             seed: scenario.seed,
             sensing: scenario.sensing.clone(),
             buckets: Buckets::new(&positions, scenario.area, scenario.sensing.d_max),
+            air: Air::new(scenario.seed, &scenario.radio),
+            heard: None,
             positions,
             process,
             current: None,
             audience: Vec::new(),
             detectors: Vec::new(),
         }
+    }
+
+    /// `plan` goes out on the air in TTI `from`. Gives how many devices miss it: they keep the one that they have.
+    pub fn plan_sent(&mut self, from: Tti, plan: &Plan) -> u64 {
+        if !self.air.loses_plans() {
+            return 0;
+        }
+        let now = self.air.at(from);
+        let heard = self
+            .heard
+            .get_or_insert_with(|| vec![DutyCycle::ASLEEP; self.positions.len()]);
+        let mut missed = 0;
+        for (cycle, device) in heard.iter_mut().zip((0..).map(DeviceId)) {
+            if now.misses_plan(device) {
+                missed += 1;
+            } else {
+                *cycle = plan.duty_cycle(device);
+            }
+        }
+        missed
+    }
+
+    /// The air in TTI `k`, none before that of the last call.
+    pub fn air(&mut self, k: Tti) -> Moment {
+        self.air.at(k)
     }
 
     /// Plays the TTIs from `k` on, up to and not including `horizon`, until one in which a device may react to an event
@@ -95,7 +131,8 @@ impl World {
                 turns.push(Turn::Started(self.start(oracle.as_deref_mut())));
                 continue;
             };
-            if is_told && k == event.start {
+            let mut is_told_again = || oracle.as_deref_mut().is_some_and(Oracle::is_told_again);
+            if is_told && (k == event.start || is_told_again()) {
                 return Some(k);
             }
             let reaction = self.first_reaction(k, plan);
@@ -142,11 +179,16 @@ impl World {
         ends
     }
 
-    /// The first TTI from `k` on in which somebody of the audience has δ = 1; fills the detectors of that TTI.
+    /// The first TTI from `k` on in which somebody of the audience has δ = 1; fills the detectors of that TTI. What a
+    /// device has heard counts, `plan` or one before it.
     fn first_reaction(&mut self, k: Tti, plan: &Plan) -> Tti {
         let mut reaction = Tti::NEVER;
         for &device in &self.audience {
-            let next_on = plan.duty_cycle(device).next_on(k);
+            let cycle = match &self.heard {
+                None => plan.duty_cycle(device),
+                Some(heard) => heard[device.index()],
+            };
+            let next_on = cycle.next_on(k);
             if next_on < reaction {
                 self.detectors.clear();
                 reaction = next_on;

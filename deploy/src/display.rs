@@ -266,6 +266,7 @@ fn missed(summary: &Summary<'_>) -> Option<String> {
     let (events, missed) = (summary.totals.events.events, summary.totals.missed);
     let causes = [
         (missed.unseen, "no device within reach sensed them"),
+        (missed.lost, "all reports were lost on their way"),
         (missed.unpaid, "no device that detected them could pay for a report"),
         (missed.out_of_reach, "no device stands within d_max"),
     ];

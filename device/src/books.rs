@@ -20,6 +20,9 @@ pub struct Books {
     sensing_ttis: u64,
     failed_ttis: u64,
     dark_ttis: u64,
+    false_wakes: u64,
+    /// Those of them that the battery could not pay.
+    failed_false_wakes: u64,
     transmissions: u64,
     /// What failed actions drained.
     drained: Spent,
@@ -45,6 +48,8 @@ impl Books {
             sensing_ttis: 0,
             failed_ttis: 0,
             dark_ttis: 0,
+            false_wakes: 0,
+            failed_false_wakes: 0,
             transmissions: 0,
             drained,
             battery_sum: 0,
@@ -106,6 +111,15 @@ impl Books {
         self.low_ttis += low;
     }
 
+    /// The device has woken for nothing in a TTI with δ = 0. What that costs is the price of listening: it goes to S4.
+    pub fn false_wake(&mut self, paid: Paid) {
+        self.false_wakes += 1;
+        if let Err(drained) = paid {
+            self.failed_false_wakes += 1;
+            self.drained.sleep += drained;
+        }
+    }
+
     /// The device has tried to transmit.
     pub fn transmission(&mut self, paid: Paid) {
         match paid {
@@ -128,7 +142,9 @@ impl Books {
             harvested: battery.harvested(),
             spent: Spent {
                 sensing: prices.e_idle.times(self.sensing_ttis - self.failed_ttis) + self.drained.sensing,
-                sleep: prices.e_wur.times(asleep - self.dark_ttis) + self.drained.sleep,
+                sleep: prices.e_wur.times(asleep - self.dark_ttis)
+                    + prices.e_idle.times(self.false_wakes - self.failed_false_wakes)
+                    + self.drained.sleep,
                 report: prices.e_tx.times(self.transmissions) + self.drained.report,
             },
             overflow: battery.overflow(),
@@ -138,6 +154,7 @@ impl Books {
             sensing_ttis: self.sensing_ttis,
             failed_ttis: self.failed_ttis,
             dark_ttis: self.dark_ttis,
+            false_wakes: self.false_wakes,
         }
     }
 

@@ -3,5 +3,6 @@
 
 pub mod battery;
 pub mod books;
+mod ears;
 pub mod host;
 pub mod machine;

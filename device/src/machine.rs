@@ -13,7 +13,8 @@
 //!            wake-up heard (WuR powered)
 //! ```
 //! A device that cannot pay for S1 or for its wake-up radio ends up with an empty battery, in S4, deaf until the next
-//! TTI.
+//! TTI. One that wakes for nothing, as its wake-up radio fails, goes S4 → S2 → S4 within a TTI, for E_idle on top of
+//! E_WuR; unless that empties its battery it hears a wake-up in that TTI like any other in S4.
 //!
 //! The machine is lazy: TTIs in which nothing but harvest and δ happens are caught up with, exactly and many at a time,
 //! when the device is next needed ([`Machine::settle`], [`Machine::begin`]).
@@ -27,6 +28,7 @@ use reveille_common::harvest::{HarvestSource, Sources};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Checkpoint, DeviceSetup, Failure, Report, WakeOutcome};
 use reveille_common::plan::DutyCycle;
+use reveille_common::radio::Radio;
 use reveille_common::scenario::EnergyModel;
 use reveille_common::sensing::Sensing;
 use reveille_common::state::{DeviceState, DeviceView};
@@ -36,6 +38,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::battery::Battery;
 use crate::books::Books;
+use crate::ears::Ears;
 
 /// TTIs that are caught up with at a time: levels of up to 10¹⁰ micro-units, summed over that many, fit in 64 bits.
 const LONGEST_SPAN: u64 = 1 << 13;
@@ -58,6 +61,8 @@ pub struct Physics {
     pub seed: u64,
     /// The sensing model.
     pub sensing: Sensing,
+    /// How the radio fails.
+    pub radio: Radio,
     /// What the energy sources share.
     pub sources: Sources,
     /// The first measured TTI: what happens before it is warm-up.
@@ -71,6 +76,7 @@ impl Physics {
         seed: u64,
         measured_from: Tti,
         sensing: Sensing,
+        radio: Radio,
         devices: &[DeviceSetup],
         traces: Vec<Arc<Vec<Energy>>>,
     ) -> Self {
@@ -78,6 +84,7 @@ impl Physics {
             seed,
             measured_from,
             sensing,
+            radio,
             sources: Sources::new(devices.iter().map(|d| &d.harvest), traces),
         }
     }
@@ -109,11 +116,16 @@ pub struct Machine {
     /// Whether TTI `next - 1` still waits for its end, when the battery is accounted.
     open: bool,
     books: Books,
+    /// Its wake-up radio, where that fails.
+    ears: Option<Box<Ears>>,
+    /// The first TTI from `next` on in which it wakes for nothing if it is in S4.
+    false_wake: Tti,
 }
 
 impl Machine {
     /// The device of `setup` before TTI 0, asleep until a plan says otherwise.
     pub fn new(setup: &DeviceSetup, physics: &Physics) -> Self {
+        let ears = Ears::of(physics.seed, &physics.radio, setup.id);
         Self {
             id: setup.id,
             position: setup.position,
@@ -125,6 +137,8 @@ impl Machine {
             next: Tti::ZERO,
             open: false,
             books: Books::new(physics.measured_from),
+            false_wake: ears.as_ref().map_or(Tti::NEVER, |ears| ears.false_wake()),
+            ears,
         }
     }
 
@@ -153,15 +167,14 @@ impl Machine {
         while machine.source.next() < kept.next {
             machine.source.take();
         }
+        while machine.false_wake < kept.next {
+            let Some(ears) = &mut machine.ears else { break };
+            machine.false_wake = ears.take_false_wake();
+        }
         (machine.battery, machine.books) = (kept.battery, kept.books);
         (machine.duty, machine.state) = (kept.duty, kept.state);
         (machine.next, machine.open) = (kept.next, kept.open);
         Ok(machine)
-    }
-
-    /// δ as the device has it.
-    pub const fn duty(&self) -> DutyCycle {
-        self.duty
     }
 
     /// Its number.
@@ -177,6 +190,11 @@ impl Machine {
     /// Its battery level after the last step taken.
     pub const fn battery(&self) -> Energy {
         self.battery.level()
+    }
+
+    /// Its duty cycle.
+    pub const fn duty(&self) -> DutyCycle {
+        self.duty
     }
 
     /// Its state and battery level after the last step taken.
@@ -216,6 +234,17 @@ impl Machine {
 
     fn catch_up(&mut self, k: Tti) {
         self.end_open();
+        while self.false_wake < k {
+            let then = self.false_wake;
+            self.pass(then);
+            self.start(then);
+            self.end_open();
+        }
+        self.pass(k);
+    }
+
+    /// The TTIs before `k`, in none of which it wakes for nothing.
+    fn pass(&mut self, k: Tti) {
         let mut phase = self.duty.phase(self.next);
         while self.next < k {
             if self.source.next() == self.next {
@@ -232,6 +261,11 @@ impl Machine {
             return;
         }
         self.settle(k);
+        self.start(k);
+    }
+
+    /// The same for the TTI that comes next.
+    fn start(&mut self, k: Tti) {
         if self.source.next() == k {
             self.battery.harvest(self.source.take());
         }
@@ -244,8 +278,22 @@ impl Machine {
             (Ok(()), false) => DeviceState::Sleep { powered: true },
             (Err(_), _) => DeviceState::Sleep { powered: false },
         };
+        if self.false_wake == k {
+            self.wake_for_nothing();
+        }
         self.next = k + 1;
         self.open = true;
+    }
+
+    fn wake_for_nothing(&mut self) {
+        if let Some(ears) = &mut self.ears {
+            self.false_wake = ears.take_false_wake();
+        }
+        if self.state == (DeviceState::Sleep { powered: true }) {
+            let paid = self.battery.pay(self.costs.e_idle);
+            self.books.false_wake(paid);
+            self.state = DeviceState::Sleep { powered: paid.is_ok() };
+        }
     }
 
     /// Steps 4 and 5 of TTI `k`: senses `stimulus` and transmits. TTI `k` is begun if it was not.
@@ -269,17 +317,21 @@ impl Machine {
     /// not.
     pub fn wake(&mut self, k: Tti, stimulus: &Stimulus, physics: &Physics) -> WakeOutcome {
         self.begin(k);
+        let is_missed = self.misses_wake_up(k);
         match self.state {
-            DeviceState::Sleep { powered: true } => {
+            DeviceState::Sleep { powered: true } if !is_missed => {
                 let d = self.position.distance(stimulus.epicentre);
                 self.transmit(k, d, physics)
                     .map_or_else(WakeOutcome::Failed, WakeOutcome::Reported)
             }
-            DeviceState::Sleep { powered: false }
-            | DeviceState::Idle
-            | DeviceState::Active
-            | DeviceState::Transmission => WakeOutcome::Unheard,
+            DeviceState::Sleep { .. } | DeviceState::Idle | DeviceState::Active | DeviceState::Transmission => {
+                WakeOutcome::Unheard
+            }
         }
+    }
+
+    fn misses_wake_up(&mut self, k: Tti) -> bool {
+        self.ears.as_mut().is_some_and(|ears| ears.misses_wake_up(k))
     }
 
     /// The device's sums over all TTIs that have ended.

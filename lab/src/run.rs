@@ -8,6 +8,7 @@ use reveille_bs::outcome::Outcome;
 use reveille_bs::prepared::Prepared;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Checkpoint, Failure, Report};
+use reveille_common::radio::Air;
 use reveille_common::score::{Accounts, WindowRecord};
 use reveille_common::state::DeviceView;
 use reveille_common::totals::Ledger;
@@ -37,6 +38,7 @@ pub struct Run {
     cycle: Cycle,
     machines: Vec<Machine>,
     physics: Physics,
+    air: Air,
     boundaries: Boundaries,
     accounts: Accounts,
     options: Options,
@@ -69,6 +71,7 @@ impl Run {
             scenario.seed,
             scenario.warm_up_end(),
             scenario.sensing.clone(),
+            scenario.radio,
             &deployment.devices,
             deployment.traces.clone(),
         );
@@ -81,6 +84,7 @@ impl Run {
                 .map(|setup| Machine::new(setup, &physics))
                 .collect(),
             accounts: Accounts::new(deployment),
+            air: Air::new(scenario.seed, &scenario.radio),
             physics,
             boundaries,
             options,
@@ -182,6 +186,7 @@ impl Run {
             cycle,
             machines,
             physics,
+            air,
             reports,
             failures,
             plan_from,
@@ -203,7 +208,8 @@ impl Run {
         let granted = cycle.grant(horizon.min(limit), observer);
         if let Some(update) = &granted.update {
             *plan_from = Some(update.from);
-            for machine in machines.iter_mut() {
+            let air = air.at(update.from);
+            for machine in machines.iter_mut().filter(|machine| !air.misses_plan(machine.id())) {
                 machine.set_duty(update.from, update.plan.duty_cycle(machine.id()));
             }
         }

@@ -229,6 +229,7 @@ pub(super) fn duty_of(scenario: &Scenario, entry: &Entry, points: &[Point]) -> D
         schedule: settings.schedule,
         alpha: scenario.events.alpha,
         lookback: settings.lookback,
+        lost: 0.0,
     };
     let energies = vec![scenario.classes[0].energy; points.len()];
     Duty::new(

@@ -47,6 +47,10 @@ const FURTHER: [(&str, &str); 6] = [
     ("genie", "--set events.process=aftershocks"),
 ];
 
+/// Everything that the radio can do wrong at once.
+const FAILING: &str = "--set radio.wake_miss=0.3 --set radio.false_wake=0.02 --set radio.uplink_loss=0.2 \
+                       --set radio.plan_loss=0.2 --set radio.interference=bursts --set bs.sync_interval=37";
+
 fn digest(args: &str) -> String {
     Folder::new().summary(args).digest().to_owned()
 }
@@ -118,6 +122,15 @@ fn ways_agree_on_further_settings() {
         assert!(registry::named(policy).is_some(), "FURTHER names {policy}");
         agreed("paper", &format!("{policy} {settings}"), &FEW_WAYS);
     }
+}
+
+#[test]
+fn ways_agree_on_a_radio_that_fails() {
+    for policy in registry::names() {
+        let failing = agreed("paper", &format!("{policy} {FAILING}"), &FEW_WAYS);
+        assert_ne!(failing, digest(&format!("run -p {policy} {SMALL}")), "{policy}");
+    }
+    agreed("paper", &format!("knn {FAILING}"), &WAYS);
 }
 
 #[test]

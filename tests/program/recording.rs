@@ -36,8 +36,17 @@ fn a_long_run_is_verified_too() {
 
 #[test]
 fn memory_and_bus_record_the_same_air_and_truth() {
+    are_the_same("-p knn -n 20 -k 400 --set events.alpha=0.4 --record-states 60 --quiet");
+    // Also where messages are lost, which recordings then tell.
+    are_the_same(
+        "-p knn -n 20 -k 400 --set events.alpha=0.4 --record-states 60 --quiet --set radio.wake_miss=0.2 \
+         --set radio.uplink_loss=0.3 --set radio.false_wake=0.02 --set radio.plan_loss=0.3 --set bs.sync_interval=50",
+    );
+}
+
+/// Whether the run with these options is recorded alike however it is driven, and can be verified.
+fn are_the_same(run: &str) {
     let folder = Folder::new();
-    let run = "-p knn -n 20 -k 400 --set events.alpha=0.4 --record-states 60 --quiet";
     let mut digests = Vec::new();
     for (name, command) in [("m", "run"), ("b", "up -P 3"), ("o", "up -P 0 --no-lookahead")] {
         let end = folder.run(&format!("{command} {run} --record {name}.mcap --out {name}"));

@@ -61,8 +61,8 @@ def of_events(rows: list[dict[str, str]], alpha: float, ttis: int) -> dict[str, 
 
 
 def causes(rows: list[dict[str, str]], devices: list[dict[str, str]], d_max: float) -> dict[str, int]:
-    """Why counted events were missed."""
-    found = {"out_of_reach": 0, "unpaid": 0, "unseen": 0}
+    """Why counted events were missed, where the radio loses nothing."""
+    found = {"out_of_reach": 0, "lost": 0, "unpaid": 0, "unseen": 0}
     places = [(float(device["x_m"]), float(device["y_m"])) for device in devices]
     for row in rows:
         if row["counted"] != "1" or row["reports"] != "0":

@@ -7,6 +7,7 @@
 
 mod age_index;
 mod clusters;
+mod device;
 mod estimate;
 mod events;
 mod harvest;
@@ -14,6 +15,7 @@ mod least;
 mod plane;
 mod policy;
 mod q_learning;
+mod radio;
 mod search;
 mod world;
 
@@ -22,12 +24,13 @@ use reveille_common::scenario::Scenario;
 
 pub use age_index::AgeIndex;
 pub use clusters::clusters;
+pub use device::State;
 pub use least::least_information;
 pub use policy::Policy;
 pub use q_learning::{Sequential, choose_by_ages};
 pub use search::own_search;
+pub use world::Run;
 use world::{Ground, play};
-pub use world::{Run, State};
 
 /// The reference's run of `scenario`.
 pub fn simulate(scenario: &Scenario) -> Run {

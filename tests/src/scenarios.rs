@@ -20,8 +20,9 @@ pub fn scenario(text: &str) -> Scenario {
 
 /// Any small scenario.
 pub fn small() -> impl Strategy<Value = String> {
-    (shape(), world(), events(), policy(), energy_and_harvest())
-        .prop_map(|(shape, world, events, policy, energy)| format!("{shape}{world}{events}{policy}{energy}"))
+    (shape(), world(), events(), radio(), policy(), energy_and_harvest()).prop_map(
+        |(shape, world, events, radio, policy, energy)| format!("{shape}{world}{events}{radio}{policy}{energy}"),
+    )
 }
 
 /// Any small scenario under the policy called `name`, one of those that [`small`] has.
@@ -147,6 +148,26 @@ fn process() -> impl Strategy<Value = (&'static str, String)> {
     });
     let uniform = Just(("uniform", String::new()));
     prop_oneof![uniform, hot_spots, aftershocks, bursts]
+}
+
+/// A radio that never fails, as often as not, or one that fails in some ways.
+fn radio() -> impl Strategy<Value = String> {
+    let p = || prop_oneof![3 => Just(0.0), 3 => 0.0..0.5f64, 1 => Just(1.0)];
+    let ttis = || prop_oneof![1 => Just(1.0), 4 => 1.0..25.0f64];
+    let bursts = proptest::option::weighted(0.3, (ttis(), ttis(), prop_oneof![Just(1.0), 0.0..1.0f64]));
+    let failing = (p(), p(), p(), p(), bursts).prop_map(|(wake, startled, uplink, plan, bursts)| {
+        let bursts = bursts.map_or_else(String::new, |(burst, quiet, loss)| {
+            format!(
+                "interference = \"bursts\"\n[radio.bursts]\nburst_ttis = {burst:?}\nquiet_ttis = {quiet:?}\n\
+                 loss = {loss:?}\n"
+            )
+        });
+        format!(
+            "[radio]\nwake_miss = {wake:?}\nfalse_wake = {startled:?}\nuplink_loss = {uplink:?}\n\
+             plan_loss = {plan:?}\n{bursts}"
+        )
+    });
+    prop_oneof![Just(String::new()), failing]
 }
 
 fn policy() -> impl Strategy<Value = String> {

@@ -27,6 +27,7 @@ impl Observer for Heard {
             | Happening::Granted(_)
             | Happening::EventStarted(_)
             | Happening::EventEnded(_)
+            | Happening::Lost(_)
             | Happening::Failed { .. }
             | Happening::Woken { .. }
             | Happening::Closed(_)

@@ -39,6 +39,7 @@ impl Observer for Watch {
             Happening::Granted(_)
             | Happening::EventStarted(_)
             | Happening::Reported(_)
+            | Happening::Lost(_)
             | Happening::Failed { .. }
             | Happening::Woken { .. }
             | Happening::Closed(_)

@@ -41,6 +41,7 @@ impl Observer for Watch {
             Happening::Granted(_)
             | Happening::EventStarted(_)
             | Happening::Reported(_)
+            | Happening::Lost(_)
             | Happening::Failed { .. }
             | Happening::WakeUp { .. }
             | Happening::Woken { .. }

@@ -37,6 +37,7 @@ fn terms(lookback: Lookback) -> Terms {
         },
         alpha: 0.2,
         lookback,
+        lost: 0.0,
     }
 }
 

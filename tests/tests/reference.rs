@@ -8,7 +8,7 @@ use proptest::test_runner::{Config, TestRunner};
 use reveille_common::event::EventRecord;
 use reveille_common::scenario::Scenario;
 use reveille_common::score::{Acts, Metrics};
-use reveille_common::totals::{DeviceTotals, Totals};
+use reveille_common::totals::{DeviceTotals, Losses, Totals};
 use reveille_tests::reference::Run;
 use reveille_tests::{compare, reference, scenarios};
 
@@ -33,6 +33,7 @@ proptest! {
         });
         prop_assert_eq!(acts.collect::<Vec<_>>(), expected.acts.clone(), "what devices did\n{}", text);
         prop_assert_eq!(outcome.totals.energy, expected.measured, "measured energy\n{}", text);
+        prop_assert_eq!(outcome.totals.losses, expected.losses, "what was lost\n{}", text);
         prop_assert_eq!(outcome.totals.events, expected.totals, "event totals\n{}", text);
         prop_assert_eq!(outcome.totals.devices, u64::from(scenario.devices));
         prop_assert_eq!(outcome.totals.ttis, scenario.ttis - warm_up_end(&scenario));
@@ -84,6 +85,14 @@ fn random_scenarios_come_to_everything() {
         add("runs with low batteries", u64::from(run.measured.low_ttis > 0));
         add("runs with batteries to spare", u64::from(run.measured.low_ttis == 0));
         add("unheard", run.unheard);
+        add("reports lost", run.losses.reports);
+        add("plans missed", run.losses.missed_plans);
+        add(
+            "runs with wake-ups for nothing",
+            u64::from(run.measured.false_wakes > 0),
+        );
+        add("radios that never fail", u64::from(scenario.radio.is_perfect()));
+        add("bursts of interference", u64::from(scenario.radio.bursts.is_some()));
         add("wake-ups spared", run.spared);
         for event in &run.events {
             let tally = &event.tally;
@@ -149,6 +158,7 @@ fn same_metrics(scenario: &Scenario, run: &Run, totals: &Totals, metrics: &Metri
         ("ctl_msgs_per_tti", totals.control.messages as f64 / ttis),
         ("uplink_bytes_per_tti", totals.uplink.bytes as f64 / ttis),
     ]);
+    rows.extend(lost(run, n, ttis));
     prop_assert_eq!(metrics.rows().len(), rows.len());
     for (name, value) in rows {
         let Some(shown) = metrics.value(name) else {
@@ -158,6 +168,24 @@ fn same_metrics(scenario: &Scenario, run: &Run, totals: &Totals, metrics: &Metri
         prop_assert!(same, "{}: {} and not {}", name, shown, value);
     }
     Ok(())
+}
+
+fn lost(run: &Run, n: f64, ttis: f64) -> Vec<Row> {
+    let Losses {
+        reports,
+        wake_ups,
+        unheard,
+        plans,
+        missed_plans,
+    } = run.losses;
+    let pct = |part: u64, whole: u64| part as f64 / whole as f64 * 100.0;
+    let asleep = (n * ttis).round() as u64 - run.measured.sensing_ttis;
+    vec![
+        ("lost_reports_pct", pct(reports, reports + run.arrived)),
+        ("unheard_wake_ups_pct", pct(unheard, wake_ups)),
+        ("missed_plans_pct", pct(missed_plans, plans)),
+        ("false_wakes_pct", pct(run.measured.false_wakes, asleep)),
+    ]
 }
 
 type Row = (&'static str, f64);

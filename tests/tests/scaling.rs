@@ -31,6 +31,7 @@ impl Observer for Heard {
             }
             Happening::Granted(_)
             | Happening::EventStarted(_)
+            | Happening::Lost(_)
             | Happening::Failed { .. }
             | Happening::Woken { .. }
             | Happening::Closed(_)

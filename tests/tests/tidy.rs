@@ -29,10 +29,10 @@ const MAY_USE: [(&str, &[&str]); 8] = [
 const LAYERS_OF_COMMON: [&[&str]; 13] = [
     &["codec", "units"],
     &["ids", "totals"],
-    &["plan", "rng", "state"],
+    &["phases", "plan", "rng", "state"],
     &["columns", "declare", "io"],
     &["energy", "geometry"],
-    &["harvest", "sensing"],
+    &["harvest", "radio", "sensing"],
     &["event"],
     &["scenario"],
     &["message"],

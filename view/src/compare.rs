@@ -15,10 +15,11 @@ use crate::line::{Line, whose};
 use crate::recording::{Reader, RecordingError};
 
 /// The kinds that are compared, in the order in which they come about in a TTI.
-pub const COMPARED: [MessageKind; 6] = [
+pub const COMPARED: [MessageKind; 7] = [
     MessageKind::Plan,
     MessageKind::Event,
     MessageKind::Report,
+    MessageKind::Lost,
     MessageKind::Failed,
     MessageKind::Wake,
     MessageKind::Woken,
@@ -348,7 +349,7 @@ mod tests {
         let this = frames(&[], true);
         for kind in COMPARED {
             let Some(at) = this.iter().rposition(|frame| frame.kind == kind) else {
-                assert_eq!(kind, MessageKind::Failed);
+                assert!(matches!(kind, MessageKind::Lost | MessageKind::Failed), "{kind:?}");
                 continue;
             };
             let mut other = this.clone();

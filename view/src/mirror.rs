@@ -10,6 +10,7 @@ use reveille_common::event::Stimulus;
 use reveille_common::ids::{DeviceId, MAX_TTIS, Tti};
 use reveille_common::message::{Failure, Frame, Message, PlanUpdate, Report, WakeOutcome, World};
 use reveille_common::plan::Plan;
+use reveille_common::radio::Air;
 use reveille_common::scenario::Scenario;
 use reveille_common::state::{DeviceState, DeviceView};
 use reveille_common::totals::Ledger;
@@ -30,6 +31,9 @@ pub struct Discrepancy {
 pub struct Mirror {
     machines: Vec<Machine>,
     physics: Physics,
+    air: Air,
+    /// How many devices have missed the last plan.
+    missed: u64,
     plan: Option<Plan>,
     /// The TTIs that the devices go through, once there are any.
     world: Option<World>,
@@ -49,6 +53,7 @@ impl Mirror {
             scenario.seed,
             scenario.warm_up_end(),
             scenario.sensing.clone(),
+            scenario.radio,
             &deployment.devices,
             deployment.traces.iter().map(Arc::clone).collect(),
         );
@@ -58,6 +63,8 @@ impl Mirror {
                 .iter()
                 .map(|setup| Machine::new(setup, &physics))
                 .collect(),
+            air: Air::new(scenario.seed, &scenario.radio),
+            missed: 0,
             physics,
             plan: None,
             world: None,
@@ -76,6 +83,11 @@ impl Mirror {
     /// The plan in force.
     pub const fn plan(&self) -> Option<&Plan> {
         self.plan.as_ref()
+    }
+
+    /// How many devices have missed the last plan.
+    pub const fn missed_plans(&self) -> u64 {
+        self.missed
     }
 
     /// What the world shows in the TTI that the devices have reached, if any device might react to it.
@@ -158,7 +170,8 @@ impl Mirror {
         match message {
             Message::Plan(update) => self.command(update),
             Message::World(world) => self.play(*world),
-            Message::Report(report) => self.heard(report),
+            Message::Report(report) => self.heard(report, false),
+            Message::Lost(lost) => self.heard(&lost.report, true),
             Message::Failed(failed) => {
                 let own = |failure: &Failure| *failure == failed.failure;
                 let at = self.failures.iter().position(own);
@@ -224,8 +237,14 @@ impl Mirror {
         if update.from != next {
             return Err(format!("a plan from TTI {} on comes before TTI {next}", update.from));
         }
+        let air = self.air.at(update.from);
+        self.missed = 0;
         for machine in &mut self.machines {
-            machine.set_duty(update.from, update.plan.duty_cycle(machine.id()));
+            if air.misses_plan(machine.id()) {
+                self.missed += 1;
+            } else {
+                machine.set_duty(update.from, update.plan.duty_cycle(machine.id()));
+            }
         }
         self.plan = Some(update.plan.clone());
         Ok(())
@@ -235,12 +254,12 @@ impl Mirror {
     fn play(&mut self, world: World) -> Result<(), String> {
         self.end_tti()?;
         self.fits(&world)?;
-        let Some(plan) = &self.plan else {
+        if self.plan.is_none() {
             return Err("there is no plan yet".to_owned());
-        };
+        }
         if let Some(stimulus) = &world.stimulus {
             for machine in &mut self.machines {
-                if !plan.duty_cycle(machine.id()).is_on(world.last) {
+                if !machine.duty().is_on(world.last) {
                     continue;
                 }
                 match machine.sense(world.last, stimulus, &self.physics) {
@@ -264,7 +283,8 @@ impl Mirror {
         })
     }
 
-    fn heard(&mut self, report: &Report) -> Result<(), String> {
+    /// What a device has sent has arrived, or `is_lost`.
+    fn heard(&mut self, report: &Report, is_lost: bool) -> Result<(), String> {
         if let Some((device, WakeOutcome::Reported(own))) = &self.waking
             && *device == report.device
         {
@@ -278,10 +298,14 @@ impl Mirror {
         let at = self.reports.iter().position(|own| own.device == report.device);
         let at = at.ok_or_else(|| format!("a report of device {}, which has sent none", report.device))?;
         let own = self.reports.remove(at);
-        if own == *report {
+        if own != *report {
+            return Err(format!("device {} reported: {own}; not: {report}", own.device));
+        }
+        if self.air.at(report.tti).loses_report(own.device) == is_lost {
             Ok(())
         } else {
-            Err(format!("device {} reported: {own}; not: {report}", own.device))
+            let came = if is_lost { "arrived" } else { "was lost" };
+            Err(format!("the report of device {} {came}", own.device))
         }
     }
 
@@ -291,7 +315,10 @@ impl Mirror {
         let device = number.map(DeviceId).ok_or("a wake-up for nobody")?;
         let machine = self.machines.get_mut(device.index());
         let machine = machine.ok_or_else(|| format!("a wake-up for device {device}, which there is not"))?;
-        let outcome = machine.wake(world.last, &stimulus, &self.physics);
+        let air = self.air.at(world.last);
+        let outcome = machine
+            .wake(world.last, &stimulus, &self.physics)
+            .over(|device| air.loses_report(device));
         self.has_reported = false;
         match self.waking.replace((device, outcome)) {
             None => Ok(()),

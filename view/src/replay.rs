@@ -120,6 +120,8 @@ impl Replay {
             Message::Plan(update) => {
                 let is_new = self.plan.as_ref() != Some(&update.plan);
                 self.score.plan(&update, is_new, codec::encoded_len(&update));
+                let devices = u64::from(self.scenario.devices);
+                self.score.plan_missed(update.from, devices, self.mirror.missed_plans());
                 self.plan = Some(update.plan);
             }
             Message::Event(EventNews::Started(event)) => {
@@ -137,6 +139,10 @@ impl Replay {
                     self.under_way()?;
                     self.score.reported(&report);
                 }
+            }
+            Message::Lost(lost) => {
+                self.under_way()?;
+                self.score.lost(&lost.report);
             }
             Message::Failed(failed) => {
                 self.under_way()?;

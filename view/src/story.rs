@@ -55,6 +55,8 @@ pub struct Moment {
     pub ended: Option<EventRecord>,
     /// Devices that reported by themselves.
     pub reported: Vec<DeviceId>,
+    /// Devices that reported by themselves, and whose reports were lost.
+    pub lost: Vec<DeviceId>,
     /// Devices that detected the event and could not pay for a report.
     pub failed: Vec<DeviceId>,
     /// Devices that were woken, in this order, and what came of it.
@@ -319,8 +321,9 @@ fn on(run: &Replay, tti: Tti, devices: usize) -> Vec<bool> {
 
 impl Moment {
     /// The kinds that it notes.
-    const NOTED: [MessageKind; 5] = [
+    const NOTED: [MessageKind; 6] = [
         MessageKind::Report,
+        MessageKind::Lost,
         MessageKind::Failed,
         MessageKind::Woken,
         MessageKind::Belief,
@@ -330,6 +333,8 @@ impl Moment {
     fn note(&mut self, frame: &Frame, message: &Message) {
         if let Message::Report(report) = message {
             self.reported.push(report.device);
+        } else if let Message::Lost(lost) = message {
+            self.lost.push(lost.report.device);
         } else if let Message::Failed(failed) = message {
             self.failed.push(failed.failure.device);
         } else if let (Message::Woken(woken), Some(number)) = (message, frame.number) {

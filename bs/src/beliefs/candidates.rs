@@ -38,7 +38,9 @@ impl Candidates {
                 let correlation = Correlation::new(sensing, &known.grids);
                 Order::P42(Ranking::new(&positions, area, correlation))
             }
-            WakeUpRanking::Posterior => Order::Posterior(Belief::new(&positions, area, sensing)),
+            WakeUpRanking::Posterior => {
+                Order::Posterior(Belief::new(&positions, area, sensing).losing(known.radio.silence()))
+            }
         })
     }
 
@@ -86,6 +88,10 @@ impl Candidates {
 
     /// As [`Self::add`], with the prior that the event began with.
     pub fn add_with(&mut self, seen: &Observation<'_>, report: &Report, prior: impl Fn(Point) -> f64) {
+        if let Order::P42(ranking) = &mut self.0 {
+            // It is awake, perhaps by an old plan as it has missed the one by which it sleeps.
+            ranking.take_out(report.device);
+        }
         let distance = seen.known.sensing.distance(report.information);
         match (&mut self.0, distance) {
             (Order::P42(ranking), Some(d)) => ranking.add_reporter(report.device, d),

@@ -33,6 +33,8 @@ pub struct Belief {
     sensing: Sensing,
     /// What a wake-up in vain counts as a loss of, information.
     in_vain: f64,
+    /// The weight of a place within reach of a device that should have detected an event there and is silent.
+    silence: f64,
     area: Area,
     positions: Vec<Point>,
     buckets: Buckets,
@@ -104,6 +106,7 @@ impl Belief {
         Self {
             sensing: sensing.clone(),
             in_vain: 0.0,
+            silence: SILENCE,
             area,
             buckets: Buckets::new(positions, area, sensing.d_max),
             is_given_out: vec![false; positions.len()],
@@ -122,6 +125,15 @@ impl Belief {
     #[must_use]
     pub fn charging(self, in_vain: f64) -> Self {
         Self { in_vain, ..self }
+    }
+
+    /// As before, where the radio keeps a device that should have reported silent with probability `lost`, `[0, 1]`.
+    #[must_use]
+    pub fn losing(self, lost: f64) -> Self {
+        Self {
+            silence: SILENCE + (1.0 - SILENCE) * lost,
+            ..self
+        }
     }
 
     /// Begins an event.
@@ -375,8 +387,8 @@ impl Belief {
                 return 1.0;
             }
             match self.sensing.kind {
-                DetectionKind::Range => SILENCE,
-                DetectionKind::Probabilistic => 1.0 - (1.0 - SILENCE) * self.sensing.p(d),
+                DetectionKind::Range => self.silence,
+                DetectionKind::Probabilistic => 1.0 - (1.0 - self.silence) * self.sensing.p(d),
             }
         };
         let ruled_out = self.far.iter().filter(|device| device.distance(at) <= d_max);

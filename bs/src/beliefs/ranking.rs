@@ -66,6 +66,11 @@ impl Ranking {
         self.await_band(reporter, 0);
     }
 
+    /// `device` is not to be given out for this event.
+    pub fn take_out(&mut self, device: DeviceId) {
+        self.given_out[device.index()] = self.event;
+    }
+
     /// Gives out the candidate with the largest `P_4,2` for which `is_candidate` holds (one in S4 that the policy may
     /// wake), if any has at least p(`d_max`), with that probability to eight digits.
     pub fn next(&mut self, is_candidate: impl Fn(DeviceId) -> bool) -> Option<(DeviceId, f64)> {

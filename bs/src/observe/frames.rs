@@ -4,7 +4,7 @@
 
 use reveille_common::ids::Tti;
 use reveille_common::message::{
-    Belief, EventNews, FailedReport, Frame, Report, States, WakeOutcome, WakeUp, Woken, World,
+    Belief, EventNews, FailedReport, Frame, LostReport, Report, States, WakeOutcome, WakeUp, Woken, World,
 };
 
 use super::{Happening, Observer};
@@ -36,6 +36,7 @@ impl Frames {
             }
             Happening::EventStarted(event) => take(Frame::of(event.start, (), &EventNews::Started(*event))),
             Happening::Reported(report) => take(Frame::of(report.tti, report.device, report)),
+            Happening::Lost(report) => take(Frame::of(report.tti, report.device, &LostReport { report: *report })),
             Happening::Failed { tti, failure } => {
                 take(Frame::of(tti, failure.device, &FailedReport { failure: *failure }));
             }

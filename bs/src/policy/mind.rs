@@ -1,6 +1,7 @@
 //! Who decides for a base station: a policy, or the genie.
 
 use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::Report;
 use reveille_common::plan::Plan;
 use reveille_common::world::Oracle;
 
@@ -14,6 +15,9 @@ pub trait Bound: Oracle + Send {
 
     /// Whom to wake in this TTI, or nobody else.
     fn next_wake_up(&mut self) -> Option<DeviceId>;
+
+    /// What the last wake-up brought.
+    fn answered(&mut self, report: Option<&Report>);
 }
 
 /// Who decides for a base station. Ground truth reaches the genie alone, by construction.

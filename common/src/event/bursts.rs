@@ -2,7 +2,8 @@
 
 use crate::declare::{ABOVE_ZERO, PROBABILITY, Range, number};
 use crate::ids::{EventId, Tti};
-use crate::rng::{Geometric, Purpose, Stream};
+use crate::phases::{Phase, Phases};
+use crate::rng::{Purpose, Stream};
 
 /// Mean lengths of phases. None is shorter than a TTI.
 const LENGTH: Range = Range::closed(1.0, 1e9);
@@ -36,7 +37,7 @@ impl Bursts {
         if first >= end {
             return self.alpha();
         }
-        let mut phases = Phases::new(self, seed);
+        let mut phases = self.phases(seed);
         let (mut k, mut busy) = (first, 0);
         while k < end {
             let phase = phases.at(k);
@@ -48,65 +49,15 @@ impl Bursts {
         }
         mean_alpha(self, busy as f64, (end - first - busy) as f64)
     }
+
+    fn phases(&self, seed: u64) -> Phases {
+        Phases::new(Stream::new(seed, Purpose::Phases, 0), self.busy_ttis, self.quiet_ttis)
+    }
 }
 
 /// The mean of both probabilities over `busy` and `quiet` TTIs.
 fn mean_alpha(settings: &Bursts, busy: f64, quiet: f64) -> f64 {
     (settings.busy_alpha * busy + settings.quiet_alpha * quiet) / (busy + quiet)
-}
-
-/// The phase under way.
-#[derive(Clone, Copy, Debug)]
-struct Phase {
-    is_busy: bool,
-    /// The first TTI after it.
-    end: Tti,
-}
-
-/// The phases of a run, one after the other. They depend on nothing but the seed.
-#[derive(Clone, Debug)]
-struct Phases {
-    stream: Stream,
-    busy: Geometric,
-    quiet: Geometric,
-    phase: Phase,
-}
-
-impl Phases {
-    fn new(settings: &Bursts, seed: u64) -> Self {
-        let Bursts {
-            busy_ttis, quiet_ttis, ..
-        } = *settings;
-        let mut stream = Stream::new(seed, Purpose::Phases, 0);
-        // What is left of a phase under way has the law of a whole one.
-        let is_busy = stream.unit() < busy_ttis / (busy_ttis + quiet_ttis);
-        let mut phases = Self {
-            stream,
-            busy: Geometric::new(1.0 / busy_ttis),
-            quiet: Geometric::new(1.0 / quiet_ttis),
-            phase: Phase {
-                is_busy,
-                end: Tti::ZERO,
-            },
-        };
-        phases.lengthen();
-        phases
-    }
-
-    /// Draws the length of the phase that begins where the last one ended.
-    fn lengthen(&mut self) {
-        let law = if self.phase.is_busy { self.busy } else { self.quiet };
-        self.phase.end = self.phase.end.saturating_add(law.draw(&mut self.stream));
-    }
-
-    /// The phase of TTI `k`, a TTI of a run and none before that of the last call.
-    fn at(&mut self, k: Tti) -> Phase {
-        while self.phase.end <= k {
-            self.phase.is_busy = !self.phase.is_busy;
-            self.lengthen();
-        }
-        self.phase
-    }
 }
 
 /// When events start, in busy and quiet phases.
@@ -126,7 +77,7 @@ impl Bursting {
     pub(super) fn new(settings: &Bursts, seed: u64, end: Tti) -> Self {
         Self {
             seed,
-            phases: Phases::new(settings, seed),
+            phases: settings.phases(seed),
             busy_hazard: -libm::log1p(-settings.busy_alpha),
             quiet_hazard: -libm::log1p(-settings.quiet_alpha),
             end,

@@ -41,7 +41,7 @@ pub use plan::PlanUpdate;
 pub use ready::Ready;
 pub use report::Report;
 pub use setup::{Assignment, Checkpoint, DeviceSetup, Membership, Resumption};
-pub use truth::{EventNews, FailedReport, States, Woken, World};
+pub use truth::{EventNews, FailedReport, LostReport, States, Woken, World};
 pub use wake::{WakeOutcome, WakeUp};
 
 /// Declares the kinds of message: kind "name": payload, plane, who may send it, whose number goes with it, direction,
@@ -239,6 +239,8 @@ messages! {
         "What came of a wake-up.";
     Belief "belief": Belief, Truth, Members, (), "BS → observers",
         "Where the BS believes the event to be after the reports of a TTI, where its policy has such a belief.";
+    Lost "lost": LostReport, Truth, Members, DeviceId, "world → observers",
+        "What a device with δ = 1 has sent, and what was lost on its way to the BS.";
     States "states": States, Truth, Members, (), "world → observers",
         "State and battery of all devices at the end of a TTI, where a recording was asked for them.";
 }

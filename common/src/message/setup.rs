@@ -9,6 +9,7 @@ use crate::geometry::Point;
 use crate::harvest::HarvestSetup;
 use crate::ids::{DeviceId, Tti};
 use crate::keys::HostPass;
+use crate::radio::Radio;
 use crate::secret::Secret;
 use crate::sensing::Sensing;
 use crate::units::Energy;
@@ -53,6 +54,8 @@ pub struct Assignment {
     pub measured_from: Tti,
     /// The sensing model.
     pub sensing: Sensing,
+    /// How the radio fails.
+    pub radio: Radio,
     /// Its devices, numbered one after another.
     pub devices: Vec<DeviceSetup>,
     /// Recorded energy per TTI by row, that the devices' sources refer to.
@@ -68,6 +71,9 @@ impl Assignment {
         let Some(first) = self.devices.first() else {
             return Err("it names no device".to_owned());
         };
+        if !self.radio.is_sound() {
+            return Err("it has an impossible radio".to_owned());
+        }
         for (setup, expected) in self.devices.iter().zip(first.id.0..) {
             let device = setup.id;
             if device.0 != expected {

@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Concerns, Failure, WakeOutcome};
+use super::{Concerns, Failure, Report, WakeOutcome};
 use crate::event::{ActiveEvent, EventRecord, Stimulus};
 use crate::ids::{DeviceId, Tti};
 use crate::state::{DeviceState, DeviceView};
@@ -105,6 +105,25 @@ impl fmt::Display for FailedReport {
             f,
             "has detected the event and cannot pay for a report; {lost:.2} are lost"
         )
+    }
+}
+
+/// A device with δ = 1 has reported the event, and the report was lost.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LostReport {
+    /// What it has sent.
+    pub report: Report,
+}
+
+impl Concerns for LostReport {
+    fn concerns(&self, _number: Option<u32>, device: DeviceId) -> bool {
+        self.report.device == device
+    }
+}
+
+impl fmt::Display for LostReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "has reported, and that was lost: {}", self.report)
     }
 }
 

@@ -35,8 +35,10 @@ pub enum WakeOutcome {
     Reported(Report),
     /// S4 → S2 → S4: the device woke and could not pay E_Tx.
     Failed(Failure),
-    /// The device's wake-up radio had no power, or the device was not asleep.
+    /// The device's wake-up radio had no power or missed it, or the device was not asleep.
     Unheard,
+    /// S4 → S2 → S3: the device reported, and the report was lost on its way to the BS.
+    Lost(Report),
 }
 
 impl fmt::Display for WakeOutcome {
@@ -49,16 +51,26 @@ impl fmt::Display for WakeOutcome {
                 failure.drained.units()
             ),
             Self::Unheard => f.write_str("did not hear it"),
+            Self::Lost(report) => write!(f, "reported, and that was lost: {report}"),
         }
     }
 }
 
 impl WakeOutcome {
+    /// What the BS is left with of it where `is_lost` tells whether a device's report is lost.
+    #[must_use]
+    pub fn over(self, is_lost: impl FnOnce(DeviceId) -> bool) -> Self {
+        match self {
+            Self::Reported(report) if is_lost(report.device) => Self::Lost(report),
+            Self::Reported(_) | Self::Failed(_) | Self::Unheard | Self::Lost(_) => self,
+        }
+    }
+
     /// What `view`, taken before the wake-up, has become by it.
     #[must_use]
     pub const fn on(&self, view: DeviceView) -> DeviceView {
         match self {
-            Self::Reported(report) => DeviceView {
+            Self::Reported(report) | Self::Lost(report) => DeviceView {
                 state: DeviceState::Transmission,
                 battery: report.battery,
             },

@@ -15,6 +15,7 @@ use crate::declare::{Fingerprint, Page, Reader, ScenarioError, Section, Sink};
 use crate::event::settings::Events;
 use crate::geometry::{Area, Layout};
 use crate::ids::Tti;
+use crate::radio::Radio;
 use crate::sensing::Sensing;
 use crate::units::Energy;
 
@@ -46,6 +47,8 @@ pub struct Scenario {
     pub sensing: Sensing,
     /// The event process.
     pub events: Events,
+    /// How the radio fails.
+    pub radio: Radio,
     /// The BS's settings.
     pub bs: BsSettings,
     /// Who senses and who is woken.
@@ -69,6 +72,7 @@ impl PartialEq for Scenario {
             classes,
             sensing,
             events,
+            radio,
             bs,
             policy,
             warnings: _,
@@ -88,6 +92,7 @@ impl PartialEq for Scenario {
             && *classes == other.classes
             && *sensing == other.sensing
             && *events == other.events
+            && *radio == other.radio
             && *bs == other.bs
             && *policy == other.policy
     }
@@ -146,6 +151,7 @@ impl Scenario {
         self.layout.visit(sink);
         self.sensing.visit(sink);
         self.events.visit(sink);
+        self.radio.visit(sink);
         self.bs.visit(sink);
         PolicyName {
             name: self.policy.name().to_owned(),

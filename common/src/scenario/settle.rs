@@ -12,6 +12,7 @@ use crate::declare::{Declaration, Ground, Merged, Reader, ScenarioError};
 use crate::event::DurationKind;
 use crate::event::settings::Events;
 use crate::geometry::{Area, Layout};
+use crate::radio::Radio;
 use crate::sensing::Sensing;
 
 /// The scenario that `merged` describes; `preset` is the name of the one that it started from.
@@ -29,6 +30,7 @@ pub(super) fn settle(
     let area = Area::read(reader)?;
     let sensing = Sensing::settle(reader, area)?;
     let events = Events::settle(reader)?;
+    let radio = Radio::settle(reader)?;
     let bs = BsSettings::read(reader)?;
     let (mut classes, shares) = DeviceClass::settle_all(reader, run.tau)?;
     let has_classes = !reader.items().is_empty();
@@ -55,6 +57,7 @@ pub(super) fn settle(
         classes,
         sensing,
         events,
+        radio,
         bs,
         policy: PolicyChoice::new(kind, Arc::new(NoSettings)),
         warnings: Vec::new(),

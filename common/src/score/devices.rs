@@ -12,7 +12,7 @@ use crate::totals::{DeviceTotals, Ledger, Spread, Totals};
 /// What a device did for the counted events.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Acts {
-    /// Reports that it sent.
+    /// Reports of its that reached the BS.
     pub reports: u64,
     /// Wake-ups that were sent to it.
     pub wake_ups: u64,

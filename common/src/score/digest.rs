@@ -90,6 +90,15 @@ impl Fingerprint {
 
     /// A report has reached the BS.
     pub fn report(&mut self, report: &Report) {
+        self.sent(b'R', report);
+    }
+
+    /// A report was lost.
+    pub fn lost(&mut self, report: &Report) {
+        self.sent(b'X', report);
+    }
+
+    fn sent(&mut self, tag: u8, report: &Report) {
         let Report {
             device,
             tti,
@@ -97,7 +106,7 @@ impl Fingerprint {
             battery,
         } = *report;
         self.words(
-            b'R',
+            tag,
             [tti.0, u64::from(device.0), information.to_bits(), battery.micro()],
         );
     }
@@ -108,10 +117,13 @@ impl Fingerprint {
             WakeOutcome::Reported(_) => (0, Energy::ZERO),
             WakeOutcome::Failed(failure) => (1, failure.drained),
             WakeOutcome::Unheard => (2, Energy::ZERO),
+            WakeOutcome::Lost(_) => (3, Energy::ZERO),
         };
         self.words(b'W', [tti.0, u64::from(device.0), kind, drained.micro()]);
-        if let WakeOutcome::Reported(report) = outcome {
-            self.report(report);
+        match outcome {
+            WakeOutcome::Reported(report) => self.report(report),
+            WakeOutcome::Lost(report) => self.lost(report),
+            WakeOutcome::Failed(_) | WakeOutcome::Unheard => {}
         }
     }
 
@@ -149,8 +161,9 @@ impl Fingerprint {
             devices,
             ttis,
             events,
-            // It follows from what the fingerprint has.
+            // These follow from what the fingerprint has.
             missed: _,
+            losses: _,
             delay_p95_ttis,
             control,
             uplink,
@@ -197,11 +210,16 @@ impl Fingerprint {
             sensing_ttis,
             failed_ttis,
             dark_ttis,
+            false_wakes,
         } = *sums;
         let energies = [initial, harvested, sensing, sleep, report, overflow, battery];
         self.words(tag, energies.map(Energy::micro));
         let [low, high] = halves(battery_sum);
         self.words(b'l', [low, high, low_ttis, sensing_ttis, failed_ttis, dark_ttis]);
+        // Where there are none, the fingerprint is what it was before they could be.
+        if false_wakes > 0 {
+            self.words(b'f', [false_wakes]);
+        }
     }
 
     fn words<const N: usize>(&mut self, tag: u8, words: [u64; N]) {

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::totals::{DeviceTotals, EventTotals, PICO_PER_INFORMATION, Totals};
+use crate::totals::{DeviceTotals, EventTotals, Losses, PICO_PER_INFORMATION, Totals};
 use crate::units::{Energy, MICRO_PER_UNIT};
 
 /// What a metric is about: the parts of a table.
@@ -212,7 +212,7 @@ metrics! {
         /// Energy spent in S1, Eq. (4), what failed attempts drained included.
         energy_sensing_per_device_tti: "units", "units in S1 per device and TTI" =
             |run| run.per_device_tti(run.totals.energy.spent.sensing);
-        /// Energy spent in S4, likewise.
+        /// Energy spent in S4, likewise, wake-ups for nothing included.
         energy_sleep_per_device_tti: "units", "units in S4 per device and TTI" =
             |run| run.per_device_tti(run.totals.energy.spent.sleep);
         /// Energy spent from S2 to S3, likewise.
@@ -257,8 +257,29 @@ metrics! {
         ctl_bytes_per_tti: "bytes/TTI", "bytes per TTI" = |run| run.per_tti(run.totals.control.bytes);
         /// Messages on the control channel per TTI.
         ctl_msgs_per_tti: "messages/TTI", "messages per TTI" = |run| run.per_tti(run.totals.control.messages);
-        /// Bytes of reports (devices to BS) per TTI, as encoded.
+        /// Bytes of reports (devices to BS) that arrived per TTI, as encoded.
         uplink_bytes_per_tti: "bytes/TTI", "bytes of reports per TTI" = |run| run.per_tti(run.totals.uplink.bytes);
+        /// Reports that were lost on their way to the BS, % of those sent.
+        lost_reports_pct: "% of reports", "% of reports that were lost" = |run| {
+            let lost = run.totals.losses.reports as f64;
+            100.0 * lost / (lost + run.totals.uplink.messages as f64)
+        };
+        /// Wake-ups that the device did not hear, as its wake-up radio missed them or had no power or it was not
+        /// asleep, % of those sent.
+        unheard_wake_ups_pct: "% of wake-ups", "% of wake-ups that were not heard" = |run| {
+            let Losses { wake_ups, unheard, .. } = run.totals.losses;
+            100.0 * unheard as f64 / wake_ups as f64
+        };
+        /// Plans that a device missed, % of those sent, one for each device.
+        missed_plans_pct: "% of plans", "% of plans that devices missed" = |run| {
+            let Losses { plans, missed_plans, .. } = run.totals.losses;
+            100.0 * missed_plans as f64 / plans as f64
+        };
+        /// Device-TTIs with δ = 0 in which a device woke for nothing, % of those with δ = 0.
+        false_wakes_pct: "% of δ = 0", "% of δ = 0 with a wake-up for nothing" = |run| {
+            let DeviceTotals { false_wakes, sensing_ttis, .. } = run.totals.energy;
+            100.0 * false_wakes as f64 / (run.device_ttis() - sensing_ttis as f64)
+        };
     }
 }
 

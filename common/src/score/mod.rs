@@ -21,7 +21,7 @@ use crate::event::{ActiveEvent, EventRecord, Stimulus};
 use crate::ids::{DeviceId, Tti};
 use crate::message::{Failure, PlanUpdate, Report, WakeOutcome};
 use crate::scenario::Scenario;
-use crate::totals::{EventTally, EventTotals, Ledger, Missed, PICO_PER_INFORMATION, Spread, Totals, Traffic};
+use crate::totals::{EventTally, EventTotals, Ledger, Losses, Missed, PICO_PER_INFORMATION, Spread, Totals, Traffic};
 use crate::units::Energy;
 
 /// The event under way and what has come of it.
@@ -29,6 +29,8 @@ use crate::units::Energy;
 struct Current {
     event: ActiveEvent,
     tally: EventTally,
+    /// Whether a report about it was lost.
+    has_lost: bool,
 }
 
 /// The score of a run under way.
@@ -47,6 +49,7 @@ pub struct Score {
     delays: Delays,
     control: Traffic,
     uplink: Traffic,
+    losses: Losses,
     fingerprint: Fingerprint,
 }
 
@@ -86,6 +89,7 @@ impl Score {
             delays: Delays::default(),
             control: Traffic::default(),
             uplink: Traffic::default(),
+            losses: Losses::default(),
             fingerprint: Fingerprint::default(),
         }
     }
@@ -103,12 +107,21 @@ impl Score {
         self.count_control(update.from, bytes);
     }
 
+    /// Of the plan that went out last, in TTI `from` to so many `devices`, `missed` of them heard nothing.
+    pub fn plan_missed(&mut self, from: Tti, devices: u64, missed: u64) {
+        if from >= self.warm_up_end {
+            self.losses.plans += devices;
+            self.losses.missed_plans += missed;
+        }
+    }
+
     /// An event has started.
     pub fn event_started(&mut self, event: ActiveEvent) {
         self.fingerprint.event_started(event.start, &event.stimulus);
         self.current = Some(Current {
             event,
             tally: EventTally::default(),
+            has_lost: false,
         });
         self.acts.clear();
     }
@@ -119,6 +132,12 @@ impl Score {
         self.count_uplink(report);
         self.current().tally.reports += 1;
         self.act(report.device, Acts::REPORT);
+    }
+
+    /// A device with δ = 1 has reported the event, and the report was lost.
+    pub fn lost(&mut self, report: &Report) {
+        self.fingerprint.lost(report);
+        self.count_lost(report);
     }
 
     /// A device with δ = 1 has detected the event and could not transmit.
@@ -135,20 +154,28 @@ impl Score {
     /// What came of the wake-up of `device`, which is farther than d_max from the event if it `is_far`.
     pub fn woken(&mut self, tti: Tti, device: DeviceId, outcome: &WakeOutcome, is_far: bool) {
         self.fingerprint.wake_up(tti, device, outcome);
+        let is_measured = tti >= self.warm_up_end;
+        self.losses.wake_ups += u64::from(is_measured);
         match outcome {
             WakeOutcome::Reported(report) => {
                 self.count_uplink(report);
                 self.current().tally.reports += 1;
                 self.act(device, Acts::WOKEN_REPORT);
-                if is_far {
-                    self.wrong(device, self.e_tx[device.index()]);
-                }
+                self.far(device, is_far);
+            }
+            WakeOutcome::Lost(report) => {
+                self.count_lost(report);
+                self.act(device, Acts::WOKEN);
+                self.far(device, is_far);
             }
             WakeOutcome::Failed(failure) => {
                 self.act(device, Acts::WOKEN);
                 self.wrong(device, failure.drained);
             }
-            WakeOutcome::Unheard => self.act(device, Acts::UNHEARD),
+            WakeOutcome::Unheard => {
+                self.losses.unheard += u64::from(is_measured);
+                self.act(device, Acts::UNHEARD);
+            }
         }
     }
 
@@ -162,7 +189,11 @@ impl Score {
     /// # Panics
     /// While no event is under way.
     pub fn event_ended(&mut self, last: Tti, information: f64) -> EventRecord {
-        let Current { event, mut tally } = self.current.take().expect("an event is under way");
+        let Current {
+            event,
+            mut tally,
+            has_lost,
+        } = self.current.take().expect("an event is under way");
         tally.information_pico = (information * PICO_PER_INFORMATION).round() as u64;
         self.fingerprint.event_ended(last, &tally);
         let ActiveEvent { stimulus, start, .. } = event;
@@ -180,7 +211,7 @@ impl Score {
             self.events.count(&tally, delay);
             match delay {
                 Some(delay) => self.delays.count(delay),
-                None => self.count_missed(&record),
+                None => self.count_missed(&record, has_lost),
             }
             for (device, act) in &self.acts {
                 self.devices[device.index()].acts += *act;
@@ -219,14 +250,17 @@ impl Score {
             delay_p95_ttis: self.delays.percentile(95),
             control: self.control,
             uplink: self.uplink,
+            losses: self.losses,
             energy: measured().copied().sum(),
             spread: Spread::of(measured()),
         }
     }
 
-    fn count_missed(&mut self, event: &EventRecord) {
+    fn count_missed(&mut self, event: &EventRecord, has_lost: bool) {
         let is_in_reach = |device: &DeviceRecord| device.position.distance(event.epicentre) <= self.d_max;
-        let cause = if event.tally.wrong_activations > 0 {
+        let cause = if has_lost {
+            &mut self.missed.lost
+        } else if event.tally.wrong_activations > 0 {
             &mut self.missed.unpaid
         } else if self.devices.iter().any(is_in_reach) {
             &mut self.missed.unseen
@@ -242,6 +276,13 @@ impl Score {
 
     fn act(&mut self, device: DeviceId, act: Acts) {
         self.acts.push((device, act));
+    }
+
+    /// `device` was woken and has sent a report, from farther than d_max if it `is_far`.
+    fn far(&mut self, device: DeviceId, is_far: bool) {
+        if is_far {
+            self.wrong(device, self.e_tx[device.index()]);
+        }
     }
 
     fn wrong(&mut self, device: DeviceId, wasted: Energy) {
@@ -261,6 +302,11 @@ impl Score {
         if report.tti >= self.warm_up_end {
             self.uplink.count(codec::encoded_len(report));
         }
+    }
+
+    fn count_lost(&mut self, report: &Report) {
+        self.current().has_lost = true;
+        self.losses.reports += u64::from(report.tti >= self.warm_up_end);
     }
 }
 

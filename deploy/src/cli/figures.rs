@@ -60,6 +60,10 @@ pub enum FiguresCommand {
     /// What a decision of `dt` attended to: what it expected of each device in a TTI, and the TTIs that told it.
     #[command(after_help = "Example:\n  reveille figures attention --tti 1500 --set events.process=aftershocks")]
     Attention(AttentionArgs),
+    /// What an imperfect radio costs: information, energy and missed events of policies against how often wake-ups,
+    /// reports or plans are lost, devices wake for nothing, or nothing gets through.
+    #[command(after_help = "Example:\n  reveille figures robustness --policies knn,age-index,genie --seeds 10")]
+    Robustness(RobustnessArgs),
     /// Learning curves of tables of `reveille train`: reward and information by TTIs of training, for each N.
     Learning(LearningArgs),
     /// Learned tables for one N as heat maps: what sensing is worth, or what waking is worth.
@@ -185,6 +189,23 @@ pub struct AttentionArgs {
         allow_hyphen_values = true
     )]
     pub show: Vec<u32>,
+    /// The pictures.
+    #[command(flatten)]
+    pub pictures: PictureArgs,
+}
+
+/// `reveille figures robustness`.
+#[derive(Args)]
+pub struct RobustnessArgs {
+    /// The scenario; what it says of the policy and of the radio is left out.
+    #[command(flatten)]
+    pub scenario: ScenarioArgs,
+    /// The policies, separated by commas [default: all].
+    #[arg(long, value_delimiter = ',', value_name = "POLICY")]
+    pub policies: Vec<String>,
+    /// Runs of each policy at each level, with seeds one after another.
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=10_000))]
+    pub seeds: u64,
     /// The pictures.
     #[command(flatten)]
     pub pictures: PictureArgs,

@@ -17,7 +17,7 @@ use reveille_common::logging::LogFormat;
 pub use analyse::{AnalyseCommand, BatteryArgs, HarvestArgs, IminArgs, RuntimeArgs, StudyArgs, TransitionsArgs};
 pub use figures::{
     AttentionArgs, AxisArg, DeploymentArgs, FiguresArgs, FiguresCommand, FormatArg, LearningArgs, PictureArgs,
-    QTableArgs, RankingArg, SweepFigureArgs, TimelineArgs,
+    QTableArgs, RankingArg, RobustnessArgs, SweepFigureArgs, TimelineArgs,
 };
 pub use inspect::{
     ColourArg, CompareArgs, DashboardArgs, ExportArgs, InspectCommand, InspectRecordArgs, StatsArgs, TailArgs, ToArg,

@@ -8,18 +8,20 @@ use std::process::ExitCode;
 
 use anyhow::anyhow;
 use reveille_bs::policy::q_learning::learned::{Entry, Learned};
+use reveille_bs::policy::registry;
 use reveille_common::ids::Tti;
 use reveille_common::io::Disk;
 use reveille_common::scenario::WakeUpRanking;
 use reveille_study::figures::attention::{self, Attention};
 use reveille_study::figures::results::{Condition, Results};
 use reveille_study::figures::timeline::Timeline;
-use reveille_study::figures::{deployment, energy, front, learning, pareto, q_table, study, timeline};
+use reveille_study::figures::{deployment, energy, front, learning, pareto, q_table, robustness, study, timeline};
 
 use super::pictures::{as_file, read, save, write};
 use super::resolution::resolve;
 use crate::cli::{
-    AttentionArgs, DeploymentArgs, FiguresArgs, FiguresCommand, LearningArgs, QTableArgs, RankingArg, TimelineArgs,
+    AttentionArgs, DeploymentArgs, FiguresArgs, FiguresCommand, LearningArgs, QTableArgs, RankingArg, RobustnessArgs,
+    TimelineArgs,
 };
 use crate::display::note;
 
@@ -29,6 +31,7 @@ pub fn run(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
         Some(FiguresCommand::Deployment(args)) => draw_deployment(args),
         Some(FiguresCommand::Timeline(args)) => draw_timeline(args),
         Some(FiguresCommand::Attention(args)) => draw_attention(args),
+        Some(FiguresCommand::Robustness(args)) => draw_robustness(args),
         Some(FiguresCommand::Learning(args)) => draw_learning(args),
         Some(FiguresCommand::QTable(args)) => draw_q_table(args),
         Some(FiguresCommand::Sweep(args)) => sweep::run(args),
@@ -196,6 +199,40 @@ fn draw_attention(args: &AttentionArgs) -> anyhow::Result<ExitCode> {
     let name = format!("attention-n{}-s{}-t{tti}", scenario.devices, scenario.seed);
     write(&args.pictures, &name, &attention::scene(&scenario, &attention))?;
     save(&args.pictures.out, &format!("{name}.csv"), attention.csv().as_bytes())?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// What an imperfect radio costs.
+fn draw_robustness(args: &RobustnessArgs) -> anyhow::Result<ExitCode> {
+    let policies = if args.policies.is_empty() {
+        registry::names().map(str::to_owned).collect()
+    } else {
+        args.policies.clone()
+    };
+    let of = |policy: &String| {
+        let mut given = args.scenario.clone();
+        given.policy = Some(policy.clone());
+        resolve(&given)
+    };
+    let scenarios = policies.iter().map(of).collect::<anyhow::Result<Vec<_>>>()?;
+    let points = robustness::measure(&scenarios, args.seeds);
+    let name = format!("{}-n{}", robustness::NAME, scenarios[0].devices);
+    for (place, impairment) in robustness::IMPAIRMENTS.iter().enumerate() {
+        for metric in robustness::METRICS {
+            let chart = robustness::chart(&points, place, metric, &scenarios[0]);
+            let metric = metric.0;
+            write(
+                &args.pictures,
+                &format!("{name}-{}-{metric}", impairment.name),
+                &chart.scene(),
+            )?;
+        }
+    }
+    save(
+        &args.pictures.out,
+        &format!("{name}.csv"),
+        robustness::csv(&points).as_bytes(),
+    )?;
     Ok(ExitCode::SUCCESS)
 }
 

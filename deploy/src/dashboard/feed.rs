@@ -280,6 +280,7 @@ impl Feed {
                 "wake_ups": record.tally.wake_ups,
             })),
             "reported": moment.reported,
+            "lost": moment.lost,
             "failed": moment.failed,
             "woken": woken,
             "belief": moment.belief.as_ref().map(|belief| &belief.places),
@@ -373,7 +374,7 @@ impl Known {
     fn tick(&mut self, frame: &Frame) {
         let is_news = matches!(
             frame.kind,
-            MessageKind::Event | MessageKind::Report | MessageKind::Failed | MessageKind::Woken
+            MessageKind::Event | MessageKind::Report | MessageKind::Lost | MessageKind::Failed | MessageKind::Woken
         );
         let (true, Ok(message)) = (is_news, frame.message()) else {
             return;
@@ -388,6 +389,8 @@ impl Known {
             self.ticker.truncate(TICKER);
         } else if let Message::Report(_) = message {
             self.under_way.push(format!("{whose} reported"));
+        } else if let Message::Lost(_) = message {
+            self.under_way.push(format!("{whose} reported, and that was lost"));
         } else if let Message::Failed(_) = message {
             self.under_way.push(format!("{whose} could not pay"));
         } else if let Message::Woken(woken) = message {
@@ -399,6 +402,7 @@ impl Known {
                 }
                 WakeOutcome::Failed(_) => "woken and could not pay",
                 WakeOutcome::Unheard => "did not hear",
+                WakeOutcome::Lost(_) => "woken, and its report was lost",
             };
             self.under_way.push(format!("{whose} {came}"));
         }

@@ -91,7 +91,8 @@ impl Actor {
         self.last_wake = Some((tti, outcome));
         let device = self.machine.id();
         match outcome {
-            WakeOutcome::Reported(report) => self.uplink.report(&report),
+            // What is lost on its way was sent.
+            WakeOutcome::Reported(report) | WakeOutcome::Lost(report) => self.uplink.report(&report),
             WakeOutcome::Failed(failure) => {
                 self.uplink.answer(&Answer::NotWoken {
                     device,

@@ -18,6 +18,7 @@ use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Assignment, Clock, Membership, PlanUpdate, Ready, Tick, WakeUp};
 use reveille_common::plan::DutyCycle;
+use reveille_common::radio::Air;
 use tokio::runtime::Handle;
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::sync::watch;
@@ -115,6 +116,7 @@ struct HostState {
     /// Actors that have not been started; see [`Shared::start_actors`].
     resting: Vec<(Actor, UnboundedReceiver<Input>)>,
     duties: Vec<DutyCycle>,
+    air: Air,
     /// The TTI from which the plan that this host has holds.
     plan_from: Option<Tti>,
     /// The first TTI that has not been granted.
@@ -132,6 +134,7 @@ impl Shared {
             ttis,
             measured_from,
             sensing,
+            radio,
             devices,
             traces,
         } = assignment;
@@ -139,7 +142,7 @@ impl Shared {
         let uplink = Arc::new(Uplink::new(bus, membership.pass)?);
         let positions = devices.iter().map(|d| d.position).collect();
         let d_max = sensing.d_max;
-        let physics = Arc::new(Physics::new(seed, measured_from, sensing, &devices, traces));
+        let physics = Arc::new(Physics::new(seed, measured_from, sensing, radio, &devices, traces));
         let machines: Vec<Machine> = match &resumption {
             None => devices.iter().map(|setup| Machine::new(setup, &physics)).collect(),
             Some(resumption) => devices
@@ -158,6 +161,7 @@ impl Shared {
         }
         let state = Mutex::new(HostState {
             duties,
+            air: Air::new(seed, &radio),
             resting,
             plan_from: resumption.as_ref().and_then(|r| r.plan),
             next: resumption.map_or(Tti::ZERO, |r| r.next),
@@ -277,9 +281,11 @@ impl Shared {
         }
         self.start_actors(&mut state);
         state.plan_from = Some(update.from);
+        let air = state.air.at(update.from);
         for (j, duty) in state.duties.iter_mut().enumerate() {
-            let new = update.plan.duty_cycle(DeviceId(self.first.0 + j as u32));
-            if *duty != new {
+            let device = DeviceId(self.first.0 + j as u32);
+            let new = update.plan.duty_cycle(device);
+            if *duty != new && !air.misses_plan(device) {
                 *duty = new;
                 self.send(j, Input::Duty(update.from, new));
             }

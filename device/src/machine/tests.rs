@@ -9,6 +9,8 @@ use reveille_common::harvest::{HarvestSetup, TraceSetup};
 use reveille_common::ids::{DeviceId, EventId, Tti};
 use reveille_common::message::{DeviceSetup, Failure, Report, WakeOutcome};
 use reveille_common::plan::DutyCycle;
+use reveille_common::radio::Radio;
+use reveille_common::rng::{Geometric, Purpose, Stream, unit_for_pair};
 use reveille_common::scenario::{EnergyModel, TraceEnd};
 use reveille_common::sensing::{DetectionKind, Fusion, Sensing};
 use reveille_common::totals::{DeviceTotals, Ledger, Spent};
@@ -43,6 +45,11 @@ fn costs(initial: u64) -> EnergyModel {
 
 /// A device at the origin that harvests `rows`, one a TTI, over and over.
 fn device(energy: EnergyModel, rows: &[u64]) -> (Machine, Physics) {
+    device_with(Radio::default(), energy, rows)
+}
+
+/// The same with a radio that may fail.
+fn device_with(radio: Radio, energy: EnergyModel, rows: &[u64]) -> (Machine, Physics) {
     let setup = DeviceSetup {
         id: DeviceId(7),
         position: Point { x: 0.0, y: 0.0 },
@@ -65,6 +72,7 @@ fn device(energy: EnergyModel, rows: &[u64]) -> (Machine, Physics) {
         1,
         MEASURED_FROM,
         sensing,
+        radio,
         std::slice::from_ref(&setup),
         vec![Arc::new(rows)],
     );
@@ -96,6 +104,53 @@ fn a_new_device_sleeps_with_its_initial_battery() {
     let (machine, _) = dry(500, false);
     assert_eq!((machine.state(), machine.battery()), (ASLEEP, micro(500)));
     assert_eq!(machine.id(), DeviceId(7));
+}
+
+#[test]
+fn a_false_wake_costs_e_idle_in_s4_and_leaves_a_device_that_hears() {
+    let always = Radio {
+        false_wake: 1.0,
+        ..Radio::default()
+    };
+    let (mut machine, world) = device_with(always, costs(500), &[0]);
+    machine.begin(Tti(0));
+    assert_eq!((machine.state(), machine.battery()), (ASLEEP, micro(489)));
+    assert!(matches!(
+        machine.wake(Tti(0), &event(NEAR), &world),
+        WakeOutcome::Reported(_)
+    ));
+    machine.set_duty(Tti(1), DutyCycle::SENSING);
+    machine.begin(Tti(1));
+    assert_eq!(machine.battery(), micro(379), "a device in S1 is awake anyway");
+    machine.settle(Tti(2));
+    let totals = machine.totals();
+    assert_eq!(
+        (totals.false_wakes, totals.spent.sleep, totals.spent.sensing),
+        (1, micro(11), micro(10))
+    );
+    // It cannot pay for the second: what is left is lost, and it is deaf.
+    let (mut machine, world) = device_with(always, costs(16), &[0]);
+    machine.begin(Tti(1));
+    assert_eq!((machine.state(), machine.battery()), (DARK, micro(0)));
+    assert_eq!(machine.wake(Tti(1), &event(NEAR), &world), WakeOutcome::Unheard);
+    machine.settle(Tti(2));
+    let totals = machine.totals();
+    assert_eq!(
+        (totals.false_wakes, totals.dark_ttis, totals.spent.sleep),
+        (2, 0, micro(16))
+    );
+    assert!(totals.closes());
+}
+
+#[test]
+fn a_missed_wake_up_costs_nothing() {
+    let deaf = Radio {
+        wake_miss: 1.0,
+        ..Radio::default()
+    };
+    let (mut machine, world) = device_with(deaf, costs(500), &[0]);
+    assert_eq!(machine.wake(Tti(3), &event(NEAR), &world), WakeOutcome::Unheard);
+    assert_eq!((machine.state(), machine.battery()), (ASLEEP, micro(496)));
 }
 
 #[test]
@@ -333,6 +388,7 @@ struct Plain {
     sensing_ttis: u64,
     failed_ttis: u64,
     dark_ttis: u64,
+    false_wakes: u64,
     /// Whether each TTI so far began with a battery that could pay for nothing.
     failed: Vec<bool>,
     /// The sums before each TTI.
@@ -353,6 +409,7 @@ impl Plain {
             sensing_ttis: 0,
             failed_ttis: 0,
             dark_ttis: 0,
+            false_wakes: 0,
             failed: Vec::new(),
             before: Vec::new(),
         }
@@ -367,7 +424,7 @@ impl Plain {
         is_paid
     }
 
-    fn starts(&mut self, harvest: u64, delta: bool) {
+    fn starts(&mut self, harvest: u64, delta: bool, is_startled: bool) {
         self.before.push(self.totals());
         self.harvested += harvest;
         self.level += harvest;
@@ -388,6 +445,12 @@ impl Plain {
             (false, true) => ASLEEP,
             (_, false) => DARK,
         };
+        if is_startled && self.state == ASLEEP {
+            self.false_wakes += 1;
+            if !self.pays(self.costs.e_idle, 1) {
+                self.state = DARK;
+            }
+        }
     }
 
     /// Whether it transmits, where it comes to that: `Err` is what is lost in trying.
@@ -420,6 +483,7 @@ impl Plain {
             sensing_ttis: self.sensing_ttis,
             failed_ttis: self.failed_ttis,
             dark_ttis: self.dark_ttis,
+            false_wakes: self.false_wakes,
         }
     }
 
@@ -461,7 +525,33 @@ fn of_woken(woken: &WakeOutcome) -> Came {
         WakeOutcome::Unheard => None,
         WakeOutcome::Reported(_) => Some(Ok(())),
         WakeOutcome::Failed(failure) => Some(Err(failure.drained.micro())),
+        WakeOutcome::Lost(_) => panic!("a device does not know what is lost"),
     }
+}
+
+/// Radios that fail never, now and then, and often.
+fn any_radio() -> impl Strategy<Value = Radio> {
+    let p = || prop_oneof![1 => Just(0.0), 2 => 0.0..0.2_f64, 1 => 0.5..=1.0_f64];
+    (p(), p()).prop_map(|(wake_miss, false_wake)| Radio {
+        wake_miss,
+        false_wake,
+        ..Radio::default()
+    })
+}
+
+/// In which of the first `ttis` TTIs something wakes device 7 of a run with seed 1 if it sleeps: gap by gap.
+fn startled(radio: &Radio, ttis: u64) -> Vec<bool> {
+    let (law, mut stream) = (Geometric::new(radio.false_wake), Stream::new(1, Purpose::FalseWakes, 7));
+    let mut gap = law.draw(&mut stream);
+    let each = (0..ttis).map(|_| {
+        gap -= 1;
+        let is_due = gap == 0;
+        if is_due {
+            gap = law.draw(&mut stream);
+        }
+        is_due
+    });
+    each.collect()
 }
 
 proptest! {
@@ -470,10 +560,12 @@ proptest! {
     #[test]
     fn catching_up_is_doing_each_tti(
         costs in any_costs(),
+        radio in any_radio(),
         rows in prop::collection::vec(prop_oneof![4 => Just(0), 1 => 0..200_u64], 1..30),
         steps in prop::collection::vec((happening(), prop::option::weighted(0.1, duty_cycle())), 1..120),
     ) {
-        let (mut machine, world) = device(costs, &rows);
+        let (mut machine, world) = device_with(radio, costs, &rows);
+        let startled = startled(&radio, steps.len() as u64);
         let mut plain = Plain::new(costs);
         let mut duty = DutyCycle::ASLEEP;
         for (k, (happening, new_duty)) in (0..).zip(&steps) {
@@ -486,14 +578,15 @@ proptest! {
                 machine.settle(Tti(k));
                 prop_assert_eq!(machine.totals(), plain.totals(), "before TTI {}", k);
             }
-            plain.starts(rows[k as usize % rows.len()], delta);
+            plain.starts(rows[k as usize % rows.len()], delta, startled[k as usize]);
             if let Incident::Event { distance, .. } = *happening {
                 let is_sensed = plain.state == DeviceState::Idle && distance <= 4.0;
                 let expected = is_sensed.then(|| plain.transmits());
                 prop_assert_eq!(of_sensed(&machine.sense(Tti(k), &event(distance), &world)), expected, "TTI {}", k);
             }
             if let Incident::Woken { distance } | Incident::Event { distance, is_woken: true } = *happening {
-                let expected = (plain.state == ASLEEP).then(|| plain.transmits());
+                let hears = unit_for_pair(1, Purpose::WakeMiss, 7, k) >= radio.wake_miss;
+                let expected = (plain.state == ASLEEP && hears).then(|| plain.transmits());
                 prop_assert_eq!(of_woken(&machine.wake(Tti(k), &event(distance), &world)), expected, "TTI {}", k);
             }
             if matches!(happening, Incident::Event { .. } | Incident::Woken { .. }) {
@@ -511,6 +604,7 @@ proptest! {
     fn catching_up_with_many_ttis_is_doing_each(
         costs in any_costs(),
         scale in 1..2000_u64,
+        radio in any_radio(),
         duty in duty_cycle(),
         ttis in 1..40_000_u64,
         harvest in 0..400_u64,
@@ -522,13 +616,15 @@ proptest! {
         };
         let mut rows = vec![0; 10_007];
         rows[5] = harvest * scale;
-        let (mut machine, _) = device(costs, &rows);
+        let (mut machine, _) = device_with(radio, costs, &rows);
+        let startled = startled(&radio, ttis);
         machine.set_duty(Tti(0), duty);
         let mut plain = Plain::new(costs);
         for k in 0..ttis {
             plain.starts(
                 rows[k as usize % rows.len()],
                 (k + u64::from(duty.offset)) % u64::from(duty.t_drx) < u64::from(duty.t_on),
+                startled[k as usize],
             );
             plain.ends();
         }

@@ -122,7 +122,7 @@ fn role(device: DeviceId, happened: &Happened, state: DeviceState) -> Role {
     match wake_up {
         Some((number, (_, WakeOutcome::Reported(_)))) => return Role::Woken(number),
         Some((_, (_, WakeOutcome::Failed(_)))) => return Role::Failed,
-        Some((_, (_, WakeOutcome::Unheard))) => return Role::Deaf,
+        Some((_, (_, WakeOutcome::Unheard | WakeOutcome::Lost(_)))) => return Role::Deaf,
         None => {}
     }
     if happened.failures.iter().any(|f| f.device == device) {

@@ -5,6 +5,7 @@
 //! tables ─► study, sweep, pareto, front ─► chart ┐
 //! analysis::harvest ─► chart ├─► scene ─► svg, png
 //! run ─► witness ─► deployment, timeline ┤
+//! runs ─► robustness ─► chart ┤
 //! run ─► trajectories ─► attention ┤
 //! Learned ─► learning, q_table ┤
 //! tuning::History ─► tuning (contour) ┘
@@ -32,6 +33,7 @@ pub mod path;
 pub mod png;
 pub mod q_table;
 pub mod results;
+pub mod robustness;
 pub mod scale;
 pub mod scene;
 mod stated;

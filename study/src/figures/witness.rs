@@ -46,6 +46,7 @@ impl Observer for Happened {
             Happening::Woken { device, outcome, .. } => self.woken.push((*device, **outcome)),
             Happening::Plan { .. }
             | Happening::EventStarted(_)
+            | Happening::Lost(_)
             | Happening::WakeUp { .. }
             | Happening::Believed { .. }
             | Happening::EventEnded(_)

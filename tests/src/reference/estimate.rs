@@ -14,6 +14,8 @@ pub(super) struct Estimate {
     /// When the device was first found empty without a report since, and how much later it was found so last.
     since: Option<u64>,
     outage: u64,
+    /// How likely the radio alone is to have kept it silent, as often as it was.
+    luck: f64,
 }
 
 impl Estimate {
@@ -25,6 +27,7 @@ impl Estimate {
             from: 0,
             since: None,
             outage: 0,
+            luck: 1.0,
         }
     }
 
@@ -63,10 +66,17 @@ impl Estimate {
     /// It has reported `level` in TTI `k`.
     pub(super) fn heard(&mut self, k: u64, level: u64) {
         (self.level, self.from, self.since, self.outage) = (level, k + 1, None, 0);
+        self.luck = 1.0;
     }
 
-    /// It has been silent in TTI `k`, in which it must have reported if it could.
-    pub(super) fn silent(&mut self, k: u64, senses: impl Fn(u64) -> bool) {
+    /// It has been silent in TTI `k`, in which it must have reported if it could, but for the radio, which keeps it
+    /// silent with probability `lost`. From one in fifty on that is not taken for bad luck.
+    pub(super) fn silent(&mut self, k: u64, lost: f64, senses: impl Fn(u64) -> bool) {
+        self.luck *= lost;
+        if self.luck > 0.02 {
+            return;
+        }
+        self.luck = 1.0;
         let level = self.level(k, senses);
         if level > 0 && level >= self.costs.e_tx.micro() {
             let since = *self.since.get_or_insert(k);

@@ -64,6 +64,8 @@ pub(super) struct Situation<'a> {
     pub(super) woken: &'a [usize],
     /// By device, whether it can pay for a report as far as the base station knows.
     pub(super) able: &'a [bool],
+    /// Whether a device that is well may be silent when it is woken.
+    pub(super) lossy: bool,
 }
 
 /// A device that has told how far it is from the event.
@@ -171,7 +173,9 @@ impl Policy {
     /// Whom to wake next.
     pub(super) fn choose(&self, seen: &Situation<'_>) -> Choice {
         match self {
-            Self::Genie if seen.first && seen.woken.is_empty() => closest(seen).map_or(Choice::Stop, Choice::Wake),
+            Self::Genie if seen.first && seen.woken.is_empty() || (seen.lossy && seen.reporters.is_empty()) => {
+                closest(seen).map_or(Choice::Stop, Choice::Wake)
+            }
             Self::Random(_) | Self::Genie => Choice::Stop,
             Self::Adjusted { everyone, enough, .. } => self.most_correlated(seen, everyone, *enough),
             Self::Knn { members, enough } => self.most_correlated(seen, members, *enough),
@@ -231,12 +235,12 @@ fn cluster_of(members: &[Vec<usize>], device: usize) -> usize {
         .expect("every device is in a cluster")
 }
 
-/// The device closest to the epicentre, if it is within sensing range.
+/// The device closest to the epicentre of those that were not woken, if it is within sensing range.
 fn closest(seen: &Situation<'_>) -> Option<usize> {
     let mut best: Option<(f64, usize)> = None;
     for (j, position) in seen.positions.iter().enumerate() {
         let d = distance(*position, seen.epicentre);
-        if best.is_none_or(|(least, _)| d < least) {
+        if !seen.woken.contains(&j) && best.is_none_or(|(least, _)| d < least) {
             best = Some((d, j));
         }
     }

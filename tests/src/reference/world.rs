@@ -5,29 +5,18 @@ use reveille_common::event::EventRecord;
 use reveille_common::geometry::Point;
 use reveille_common::ids::{EventId, Tti};
 use reveille_common::rng::{Purpose, unit_for_pair};
-use reveille_common::scenario::{EnergyModel, Scenario, assign_classes};
+use reveille_common::scenario::{Scenario, assign_classes};
 use reveille_common::sensing::{DetectionKind, Fusion};
-use reveille_common::totals::{DeviceTotals, EventTally, EventTotals, Ledger, Spent};
+use reveille_common::totals::{DeviceTotals, EventTally, EventTotals, Ledger, Losses};
 use reveille_common::units::Energy;
 
+use super::device::{Device, State};
 use super::estimate::Estimate;
 use super::events::Events;
 use super::harvest::{Source, mean};
 use super::plane::distance;
 use super::policy::{Choice, Policy, Reporter, Situation};
-
-/// Where a device is at the end of a step.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum State {
-    /// S1.
-    Idle,
-    /// S3.
-    Transmission,
-    /// S4 with a wake-up radio that can hear.
-    Asleep,
-    /// S4 after an action that the battery could not pay.
-    Dark,
-}
+use super::radio::Radio;
 
 /// What the reference makes of a scenario.
 #[derive(Clone, Debug)]
@@ -46,7 +35,11 @@ pub struct Run {
     pub start_probability: f64,
     /// Wake-ups sent in measured TTIs, whichever event they were for.
     pub wake_ups: u64,
-    /// Wake-ups that a device without power did not hear.
+    /// What the radio lost in measured TTIs.
+    pub losses: Losses,
+    /// Reports that arrived in measured TTIs.
+    pub arrived: u64,
+    /// Wake-ups that a device did not hear, in all TTIs.
     pub unheard: u64,
     /// Decisions whom to wake in which a device in S4 was taken to be unable to report.
     pub spared: u64,
@@ -82,6 +75,7 @@ pub(super) fn play(scenario: &Scenario, ground: &Ground, policy: Policy) -> Run 
         if k == world.warm_up_end {
             world.begin_measuring();
         }
+        world.begin(k);
         world.harvest(k);
         world.apply_duty(k);
         world.start_event(k);
@@ -94,64 +88,6 @@ pub(super) fn play(scenario: &Scenario, ground: &Ground, policy: Policy) -> Run 
         world.account();
     }
     world.into_run()
-}
-
-/// One device and its books, micro-units.
-#[derive(Clone, Debug)]
-struct Device {
-    costs: EnergyModel,
-    source: Source,
-    state: State,
-    battery: u64,
-    harvested: u64,
-    /// By state: S1, S4, S2 to S3.
-    spent: [u64; 3],
-    overflow: u64,
-    battery_sum: u128,
-    low_ttis: u64,
-    sensing_ttis: u64,
-    failed_ttis: u64,
-    dark_ttis: u64,
-    /// TTIs one after another without power, up to now and at the most.
-    outage: [u64; 2],
-    /// Its sums at the start of the measured part.
-    before: Option<DeviceTotals>,
-}
-
-impl Device {
-    /// Pays `cost`, or loses what is left. Says what left the battery, and whether it was enough.
-    fn pay(&mut self, cost: Energy, state: usize) -> (u64, bool) {
-        let enough = self.battery >= cost.micro();
-        let gone = if enough { cost.micro() } else { self.battery };
-        self.battery -= gone;
-        self.spent[state] += gone;
-        (gone, enough)
-    }
-
-    fn ledger(&self) -> Ledger {
-        let whole = self.sums();
-        Ledger {
-            whole,
-            measured: self.before.map_or_else(DeviceTotals::default, |before| whole - before),
-            longest_outage: self.outage[1],
-        }
-    }
-
-    fn sums(&self) -> DeviceTotals {
-        let [sensing, sleep, report] = self.spent.map(Energy::from_micro);
-        DeviceTotals {
-            initial: self.costs.initial,
-            harvested: Energy::from_micro(self.harvested),
-            spent: Spent { sensing, sleep, report },
-            overflow: Energy::from_micro(self.overflow),
-            battery: Energy::from_micro(self.battery),
-            battery_sum: self.battery_sum,
-            low_ttis: self.low_ttis,
-            sensing_ttis: self.sensing_ttis,
-            failed_ttis: self.failed_ttis,
-            dark_ttis: self.dark_ttis,
-        }
-    }
 }
 
 /// The event under way.
@@ -178,11 +114,14 @@ struct World<'a> {
     warm_up_end: u64,
     event: Option<Event>,
     coming: Events<'a>,
+    radio: Radio,
     /// Sum and number of the probabilities in force in the measured part.
     start_probability: (f64, f64),
     events: Vec<EventRecord>,
     acts: Vec<[u64; 4]>,
     wake_ups: u64,
+    losses: Losses,
+    arrived: u64,
     unheard: u64,
     spared: u64,
     trace: Vec<Vec<(State, u64)>>,
@@ -206,22 +145,7 @@ impl<'a> World<'a> {
             } else {
                 source.by_its_mean(mean)
             };
-            devices.push(Device {
-                costs: kind.energy,
-                source,
-                state: State::Asleep,
-                battery: kind.energy.initial.micro(),
-                harvested: 0,
-                spent: [0; 3],
-                overflow: 0,
-                battery_sum: 0,
-                low_ttis: 0,
-                sensing_ttis: 0,
-                failed_ttis: 0,
-                dark_ttis: 0,
-                outage: [0; 2],
-                before: None,
-            });
+            devices.push(Device::new(kind.energy, source));
         }
         Self {
             policy,
@@ -233,13 +157,26 @@ impl<'a> World<'a> {
             warm_up_end: (scenario.ttis as f64 * scenario.warm_up).floor() as u64,
             event: None,
             coming: Events::new(scenario),
+            radio: Radio::new(scenario, ground.positions.len()),
             start_probability: (0.0, 0.0),
             events: Vec::new(),
             wake_ups: 0,
+            losses: Losses::default(),
+            arrived: 0,
             unheard: 0,
             spared: 0,
             trace: Vec::new(),
             ambiguous: None,
+        }
+    }
+
+    /// Before step 1: the plan goes out.
+    fn begin(&mut self, k: u64) {
+        let is_sent = k.is_multiple_of(self.scenario.bs.sync_interval);
+        let missed = self.radio.begin(k, is_sent);
+        if k >= self.warm_up_end {
+            self.losses.plans += if is_sent { self.devices.len() as u64 } else { 0 };
+            self.losses.missed_plans += missed;
         }
     }
 
@@ -259,7 +196,7 @@ impl<'a> World<'a> {
     fn apply_duty(&mut self, k: u64) {
         for (j, device) in self.devices.iter_mut().enumerate() {
             let paid;
-            let then = if self.policy.senses(j, k) {
+            let then = if self.policy.senses(j, k) && self.radio.is_informed(j) {
                 (_, paid) = device.pay(device.costs.e_idle, 0);
                 device.sensing_ttis += 1;
                 device.failed_ttis += u64::from(!paid);
@@ -273,6 +210,12 @@ impl<'a> World<'a> {
             let now = if paid { 0 } else { now + 1 };
             device.outage = [now, most.max(now)];
             device.state = if paid { then } else { State::Dark };
+            if self.radio.startles(j) && device.state == State::Asleep {
+                device.false_wakes += 1;
+                if !device.pay(device.costs.e_idle, 1).1 {
+                    device.state = State::Dark;
+                }
+            }
         }
     }
 
@@ -306,7 +249,7 @@ impl<'a> World<'a> {
             let d = distance(self.positions[j], event.epicentre);
             if self.devices[j].state == State::Idle && self.detects(j, d) {
                 debug_assert!(self.policy.senses(j, k));
-                if self.transmit(j, &mut event) {
+                if self.transmit(j, k, &mut event) {
                     self.estimates[j].heard(k, self.devices[j].battery);
                     reported.push((j, d));
                 }
@@ -330,7 +273,8 @@ impl<'a> World<'a> {
             let has_reported = reported.iter().any(|&(h, _)| h == j);
             if self.policy.senses(j, k) && !has_reported && reported.iter().any(is_sure) {
                 let policy = &self.policy;
-                self.estimates[j].silent(k, |k| policy.senses(j, k));
+                let lost = self.radio.silence();
+                self.estimates[j].silent(k, lost, |k| policy.senses(j, k));
             }
         }
     }
@@ -360,6 +304,7 @@ impl<'a> World<'a> {
                 information: event.information,
                 woken: &woken,
                 able: &able,
+                lossy: self.radio.no_answer() > 0.0,
             });
             let j = match choice {
                 Choice::Wake(j) => j,
@@ -369,35 +314,38 @@ impl<'a> World<'a> {
             woken.push(j);
             event.tally.wake_ups += 1;
             self.wake_ups += u64::from(k >= self.warm_up_end);
-            let heard = self.devices[j].state == State::Asleep;
+            let heard = self.devices[j].state == State::Asleep && !self.radio.misses_wake_up(j);
             event.acts.push((j, [0, 1, u64::from(heard), 0]));
             let has_reported = if heard {
-                self.transmit(j, &mut event)
+                self.transmit(j, k, &mut event)
             } else {
                 self.unheard += 1;
+                self.losses.unheard += u64::from(k >= self.warm_up_end);
                 false
             };
             if has_reported {
                 self.estimates[j].heard(k, self.devices[j].battery);
             } else {
                 let policy = &self.policy;
-                self.estimates[j].silent(k, |k| policy.senses(j, k));
+                let lost = self.radio.no_answer();
+                self.estimates[j].silent(k, lost, |k| policy.senses(j, k));
             }
         }
         self.event = Some(event);
         true
     }
 
-    /// From S2: device `j` sends its report, or cannot. Whether it does.
-    fn transmit(&mut self, j: usize, event: &mut Event) -> bool {
+    /// From S2: device `j` sends its report, or cannot. Whether the report arrives.
+    fn transmit(&mut self, j: usize, k: u64, event: &mut Event) -> bool {
         let sensing = &self.scenario.sensing;
         let d = distance(self.positions[j], event.epicentre);
         let within = d <= sensing.d_max;
         let e_tx = self.devices[j].costs.e_tx;
         let (gone, paid) = self.devices[j].pay(e_tx, 2);
+        let arrives = paid && !self.radio.loses_report(j);
         event
             .acts
-            .push((j, [u64::from(paid), 0, 0, u64::from(!paid || !within)]));
+            .push((j, [u64::from(arrives), 0, 0, u64::from(!paid || !within)]));
         if !paid || !within {
             event.tally.wrong_activations += 1;
             event.tally.wasted += Energy::from_micro(gone);
@@ -407,6 +355,12 @@ impl<'a> World<'a> {
             return false;
         }
         self.devices[j].state = State::Transmission;
+        let is_measured = u64::from(k >= self.warm_up_end);
+        if !arrives {
+            self.losses.reports += is_measured;
+            return false;
+        }
+        self.arrived += is_measured;
         event.tally.reports += 1;
         if within {
             let report = sensing.psi * libm::exp(-sensing.eta * d);
@@ -502,6 +456,11 @@ impl<'a> World<'a> {
             totals,
             start_probability: self.start_probability.0 / self.start_probability.1,
             wake_ups: self.wake_ups,
+            losses: Losses {
+                wake_ups: self.wake_ups,
+                ..self.losses
+            },
+            arrived: self.arrived,
             unheard: self.unheard,
             spared: self.spared,
             trace: self.trace,

@@ -118,12 +118,17 @@ impl<W: Write> Trace<W> {
                 let flow = Some((48, self.flows));
                 let said = match &woken.outcome {
                     WakeOutcome::Reported(report) => format!("woken: {report}"),
-                    outcome @ (WakeOutcome::Failed(_) | WakeOutcome::Unheard) => outcome.to_string(),
+                    outcome @ (WakeOutcome::Failed(_) | WakeOutcome::Unheard | WakeOutcome::Lost(_)) => {
+                        outcome.to_string()
+                    }
                 };
                 self.instant(frame.tti, states(device), &said, flow)?;
             }
             (Message::Report(report), Some(device)) if !self.mirror.is_waking() => {
                 self.instant(frame.tti, states(device), &report.to_string(), None)?;
+            }
+            (Message::Lost(lost), Some(device)) => {
+                self.instant(frame.tti, states(device), &lost.to_string(), None)?;
             }
             (Message::Failed(failed), Some(device)) => {
                 self.instant(frame.tti, states(device), &failed.to_string(), None)?;

@@ -1,9 +1,8 @@
-//! Ages where a device in S1 detects an event by chance.
+//! Ages where a device in S1 detects an event by chance, or is heard by chance.
 
 use std::ops::Range;
 
 use reveille_common::geometry::Point;
-use reveille_common::sensing::Sensing;
 
 use super::cells::Cells;
 use super::worths::{OLDEST, Worths};
@@ -40,10 +39,17 @@ const UNIT: f64 = 1.0 / (1_u64 << 32) as f64;
 const SURE: f64 = 64.0;
 
 impl Chance {
-    pub(super) fn new(cells: &Cells, positions: &[Point], sensing: &Sensing, worths: Worths) -> Self {
+    /// `heard` is the probability that an event at some distance, at most d_max, is detected and heard of.
+    pub(super) fn new(
+        cells: &Cells,
+        positions: &[Point],
+        d_max: f64,
+        heard: impl Fn(f64) -> f64,
+        worths: Worths,
+    ) -> Self {
         let (mut starts, mut stretches, mut detected) = (vec![0], Vec::new(), Vec::new());
         for &p in positions {
-            for stretch in cells.within(p, sensing.d_max) {
+            for stretch in cells.within(p, d_max) {
                 let cell = stretch.row * cells.stride() + stretch.first;
                 stretches.push(Stretch {
                     cells: cell..cell + stretch.count,
@@ -51,7 +57,7 @@ impl Chance {
                 });
                 let columns = stretch.first..stretch.first + stretch.count;
                 detected.extend(columns.map(|column| {
-                    let p = sensing.p(cells.middle(stretch.row, column).distance(p));
+                    let p = heard(cells.middle(stretch.row, column).distance(p));
                     (p, ((-libm::log1p(-p)).min(SURE) / UNIT) as u64)
                 }));
             }

@@ -7,7 +7,7 @@
 //!
 //! Where detection is sure within d_max, a look renews a place altogether. Where it is by chance, a look of a device at
 //! distance d finds an event with probability p(d), and so renews the place with that probability: its age is then the
-//! mean over looks that find and looks that do not.
+//! mean over looks that find and looks that do not. The same holds where the radio may lose what was found.
 
 mod cells;
 mod chance;
@@ -45,10 +45,21 @@ impl Ages {
     /// Of `area` before the first TTI, with devices at `positions` and nobody chosen. An age is worth as much as
     /// `worths` says.
     pub fn new(positions: &[Point], area: Area, sensing: &Sensing, worths: Worths) -> Self {
+        Self::losing(0.0, positions, area, sensing, worths)
+    }
+
+    /// As [`Self::new`], where nothing is heard of a device that has found something with probability `lost`,
+    /// `[0, 1]`.
+    pub fn losing(lost: f64, positions: &[Point], area: Area, sensing: &Sensing, worths: Worths) -> Self {
         let cells = Cells::new(area, sensing.d_max);
+        let chance = |finds: &dyn Fn(f64) -> f64| {
+            let heard = |d: f64| (1.0 - lost) * finds(d);
+            Looks::Chance(Chance::new(&cells, positions, sensing.d_max, heard, worths))
+        };
         let looks = match sensing.kind {
-            DetectionKind::Range => Looks::Sure(Sure::new(&cells, positions, sensing.d_max, worths)),
-            DetectionKind::Probabilistic => Looks::Chance(Chance::new(&cells, positions, sensing, worths)),
+            DetectionKind::Range if lost <= 0.0 => Looks::Sure(Sure::new(&cells, positions, sensing.d_max, worths)),
+            DetectionKind::Range => chance(&|_| 1.0),
+            DetectionKind::Probabilistic => chance(&|d| sensing.p(d)),
         };
         Self { cells, looks }
     }

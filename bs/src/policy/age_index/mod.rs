@@ -47,7 +47,13 @@ impl AgeIndex {
     /// The policy for the devices in `known`.
     pub fn new(known: &Knowledge, settings: &AgeIndexSettings) -> Self {
         let positions = known.positions();
-        let ages = Ages::new(&positions, known.area, &known.sensing, ages::worths());
+        let ages = Ages::losing(
+            known.radio.silence(),
+            &positions,
+            known.area,
+            &known.sensing,
+            ages::worths(),
+        );
         // What the device's own places are worth at age 1, in the unit of worths.
         let reach = ages::reach(&known.sensing) / ages.cell_surface();
         Self {

@@ -124,7 +124,13 @@ impl Senses {
     /// Before the first TTI, of the devices in `known`, which may sense from a level of `needed` on.
     pub fn new(known: &Knowledge, needed: impl Fn(usize) -> Energy) -> Self {
         let (positions, d_max, n) = (known.positions(), known.sensing.d_max, known.n());
-        let ages = Ages::new(&positions, known.area, &known.sensing, ages::worths());
+        let ages = Ages::losing(
+            known.radio.silence(),
+            &positions,
+            known.area,
+            &known.sensing,
+            ages::worths(),
+        );
         let buckets = Buckets::new(&positions, known.area, d_max);
         let events = known.alpha * ages.cell_surface() / known.area.surface();
         let whole = ages::reach(&known.sensing) / ages.cell_surface();

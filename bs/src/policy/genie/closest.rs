@@ -3,6 +3,7 @@
 use reveille_common::event::Stimulus;
 use reveille_common::geometry::{Buckets, Point};
 use reveille_common::ids::DeviceId;
+use reveille_common::message::Report;
 use reveille_common::plan::Plan;
 use reveille_common::world::Oracle;
 
@@ -14,8 +15,13 @@ pub struct Genie {
     buckets: Buckets,
     d_max: f64,
     devices: usize,
-    /// Whom to wake for the event that has just started.
-    chosen: Option<DeviceId>,
+    /// Whether a device that is well may not answer.
+    is_lossy: bool,
+    /// Where the event is that has started last.
+    epicentre: Point,
+    /// Whom to wake for the event that has just started, the next at the end. One device, where the radio never fails:
+    /// one that cannot pay is what the bound is about.
+    chosen: Vec<DeviceId>,
 }
 
 impl Genie {
@@ -26,7 +32,9 @@ impl Genie {
             buckets: Buckets::new(&known.positions(), known.area, d_max),
             d_max,
             devices: known.n(),
-            chosen: None,
+            is_lossy: known.radio.no_answer() > 0.0,
+            epicentre: Point::new(0.0, 0.0),
+            chosen: Vec::new(),
         }
     }
 
@@ -40,6 +48,14 @@ impl Genie {
         });
         best.map(|(_, j)| DeviceId(j as u32))
     }
+
+    /// All devices within d_max of `epicentre`, the closest at the end.
+    fn around(&self, epicentre: Point) -> Vec<DeviceId> {
+        let mut around = Vec::new();
+        self.buckets.within(epicentre, self.d_max, |j, d| around.push((d, j)));
+        around.sort_by(|a, b| b.0.total_cmp(&a.0).then(b.1.cmp(&a.1)));
+        around.into_iter().map(|(_, j)| DeviceId(j as u32)).collect()
+    }
 }
 
 impl Bound for Genie {
@@ -49,13 +65,33 @@ impl Bound for Genie {
     }
 
     fn next_wake_up(&mut self) -> Option<DeviceId> {
-        self.chosen.take()
+        self.chosen.pop()
+    }
+
+    /// Nobody else is needed once the event is reported.
+    fn answered(&mut self, report: Option<&Report>) {
+        if report.is_some() {
+            self.chosen.clear();
+        }
     }
 }
 
 impl Oracle for Genie {
     fn told(&mut self, stimulus: &Stimulus) -> bool {
-        self.chosen = self.closest(stimulus.epicentre);
-        self.chosen.is_some()
+        self.epicentre = stimulus.epicentre;
+        self.chosen = if self.is_lossy {
+            self.around(stimulus.epicentre)
+        } else {
+            self.closest(stimulus.epicentre).into_iter().collect()
+        };
+        !self.chosen.is_empty()
+    }
+
+    /// A radio that fails now may not fail later.
+    fn is_told_again(&mut self) -> bool {
+        if self.is_lossy {
+            self.chosen = self.around(self.epicentre);
+        }
+        !self.chosen.is_empty()
     }
 }

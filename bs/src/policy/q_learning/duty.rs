@@ -21,6 +21,8 @@ pub struct Terms {
     pub alpha: f64,
     /// What a look at a place counts for later.
     pub lookback: Lookback,
+    /// Probability that nothing is heard of a device in S1 that has detected an event.
+    pub lost: f64,
 }
 
 /// The duty cycling of a deployment.
@@ -79,6 +81,7 @@ impl Duty {
             schedule,
             alpha,
             lookback,
+            lost,
         } = terms;
         let mut duty = Self {
             values: [0.0; NODES],
@@ -87,7 +90,7 @@ impl Duty {
             rates: schedule.rates(),
             terms,
             batteries: vec![0; positions.len()],
-            ground: ground::new(lookback, positions, area, sensing),
+            ground: ground::new(lookback, lost, positions, area, sensing),
             energies,
             last: None,
         };

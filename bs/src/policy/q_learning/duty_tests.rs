@@ -144,6 +144,7 @@ impl Case {
             weights,
             alpha,
             lookback,
+            lost: 0.0,
         };
         let energies = vec![energy(); self.devices as usize];
         Duty::new(

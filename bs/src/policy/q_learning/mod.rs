@@ -83,6 +83,7 @@ impl QLearning {
             schedule: settings.schedule,
             alpha: known.alpha,
             lookback: settings.lookback,
+            lost: known.radio.silence(),
         };
         let wake_table = match known.bs.ranking {
             WakeUpRanking::P42 => start.wake_p42.clone(),

@@ -23,6 +23,7 @@ function happened(moment) {
   const said = [];
   if (moment.event) said.push(`event ${moment.event.event}`);
   if (moment.reported?.length) said.push(`reported: ${names(moment.reported)}`);
+  if (moment.lost?.length) said.push(`lost: ${names(moment.lost)}`);
   if (moment.failed?.length) said.push(`could not pay: ${names(moment.failed)}`);
   for (const { device, text } of moment.woken ?? []) said.push(`${device} woken, ${text}`);
   if (moment.ended) said.push(moment.ended.delay === null ? "missed" : `ended, delay ${moment.ended.delay}, I ${moment.ended.information.toFixed(3)}`);

@@ -7,6 +7,7 @@ use reveille_common::harvest::{ArrivalsSetup, HarvestSetup};
 use reveille_common::ids::{DeviceId, EventId, Tti};
 use reveille_common::message::DeviceSetup;
 use reveille_common::plan::DutyCycle;
+use reveille_common::radio::Radio;
 use reveille_common::rng::{Geometric, Purpose, Stream};
 use reveille_common::scenario::EnergyModel;
 use reveille_common::sensing::{DetectionKind, Fusion, Sensing};
@@ -39,7 +40,14 @@ pub fn levels(model: &EnergyModel, e_b: Energy, lattice: &Lattice, drive: &Drive
             harvest: HarvestSetup::Arrivals(ArrivalsSetup { p: drive.arrival, e_b }),
         })
         .collect();
-    let world = Physics::new(sample.seed, Tti::ZERO, always_detects(), &setups, Vec::new());
+    let world = Physics::new(
+        sample.seed,
+        Tti::ZERO,
+        always_detects(),
+        Radio::default(),
+        &setups,
+        Vec::new(),
+    );
     let count = |setup: &DeviceSetup| levels_of(setup, &world, lattice, drive, sample);
     setups.par_iter().map(count).collect()
 }

@@ -31,8 +31,8 @@ pub(super) struct Aged {
 }
 
 impl Aged {
-    pub(super) fn new(positions: &[Point], area: Area, sensing: &Sensing) -> Self {
-        let ages = Ages::new(positions, area, sensing, worths());
+    pub(super) fn new(lost: f64, positions: &[Point], area: Area, sensing: &Sensing) -> Self {
+        let ages = Ages::losing(lost, positions, area, sensing, worths());
         Self {
             choice: Choice::new(positions, area, sensing.d_max),
             cells: area.surface() / ages.cell_surface(),

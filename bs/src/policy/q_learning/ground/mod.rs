@@ -13,10 +13,17 @@ pub(super) use self::contract::{Gain, Ground};
 use self::window::Windowed;
 use super::learned::Lookback;
 
-/// The ground of devices at `positions` of `area`.
-pub(super) fn new(lookback: Lookback, positions: &[Point], area: Area, sensing: &Sensing) -> Box<dyn Ground> {
+/// The ground of devices at `positions` of `area`. With probability `lost` nothing is heard of one that has found
+/// something.
+pub(super) fn new(
+    lookback: Lookback,
+    lost: f64,
+    positions: &[Point],
+    area: Area,
+    sensing: &Sensing,
+) -> Box<dyn Ground> {
     match lookback {
         Lookback::Window(window) => Box::new(Windowed::new(window, positions, area, sensing)),
-        Lookback::Ages => Box::new(Aged::new(positions, area, sensing)),
+        Lookback::Ages => Box::new(Aged::new(lost, positions, area, sensing)),
     }
 }

@@ -1,0 +1,100 @@
+//! One device, TTI by TTI.
+
+use reveille_common::scenario::EnergyModel;
+use reveille_common::totals::{DeviceTotals, Ledger, Spent};
+use reveille_common::units::Energy;
+
+use super::harvest::Source;
+
+/// Where a device is at the end of a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum State {
+    /// S1.
+    Idle,
+    /// S3.
+    Transmission,
+    /// S4 with a wake-up radio that can hear.
+    Asleep,
+    /// S4 after an action that the battery could not pay.
+    Dark,
+}
+
+/// One device and its books, micro-units.
+#[derive(Clone, Debug)]
+pub(super) struct Device {
+    pub(super) costs: EnergyModel,
+    pub(super) source: Source,
+    pub(super) state: State,
+    pub(super) battery: u64,
+    pub(super) harvested: u64,
+    /// By state: S1, S4, S2 to S3.
+    spent: [u64; 3],
+    pub(super) overflow: u64,
+    pub(super) battery_sum: u128,
+    pub(super) low_ttis: u64,
+    pub(super) sensing_ttis: u64,
+    pub(super) failed_ttis: u64,
+    pub(super) dark_ttis: u64,
+    pub(super) false_wakes: u64,
+    /// TTIs one after another without power, up to now and at the most.
+    pub(super) outage: [u64; 2],
+    /// Its sums at the start of the measured part.
+    pub(super) before: Option<DeviceTotals>,
+}
+
+impl Device {
+    pub(super) fn new(costs: EnergyModel, source: Source) -> Self {
+        Self {
+            source,
+            state: State::Asleep,
+            battery: costs.initial.micro(),
+            costs,
+            harvested: 0,
+            spent: [0; 3],
+            overflow: 0,
+            battery_sum: 0,
+            low_ttis: 0,
+            sensing_ttis: 0,
+            failed_ttis: 0,
+            dark_ttis: 0,
+            false_wakes: 0,
+            outage: [0; 2],
+            before: None,
+        }
+    }
+
+    /// Pays `cost`, or loses what is left. Says what left the battery, and whether it was enough.
+    pub(super) fn pay(&mut self, cost: Energy, state: usize) -> (u64, bool) {
+        let enough = self.battery >= cost.micro();
+        let gone = if enough { cost.micro() } else { self.battery };
+        self.battery -= gone;
+        self.spent[state] += gone;
+        (gone, enough)
+    }
+
+    pub(super) fn ledger(&self) -> Ledger {
+        let whole = self.sums();
+        Ledger {
+            whole,
+            measured: self.before.map_or_else(DeviceTotals::default, |before| whole - before),
+            longest_outage: self.outage[1],
+        }
+    }
+
+    pub(super) fn sums(&self) -> DeviceTotals {
+        let [sensing, sleep, report] = self.spent.map(Energy::from_micro);
+        DeviceTotals {
+            initial: self.costs.initial,
+            harvested: Energy::from_micro(self.harvested),
+            spent: Spent { sensing, sleep, report },
+            overflow: Energy::from_micro(self.overflow),
+            battery: Energy::from_micro(self.battery),
+            battery_sum: self.battery_sum,
+            low_ttis: self.low_ttis,
+            sensing_ttis: self.sensing_ttis,
+            failed_ttis: self.failed_ttis,
+            dark_ttis: self.dark_ttis,
+            false_wakes: self.false_wakes,
+        }
+    }
+}

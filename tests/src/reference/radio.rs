@@ -1,0 +1,154 @@
+//! What the radio does, TTI by TTI and by the definition.
+
+use reveille_common::radio::{self, Bursts, Link};
+use reveille_common::rng::{Geometric, Purpose, Stream, unit_for_pair};
+use reveille_common::scenario::Scenario;
+
+/// The radio of a run. Its clock goes on whatever is sent.
+#[derive(Clone, Debug)]
+pub(super) struct Radio {
+    seed: u64,
+    settings: radio::Radio,
+    link: Link,
+    interference: Option<Interference>,
+    /// By device, what is drawn of it, and the TTIs until something wakes it for nothing.
+    startling: Vec<(Stream, u64)>,
+    /// By device, whether a plan has reached it: all are the same.
+    informed: Vec<bool>,
+    k: u64,
+}
+
+/// Bursts and the time between them.
+#[derive(Clone, Debug)]
+struct Interference {
+    bursts: Bursts,
+    stream: Stream,
+    is_burst: bool,
+    left: u64,
+}
+
+impl Interference {
+    fn new(bursts: Bursts, seed: u64) -> Self {
+        let mut stream = Stream::new(seed, Purpose::Interference, 0);
+        let is_burst = stream.unit() < bursts.burst_ttis / (bursts.burst_ttis + bursts.quiet_ttis);
+        let mut made = Self {
+            bursts,
+            stream,
+            is_burst,
+            left: 0,
+        };
+        made.left = made.length();
+        made
+    }
+
+    fn length(&mut self) -> u64 {
+        let mean = if self.is_burst {
+            self.bursts.burst_ttis
+        } else {
+            self.bursts.quiet_ttis
+        };
+        Geometric::new(1.0 / mean).draw(&mut self.stream)
+    }
+
+    fn next_tti(&mut self) {
+        if self.left == 0 {
+            self.is_burst = !self.is_burst;
+            self.left = self.length();
+        }
+        self.left -= 1;
+    }
+}
+
+impl Radio {
+    pub(super) fn new(scenario: &Scenario, devices: usize) -> Self {
+        let (seed, settings) = (scenario.seed, scenario.radio);
+        let law = Geometric::new(settings.false_wake);
+        let startling = (0..devices as u64).map(|id| {
+            let mut stream = Stream::new(seed, Purpose::FalseWakes, id);
+            let gap = law.draw(&mut stream);
+            (stream, gap)
+        });
+        Self {
+            seed,
+            settings,
+            link: link(&settings),
+            interference: settings.bursts.map(|bursts| Interference::new(bursts, seed)),
+            startling: startling.collect(),
+            informed: vec![false; devices],
+            k: 0,
+        }
+    }
+
+    /// TTI `k` begins, in which the plan goes out if it `is_sent`. How many devices miss it.
+    pub(super) fn begin(&mut self, k: u64, is_sent: bool) -> u64 {
+        self.k = k;
+        if let Some(interference) = &mut self.interference {
+            interference.next_tti();
+        }
+        let mut missed = 0;
+        for j in (0..self.informed.len()).filter(|_| is_sent) {
+            if self.is_lost(Purpose::PlanLoss, j, self.settings.plan_loss) {
+                missed += 1;
+            } else {
+                self.informed[j] = true;
+            }
+        }
+        missed
+    }
+
+    pub(super) fn is_informed(&self, j: usize) -> bool {
+        self.informed[j]
+    }
+
+    /// Whether something wakes device `j` in this TTI, if it sleeps. To be asked once a TTI.
+    pub(super) fn startles(&mut self, j: usize) -> bool {
+        let (stream, left) = &mut self.startling[j];
+        *left -= 1;
+        let is_now = *left == 0;
+        if is_now {
+            *left = Geometric::new(self.settings.false_wake).draw(stream);
+        }
+        is_now
+    }
+
+    pub(super) fn misses_wake_up(&self, j: usize) -> bool {
+        self.is_lost(Purpose::WakeMiss, j, self.settings.wake_miss)
+    }
+
+    pub(super) fn loses_report(&self, j: usize) -> bool {
+        self.is_lost(Purpose::UplinkLoss, j, self.settings.uplink_loss)
+    }
+
+    /// How likely it is that a device that sensed an event is not heard.
+    pub(super) fn silence(&self) -> f64 {
+        1.0 - (1.0 - self.link.plan_loss) * (1.0 - self.link.uplink_loss)
+    }
+
+    /// How likely it is that a device that was woken is not heard.
+    pub(super) fn no_answer(&self) -> f64 {
+        1.0 - (1.0 - self.link.wake_miss) * (1.0 - self.link.uplink_loss)
+    }
+
+    fn is_lost(&self, purpose: Purpose, j: usize, otherwise: f64) -> bool {
+        let burst = self.interference.as_ref().filter(|now| now.is_burst);
+        let p = burst.map_or(otherwise, |now| now.bursts.loss.max(otherwise));
+        unit_for_pair(self.seed, purpose, j as u64, self.k) < p
+    }
+}
+
+/// Means over bursts and the time between them.
+fn link(settings: &radio::Radio) -> Link {
+    let mean = |p: f64| match settings.bursts {
+        None => p,
+        Some(Bursts {
+            burst_ttis,
+            quiet_ttis,
+            loss,
+        }) => (burst_ttis * loss.max(p) + quiet_ttis * p) / (burst_ttis + quiet_ttis),
+    };
+    Link {
+        wake_miss: mean(settings.wake_miss),
+        uplink_loss: mean(settings.uplink_loss),
+        plan_loss: mean(settings.plan_loss),
+    }
+}

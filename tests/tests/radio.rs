@@ -1,0 +1,289 @@
+//! A radio that fails: what it takes away, who may know of it, and that it is told apart from the rest.
+
+use std::collections::BTreeMap;
+
+use reveille_bs::cycle::Cycle;
+use reveille_bs::knowledge::Knowledge;
+use reveille_bs::observe::{Happening, Observer};
+use reveille_bs::policy::registry;
+use reveille_bs::prepared::Prepared;
+use reveille_bs::scenario::{Override, load};
+use reveille_bs::station::Station;
+use reveille_common::event::{EventProcess, ScriptedEvent};
+use reveille_common::geometry::Point;
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::WakeOutcome;
+use reveille_common::plan::Plan;
+use reveille_common::radio::{Air, Link};
+use reveille_common::world::World;
+use reveille_device::machine::Machine;
+use reveille_lab::preparation::prepare;
+use reveille_lab::run::{Options, Run};
+
+fn prepared(set: &[&str]) -> Prepared {
+    let parse = |set: &&str| Override::parse(set).expect("an override");
+    let overrides: Vec<Override> = set.iter().map(parse).collect();
+    prepare(&load("paper", &overrides).expect("a scenario"))
+}
+
+/// What a base station decided, and what came of it.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Watch {
+    plans: Vec<(Tti, Plan)>,
+    wake_ups: Vec<(Tti, DeviceId)>,
+    /// By what it was: how often, and the last TTI.
+    seen: BTreeMap<&'static str, u64>,
+    /// TTIs and senders of reports, by whether they were lost.
+    reports: [Vec<(Tti, DeviceId)>; 2],
+    /// TTIs and devices of wake-ups that were not heard.
+    unheard: Vec<(Tti, DeviceId)>,
+    /// Events, with whether they were reported, and reports of theirs that were lost.
+    events: Vec<(bool, u64)>,
+    lost: u64,
+}
+
+impl Observer for Watch {
+    fn see(&mut self, happening: &Happening<'_>) {
+        match happening {
+            Happening::Plan { update, .. } => self.plans.push((update.from, update.plan.clone())),
+            Happening::Reported(report) => self.reports[0].push((report.tti, report.device)),
+            Happening::Lost(report) => {
+                self.lost += 1;
+                self.reports[1].push((report.tti, report.device));
+            }
+            Happening::WakeUp { tti, device } => self.wake_ups.push((*tti, *device)),
+            Happening::Woken { tti, device, outcome } => match outcome {
+                WakeOutcome::Reported(_) => self.reports[0].push((*tti, *device)),
+                WakeOutcome::Lost(_) => {
+                    self.lost += 1;
+                    self.reports[1].push((*tti, *device));
+                }
+                WakeOutcome::Unheard => self.unheard.push((*tti, *device)),
+                WakeOutcome::Failed(_) => *self.seen.entry("failed").or_default() += 1,
+            },
+            Happening::EventStarted(_) => self.lost = 0,
+            Happening::EventEnded(record) => self.events.push((record.tally.reports > 0, self.lost)),
+            Happening::Failed { .. } => *self.seen.entry("failed").or_default() += 1,
+            Happening::Granted(_) | Happening::Believed { .. } | Happening::Closed(_) | Happening::States(_) => {}
+        }
+    }
+}
+
+fn watch(prepared: &Prepared) -> Watch {
+    let mut watch = Watch::default();
+    Run::new(prepared, Options::default()).finish(&mut watch);
+    watch
+}
+
+/// What is lost is what the draws say, no more and no less, whatever the policy does.
+#[test]
+fn reports_and_wake_ups_are_lost_as_they_are_drawn() {
+    for policy in registry::names() {
+        let name = format!("policy.name={policy}");
+        let prepared = prepared(&[
+            &name,
+            "ttis=1200",
+            "energy.initial=100",
+            "radio.uplink_loss=0.3",
+            "radio.wake_miss=0.25",
+            "radio.interference=bursts",
+            "radio.bursts.loss=0.6",
+            "bs.sync_interval=20",
+        ]);
+        let seen = watch(&prepared);
+        let mut air = Air::new(prepared.scenario.seed, &prepared.scenario.radio);
+        let mut all: Vec<(Tti, DeviceId, bool)> = Vec::new();
+        for (place, reports) in seen.reports.iter().enumerate() {
+            all.extend(reports.iter().map(|&(tti, device)| (tti, device, place == 1)));
+        }
+        all.sort_unstable();
+        for &(tti, device, is_lost) in &all {
+            assert_eq!(
+                air.at(tti).loses_report(device),
+                is_lost,
+                "{policy}: device {device} in TTI {tti}"
+            );
+        }
+        let lost = seen.reports[1].len() as f64 / all.len() as f64;
+        // More than between bursts, since an event goes on while nobody hears of it.
+        assert!(
+            all.len() > 60 && (0.2..0.6).contains(&lost),
+            "{policy}: {lost} of {}",
+            all.len()
+        );
+        let mut air = Air::new(prepared.scenario.seed, &prepared.scenario.radio);
+        for &(tti, device) in &seen.wake_ups {
+            let is_missed = air.at(tti).misses_wake_up(device);
+            let is_unheard = seen.unheard.contains(&(tti, device));
+            assert!(is_unheard || !is_missed, "{policy}: device {device} heard in TTI {tti}");
+        }
+    }
+}
+
+/// With every report lost, nothing gets in, and each event that could be missed is.
+#[test]
+fn events_whose_reports_are_all_lost_stay_open_and_are_missed() {
+    let prepared = prepared(&["ttis=2000", "radio.uplink_loss=1", "energy.initial=100"]);
+    let seen = watch(&prepared);
+    assert!(seen.events.iter().all(|(is_reported, _)| !is_reported));
+    let most = seen.events.iter().map(|(_, lost)| *lost).max();
+    // A device that is in S1 in several TTIs of an event reports it in each.
+    assert!(
+        most > Some(4) && seen.reports[0].is_empty() && seen.wake_ups.is_empty(),
+        "{most:?}"
+    );
+    let outcome = Run::new(&prepared, Options::default()).finish(&mut ());
+    let missed = outcome.totals.missed;
+    let [missed_pct, lost_pct] = [outcome.metrics.misdetection_pct, outcome.metrics.lost_reports_pct];
+    assert!((missed_pct - 100.0).abs() < 1e-12 && (lost_pct - 100.0).abs() < 1e-12);
+    assert_eq!(missed.events(), outcome.totals.events.events);
+    assert!(missed.lost > 20 * missed.unpaid.max(1), "{missed:?}");
+}
+
+/// Where the first report is lost, a later one ends the event.
+#[test]
+fn an_event_is_reported_after_a_report_was_lost() {
+    let prepared = prepared(&["ttis=3000", "radio.uplink_loss=0.5", "events.duration=6"]);
+    let seen = watch(&prepared);
+    let late = seen
+        .events
+        .iter()
+        .filter(|(is_reported, lost)| *is_reported && *lost > 0)
+        .count();
+    assert!(late > 50, "{late}");
+}
+
+/// A device that misses plans does what it was told before: lookahead or not, it comes to the same.
+#[test]
+fn devices_that_miss_plans_keep_the_old_one() {
+    for policy in ["knn", "age-index", "q-learning"] {
+        let name = format!("policy.name={policy}");
+        let set = [&*name, "ttis=1500", "radio.plan_loss=0.4", "bs.sync_interval=200"];
+        let prepared = prepared(&set);
+        let mut run = Run::new(&prepared, Options::default());
+        let mut watch = Watch::default();
+        let mut air = Air::new(prepared.scenario.seed, &prepared.scenario.radio);
+        let mut heard: Vec<_> = run.machines().iter().map(Machine::duty).collect();
+        let mut differing = 0_u64;
+        while run.cycle().next_tti() < Tti(1500) {
+            let before = watch.plans.len();
+            run.grant(&mut watch);
+            for (from, plan) in &watch.plans[before..] {
+                let now = air.at(*from);
+                for (duty, device) in heard.iter_mut().zip((0..).map(DeviceId)) {
+                    if !now.misses_plan(device) {
+                        *duty = plan.duty_cycle(device);
+                    }
+                }
+            }
+            for (machine, duty) in run.machines().iter().zip(&heard) {
+                assert_eq!(machine.duty(), *duty, "{policy}: device {}", machine.id());
+                differing += u64::from(*duty != run.cycle().plan().duty_cycle(machine.id()));
+            }
+        }
+        assert!(differing > 0, "{policy}");
+        let one_by_one = Options {
+            lookahead: false,
+            ..Options::default()
+        };
+        let digests = [Options::default(), one_by_one].map(|how| Run::new(&prepared, how).finish(&mut ()).digest);
+        assert_eq!(digests[0], digests[1], "{policy}");
+    }
+}
+
+/// The wall: what is lost on its way is as if it had never been sent, whatever was in it.
+#[test]
+fn a_base_station_knows_nothing_of_what_was_lost() {
+    for policy in registry::names().filter(|policy| *policy != "genie") {
+        let name = format!("policy.name={policy}");
+        let set = [
+            &*name,
+            "ttis=600",
+            "radio.uplink_loss=1",
+            "bs.battery_knowledge=reported",
+        ];
+        let prepared = prepared(&set);
+        let play = |places: &dyn Fn(u64) -> Point| {
+            let script = (0..70).map(|i| ScriptedEvent {
+                start: Tti(8 * i),
+                duration: 4,
+                epicentre: places(i),
+            });
+            let process = EventProcess::scripted(script.collect());
+            let world = World::with_events(&prepared.scenario, &prepared.deployment, process);
+            // A base station that takes its radio for a perfect one: one that knew would not look at all.
+            let known = Knowledge {
+                radio: Link::default(),
+                ..prepared.knowledge()
+            };
+            let mind = prepared.mind(&known);
+            let cycle = Cycle::with_station(&prepared, world, Station::new(known, mind));
+            let mut watch = Watch::default();
+            Run::with_cycle(&prepared, cycle, Options::default()).finish(&mut watch);
+            watch
+        };
+        let one = play(&|i| Point::new(1.0 + (i % 19) as f64, 10.0));
+        let other = play(&|i| Point::new(10.0, 19.0 - (i % 19) as f64));
+        assert!(one.reports[1].len() > 20 && one.reports != other.reports, "{policy}");
+        assert_eq!((one.plans, one.wake_ups), (other.plans, other.wake_ups), "{policy}");
+    }
+}
+
+/// Each thing that fails shows in its own metric, and only there.
+#[test]
+fn every_failure_has_its_metric() {
+    let names = [
+        "lost_reports_pct",
+        "unheard_wake_ups_pct",
+        "missed_plans_pct",
+        "false_wakes_pct",
+    ];
+    let fields = ["uplink_loss=0.2", "wake_miss=0.2", "plan_loss=0.2", "false_wake=0.2"];
+    // Batteries that never run out: what is not heard was missed.
+    let always = [
+        "ttis=4000",
+        "energy.e_max=10000",
+        "energy.initial=10000",
+        "bs.sync_interval=3",
+        // Many wake-ups.
+        "policy.name=genie",
+    ];
+    for (at, field) in fields.iter().enumerate() {
+        let field = format!("radio.{field}");
+        let mut set = always.to_vec();
+        set.push(&field);
+        let metrics = Run::new(&prepared(&set), Options::default()).finish(&mut ()).metrics;
+        for (place, name) in names.iter().enumerate() {
+            let value = metrics.value(name).expect("a metric");
+            if place == at {
+                assert!((value - 20.0).abs() < 6.0, "{field}: {name} {value}");
+            } else {
+                assert!(value.abs() < 1e-12, "{field}: {name} {value}");
+            }
+        }
+    }
+}
+
+/// False wakes cost what they are said to: E_idle each, in S4.
+#[test]
+fn false_wakes_are_paid_for_in_s4() {
+    let rich = [
+        "ttis=2000",
+        "energy.e_max=10000",
+        "energy.initial=10000",
+        "policy.name=genie",
+    ];
+    let total = |extra: &[&str]| {
+        let set: Vec<&str> = rich.iter().chain(extra).copied().collect();
+        Run::new(&prepared(&set), Options::default())
+            .finish(&mut ())
+            .totals
+            .energy
+    };
+    let (plain, startled) = (total(&[]), total(&["radio.false_wake=0.1"]));
+    assert_eq!(startled.spent.sensing, plain.spent.sensing);
+    let extra = startled.spent.sleep - plain.spent.sleep;
+    assert_eq!(extra.micro(), startled.false_wakes * 1_000_000, "E_idle is 1 unit");
+    let share = startled.false_wakes as f64 / (50.0 * 1800.0);
+    assert!((share - 0.1).abs() < 0.005, "{share}");
+}
