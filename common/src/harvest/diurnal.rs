@@ -14,6 +14,8 @@ use crate::ids::Tti;
 use crate::rng::Stream;
 use crate::units::Energy;
 
+/// An arrival has to be less likely than this: with one that is sure, or that rounding makes so, no gap can be drawn.
+const SURE: f64 = 1.0 - 1e-9;
 /// The most TTIs of a day.
 pub const MOST_TTIS: u32 = 100_000;
 
@@ -124,7 +126,7 @@ impl Diurnal {
             Reference::DailyMean | Reference::Zenith => {}
         }
         let noon = made.zenith(tau) * sun.noon();
-        if noon >= 1.0 {
+        if noon >= SURE {
             let allowed = format!(
                 "makes the probability of an arrival in a TTI {noon:.3} at noon, and it has to be below 1; set a \
                  smaller harvest.lambda, and a larger harvest.e_b for the same harvest"
@@ -208,7 +210,7 @@ impl DiurnalSetup {
             && (0.0..24.0).contains(&start_hour)
             && (1..=MOST_TTIS).contains(&ttis_per_day);
         let noon = self.zenith * self.sun.noon();
-        is_a_day && self.zenith >= 0.0 && (0.0..1.0).contains(&noon) && (0.0..1.0).contains(&self.mean)
+        is_a_day && self.zenith >= 0.0 && (0.0..SURE).contains(&noon) && (0.0..1.0).contains(&self.mean)
     }
 
     /// The mean harvest in a TTI.

@@ -16,7 +16,9 @@ fn sun(ttis_per_day: u32) -> Sun {
 }
 
 fn diurnal(lambda: f64, sun: Sun, reference: Reference) -> Diurnal {
-    Diurnal::new(Arrivals { lambda, e_b: E_B }, sun, reference, Known::Course)
+    let made = Diurnal::new(Arrivals { lambda, e_b: E_B }, sun, reference, Known::Course);
+    assert!(made.setup(1.0).is_sound(), "an arrival is at most certain");
+    made
 }
 
 fn source(of: Diurnal, device: u32) -> HarvestSource {
@@ -43,7 +45,7 @@ fn counted(of: Diurnal, devices: u32, days: u64) -> Vec<u64> {
 #[test]
 fn arrivals_follow_the_sun() {
     for sky in [Sky::Vacuum, Sky::Clear] {
-        let of = diurnal(0.3, Sun { sky, ..sun(24) }, Reference::DailyMean);
+        let of = diurnal(0.2, Sun { sky, ..sun(24) }, Reference::DailyMean);
         let (devices, days) = (200, 500);
         let trials = f64::from(devices) * days as f64;
         let p: Vec<f64> = of.sun.times(of.zenith(1.0)).collect();
@@ -62,7 +64,7 @@ fn arrivals_follow_the_sun() {
 /// Whether an arrival comes says nothing of the next TTI.
 #[test]
 fn arrivals_of_one_tti_and_the_next_do_not_depend_on_each_other() {
-    let of = diurnal(0.8, sun(24), Reference::DailyMean);
+    let of = diurnal(0.2, sun(24), Reference::DailyMean);
     let p: Vec<f64> = of.sun.times(of.zenith(1.0)).collect();
     let (mut pairs, mut expected) = (0_u64, 0.0);
     let days = 100_000;
