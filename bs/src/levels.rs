@@ -110,7 +110,9 @@ impl Class {
 
     /// The end of the span from `from` on within which its harvest is of a kind, day or night, `end` at the latest.
     fn end_of_span(&self, from: Tti, end: Tti) -> Tti {
-        self.course.as_ref().map_or(end, |course| course.turn_after(from).min(end))
+        self.course
+            .as_ref()
+            .map_or(end, |course| course.turn_after(from).min(end))
     }
 }
 

@@ -258,7 +258,11 @@ fn harvest() -> impl Strategy<Value = HarvestLines> {
     let trace = (1..=4u64, end, 0.0..2.0f64);
     (kind, column, columns, e_b, 0.02..3.0f64, off, trace, day()).prop_map(
         |(kind, column, columns, e_b, lambda, off, (per_row, end, scale), (day, is_mean))| {
-            let lambda = if kind == "diurnal" && is_mean { lambda / 30.0 } else { lambda };
+            let lambda = if kind == "diurnal" && is_mean {
+                lambda / 30.0
+            } else {
+                lambda
+            };
             let mut source = format!("kind = \"{kind}\"\n");
             if kind != "trace" {
                 writeln!(source, "lambda = {lambda:?}\ne_b = {e_b:?}").expect("text takes it");

@@ -96,14 +96,23 @@ fn estimates_follow_the_time_of_the_day_where_it_is_known() {
         let steady = 50.0 + (k + 1) as f64 * (5.0 * p - 1.0 / 14.0);
         assert!((flat - steady).abs() < 1e-3, "TTI {k}: {flat}, not {steady}");
     }
-    assert!(known[5] < 50.0 && mean_only[5] > 52.0, "{} and {}", known[5], mean_only[5]);
+    assert!(
+        known[5] < 50.0 && mean_only[5] > 52.0,
+        "{} and {}",
+        known[5],
+        mean_only[5]
+    );
     assert!((known[47] - mean_only[47]).abs() < 1e-3, "whole days");
 }
 
 /// A level that is carried over days at once is that of one TTI after another, whose battery is full every day.
 #[test]
 fn days_and_nights_are_carried_one_by_one() {
-    let set = [&DAY[..], &["harvest.e_b=25", "energy.e_idle=3", "bs.battery_knowledge=reported"]].concat();
+    let set = [
+        &DAY[..],
+        &["harvest.e_b=25", "energy.e_idle=1.5", "bs.battery_knowledge=reported"],
+    ]
+    .concat();
     let known = known(&set);
     let cycle = |j: u32| DutyCycle {
         t_on: u32::from(j % 2 == 0),
@@ -116,11 +125,14 @@ fn days_and_nights_are_carried_one_by_one() {
         stepped.pass(Tti(k + 1), &plan);
     }
     at_once.pass(Tti(24 * 9 + 3), &plan);
-    // Full at dusk, then a night of nine TTIs so far: 27 units for those in S1.
+    // Full at dusk, then a night of nine TTIs so far: 13.5 units for those in S1.
     for (j, (once, step)) in at_once.all().iter().zip(stepped.all()).enumerate() {
-        let spent = if j % 2 == 0 { 27.0 } else { 9.0 / 14.0 };
+        let spent = if j % 2 == 0 { 13.5 } else { 9.0 / 14.0 };
         assert!((once.units() - (100.0 - spent)).abs() < 4.0, "device {j}: {once}");
-        assert!((once.units() - step.units()).abs() < 4.0, "device {j}: {once} and {step}");
+        assert!(
+            (once.units() - step.units()).abs() < 4.0,
+            "device {j}: {once} and {step}"
+        );
     }
 }
 
@@ -213,7 +225,7 @@ fn a_device_can_report_if_what_is_carried_pays_for_it() {
     for set in [
         ["harvest.lambda=0.1", "energy.e_idle=1", "energy.e_max=100"],
         ["harvest.lambda=1", "energy.e_idle=0.01", "energy.e_max=100"],
-        ["harvest.lambda=0", "energy.e_idle=3", "energy.e_max=30"],
+        ["harvest.lambda=0", "energy.e_idle=1.5", "energy.e_max=30"],
         ["harvest.lambda=1", "energy.e_idle=5", "energy.e_max=13"],
     ] {
         let known = known(&set);

@@ -3,8 +3,8 @@
 use crate::ids::Tti;
 use crate::units::Energy;
 
-/// The energy that is to be expected of a source between any two TTIs, where each day is like the last: physics, without
-/// a draw.
+/// The energy that is to be expected of a source between any two TTIs, where each day is like the last: physics,
+/// without a draw.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Course {
     /// Micro-units that are to be expected from the start of a day up to each of its TTIs, the whole day last.
@@ -14,7 +14,8 @@ pub struct Course {
 }
 
 impl Course {
-    /// The course of a source with an arrival of `e_b` in each TTI of a day with the probability in `day`, at least one.
+    /// The course of a source with an arrival of `e_b` in each TTI of a day with the probability in `day`. A day has
+    /// at least one TTI.
     pub fn new(day: impl Iterator<Item = f64>, e_b: Energy) -> Self {
         let (mut sum, mut until, mut is_lit) = (0.0, vec![0], Vec::new());
         for p in day {
@@ -71,7 +72,11 @@ mod tests {
         };
         for from in 0..13 {
             for end in from..23 {
-                assert_eq!(course.between(Tti(from), Tti(end)).micro(), by_hand(from, end), "{from} to {end}");
+                assert_eq!(
+                    course.between(Tti(from), Tti(end)).micro(),
+                    by_hand(from, end),
+                    "{from} to {end}"
+                );
             }
         }
         assert_eq!(course.between(Tti(7), Tti(3)), Energy::ZERO);

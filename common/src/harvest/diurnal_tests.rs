@@ -53,8 +53,16 @@ fn arrivals_follow_the_sun() {
         let mut squares = 0.0;
         for (slot, (&p, &count)) in p.iter().zip(&counted(of, devices, days)).enumerate() {
             let error = (trials * p * (1.0 - p)).sqrt();
-            assert!((count as f64 - trials * p).abs() <= 4.5 * error, "{slot}: {count}, not {}", trials * p);
-            squares += if error > 0.0 { ((count as f64 - trials * p) / error).powi(2) } else { 0.0 };
+            assert!(
+                (count as f64 - trials * p).abs() <= 4.5 * error,
+                "{slot}: {count}, not {}",
+                trials * p
+            );
+            squares += if error > 0.0 {
+                ((count as f64 - trials * p) / error).powi(2)
+            } else {
+                0.0
+            };
         }
         // The sum of some twelve squares of standard normal draws.
         assert!(squares < 35.0, "{squares}");
@@ -80,7 +88,10 @@ fn arrivals_of_one_tti_and_the_next_do_not_depend_on_each_other() {
         expected += days as f64 * p[slot] * p[(slot + 1) % 24];
     }
     assert!(expected > 10_000.0);
-    assert!((pairs as f64 - expected).abs() < 4.5 * expected.sqrt(), "{pairs}, not {expected}");
+    assert!(
+        (pairs as f64 - expected).abs() < 4.5 * expected.sqrt(),
+        "{pairs}, not {expected}"
+    );
 }
 
 #[test]
@@ -106,7 +117,14 @@ fn the_daily_mean_is_that_of_eq5_and_under_the_zenith_the_integral() {
         let course = setup.course().expect("known");
         let day = course.between(Tti(1000), Tti(1288)).units();
         assert!((day - 288.0 * 5.0 * p).abs() < 1e-6, "{day}");
-        assert_eq!(DiurnalSetup { known: Known::Mean, ..setup }.course(), None);
+        assert_eq!(
+            DiurnalSetup {
+                known: Known::Mean,
+                ..setup
+            }
+            .course(),
+            None
+        );
     }
 }
 
@@ -120,9 +138,24 @@ fn nothing_comes_at_night_and_a_polar_night_has_no_end() {
     let dark = diurnal(0.3, place, Reference::Zenith);
     assert_eq!(source(dark, 0).next(), Tti::NEVER);
     assert_eq!(Harvest::Diurnal(dark).setup(1.0, 0).mean(&[]), Energy::ZERO);
-    let bright = diurnal(0.3, Sun { day_of_year: 172, ..place }, Reference::Zenith);
+    let bright = diurnal(
+        0.3,
+        Sun {
+            day_of_year: 172,
+            ..place
+        },
+        Reference::Zenith,
+    );
     assert!(counted(bright, 20, 100).iter().all(|&count| count > 0));
-    let nothing = Diurnal::new(Arrivals { lambda: 0.3, e_b: Energy::ZERO }, sun(24), Reference::Zenith, Known::Course);
+    let nothing = Diurnal::new(
+        Arrivals {
+            lambda: 0.3,
+            e_b: Energy::ZERO,
+        },
+        sun(24),
+        Reference::Zenith,
+        Known::Course,
+    );
     assert_eq!(source(nothing, 0).next(), Tti::NEVER);
 }
 
@@ -161,12 +194,30 @@ fn a_setup_from_elsewhere_is_checked() {
     assert!(sound.is_sound());
     let place = sound.sun;
     let suns = [
-        Sun { latitude: 90.1, ..place },
-        Sun { latitude: f64::NAN, ..place },
-        Sun { day_of_year: 366, ..place },
-        Sun { start_hour: 24.0, ..place },
-        Sun { ttis_per_day: 0, ..place },
-        Sun { ttis_per_day: MOST_TTIS + 1, ..place },
+        Sun {
+            latitude: 90.1,
+            ..place
+        },
+        Sun {
+            latitude: f64::NAN,
+            ..place
+        },
+        Sun {
+            day_of_year: 366,
+            ..place
+        },
+        Sun {
+            start_hour: 24.0,
+            ..place
+        },
+        Sun {
+            ttis_per_day: 0,
+            ..place
+        },
+        Sun {
+            ttis_per_day: MOST_TTIS + 1,
+            ..place
+        },
     ];
     for sun in suns {
         assert!(!DiurnalSetup { sun, ..sound }.is_sound(), "{sun:?}");

@@ -45,7 +45,8 @@ choices! {
         ExpMinusLambda = "exp-minus-lambda",
         /// An on/off source with exponential durations, as the text of Sec. III-A describes it.
         Mpp = "mpp",
-        /// Day and night: an arrival in a TTI with a probability that follows the sun over a place on a day of the year.
+        /// Day and night: an arrival in a TTI with a probability that follows the sun over a place on a day of the
+        /// year.
         Diurnal = "diurnal",
         /// Recorded energy from a file.
         Trace = "trace",
@@ -179,8 +180,8 @@ impl Harvest {
         }
     }
 
-    /// The probability of an arrival in a TTI of duration `tau`, of sources whose arrivals do not depend on each other and
-    /// are equally likely in all TTIs.
+    /// The probability of an arrival in a TTI of duration `tau`, of sources whose arrivals do not depend on each other
+    /// and are equally likely in all TTIs.
     pub fn independent_probability(&self, tau: f64) -> Option<f64> {
         match self.setup(tau, 0) {
             HarvestSetup::Arrivals(ArrivalsSetup { p, .. }) => Some(p),

@@ -86,7 +86,8 @@ impl Panel {
             let energy = Energy::from_micro(sum.saturating_sub(before));
             if energy.units() > MAX_UNITS {
                 return Err(format!(
-                    "in TTI {tti} come {:.1} units, and at most {MAX_UNITS} may; set a larger harvest.trace.panel.unit_mj",
+                    "in TTI {tti} come {:.1} units, and at most {MAX_UNITS} may; set a larger \
+                     harvest.trace.panel.unit_mj",
                     energy.units()
                 ));
             }
@@ -140,15 +141,24 @@ mod tests {
     #[test]
     fn between_rows_goes_a_straight_line() {
         // 0 at 0 s, 8 at 4 s; then back to 0 at 8 s, or on at 8.
-        assert_eq!(units(&PANEL, &[0.0, 8.0], false), [1.0, 3.0, 5.0, 7.0, 7.0, 5.0, 3.0, 1.0]);
-        assert_eq!(units(&PANEL, &[0.0, 8.0], true), [1.0, 3.0, 5.0, 7.0, 8.0, 8.0, 8.0, 8.0]);
+        assert_eq!(
+            units(&PANEL, &[0.0, 8.0], false),
+            [1.0, 3.0, 5.0, 7.0, 7.0, 5.0, 3.0, 1.0]
+        );
+        assert_eq!(
+            units(&PANEL, &[0.0, 8.0], true),
+            [1.0, 3.0, 5.0, 7.0, 8.0, 8.0, 8.0, 8.0]
+        );
         let odd = Panel {
             tti_seconds: 8.0 / 3.0,
             ..PANEL
         };
         // The triangle of 32 in thirds: (8/3)²·2/2, then the rest but as much again.
         let outer = (8.0_f64 / 3.0).powi(2);
-        for (found, expected) in units(&odd, &[0.0, 8.0], false).iter().zip([outer, 32.0 - 2.0 * outer, outer]) {
+        for (found, expected) in units(&odd, &[0.0, 8.0], false)
+            .iter()
+            .zip([outer, 32.0 - 2.0 * outer, outer])
+        {
             assert!((found - expected).abs() < 1e-5, "{found}, not {expected}");
         }
     }
@@ -171,14 +181,19 @@ mod tests {
             };
             let strip = |from: f64, end: f64| {
                 let width = (end - from) / 400.0;
-                (0..400).map(|s| width * at(from + (f64::from(s) + 0.5) * width)).sum::<f64>()
+                (0..400)
+                    .map(|s| width * at(from + (f64::from(s) + 0.5) * width))
+                    .sum::<f64>()
             };
             let mut total = 0.0;
             for (tti, energy) in energies.iter().enumerate() {
                 let from = tti as f64 * tti_seconds;
                 let expected = 1e6 * strip(from, from + tti_seconds);
                 total += expected;
-                assert!((energy.micro() as f64 - expected).abs() <= 1.1, "{tti}: {energy:?}, not {expected}");
+                assert!(
+                    (energy.micro() as f64 - expected).abs() <= 1.1,
+                    "{tti}: {energy:?}, not {expected}"
+                );
             }
             let sum: u64 = energies.iter().map(|energy| energy.micro()).sum();
             assert!((sum as f64 - total).abs() <= 1.0, "{sum}, not {total}");
@@ -192,16 +207,25 @@ mod tests {
             tti_seconds: 5.0,
             ..PANEL
         });
-        assert!(odd.starts_with("its 3 rows of 4 s are 2.400 TTIs of 5 s, and must be a whole number"), "{odd}");
+        assert!(
+            odd.starts_with("its 3 rows of 4 s are 2.400 TTIs of 5 s, and must be a whole number"),
+            "{odd}"
+        );
         let much = reason(Panel {
             tti_seconds: 12.0,
             ..PANEL
         });
-        assert!(much.contains("1200000.0 units") && much.ends_with("a larger harvest.trace.panel.unit_mj"), "{much}");
+        assert!(
+            much.contains("1200000.0 units") && much.ends_with("a larger harvest.trace.panel.unit_mj"),
+            "{much}"
+        );
         let many = reason(Panel {
             tti_seconds: 1e-6,
             ..PANEL
         });
-        assert!(many.contains("12000000 TTIs") && many.contains("longer harvest.trace.panel.tti_seconds"), "{many}");
+        assert!(
+            many.contains("12000000 TTIs") && many.contains("longer harvest.trace.panel.tti_seconds"),
+            "{many}"
+        );
     }
 }

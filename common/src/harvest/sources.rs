@@ -34,14 +34,16 @@ impl Sources {
     /// Adds the gaps between arrivals of probability `p`.
     pub(super) fn add_gaps(&mut self, p: f64) {
         if self.tables.iter().all(|&(known, _)| known != p.to_bits()) {
-            self.tables.push((p.to_bits(), Arc::new(GapTable::new(Geometric::new(p)))));
+            self.tables
+                .push((p.to_bits(), Arc::new(GapTable::new(Geometric::new(p)))));
         }
     }
 
     /// Adds the days under `sun` where an arrival has the probability `zenith` for an irradiance of 1.
     pub(super) fn add_hazards(&mut self, sun: &Sun, zenith: f64) {
         if self.known_day(sun, zenith).is_none() {
-            self.days.push((*sun, zenith, Arc::new(Hazards::new(sun.times(zenith)))));
+            self.days
+                .push((*sun, zenith, Arc::new(Hazards::new(sun.times(zenith)))));
         }
     }
 

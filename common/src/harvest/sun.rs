@@ -128,7 +128,14 @@ mod tests {
     #[test]
     fn the_declination_is_that_of_the_book() {
         // Duffie and Beckman, Table 1.6.1: the recommended average days of the months.
-        for (day, degrees) in [(17, -20.9), (47, -13.0), (75, -2.4), (105, 9.4), (162, 23.1), (344, -23.0)] {
+        for (day, degrees) in [
+            (17, -20.9),
+            (47, -13.0),
+            (75, -2.4),
+            (105, 9.4),
+            (162, 23.1),
+            (344, -23.0),
+        ] {
             let found = sun(0.0, day).declination().to_degrees();
             assert!((found - degrees).abs() < 0.06, "day {day}: {found}, not {degrees}");
         }
@@ -137,17 +144,30 @@ mod tests {
 
     #[test]
     fn days_are_as_long_as_the_formula_says() {
-        for (latitude, day) in [(0.0, 1), (36.1, 185), (-33.9, 20), (52.5, MIDWINTER), (65.0, MIDSUMMER), (-60.0, 300)] {
+        for (latitude, day) in [
+            (0.0, 1),
+            (36.1, 185),
+            (-33.9, 20),
+            (52.5, MIDWINTER),
+            (65.0, MIDSUMMER),
+            (-60.0, 300),
+        ] {
             let sun = sun(latitude, day);
             let lit = sun.day().filter(|&light| light > 0.0).count();
             let expected = 1440.0 * sun.daylight();
-            assert!((lit as f64 - expected).abs() <= 2.0, "{latitude}° on {day}: {lit} minutes, not {expected}");
+            assert!(
+                (lit as f64 - expected).abs() <= 2.0,
+                "{latitude}° on {day}: {lit} minutes, not {expected}"
+            );
         }
         // Madison, 43° N, on 13 February: 10.4 hours (Duffie and Beckman, Example 1.6.3 has ω₀ for such a place).
         let madison = 24.0 * sun(43.0, 44).daylight();
         assert!((madison - 10.3).abs() < 0.1, "{madison}");
         for latitude in [-80.0, -20.0, 0.0, 45.0] {
-            assert!((sun(latitude, EQUINOX).daylight() - 0.5).abs() < 1e-9, "twelve hours everywhere");
+            assert!(
+                (sun(latitude, EQUINOX).daylight() - 0.5).abs() < 1e-9,
+                "twelve hours everywhere"
+            );
         }
     }
 
@@ -193,11 +213,17 @@ mod tests {
         for (latitude, day) in [(0.0, 81), (36.1, 185), (52.5, 355), (70.0, 172), (-40.0, 10)] {
             let vacuum = sun(latitude, day);
             let (phi, delta, omega) = (latitude.to_radians(), vacuum.declination(), PI * vacuum.daylight());
-            let closed = (omega * libm::sin(phi) * libm::sin(delta)
-                + libm::cos(phi) * libm::cos(delta) * libm::sin(omega))
-                / PI;
-            assert!((vacuum.mean() - closed).abs() < 1e-5, "{latitude}° on {day}: {} not {closed}", vacuum.mean());
-            let clear = Sun { sky: Sky::Clear, ..vacuum };
+            let closed =
+                (omega * libm::sin(phi) * libm::sin(delta) + libm::cos(phi) * libm::cos(delta) * libm::sin(omega)) / PI;
+            assert!(
+                (vacuum.mean() - closed).abs() < 1e-5,
+                "{latitude}° on {day}: {} not {closed}",
+                vacuum.mean()
+            );
+            let clear = Sun {
+                sky: Sky::Clear,
+                ..vacuum
+            };
             let (steps, mut sum) = (20_000_u32, 0.0);
             for step in 0..=steps {
                 let weight = match step {
@@ -207,10 +233,19 @@ mod tests {
                     _ => 2.0,
                 };
                 let light = clear.sine(omega * f64::from(step) / f64::from(steps));
-                sum += weight * if light > 1e-9 { light * libm::exp(HAZE - HAZE / light) } else { 0.0 };
+                sum += weight
+                    * if light > 1e-9 {
+                        light * libm::exp(HAZE - HAZE / light)
+                    } else {
+                        0.0
+                    };
             }
             let integral = sum * omega / (3.0 * f64::from(steps)) / PI;
-            assert!((clear.mean() - integral).abs() < 1e-5, "{latitude}° on {day}: {} not {integral}", clear.mean());
+            assert!(
+                (clear.mean() - integral).abs() < 1e-5,
+                "{latitude}° on {day}: {} not {integral}",
+                clear.mean()
+            );
             assert!(clear.mean() < vacuum.mean());
         }
     }

@@ -106,8 +106,8 @@ impl Trace {
         if panel.is_some() && (settings.scale, settings.ttis_per_row) != (1.0, 1) {
             (settings.scale, settings.ttis_per_row) = (1.0, 1);
             reader.warn(
-                "harvest.trace.scale and ttis_per_row have no effect on irradiance: harvest.trace.panel says what a row \
-                 comes to, and how long it lasts",
+                "harvest.trace.scale and ttis_per_row have no effect on irradiance: harvest.trace.panel says what a \
+                 row comes to, and how long it lasts",
             );
         }
         let (path, because) = ("harvest.trace.file", "harvest.kind");
@@ -337,7 +337,10 @@ mod tests {
         };
         let names = ["ghi".to_owned()];
         let reason = under(&panel, &column("ghi\n1\n-3\n"), &names, TraceEnd::Cycle).expect_err("negative");
-        assert!(reason.starts_with("line 3, column `ghi`: an irradiance of -3 W/m² must be"), "{reason}");
+        assert!(
+            reason.starts_with("line 3, column `ghi`: an irradiance of -3 W/m² must be"),
+            "{reason}"
+        );
         // 10 cm² at a tenth: 1 W/m² is 0.1 mJ a second.
         let rows = under(&panel, &column("ghi\n2\n2\n"), &names, TraceEnd::Stop).expect("valid");
         assert_eq!(rows, [[Energy::from_micro(12_000_000); 2]]);

@@ -10,8 +10,8 @@ crate::declare! {
     pub(super) struct OwnFields in "class" {
         /// Its name in files and tables, 1 to 64 characters.
         pub(super) name: Option<String> = text(),
-        /// Its share of the N devices, or of those that no class names by `devices` or by place; all shares add up to 1.
-        /// Not needed where `layout.file` has a column `class`, which decides then.
+        /// Its share of the N devices, or of those that no class names by `devices` or by place; all shares add up to
+        /// 1. Not needed where `layout.file` has a column `class`, which decides then.
         pub(super) share: Option<f64> = number(ABOVE_ZERO, 1.0).required(),
         /// Its devices by number, from 0, in place of a share.
         pub(super) devices: Option<Vec<u32>> = wholes(0, MAX_DEVICES - 1, MAX_DEVICES as usize, &[]).required(),

@@ -62,8 +62,8 @@ impl Source {
         }
     }
 
-    /// Of recorded energy: `mean` in each TTI instead. Of the sun's, where the time of the day is not known: arrivals at
-    /// any time.
+    /// Of recorded energy: `mean` in each TTI instead. Of the sun's, where the time of the day is not known: arrivals
+    /// at any time.
     pub(super) fn by_its_mean(self, mean: u64) -> Self {
         match self {
             Self::Recorded { .. } => Self::Recorded {
@@ -108,11 +108,7 @@ impl Source {
                 if *on { *e_b } else { 0 }
             }
             Self::Sunny {
-                stream,
-                day,
-                left,
-                e_b,
-                ..
+                stream, day, left, e_b, ..
             } => {
                 let hazard = -libm::log1p(-day[k as usize % day.len()]);
                 if *left >= hazard {

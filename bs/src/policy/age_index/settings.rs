@@ -14,8 +14,8 @@ declare! {
         /// Price θ of a TTI in S1, in reaches: what one device alone looks at. With 0 every place in reach is looked at
         /// in every TTI; the higher, the longer a place is left alone.
         price: f64 = number(NOT_NEGATIVE, 0.35),
-        /// How far ahead a battery is reckoned, by what its device is expected to harvest and to spend asleep: the price
-        /// goes by the level that it comes to then.
+        /// How far ahead a battery is reckoned, by what its device is expected to harvest and to spend asleep: the
+        /// price goes by the level that it comes to then.
         foresight: Option<u64> = whole(1, MAX_TTIS, 1)
             .unit("TTIs")
             .derived("nothing: the price goes by the level as it is"),
