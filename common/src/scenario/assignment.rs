@@ -43,7 +43,9 @@ fn named(scenario: &Scenario) -> Vec<Option<u16>> {
     let mut named = vec![None; scenario.devices as usize];
     for (class, kind) in (0u16..).zip(&scenario.classes) {
         if let Members::Devices(devices) = &kind.members {
-            devices.iter().for_each(|&j| named[j as usize] = Some(class));
+            for &j in devices {
+                named[j as usize] = Some(class);
+            }
         }
     }
     let zone = |(class, kind): (u16, &DeviceClass)| match kind.members {

@@ -131,7 +131,9 @@ pub(super) fn check_shares(
                  who is of which class",
             );
         }
-        classes.iter_mut().for_each(|class| class.members = Members::Layout);
+        for class in classes {
+            class.members = Members::Layout;
+        }
         return Ok(());
     }
     for ((item, class), is_told) in reader.items().into_iter().zip(classes.iter()).zip(are_told) {
