@@ -8,6 +8,8 @@ use std::sync::Arc;
 
 use reveille_common::deployment::Deployment;
 use reveille_common::geometry::{Area, Point};
+use reveille_common::harvest::Course;
+use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::radio::Link;
 use reveille_common::rng::PolicyStreams;
 use reveille_common::scenario::{BsSettings, EnergyModel, Scenario};
@@ -25,7 +27,7 @@ pub struct DeviceKnowledge {
     pub class: u16,
     /// Battery and costs.
     pub energy: EnergyModel,
-    /// Its mean harvest in a TTI.
+    /// Its mean harvest in a TTI; over a day where that differs with the time of the day.
     pub mean_harvest: Energy,
 }
 
@@ -70,7 +72,7 @@ pub struct DeviceKnowledge {
 ///
 /// fn all(known: Knowledge) {
 ///     let Knowledge {
-///         area: _, sensing: _, radio: _, alpha: _, tau: _, ttis: _, bs: _, classes: _, devices: _, streams: _,
+///         area: _, sensing: _, radio: _, alpha: _, tau: _, ttis: _, bs: _, classes: _, courses: _, devices: _, streams: _,
 ///         grids: _,
 ///     } = known;
 /// }
@@ -103,6 +105,8 @@ pub struct Knowledge {
     pub bs: BsSettings,
     /// The names of the device classes.
     pub classes: Vec<String>,
+    /// By class, what is to be expected of its energy source at which time of the day, where that differs and is known.
+    pub courses: Vec<Option<Arc<Course>>>,
     /// The devices, in the order of ids.
     pub devices: Vec<DeviceKnowledge>,
     /// The random draws that a policy may make.
@@ -125,6 +129,11 @@ impl Knowledge {
             ttis: scenario.ttis,
             bs: scenario.bs,
             classes: scenario.classes.iter().map(|class| class.name.clone()).collect(),
+            courses: scenario
+                .classes
+                .iter()
+                .map(|class| class.harvest.setup(scenario.tau, 0).course().map(Arc::new))
+                .collect(),
             devices: devices
                 .map(|(device, &class)| DeviceKnowledge {
                     position: device.position,
@@ -141,6 +150,16 @@ impl Knowledge {
     /// Number of devices N.
     pub const fn n(&self) -> usize {
         self.devices.len()
+    }
+
+    /// What `device` is expected to harvest in the TTIs from `from` to before `end`: by the time of the day where its
+    /// course is known, and else by the mean. No draw is in it.
+    pub fn expected_harvest(&self, device: DeviceId, from: Tti, end: Tti) -> Energy {
+        let known = &self.devices[device.index()];
+        match &self.courses[usize::from(known.class)] {
+            Some(course) => course.between(from, end),
+            None => known.mean_harvest.times(end.0.saturating_sub(from.0)),
+        }
     }
 
     /// The positions, in the order of ids.

@@ -2,7 +2,7 @@
 //!
 //! A level is known where it is told, where a report carries it, and where a device is silent that must have answered:
 //! its battery is empty then, since an action that fails empties it. From there on the level is carried forward by what
-//! was commanded and by the mean harvest.
+//! was commanded and by the mean harvest, which may differ with the time of the day.
 //!
 //! The mean harvest may not be what comes any more: a record ends, a panel is shaded, a device is lost. A BS cannot see
 //! that; it can see that a device which it takes to be charged is found empty, and that nobody of a class is heard of
@@ -12,11 +12,13 @@
 //! again are asked again after at most about the time in which they did not. A report takes all of that back.
 
 use std::f64::consts::TAU;
+use std::sync::Arc;
 
 use reveille_common::geometry::{Buckets, Point};
+use reveille_common::harvest::Course;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Report;
-use reveille_common::plan::Plan;
+use reveille_common::plan::{DutyCycle, Plan};
 use reveille_common::scenario::{BatteryKnowledge, EnergyModel};
 use reveille_common::sensing::{DetectionKind, Sensing};
 use reveille_common::units::Energy;
@@ -51,8 +53,10 @@ pub struct Levels {
 }
 
 /// What is known of a class of devices, which have their kind of energy source in common.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug)]
 struct Class {
+    /// What it is expected to harvest at which time of the day, where that differs.
+    course: Option<Arc<Course>>,
     /// Reports that were to be expected of it since one of it was last heard of.
     silence: f64,
     doubt: Doubt,
@@ -103,12 +107,31 @@ struct Account {
     luck: f64,
 }
 
+impl Class {
+    /// What a device of the class with the mean harvest `mean` is expected to harvest from `from` to before `end`.
+    fn income(&self, mean: Energy, from: Tti, end: Tti) -> u64 {
+        match &self.course {
+            Some(course) => course.between(from, end).micro(),
+            None => mean.micro() * (end - from),
+        }
+    }
+
+    /// The end of the span from `from` on within which its harvest is of a kind, day or night, `end` at the latest.
+    fn end_of_span(&self, from: Tti, end: Tti) -> Tti {
+        self.course
+            .as_ref()
+            .map_or(end, |course| course.turn_after(from).min(end))
+    }
+}
+
 impl Account {
-    fn new(device: &DeviceKnowledge, rate: f64) -> Self {
+    fn new(device: &DeviceKnowledge, is_steady: bool) -> Self {
         let energy = &device.energy;
         let dearest = energy.e_idle.max(energy.e_wur);
         let has_room = energy.e_max.saturating_sub(dearest) >= energy.e_tx;
-        let fall = has_room.then(|| dearest.saturating_sub(device.mean_harvest).micro());
+        // At night nothing comes.
+        let least = if is_steady { device.mean_harvest } else { Energy::ZERO };
+        let fall = has_room.then(|| dearest.saturating_sub(least).micro());
         Self {
             class: device.class,
             energy: device.energy,
@@ -116,7 +139,7 @@ impl Account {
             fall,
             next: Tti::ZERO,
             doubt: Doubt::default(),
-            rate,
+            rate: 0.0,
             silence: 0.0,
             luck: 1.0,
         }
@@ -134,10 +157,22 @@ impl Account {
 
     /// `level` after the TTIs up to and not including `end`, in which `device` of `class` did as `plan` says, and how
     /// many of them it was in S1.
-    fn carried(&self, class: Class, level: Energy, device: DeviceId, plan: &Plan, end: Tti) -> (Energy, u64) {
-        let Some(ttis) = end.0.checked_sub(self.next.0).filter(|&ttis| ttis > 0) else {
-            return (level, 0);
-        };
+    fn carried(&self, class: &Class, level: Energy, device: DeviceId, plan: &Plan, end: Tti) -> (Energy, u64) {
+        let cycle = plan.duty_cycle(device);
+        let (mut level, mut all_on, mut from) = (level, 0, self.next);
+        // What comes by day is stored as far as there is room, and the night lives on that.
+        while from < end {
+            let until = class.end_of_span(from, end);
+            let (carried, on) = self.over_a_span(class, level, cycle, from, until);
+            (level, all_on, from) = (carried, all_on + on, until);
+        }
+        (level, all_on)
+    }
+
+    /// `level` after the TTIs from `from` to before `end`, all of them day or all of them night, under `cycle`, and how
+    /// many of them it was in S1.
+    fn over_a_span(&self, class: &Class, level: Energy, cycle: DutyCycle, from: Tti, end: Tti) -> (Energy, u64) {
+        let ttis = end - from;
         let EnergyModel {
             e_max,
             e_idle,
@@ -145,10 +180,9 @@ impl Account {
             e_tx,
             ..
         } = self.energy;
-        let cycle = plan.duty_cycle(device);
         // A run has fewer than 2³⁰ TTIs.
-        let (on, _, _) = cycle.span(cycle.phase(self.next), ttis as u32);
-        let income = self.harvest.micro() * ttis;
+        let (on, _, _) = cycle.span(cycle.phase(from), ttis as u32);
+        let income = class.income(self.harvest, from, end);
         let cost = e_idle.micro() * on + e_wur.micro() * (ttis - on);
         let level = if income > cost {
             let outage = class.doubt.outage.max(self.doubt.outage);
@@ -193,11 +227,23 @@ impl Levels {
     /// The same, estimated, for a policy that does not look at them.
     pub fn reckoned(known: &Knowledge) -> Self {
         let positions = known.positions();
+        let account = |device: &DeviceKnowledge| {
+            let is_steady = known.courses[usize::from(device.class)].is_none();
+            Account::new(device, is_steady)
+        };
         Self {
             is_told: false,
             of: known.devices.iter().map(|device| device.energy.initial).collect(),
-            classes: vec![Class::default(); known.classes.len()],
-            devices: known.devices.iter().map(|device| Account::new(device, 0.0)).collect(),
+            classes: known
+                .courses
+                .iter()
+                .map(|course| Class {
+                    course: course.clone(),
+                    silence: 0.0,
+                    doubt: Doubt::default(),
+                })
+                .collect(),
+            devices: known.devices.iter().map(account).collect(),
             radio: known.radio,
             surroundings: Surroundings {
                 buckets: Buckets::new(&positions, known.area, known.sensing.d_max),
@@ -241,7 +287,7 @@ impl Levels {
     /// The level of `device` after the TTIs up to and not including `end`, and how many of them it was in S1.
     fn carried(&self, device: DeviceId, plan: &Plan, end: Tti) -> (Energy, u64) {
         let account = &self.devices[device.index()];
-        let class = self.classes[usize::from(account.class)];
+        let class = &self.classes[usize::from(account.class)];
         account.carried(class, self.of[device.index()], device, plan, end)
     }
 
@@ -254,7 +300,7 @@ impl Levels {
         }
         for ((level, account), j) in self.of.iter_mut().zip(&mut self.devices).zip(0..) {
             let class = &mut self.classes[usize::from(account.class)];
-            let (carried, on) = account.carried(*class, *level, DeviceId(j), plan, end);
+            let (carried, on) = account.carried(class, *level, DeviceId(j), plan, end);
             (*level, account.next) = (carried, end.max(account.next));
             if on > 0 && account.rate > 0.0 && carried >= account.energy.e_tx {
                 let expected = on as f64 * account.rate;
@@ -324,7 +370,8 @@ impl Levels {
     pub fn heard(&mut self, device: DeviceId, k: Tti, level: Energy) {
         let account = &mut self.devices[device.index()];
         (account.next, account.doubt, account.silence, account.luck) = (k + 1, Doubt::default(), 0.0, 1.0);
-        self.classes[usize::from(account.class)] = Class::default();
+        let class = &mut self.classes[usize::from(account.class)];
+        (class.silence, class.doubt) = (0.0, Doubt::default());
         self.of[device.index()] = level.min(account.energy.e_max);
     }
 

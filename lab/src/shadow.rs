@@ -26,6 +26,7 @@ impl Noting {
             Happening::Plan { .. }
             | Happening::EventStarted(_)
             | Happening::Reported(_)
+            | Happening::Lost(_)
             | Happening::Failed { .. }
             | Happening::WakeUp { .. }
             | Happening::Woken { .. }

@@ -26,7 +26,7 @@ const WAYS: [&str; 9] = [
 const FEW_WAYS: [&str; 4] = ["run", "up -P 0", "up -P 4", "up -P 3 --no-lookahead --window 7"];
 
 /// Settings under which a policy or the world takes other paths, beside the ranking of wake-ups.
-const FURTHER: [(&str, &str); 6] = [
+const FURTHER: [(&str, &str); 8] = [
     (
         "q-learning",
         "--set bs.battery_knowledge=reported --set bs.ranking=posterior",
@@ -45,6 +45,15 @@ const FURTHER: [(&str, &str); 6] = [
         "--set policy.q-learning.ages=true --set bs.ranking=posterior",
     ),
     ("genie", "--set events.process=aftershocks"),
+    (
+        "age-index",
+        "--set harvest.kind=diurnal --set harvest.diurnal.ttis_per_day=60 --set bs.battery_knowledge=reported \
+         --set policy.age-index.foresight=20",
+    ),
+    (
+        "knn",
+        "--set harvest.kind=diurnal --set harvest.diurnal.ttis_per_day=60 --set harvest.diurnal.sky=clear",
+    ),
 ];
 
 /// Everything that the radio can do wrong at once.
@@ -122,6 +131,22 @@ fn ways_agree_on_further_settings() {
         assert!(registry::named(policy).is_some(), "FURTHER names {policy}");
         agreed("paper", &format!("{policy} {settings}"), &FEW_WAYS);
     }
+}
+
+/// Classes by number, by place and by share under the sun; a trace of irradiance.
+#[test]
+fn ways_agree_on_classes_and_panels() {
+    let scenarios = concat!(env!("CARGO_MANIFEST_DIR"), "/../deploy/scenarios");
+    let mut digests = Vec::new();
+    for (name, policy) in [
+        ("day-and-night", "age-index --set bs.battery_knowledge=reported"),
+        ("day-and-night", "q-learning"),
+        ("solar-panel", "knn --set harvest.trace.panel.tti_seconds=300"),
+    ] {
+        digests.push(agreed(&format!("{scenarios}/{name}.toml"), policy, &FEW_WAYS));
+    }
+    digests.dedup();
+    assert_eq!(digests.len(), 3);
 }
 
 #[test]

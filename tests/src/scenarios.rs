@@ -265,6 +265,7 @@ fn harvest() -> impl Strategy<Value = HarvestLines> {
         3 => Just("eq5"),
         1 => Just("exp-minus-lambda"),
         2 => Just("mpp"),
+        2 => Just("diurnal"),
         2 => Just("trace"),
     ];
     let column = prop_oneof![Just("column = \"sun\""), Just("column = \"rain\"")];
@@ -276,11 +277,19 @@ fn harvest() -> impl Strategy<Value = HarvestLines> {
     let end = prop_oneof![Just("cycle"), Just("stop")];
     let off = proptest::option::of(0.1..20.0f64);
     let trace = (1..=4u64, end, 0.0..2.0f64);
-    (kind, column, columns, e_b, 0.02..3.0f64, off, trace).prop_map(
-        |(kind, column, columns, e_b, lambda, off, (per_row, end, scale))| {
+    (kind, column, columns, e_b, 0.02..3.0f64, off, trace, day()).prop_map(
+        |(kind, column, columns, e_b, lambda, off, (per_row, end, scale), (day, is_mean))| {
+            let lambda = if kind == "diurnal" && is_mean {
+                lambda / 30.0
+            } else {
+                lambda
+            };
             let mut source = format!("kind = \"{kind}\"\n");
             if kind != "trace" {
                 writeln!(source, "lambda = {lambda:?}\ne_b = {e_b:?}").expect("text takes it");
+            }
+            if kind == "diurnal" {
+                source.push_str(&day);
             }
             if let Some(off) = off.filter(|_| kind == "mpp") {
                 writeln!(source, "off_mean = {off:?}").expect("text takes it");
@@ -294,6 +303,30 @@ fn harvest() -> impl Strategy<Value = HarvestLines> {
                 column,
                 columns,
             }
+        },
+    )
+}
+
+/// The fields of a day, at most 60 TTIs long, and whether λ is to speak of its mean.
+fn day() -> impl Strategy<Value = (String, bool)> {
+    let sky = prop_oneof![Just("vacuum"), Just("clear")];
+    let known = prop_oneof![3 => Just("course"), 1 => Just("mean")];
+    let latitude = prop_oneof![4 => -45.0..45.0f64, 1 => -90.0..90.0f64];
+    (latitude, 1..=365u32, 0.0..24.0f64, 2..=60u32, sky, known, any::<bool>()).prop_map(
+        |(latitude, day, hour, ttis, sky, known, is_mean)| {
+            // Else noon may be so far above the mean that an arrival would be more than certain then.
+            let is_mean = is_mean && latitude.abs() < 45.0 && ttis >= 12;
+            let reference = if is_mean { "daily-mean" } else { "zenith" };
+            let fields = [
+                format!("diurnal.latitude = {latitude:?}"),
+                format!("diurnal.day_of_year = {day}"),
+                format!("diurnal.start_hour = {hour:?}"),
+                format!("diurnal.ttis_per_day = {ttis}"),
+                format!("diurnal.sky = \"{sky}\""),
+                format!("diurnal.known = \"{known}\""),
+                format!("diurnal.reference = \"{reference}\"\n"),
+            ];
+            (fields.join("\n"), is_mean)
         },
     )
 }

@@ -148,6 +148,12 @@ fn settings(policy: &str) -> Vec<&'static [&'static str]> {
         "age-index" => vec![
             &["policy.age-index.price=3"],
             &["policy.age-index.price=3", "bs.battery_knowledge=reported"],
+            &[
+                "policy.age-index.price=3",
+                "policy.age-index.foresight=40",
+                "harvest.kind=diurnal",
+                "bs.battery_knowledge=reported",
+            ],
             &["sensing.kind=probabilistic", "sensing.eta=0.5"],
         ],
         "dt" => vec![

@@ -1,4 +1,4 @@
-use std::sync::Arc;
+use std::f64::consts::PI;
 
 use reveille_common::deployment::Deployment;
 
@@ -44,7 +44,7 @@ fn estimates_follow_what_was_commanded_and_heard() {
 #[test]
 fn an_estimate_over_many_ttis_is_the_sum_of_them() {
     let known = known(&["energy.e_max=10000", "energy.initial=5000"]);
-    let cycle = |j: u32| reveille_common::plan::DutyCycle {
+    let cycle = |j: u32| DutyCycle {
         t_on: 1 + j % 3,
         t_drx: 3 + j % 7,
         offset: j % 3,
@@ -62,6 +62,77 @@ fn an_estimate_over_many_ttis_is_the_sum_of_them() {
     };
     for (level, j) in at_once.all().iter().zip(0..) {
         assert_eq!(level.micro(), by_hand(j), "device {j}");
+    }
+}
+
+/// Day and night of 24 TTIs, light from TTI 6 to 17.
+const DAY: [&str; 4] = [
+    "harvest.kind=diurnal",
+    "harvest.diurnal.ttis_per_day=24",
+    "harvest.diurnal.latitude=40",
+    "harvest.diurnal.day_of_year=82",
+];
+
+/// What is expected is what the sun brings in each TTI: the level of one who sleeps falls at night and rises by day.
+#[test]
+fn estimates_follow_the_time_of_the_day_where_it_is_known() {
+    let asleep = Plan::from_bits([false; 50]);
+    let by_tti = |set: &[&str]| {
+        let mut levels = Levels::new(&known(&[&DAY, set].concat()));
+        let each = (0..48).map(|k| {
+            levels.pass(Tti(k + 1), &asleep);
+            levels.all()[7].units()
+        });
+        each.collect::<Vec<f64>>()
+    };
+    let (known, mean_only) = (by_tti(&[]), by_tti(&["harvest.diurnal.known=mean"]));
+    // sin of the elevation at an equinox, to be had from the mean of its positive half, 1/π.
+    let p = 0.1 * libm::exp(-0.1);
+    let mut expected = 50.0;
+    for (k, (&level, &flat)) in known.iter().zip(&mean_only).enumerate() {
+        let sine = -libm::cos(TAU * ((k % 24) as f64 + 0.5) / 24.0);
+        expected += 5.0 * p * PI * sine.max(0.0) - 1.0 / 14.0;
+        assert!((level - expected).abs() < 0.15, "TTI {k}: {level}, not {expected}");
+        let steady = 50.0 + (k + 1) as f64 * (5.0 * p - 1.0 / 14.0);
+        assert!((flat - steady).abs() < 1e-3, "TTI {k}: {flat}, not {steady}");
+    }
+    assert!(
+        known[5] < 50.0 && mean_only[5] > 52.0,
+        "{} and {}",
+        known[5],
+        mean_only[5]
+    );
+    assert!((known[47] - mean_only[47]).abs() < 1e-3, "whole days");
+}
+
+/// A level that is carried over days at once is that of one TTI after another, whose battery is full every day.
+#[test]
+fn days_and_nights_are_carried_one_by_one() {
+    let set = [
+        &DAY[..],
+        &["harvest.e_b=25", "energy.e_idle=1.5", "bs.battery_knowledge=reported"],
+    ]
+    .concat();
+    let known = known(&set);
+    let cycle = |j: u32| DutyCycle {
+        t_on: u32::from(j % 2 == 0),
+        t_drx: 1,
+        offset: 0,
+    };
+    let plan = Plan::Periodic((0..50).map(cycle).collect());
+    let (mut stepped, mut at_once) = (Levels::reckoned(&known), Levels::reckoned(&known));
+    for k in 0..24 * 9 + 3 {
+        stepped.pass(Tti(k + 1), &plan);
+    }
+    at_once.pass(Tti(24 * 9 + 3), &plan);
+    // Full at dusk, then a night of nine TTIs so far: 13.5 units for those in S1.
+    for (j, (once, step)) in at_once.all().iter().zip(stepped.all()).enumerate() {
+        let spent = if j % 2 == 0 { 13.5 } else { 9.0 / 14.0 };
+        assert!((once.units() - (100.0 - spent)).abs() < 4.0, "device {j}: {once}");
+        assert!(
+            (once.units() - step.units()).abs() < 4.0,
+            "device {j}: {once} and {step}"
+        );
     }
 }
 
@@ -154,11 +225,11 @@ fn a_device_can_report_if_what_is_carried_pays_for_it() {
     for set in [
         ["harvest.lambda=0.1", "energy.e_idle=1", "energy.e_max=100"],
         ["harvest.lambda=1", "energy.e_idle=0.01", "energy.e_max=100"],
-        ["harvest.lambda=0", "energy.e_idle=3", "energy.e_max=30"],
+        ["harvest.lambda=0", "energy.e_idle=1.5", "energy.e_max=30"],
         ["harvest.lambda=1", "energy.e_idle=5", "energy.e_max=13"],
     ] {
         let known = known(&set);
-        let cycle = |j: u32| reveille_common::plan::DutyCycle {
+        let cycle = |j: u32| DutyCycle {
             t_on: 1 + j % 3,
             t_drx: 3 + j % 7,
             offset: j % 3,

@@ -13,7 +13,9 @@ use crate::units::Energy;
 crate::declare! {
     /// Arrivals of energy at random (paper Sec. III-A).
     #[derive(Clone, Copy, Debug, PartialEq)]
-    pub struct Arrivals in "harvest" only with "harvest.kind" = &["eq5", "exp-minus-lambda", "mpp"]; {
+    pub struct Arrivals in "harvest"
+        only with "harvest.kind" = &["eq5", "exp-minus-lambda", "mpp", "diurnal"];
+    {
         /// The intensity λ. Of `mpp`, on-durations have the mean 1/λ, and it has to be above 0.
         pub lambda: f64 = number(NOT_NEGATIVE, 0.1).unit("per unit of model time").source("Sec. III-A"),
         /// Energy `E_B` of one arrival.

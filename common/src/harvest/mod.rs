@@ -6,8 +6,13 @@
 //! A kind of source is a file here: its fields, its form on the wire, its draws; this one has an arm for each.
 
 mod arrivals;
+mod course;
+mod diurnal;
+mod hazards;
 mod mpp;
+mod panel;
 mod sources;
+pub mod sun;
 mod trace;
 
 use std::sync::Arc;
@@ -15,11 +20,15 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 pub use self::arrivals::{Arrivals, ArrivalsSetup, eq5_probability};
+pub use self::course::Course;
+pub use self::diurnal::{Diurnal, DiurnalSetup, Known, Reference};
 pub use self::mpp::{Mpp, OnOffSetup};
+pub use self::panel::Panel;
 pub use self::sources::Sources;
-pub use self::trace::{Trace, TraceColumns, TraceEnd, TraceSetup};
+pub use self::trace::{Quantity, Trace, TraceColumns, TraceEnd, TraceSetup};
 
 use self::arrivals::ArrivalsSource;
+use self::diurnal::DiurnalSource;
 use self::mpp::OnOffSource;
 use self::trace::TraceSource;
 use crate::declare::{Reader, ScenarioError, Section, Sink, choice, choices};
@@ -36,6 +45,9 @@ choices! {
         ExpMinusLambda = "exp-minus-lambda",
         /// An on/off source with exponential durations, as the text of Sec. III-A describes it.
         Mpp = "mpp",
+        /// Day and night: an arrival in a TTI with a probability that follows the sun over a place on a day of the
+        /// year.
+        Diurnal = "diurnal",
         /// Recorded energy from a file.
         Trace = "trace",
     }
@@ -59,13 +71,19 @@ pub enum Harvest {
     ExpMinusLambda(Arrivals),
     /// See [`HarvestKind::Mpp`].
     Mpp(Mpp),
+    /// See [`HarvestKind::Diurnal`].
+    Diurnal(Diurnal),
     /// See [`HarvestKind::Trace`].
     Trace(Trace),
 }
 
 impl Harvest {
     /// The fields of all kinds.
-    pub const SECTIONS: [&'static Section; 4] = [Settings::SECTION, Arrivals::SECTION, Mpp::SECTION, Trace::SECTION];
+    pub const SECTIONS: [&'static Section; 7] = {
+        let [recorded, trace, panel] = Trace::SECTIONS;
+        let (arrivals, mpp, diurnal) = (Arrivals::SECTION, Mpp::SECTION, Diurnal::SECTION);
+        [Settings::SECTION, arrivals, mpp, diurnal, recorded, trace, panel]
+    };
 
     /// The source that `reader` has, for TTIs of duration `tau`.
     ///
@@ -76,6 +94,7 @@ impl Harvest {
             HarvestKind::Eq5 => Self::Eq5(Arrivals::read(reader)?),
             HarvestKind::ExpMinusLambda => Self::ExpMinusLambda(Arrivals::read(reader)?),
             HarvestKind::Mpp => Self::Mpp(Mpp::settle(reader, tau)?),
+            HarvestKind::Diurnal => Self::Diurnal(Diurnal::settle(reader, tau)?),
             HarvestKind::Trace => Self::Trace(Trace::settle(reader)?),
         })
     }
@@ -86,6 +105,7 @@ impl Harvest {
             Self::Eq5(_) => HarvestKind::Eq5,
             Self::ExpMinusLambda(_) => HarvestKind::ExpMinusLambda,
             Self::Mpp(_) => HarvestKind::Mpp,
+            Self::Diurnal(_) => HarvestKind::Diurnal,
             Self::Trace(_) => HarvestKind::Trace,
         }
     }
@@ -96,6 +116,7 @@ impl Harvest {
         match self {
             Self::Eq5(arrivals) | Self::ExpMinusLambda(arrivals) => arrivals.visit(sink),
             Self::Mpp(mpp) => mpp.visit(sink),
+            Self::Diurnal(diurnal) => diurnal.visit(sink),
             Self::Trace(trace) => trace.visit(sink),
         }
     }
@@ -106,6 +127,7 @@ impl Harvest {
             Self::Eq5(arrivals) => HarvestSetup::Arrivals(arrivals.eq5(tau)),
             Self::ExpMinusLambda(arrivals) => HarvestSetup::Arrivals(arrivals.exp_minus_lambda()),
             Self::Mpp(mpp) => HarvestSetup::OnOff(mpp.setup(tau)),
+            Self::Diurnal(diurnal) => HarvestSetup::Diurnal(diurnal.setup(tau)),
             Self::Trace(recorded) => HarvestSetup::Trace(recorded.setup(trace)),
         }
     }
@@ -114,7 +136,7 @@ impl Harvest {
     pub fn columns(&self) -> &[Vec<Energy>] {
         match self {
             Self::Trace(trace) => &trace.values,
-            Self::Eq5(_) | Self::ExpMinusLambda(_) | Self::Mpp(_) => &[],
+            Self::Eq5(_) | Self::ExpMinusLambda(_) | Self::Mpp(_) | Self::Diurnal(_) => &[],
         }
     }
 
@@ -122,7 +144,7 @@ impl Harvest {
     pub fn column_of(&self, nth: u32) -> u32 {
         match self {
             Self::Trace(trace) => trace.column_of(nth),
-            Self::Eq5(_) | Self::ExpMinusLambda(_) | Self::Mpp(_) => 0,
+            Self::Eq5(_) | Self::ExpMinusLambda(_) | Self::Mpp(_) | Self::Diurnal(_) => 0,
         }
     }
 
@@ -137,12 +159,16 @@ impl Harvest {
         match self {
             Self::Eq5(Arrivals { e_b, .. })
             | Self::ExpMinusLambda(Arrivals { e_b, .. })
-            | Self::Mpp(Mpp { e_b, .. }) => *e_b,
+            | Self::Mpp(Mpp { e_b, .. })
+            | Self::Diurnal(Diurnal {
+                arrivals: Arrivals { e_b, .. },
+                ..
+            }) => *e_b,
             Self::Trace(trace) => trace.peak(),
         }
     }
 
-    /// λ and `E_B`, of sources that have them.
+    /// λ and `E_B`, of sources that have them and are alike in all TTIs.
     pub const fn arrivals(&self) -> Option<Arrivals> {
         match self {
             Self::Eq5(arrivals) | Self::ExpMinusLambda(arrivals) => Some(*arrivals),
@@ -150,15 +176,16 @@ impl Harvest {
                 lambda: *lambda,
                 e_b: *e_b,
             }),
-            Self::Trace(_) => None,
+            Self::Diurnal(_) | Self::Trace(_) => None,
         }
     }
 
-    /// The probability of an arrival in a TTI of duration `tau`, of sources whose arrivals do not depend on each other.
+    /// The probability of an arrival in a TTI of duration `tau`, of sources whose arrivals do not depend on each other
+    /// and are equally likely in all TTIs.
     pub fn independent_probability(&self, tau: f64) -> Option<f64> {
         match self.setup(tau, 0) {
             HarvestSetup::Arrivals(ArrivalsSetup { p, .. }) => Some(p),
-            HarvestSetup::OnOff(_) | HarvestSetup::Trace(_) => None,
+            HarvestSetup::OnOff(_) | HarvestSetup::Diurnal(_) | HarvestSetup::Trace(_) => None,
         }
     }
 }
@@ -172,6 +199,8 @@ pub enum HarvestSetup {
     OnOff(OnOffSetup),
     /// Recorded energy.
     Trace(TraceSetup),
+    /// Day and night.
+    Diurnal(DiurnalSetup),
 }
 
 impl HarvestSetup {
@@ -181,6 +210,7 @@ impl HarvestSetup {
             Self::Arrivals(arrivals) => arrivals.mean(),
             Self::OnOff(on_off) => on_off.mean(),
             Self::Trace(trace) => trace.mean(traces),
+            Self::Diurnal(diurnal) => diurnal.mean(),
         }
     }
 
@@ -190,11 +220,12 @@ impl HarvestSetup {
             Self::Arrivals(arrivals) => arrivals.is_sound(),
             Self::OnOff(on_off) => on_off.is_sound(),
             Self::Trace(trace) => trace.is_sound(traces),
+            Self::Diurnal(diurnal) => diurnal.is_sound(),
         }
     }
 
     /// The source as far as it is known before a run: recorded energy is known by its mean alone, which then comes in
-    /// each TTI. `traces` are the run's, energy per TTI by row.
+    /// each TTI, and day and night may be. `traces` are the run's, energy per TTI by row.
     #[must_use]
     pub fn as_known(&self, traces: &[Arc<Vec<Energy>>]) -> Self {
         match self {
@@ -203,6 +234,16 @@ impl HarvestSetup {
                 p: 1.0,
                 e_b: trace.mean(traces),
             }),
+            Self::Diurnal(diurnal) => diurnal.as_known().map_or(*self, Self::Arrivals),
+        }
+    }
+
+    /// What is to be expected of it at which time of the day, of a source for which that differs and is known before a
+    /// run.
+    pub fn course(&self) -> Option<Course> {
+        match self {
+            Self::Arrivals(_) | Self::OnOff(_) | Self::Trace(_) => None,
+            Self::Diurnal(diurnal) => diurnal.course(),
         }
     }
 
@@ -210,7 +251,7 @@ impl HarvestSetup {
     pub const fn reads_a_trace(&self) -> bool {
         match self {
             Self::Trace(_) => true,
-            Self::Arrivals(_) | Self::OnOff(_) => false,
+            Self::Arrivals(_) | Self::OnOff(_) | Self::Diurnal(_) => false,
         }
     }
 }
@@ -218,11 +259,15 @@ impl HarvestSetup {
 impl Sources {
     /// What sources of the kinds `setups` need. `traces` are the run's traces, energy per TTI by row.
     pub fn new<'a>(setups: impl IntoIterator<Item = &'a HarvestSetup>, traces: Vec<Arc<Vec<Energy>>>) -> Self {
-        let probability = |setup: &HarvestSetup| match *setup {
-            HarvestSetup::Arrivals(ArrivalsSetup { p, .. }) => Some(p),
-            HarvestSetup::OnOff(_) | HarvestSetup::Trace(_) => None,
-        };
-        Self::with_gaps(setups.into_iter().filter_map(probability), traces)
+        let mut shared = Self::with_traces(traces);
+        for setup in setups {
+            match setup {
+                HarvestSetup::Arrivals(ArrivalsSetup { p, .. }) => shared.add_gaps(*p),
+                HarvestSetup::Diurnal(diurnal) => shared.add_hazards(&diurnal.sun, diurnal.zenith),
+                HarvestSetup::OnOff(_) | HarvestSetup::Trace(_) => {}
+            }
+        }
+        shared
     }
 }
 
@@ -238,6 +283,7 @@ enum Source {
     Arrivals(ArrivalsSource),
     OnOff(OnOffSource),
     Trace(TraceSource),
+    Diurnal(DiurnalSource),
 }
 
 impl HarvestSource {
@@ -260,6 +306,10 @@ impl HarvestSource {
                 let (source, next) = setup.source(&shared.traces);
                 (Source::Trace(source), next)
             }
+            HarvestSetup::Diurnal(setup) => {
+                let (source, next) = setup.source(shared, stream);
+                (Source::Diurnal(source), next)
+            }
         };
         Self { next, source }
     }
@@ -276,6 +326,7 @@ impl HarvestSource {
             Source::Arrivals(source) => source.take(self.next),
             Source::OnOff(source) => source.take(self.next),
             Source::Trace(source) => source.take(self.next),
+            Source::Diurnal(source) => source.take(self.next),
         };
         self.next = next;
         energy

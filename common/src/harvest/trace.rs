@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+use super::panel::{self, Panel};
 use crate::columns::{self, Columns, LARGEST_FILE};
 use crate::declare::choices;
 use crate::declare::{
@@ -25,8 +26,27 @@ choices! {
     }
 }
 
+choices! {
+    /// What a trace recorded.
+    pub enum Quantity {
+        /// Energy per TTI.
+        Energy = "energy",
+        /// Irradiance in W/m², which `harvest.trace.panel` turns into energy.
+        Irradiance = "irradiance",
+    }
+}
+
 crate::declare! {
-    /// Recorded energy.
+    /// Recorded energy, or what it comes from.
+    #[derive(Clone, Copy, Debug)]
+    struct Recorded in "harvest.trace" only with "harvest.kind" = &["trace"]; {
+        /// What the file recorded.
+        quantity: Quantity = choice::<Quantity>("energy"),
+    }
+}
+
+crate::declare! {
+    /// The record.
     #[derive(Clone, Debug)]
     struct Settings in "harvest.trace" only with "harvest.kind" = &["trace"]; {
         /// A CSV file with a header, or a Parquet file in a build with that feature. Relative to the scenario file.
@@ -57,7 +77,9 @@ pub struct Trace {
     pub ttis_per_row: u64,
     /// What follows the last row.
     pub end: TraceEnd,
-    /// Energy per TTI by column and row, scaled.
+    /// What turned the file's irradiance into energy, where that is what it recorded.
+    pub panel: Option<Panel>,
+    /// Energy per TTI by column and row, scaled; under a panel a row for each TTI.
     pub values: Arc<Vec<Vec<Energy>>>,
 }
 
@@ -72,11 +94,22 @@ pub enum TraceColumns {
 
 impl Trace {
     /// The fields of a trace.
-    pub const SECTION: &'static Section = Settings::SECTION;
+    pub const SECTIONS: [&'static Section; 3] = [Recorded::SECTION, Settings::SECTION, panel::SECTION];
 
     /// The trace that `reader` has, its values read and scaled.
     pub(super) fn settle(reader: &Reader<'_>) -> Result<Self, ScenarioError> {
-        let settings = Settings::read(reader)?;
+        let panel = match Recorded::read(reader)?.quantity {
+            Quantity::Energy => None,
+            Quantity::Irradiance => Some(Panel::read(reader)?),
+        };
+        let mut settings = Settings::read(reader)?;
+        if panel.is_some() && (settings.scale, settings.ttis_per_row) != (1.0, 1) {
+            (settings.scale, settings.ttis_per_row) = (1.0, 1);
+            reader.warn(
+                "harvest.trace.scale and ttis_per_row have no effect on irradiance: harvest.trace.panel says what a \
+                 row comes to, and how long it lasts",
+            );
+        }
         let (path, because) = ("harvest.trace.file", "harvest.kind");
         let file = settings.file.ok_or_else(|| reader.needed(path, because))?;
         let columns = match (settings.column, settings.columns) {
@@ -98,7 +131,10 @@ impl Trace {
             .bytes(&file, LARGEST_FILE)
             .map_err(|error| error.to_string())
             .and_then(|bytes| columns::numbers(&file, &bytes, names))
-            .and_then(|numbers| energies(&numbers, names, settings.scale));
+            .and_then(|numbers| match &panel {
+                None => energies(&numbers, names, settings.scale),
+                Some(panel) => under(panel, &numbers, names, settings.end),
+            });
         match values {
             Ok(values) => Ok(Self {
                 file,
@@ -106,6 +142,7 @@ impl Trace {
                 scale: settings.scale,
                 ttis_per_row: settings.ttis_per_row,
                 end: settings.end,
+                panel,
                 values: Arc::new(values),
             }),
             Err(reason) => Err(reader.data(path, file, reason)),
@@ -114,7 +151,12 @@ impl Trace {
 
     /// Hands every field to `sink`.
     pub(super) fn visit(&self, sink: &mut dyn Sink) {
-        let section = Self::SECTION;
+        // Without it, a record is what it always was, and so is the hash of its scenario.
+        if self.panel.is_some() {
+            let quantity = Quantity::Irradiance;
+            Recorded { quantity }.visit(sink);
+        }
+        let section = Settings::SECTION;
         if let Some(field) = section.field("file") {
             sink.field(section, field, Value::Path(&self.file.to_string_lossy()));
             for column in self.values.iter() {
@@ -139,6 +181,7 @@ impl Trace {
             end: self.end,
         };
         settings.visit(sink);
+        panel::visit(self.panel.as_ref(), sink);
     }
 
     /// The most that comes in a TTI.
@@ -177,6 +220,23 @@ fn energies(numbers: &Columns<f64>, names: &[String], scale: f64) -> Result<Vec<
     };
     let column =
         |(values, name): (&Vec<f64>, &String)| values.iter().enumerate().map(|item| energy(name, item)).collect();
+    numbers.values.iter().zip(names).map(column).collect()
+}
+
+/// `numbers` by column and row, W/m², as energy per TTI by column and TTI.
+fn under(panel: &Panel, numbers: &Columns<f64>, names: &[String], end: TraceEnd) -> Result<Vec<Vec<Energy>>, String> {
+    let column = |(values, name): (&Vec<f64>, &String)| {
+        if let Some(row) = values.iter().position(|&value| value < 0.0) {
+            return Err(format!(
+                "{}, column `{name}`: an irradiance of {} W/m² must be at least 0; write 0 for what a sensor is off at \
+                 night",
+                numbers.place(row),
+                values[row]
+            ));
+        }
+        let energies = panel.energies(values, end == TraceEnd::Stop);
+        energies.map_err(|reason| format!("column `{name}`: {reason}"))
+    };
     numbers.values.iter().zip(names).map(column).collect()
 }
 
@@ -264,6 +324,26 @@ mod tests {
     fn values_are_scaled_to_micro_units() {
         let values = energies(&column("ghi\n0\n500\n"), &["ghi".to_owned()], 0.002).expect("valid");
         assert_eq!(values, [[Energy::ZERO, Energy::from_micro(1_000_000)]]);
+    }
+
+    #[test]
+    fn a_sensor_that_is_off_at_night_is_named() {
+        let panel = Panel {
+            area_cm2: 10.0,
+            efficiency: 0.1,
+            unit_mj: 1.0,
+            tti_seconds: 60.0,
+            row_seconds: 60.0,
+        };
+        let names = ["ghi".to_owned()];
+        let reason = under(&panel, &column("ghi\n1\n-3\n"), &names, TraceEnd::Cycle).expect_err("negative");
+        assert!(
+            reason.starts_with("line 3, column `ghi`: an irradiance of -3 W/m² must be"),
+            "{reason}"
+        );
+        // 10 cm² at a tenth: 1 W/m² is 0.1 mJ a second.
+        let rows = under(&panel, &column("ghi\n2\n2\n"), &names, TraceEnd::Stop).expect("valid");
+        assert_eq!(rows, [[Energy::from_micro(12_000_000); 2]]);
     }
 
     #[test]

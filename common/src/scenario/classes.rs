@@ -2,8 +2,10 @@
 
 use std::collections::BTreeSet;
 
-use crate::declare::{ABOVE_ZERO, Reader, ScenarioError, Sink, number, text};
+use super::members::{Members, OwnFields};
+use crate::declare::{Reader, ScenarioError, Sink};
 use crate::energy::EnergyModel;
+use crate::geometry::Area;
 use crate::harvest::Harvest;
 
 /// The largest number of device classes.
@@ -13,25 +15,15 @@ const SHARE_TOLERANCE: f64 = 1e-9;
 /// The name of the one class of a scenario without classes.
 const ONLY: &str = "default";
 
-crate::declare! {
-    /// A kind of device with its own battery, costs and energy source.
-    #[derive(Clone, Debug)]
-    pub(super) struct OwnFields in "class" {
-        /// Its name in files and tables, 1 to 64 characters.
-        name: Option<String> = text(),
-        /// Its share of the N devices; all shares add up to 1. Not needed where `layout.file` has a column `class`,
-        /// which decides then.
-        share: Option<f64> = number(ABOVE_ZERO, 1.0).required(),
-    }
-}
-
 /// A kind of device with its own battery, costs and energy source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DeviceClass {
     /// Its name in files and tables.
     pub name: String,
-    /// Its share of the N devices, `(0, 1]`; 0 for a class that the layout's file gives no device.
+    /// Its share of the N devices, `(0, 1]`; 0 for a class that no device is of.
     pub share: f64,
+    /// Which devices are of it.
+    pub members: Members,
     /// Battery and costs.
     pub energy: EnergyModel,
     /// The energy source.
@@ -39,34 +31,44 @@ pub struct DeviceClass {
 }
 
 impl DeviceClass {
-    /// The classes that `reader` has, for TTIs of duration `tau`; the only one of a scenario without. Shares may be
-    /// missing, see [`check_shares`].
-    pub(super) fn settle_all(reader: &Reader<'_>, tau: f64) -> Result<(Vec<Self>, Vec<Option<f64>>), ScenarioError> {
+    /// The classes that `reader` has, for TTIs of duration `tau` on `area`; the only one of a scenario without. Beside
+    /// each is whether it says which devices are of it, see [`check_shares`].
+    pub(super) fn settle_all(
+        reader: &Reader<'_>,
+        tau: f64,
+        area: Area,
+    ) -> Result<(Vec<Self>, Vec<bool>), ScenarioError> {
         let items = reader.items();
         if items.is_empty() {
             let only = Self {
                 name: ONLY.to_owned(),
                 share: 1.0,
+                members: Members::Share(1.0),
                 energy: EnergyModel::settle(reader)?,
                 harvest: Harvest::settle(reader, tau)?,
             };
-            return Ok((vec![only], vec![Some(1.0)]));
+            return Ok((vec![only], vec![true]));
         }
         if items.len() > MAX_CLASSES {
             let found = format!("{} classes", items.len());
             return Err(reader.refuse("class", found, format!("must be at most {MAX_CLASSES}")));
         }
         let mut names = BTreeSet::new();
-        let (mut classes, mut shares) = (Vec::new(), Vec::new());
+        let (mut classes, mut are_told) = (Vec::new(), Vec::new());
         for item in items {
-            let (class, share) = Self::settle(item, &mut names, tau)?;
+            let (class, is_told) = Self::settle(item, &mut names, tau, area)?;
             classes.push(class);
-            shares.push(share);
+            are_told.push(is_told);
         }
-        Ok((classes, shares))
+        Ok((classes, are_told))
     }
 
-    fn settle(item: Reader<'_>, names: &mut BTreeSet<String>, tau: f64) -> Result<(Self, Option<f64>), ScenarioError> {
+    fn settle(
+        item: Reader<'_>,
+        names: &mut BTreeSet<String>,
+        tau: f64,
+        area: Area,
+    ) -> Result<(Self, bool), ScenarioError> {
         let section = OwnFields::SECTION;
         let given = section
             .field("name")
@@ -88,28 +90,25 @@ impl DeviceClass {
             return Err(item.refuse("class.name", &name, "must differ from the other classes' names"));
         }
         item.check_idle()?;
-        let share = OwnFields::read(&item)?.share;
+        let members = Members::settle(&item, &OwnFields::read(&item)?, area)?;
+        let is_told = members.is_some();
         let class = Self {
             name,
-            share: share.unwrap_or_default(),
+            share: 0.0,
+            members: members.unwrap_or(Members::Layout),
             energy: EnergyModel::settle(&item)?,
             harvest: Harvest::settle(&item, tau)?,
         };
-        Ok((class, share))
+        Ok((class, is_told))
     }
 
     /// Hands every field of `classes` to `sink`. The only class of a scenario without classes speaks for the top level.
-    /// Shares are left out where the layout decides who is of which class.
-    pub(super) fn visit_all(classes: &[Self], layout_decides: bool, sink: &mut dyn Sink) {
+    pub(super) fn visit_all(classes: &[Self], sink: &mut dyn Sink) {
         let is_plain = matches!(classes, [only] if only.name == ONLY);
         for class in classes {
             if !is_plain {
                 sink.item(&class.name);
-                let own = OwnFields {
-                    name: Some(class.name.clone()),
-                    share: (!layout_decides).then_some(class.share),
-                };
-                own.visit(sink);
+                class.members.own_fields(&class.name).visit(sink);
             }
             class.energy.visit(sink);
             class.harvest.visit(sink);
@@ -117,36 +116,39 @@ impl DeviceClass {
     }
 }
 
-/// Settles how many devices each class has. Where the layout's file names the class of each device, `by_layout`, it
-/// decides, and the shares become those that it comes to; else every class needs a share, and they add up to 1.
+/// Looks at how the classes share the devices. Where the layout's file names the class of each device, `by_layout` says
+/// so, it decides; else every class has to say which devices are of it, as `are_told`, and the shares add up to 1.
 pub(super) fn check_shares(
     reader: &Reader<'_>,
     classes: &mut [DeviceClass],
-    shares: &[Option<f64>],
-    by_layout: Option<&[u16]>,
+    are_told: &[bool],
+    by_layout: bool,
 ) -> Result<(), ScenarioError> {
-    let items = || reader.items().into_iter().zip(classes.iter());
-    if let Some(by_layout) = by_layout {
-        if shares.iter().any(Option::is_some) {
-            reader.warn("class.share has no effect: the column `class` of layout.file says who is of which class");
+    if by_layout {
+        if are_told.contains(&true) {
+            reader.warn(
+                "class.share has no effect, nor have class.devices and places: the column `class` of layout.file says \
+                 who is of which class",
+            );
         }
-        for (index, class) in classes.iter_mut().enumerate() {
-            let devices = by_layout.iter().filter(|&&of| usize::from(of) == index).count();
-            class.share = devices as f64 / by_layout.len() as f64;
-            if devices == 0 {
-                reader.warn(format!("no device of layout.file is of the class `{}`", class.name));
-            }
+        for class in classes {
+            class.members = Members::Layout;
         }
         return Ok(());
     }
-    for ((item, class), share) in items().zip(shares) {
-        if share.is_none() {
+    for ((item, class), is_told) in reader.items().into_iter().zip(classes.iter()).zip(are_told) {
+        if !is_told {
             return Err(item.known_as(&class.name).needed("class.share", "class.name"));
         }
     }
-    let sum: f64 = classes.iter().map(|class| class.share).sum();
-    if (sum - 1.0).abs() > SHARE_TOLERANCE {
-        let shares: Vec<String> = classes.iter().map(|class| class.share.to_string()).collect();
+    let share = |class: &DeviceClass| match class.members {
+        Members::Share(share) => Some(share),
+        Members::Devices(_) | Members::Within(_) | Members::Layout => None,
+    };
+    let shares: Vec<f64> = classes.iter().filter_map(share).collect();
+    let sum: f64 = shares.iter().sum();
+    if !shares.is_empty() && (sum - 1.0).abs() > SHARE_TOLERANCE {
+        let shares: Vec<String> = shares.iter().map(f64::to_string).collect();
         let allowed = format!("the shares of all classes must add up to 1, not to {sum}");
         return Err(reader.refuse("class", format!("shares {}", shares.join(" + ")), allowed));
     }

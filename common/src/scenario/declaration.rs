@@ -1,7 +1,7 @@
 //! All fields of a scenario together.
 
 use super::bs::BsSettings;
-use super::classes::OwnFields;
+use super::members::OwnFields;
 use super::model::Policies;
 use super::run::{PRESETS, PolicyName, Run};
 use crate::declare::{Alternative, Declaration, List};

@@ -158,7 +158,7 @@ impl Scenario {
         }
         .visit(sink);
         self.policy.visit(sink);
-        DeviceClass::visit_all(&self.classes, self.layout.classes().is_some(), sink);
+        DeviceClass::visit_all(&self.classes, sink);
     }
 
     /// SHA-256 of everything that decides a run: the paths and values of all fields in force, with the contents of

@@ -1,10 +1,13 @@
 //! From the merged layers to a [`Scenario`] that every part of a run may rely on.
 
 use std::cell::RefCell;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
+use super::assignment::try_assign;
 use super::bs::BsSettings;
 use super::classes::{DeviceClass, check_shares};
+use super::members::Members;
 use super::model::{Policies, PolicyChoice, Scenario};
 use super::policy::NoSettings;
 use super::run::{PolicyName, Run};
@@ -32,7 +35,7 @@ pub(super) fn settle(
     let events = Events::settle(reader)?;
     let radio = Radio::settle(reader)?;
     let bs = BsSettings::read(reader)?;
-    let (mut classes, shares) = DeviceClass::settle_all(reader, run.tau)?;
+    let (mut classes, are_told) = DeviceClass::settle_all(reader, run.tau, area)?;
     let has_classes = !reader.items().is_empty();
     let names: Vec<&str> = classes
         .iter()
@@ -40,7 +43,7 @@ pub(super) fn settle(
         .map(|class| class.name.as_str())
         .collect();
     let layout = Layout::settle(reader, area, run.devices, &names)?;
-    check_shares(reader, &mut classes, &shares, layout.classes())?;
+    check_shares(reader, &mut classes, &are_told, layout.classes().is_some())?;
     let name = PolicyName::read(reader)?.name;
     let Some(&kind) = policies.iter().find(|policy| policy.name() == name) else {
         return Err(reader.refuse("policy.name", name, "must be the name of a policy"));
@@ -62,12 +65,55 @@ pub(super) fn settle(
         policy: PolicyChoice::new(kind, Arc::new(NoSettings)),
         warnings: Vec::new(),
     };
+    settle_members(reader, &mut scenario)?;
     scenario.policy = PolicyChoice::new(kind, kind.settle(&reader.of_policy(kind.name()), &scenario.site())?);
     bounded(reader, &scenario)?;
     scenario.warnings = warnings.take();
     scenario.warnings.extend(over_before_a_look(&scenario));
     scenario.warnings.extend(scenario.policy.warnings());
     Ok(scenario)
+}
+
+/// Settles how many devices each class has.
+fn settle_members(reader: &Reader<'_>, scenario: &mut Scenario) -> Result<(), ScenarioError> {
+    let n = scenario.devices;
+    let mut is_named = BTreeSet::new();
+    for (item, class) in reader.items().into_iter().zip(&scenario.classes) {
+        let Members::Devices(devices) = &class.members else {
+            continue;
+        };
+        let item = item.known_as(&class.name);
+        if let Some(j) = devices.iter().find(|&&j| j >= n) {
+            return Err(item.refuse("class.devices", j, format!("must be below {n}, the number of devices")));
+        }
+        if let Some(j) = devices.iter().find(|&&j| !is_named.insert(j)) {
+            return Err(item.refuse("class.devices", j, "is named already: a device is of one class"));
+        }
+    }
+    let is_by_share = |class: &DeviceClass| matches!(class.members, Members::Share(_));
+    if scenario.classes.iter().all(is_by_share) {
+        let share = |class: &mut DeviceClass| {
+            if let Members::Share(share) = class.members {
+                class.share = share;
+            }
+        };
+        scenario.classes.iter_mut().for_each(share);
+        return Ok(());
+    }
+    let assigned = try_assign(scenario).map_err(|j| {
+        let allowed = format!("device {j} is of none of them; give one of them a share, of the devices that are left");
+        reader.refuse("class", format!("{} classes", scenario.classes.len()), allowed)
+    })?;
+    let by_layout = scenario.layout.classes().is_some();
+    for (index, class) in scenario.classes.iter_mut().enumerate() {
+        let devices = assigned.iter().filter(|&&of| usize::from(of) == index).count();
+        class.share = devices as f64 / assigned.len() as f64;
+        if devices == 0 {
+            let of = if by_layout { " of layout.file" } else { "" };
+            reader.warn(format!("no device{of} is of the class `{}`", class.name));
+        }
+    }
+    Ok(())
 }
 
 /// What a policy cannot know and its user should: that events end before the policy is to look for them.

@@ -6,8 +6,10 @@ use reveille_common::scenario::EnergyModel;
 #[derive(Clone, Debug)]
 pub(super) struct Estimate {
     costs: EnergyModel,
-    /// The mean harvest in a TTI.
-    mean: u64,
+    /// The mean harvest in each TTI of a day, which is a single TTI where all are alike.
+    mean: Vec<u64>,
+    /// Whether the sun is up in each of them.
+    is_day: Vec<bool>,
     /// The level that was known last, and the first TTI after that.
     level: u64,
     from: u64,
@@ -19,11 +21,13 @@ pub(super) struct Estimate {
 }
 
 impl Estimate {
-    pub(super) fn new(costs: EnergyModel, mean: u64) -> Self {
+    /// Of a battery with these costs and the mean harvest `mean` in each TTI of a day, in which the sun is up or not.
+    pub(super) fn new(costs: EnergyModel, mean: Vec<u64>, is_day: Vec<bool>) -> Self {
         Self {
             level: costs.initial.micro(),
             costs,
             mean,
+            is_day,
             from: 0,
             since: None,
             outage: 0,
@@ -43,19 +47,30 @@ impl Estimate {
                 self.costs.e_wur.micro()
             }
         };
-        let (mut came, mut went) = (0, 0);
-        for k in self.from..=k {
-            came += self.mean;
-            went += cost(k);
+        let up = |k: u64| self.is_day[k as usize % self.is_day.len()];
+        let (mut level, mut first) = (self.level, self.from);
+        // A day or a night at a time.
+        while first <= k {
+            let (mut came, mut went, mut last) = (0, 0, first);
+            loop {
+                came += self.mean[last as usize % self.mean.len()];
+                went += cost(last);
+                if last == k || up(last) != up(last + 1) {
+                    break;
+                }
+                last += 1;
+            }
+            level = if came <= went {
+                level.saturating_sub(went - came)
+            } else {
+                let needed = self.costs.e_tx.micro() + self.costs.e_idle.micro();
+                let most = (needed * (last + 1 - first)).checked_div(self.outage);
+                level + (came - went).min(most.unwrap_or(u64::MAX))
+            };
+            level = level.min(self.costs.e_max.micro().saturating_sub(cost(last)));
+            first = last + 1;
         }
-        let level = if came <= went {
-            self.level.saturating_sub(went - came)
-        } else {
-            let needed = self.costs.e_tx.micro() + self.costs.e_idle.micro();
-            let most = (needed * (k + 1 - self.from)).checked_div(self.outage);
-            self.level + (came - went).min(most.unwrap_or(u64::MAX))
-        };
-        level.min(self.costs.e_max.micro().saturating_sub(cost(k)))
+        level
     }
 
     /// Whether it can pay for a report at the end of TTI `k`.

@@ -1,6 +1,9 @@
 //! Energy arrivals, drawn TTI by TTI.
 
-use reveille_common::harvest::{Arrivals, Mpp};
+use std::f64::consts::PI;
+
+use reveille_common::harvest::sun::{Sky, Sun};
+use reveille_common::harvest::{Arrivals, Diurnal, Known, Mpp, Reference};
 use reveille_common::rng::{Geometric, Purpose, Stream};
 use reveille_common::scenario::{Harvest, Trace, TraceColumns, TraceEnd};
 
@@ -23,6 +26,18 @@ pub(super) enum Source {
         left: u64,
         e_b: u64,
     },
+    /// As likely as the sun is bright.
+    Sunny {
+        /// As it was before the first draw.
+        unused: Stream,
+        stream: Stream,
+        is_known: bool,
+        /// The probability of an arrival in each TTI of a day.
+        day: Vec<f64>,
+        /// What has to come together of −ln(1 − p) before the next arrival.
+        left: f64,
+        e_b: u64,
+    },
     /// Rows of a file.
     Recorded {
         rows: Vec<u64>,
@@ -42,11 +57,13 @@ impl Source {
             }
             Harvest::ExpMinusLambda(Arrivals { lambda, e_b }) => arrivals(stream, libm::exp(-lambda), e_b.micro()),
             Harvest::Mpp(Mpp { lambda, e_b, off_mean }) => on_off(stream, *lambda, 1.0 / off_mean, tau, e_b.micro()),
+            Harvest::Diurnal(diurnal) => sunny(stream, diurnal, tau),
             Harvest::Trace(trace) => recorded(trace, nth),
         }
     }
 
-    /// Of recorded energy: `mean` in each TTI instead.
+    /// Of recorded energy: `mean` in each TTI instead. Of the sun's, where the time of the day is not known: arrivals
+    /// at any time.
     pub(super) fn by_its_mean(self, mean: u64) -> Self {
         match self {
             Self::Recorded { .. } => Self::Recorded {
@@ -54,7 +71,14 @@ impl Source {
                 ttis_per_row: 1,
                 again: true,
             },
-            other @ (Self::Arrivals { .. } | Self::OnOff { .. }) => other,
+            Self::Sunny {
+                unused,
+                is_known: false,
+                day,
+                e_b,
+                ..
+            } => arrivals(unused, day.iter().sum::<f64>() / day.len() as f64, e_b),
+            other @ (Self::Arrivals { .. } | Self::OnOff { .. } | Self::Sunny { .. }) => other,
         }
     }
 
@@ -82,6 +106,17 @@ impl Source {
                 }
                 *left -= 1;
                 if *on { *e_b } else { 0 }
+            }
+            Self::Sunny {
+                stream, day, left, e_b, ..
+            } => {
+                let hazard = -libm::log1p(-day[k as usize % day.len()]);
+                if *left >= hazard {
+                    *left -= hazard;
+                    return 0;
+                }
+                *left = -libm::log1p(-stream.unit());
+                *e_b
             }
             Self::Recorded {
                 rows,
@@ -112,11 +147,94 @@ pub(super) fn mean(harvest: &Harvest, tau: f64, nth: usize) -> u64 {
             let back = 1.0 / off_mean;
             share_of(back / (lambda + back), e_b.micro())
         }
+        Harvest::Diurnal(diurnal) => {
+            let day = sunny_day(diurnal, tau);
+            share_of(day.iter().sum::<f64>() / day.len() as f64, diurnal.arrivals.e_b.micro())
+        }
         Harvest::Trace(trace) => {
             let column = &trace.values[column(trace, nth)];
             let sum: u64 = column.iter().map(|energy| energy.micro()).sum();
             sum / column.len() as u64
         }
+    }
+}
+
+/// What a base station may expect in each TTI of a day, whole micro-units; nothing where it knows no more than a mean.
+pub(super) fn expected_day(harvest: &Harvest, tau: f64) -> Option<Vec<u64>> {
+    let Harvest::Diurnal(diurnal) = harvest else {
+        return None;
+    };
+    let mut sum = 0.0;
+    let sums = sunny_day(diurnal, tau).into_iter().map(|p| {
+        sum += p;
+        (sum * diurnal.arrivals.e_b.micro() as f64).round() as u64
+    });
+    let sums: Vec<u64> = std::iter::once(0).chain(sums).collect();
+    let each = sums.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    (diurnal.known == Known::Course).then_some(each)
+}
+
+/// Whether the sun is up in the `k`th TTI.
+pub(super) fn is_day(harvest: &Harvest, k: u64) -> bool {
+    let Harvest::Diurnal(Diurnal { sun, .. }) = harvest else {
+        return true;
+    };
+    brightness(sun, k) > 0.0
+}
+
+/// The probability of an arrival in each TTI of a day.
+fn sunny_day(diurnal: &Diurnal, tau: f64) -> Vec<f64> {
+    let Diurnal {
+        arrivals,
+        sun,
+        reference,
+        ..
+    } = diurnal;
+    let rate = arrivals.lambda * tau;
+    let p = rate * libm::exp(-rate);
+    let light: Vec<f64> = (0..u64::from(sun.ttis_per_day)).map(|k| brightness(sun, k)).collect();
+    let unit = match reference {
+        Reference::DailyMean => light.iter().sum::<f64>() / light.len() as f64,
+        Reference::Zenith => 1.0,
+    };
+    light.into_iter().map(|light| p / unit * light).collect()
+}
+
+/// Irradiance in the middle of the `k`th TTI, 1 under a sun in the zenith: from the sun's place among the stars and the
+/// observer's zenith, by the dot product of the two directions.
+fn brightness(sun: &Sun, k: u64) -> f64 {
+    let hours = sun.start_hour + 24.0 * ((k % u64::from(sun.ttis_per_day)) as f64 + 0.5) / f64::from(sun.ttis_per_day);
+    let (lat, hour) = (sun.latitude * PI / 180.0, (hours - 12.0) * PI / 12.0);
+    let tilt = 23.45 * PI / 180.0 * libm::sin(2.0 * PI * f64::from(284 + sun.day_of_year) / 365.0);
+    let zenith = [libm::cos(lat), 0.0, libm::sin(lat)];
+    let towards = [
+        libm::cos(tilt) * libm::cos(hour),
+        libm::cos(tilt) * libm::sin(hour),
+        libm::sin(tilt),
+    ];
+    let sine: f64 = zenith.iter().zip(towards).map(|(a, b)| a * b).sum();
+    match sun.sky {
+        _ if sine <= 0.0 => 0.0,
+        Sky::Vacuum => sine,
+        Sky::Clear => sine * libm::exp(-0.059 / sine) / libm::exp(-0.059),
+    }
+}
+
+fn sunny(mut stream: Stream, diurnal: &Diurnal, tau: f64) -> Source {
+    let e_b = diurnal.arrivals.e_b.micro();
+    let mut day = sunny_day(diurnal, tau);
+    if e_b == 0 {
+        day.fill(0.0);
+    }
+    let unused = stream.clone();
+    let left = -libm::log1p(-stream.unit());
+    Source::Sunny {
+        unused,
+        stream,
+        is_known: diurnal.known == Known::Course,
+        day,
+        left,
+        e_b,
     }
 }
 

@@ -13,7 +13,7 @@ use reveille_common::units::Energy;
 use super::device::{Device, State};
 use super::estimate::Estimate;
 use super::events::Events;
-use super::harvest::{Source, mean};
+use super::harvest::{Source, expected_day, is_day, mean};
 use super::plane::distance;
 use super::policy::{Choice, Policy, Reporter, Situation};
 use super::radio::Radio;
@@ -138,7 +138,14 @@ impl<'a> World<'a> {
             let (seed, nth) = (scenario.seed, of_class[class]);
             of_class[class] += 1;
             let mean = mean(&kind.harvest, scenario.tau, nth);
-            estimates.push(Estimate::new(kind.energy, mean));
+            let (day, is_lit) = match expected_day(&kind.harvest, scenario.tau) {
+                Some(day) => {
+                    let is_lit = (0..day.len() as u64).map(|k| is_day(&kind.harvest, k)).collect();
+                    (day, is_lit)
+                }
+                None => (vec![mean], vec![true]),
+            };
+            estimates.push(Estimate::new(kind.energy, day, is_lit));
             let source = Source::new(&kind.harvest, scenario.tau, seed, id as u64, nth);
             let source = if ground.plays_traces {
                 source

@@ -13,6 +13,7 @@ mod cells;
 mod chance;
 mod check;
 pub mod choice;
+pub mod foresight;
 pub mod price;
 mod sure;
 mod worths;

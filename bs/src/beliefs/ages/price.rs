@@ -53,13 +53,23 @@ impl Prices {
         self.scaled(levels, |_| 1.0)
     }
 
-    /// The same, that of each device times its `factor`, > 0.
+    /// The same, but that dearness goes by the levels that batteries are expected to come to, `expected`, E_max at the
+    /// most.
+    pub fn ahead(&mut self, levels: &[Energy], expected: &[Energy]) -> &[f64] {
+        self.dear(levels, expected, |_| 1.0)
+    }
+
+    /// The prices of devices with these battery `levels`, that of each times its `factor`, > 0.
     pub fn scaled(&mut self, levels: &[Energy], factor: impl Fn(usize) -> f64) -> &[f64] {
+        self.dear(levels, levels, factor)
+    }
+
+    fn dear(&mut self, levels: &[Energy], dear_by: &[Energy], factor: impl Fn(usize) -> f64) -> &[f64] {
         for (j, (now, &level)) in self.now.iter_mut().zip(levels).enumerate() {
             *now = if level < self.needed[j] {
                 f64::INFINITY
             } else {
-                let missing = 1.0 - level.micro() as f64 / self.e_max[j].micro() as f64;
+                let missing = 1.0 - dear_by[j].micro() as f64 / self.e_max[j].micro() as f64;
                 (self.full[j] * (1.0 + DEARNESS * missing * missing) * factor(j)).max(FREE)
             };
         }

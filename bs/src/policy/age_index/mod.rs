@@ -3,7 +3,7 @@
 //! Each place of the area has an age ([`crate::beliefs::ages`]): the TTIs in which an event may have begun there and
 //! gone unnoticed. What a device would look at is worth the sum over its places of their ages' index a(a + 1)/2, as far
 //! as nobody who is chosen looks at them already ([`ages::choice`]). A TTI in S1 has a price, the only knob, dearer for
-//! a device whose battery is low ([`ages::price`]).
+//! a device whose battery is low ([`ages::price`]), or will be, if it is to look ahead ([`ages::foresight`]).
 //!
 //! Wake-ups go by the belief over the event's place, whatever `bs.ranking` says, which begins with what the ages tell:
 //! an event that is found at last may have begun in any TTI of the place's age, so a place of twice the age is twice as
@@ -25,6 +25,7 @@ use super::kind::{Profile, Registered, own};
 use super::mind::Mind;
 use super::tally::Tally;
 use crate::beliefs::ages::choice::Choice;
+use crate::beliefs::ages::foresight::Foresight;
 use crate::beliefs::ages::price::Prices;
 use crate::beliefs::ages::{self, Ages};
 use crate::beliefs::candidates::{Candidates, LEAST_GAIN};
@@ -36,6 +37,7 @@ use crate::observation::Observation;
 pub struct AgeIndex {
     ages: Ages,
     prices: Prices,
+    foresight: Option<Foresight>,
     choice: Choice,
     candidates: Candidates,
     /// Whether an event was reported in the TTI that was decided on last.
@@ -58,6 +60,7 @@ impl AgeIndex {
         let reach = ages::reach(&known.sensing) / ages.cell_surface();
         Self {
             prices: Prices::new(known, settings.price * reach),
+            foresight: settings.foresight.map(|ttis| Foresight::new(known, ttis)),
             choice: Choice::new(&positions, known.area, known.sensing.d_max),
             candidates: Candidates::by(WakeUpRanking::Posterior, known),
             ages,
@@ -72,7 +75,11 @@ impl Policy for AgeIndex {
         if seen.now > Tti::ZERO {
             self.ages.pass(std::mem::take(&mut self.is_found));
         }
-        let mut chosen = self.choice.choose(&mut self.ages, self.prices.at(seen.batteries));
+        let prices = match &mut self.foresight {
+            None => self.prices.at(seen.batteries),
+            Some(foresight) => self.prices.ahead(seen.batteries, foresight.of(seen)),
+        };
+        let mut chosen = self.choice.choose(&mut self.ages, prices);
         chosen.sort_unstable();
         self.tally.plan(seen.known.n(), &chosen)
     }

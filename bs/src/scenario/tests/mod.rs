@@ -108,7 +108,13 @@ fn a_class_inherits_field_by_field() {
 
 #[test]
 fn the_examples_load_and_come_back() {
-    for name in ["solar.toml", "two-classes.toml", "rush-hours.toml"] {
+    for name in [
+        "solar.toml",
+        "solar-panel.toml",
+        "day-and-night.toml",
+        "two-classes.toml",
+        "rush-hours.toml",
+    ] {
         let path = examples().join(name);
         let scenario = load(path.to_str().expect("UTF-8"), &[]).expect(name);
         let again = from(&scenario.to_toml()).expect(name);
@@ -172,6 +178,7 @@ fn the_hash_follows_what_decides_a_run_and_nothing_else() {
         "tau=2",
         "events.process=bursts",
         "events.duration_kind=geometric",
+        "harvest.kind=diurnal",
     ] {
         assert_ne!(hash(&[]), hash(&[changed]), "{changed}");
     }

@@ -1,0 +1,134 @@
+//! What batteries are expected to come to.
+//!
+//! A battery that will be full in a while loses what it harvests then, so its energy is cheap now; one that has a night
+//! before it is to spare. Both follow from the mean harvest of a device, and where that is known from the time of the
+//! day.
+
+use reveille_common::ids::DeviceId;
+use reveille_common::units::Energy;
+
+use crate::knowledge::Knowledge;
+use crate::observation::Observation;
+
+/// Looks a while ahead.
+#[derive(Clone, Debug)]
+pub struct Foresight {
+    ttis: u64,
+    /// By device.
+    expected: Vec<Energy>,
+}
+
+impl Foresight {
+    /// For the devices in `known`, `ttis` TTIs ahead.
+    pub fn new(known: &Knowledge, ttis: u64) -> Self {
+        Self {
+            ttis,
+            expected: vec![Energy::ZERO; known.n()],
+        }
+    }
+
+    /// The battery levels of all devices in the order of ids, if all of them sleep for so long and harvest as much as
+    /// is to be expected: no lower than empty, and no higher than E_max.
+    pub fn of(&mut self, seen: &Observation<'_>) -> &[Energy] {
+        let end = seen.now.saturating_add(self.ttis);
+        for (j, (expected, &level)) in (0..).zip(self.expected.iter_mut().zip(seen.batteries)) {
+            let energy = &seen.known.devices[j as usize].energy;
+            let income = seen.known.expected_harvest(DeviceId(j), seen.now, end);
+            let asleep = Energy::from_micro(energy.e_wur.micro().saturating_mul(self.ttis));
+            *expected = (level + income).saturating_sub(asleep).min(energy.e_max);
+        }
+        &self.expected
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use reveille_common::deployment::Deployment;
+    use reveille_common::ids::Tti;
+    use reveille_common::plan::Plan;
+
+    use super::*;
+    use crate::beliefs::ages::price::Prices;
+    use crate::scenario::{Override, load};
+
+    fn known(set: &[&str]) -> Knowledge {
+        let overrides: Vec<Override> = set
+            .iter()
+            .map(|set| Override::parse(set).expect("an override"))
+            .collect();
+        let scenario = load("paper", &overrides).expect("a scenario");
+        Knowledge::of(&scenario, &Deployment::new(&scenario), Arc::default())
+    }
+
+    /// The level that each device comes to from `level` units in TTI `now`, `ttis` later.
+    fn ahead(known: &Knowledge, level: u64, now: u64, ttis: u64) -> f64 {
+        let plan = Plan::from_bits((0..known.n()).map(|_| false));
+        let batteries = vec![Energy::from_micro(level * 1_000_000); known.n()];
+        let seen = Observation {
+            now: Tti(now),
+            known,
+            plan: &plan,
+            information: 0.0,
+            batteries: &batteries,
+            levels: None,
+        };
+        let mut foresight = Foresight::new(known, ttis);
+        let found = foresight.of(&seen);
+        assert!(found.iter().all(|other| *other == found[0]), "one class");
+        found[0].units()
+    }
+
+    #[test]
+    fn a_steady_source_brings_its_mean_and_sleep_costs() {
+        let known = known(&["devices=9"]);
+        let net = 0.5 * libm::exp(-0.1) - 1.0 / 14.0;
+        assert!((ahead(&known, 20, 77, 50) - (20.0 + 50.0 * net)).abs() < 1e-4);
+        assert_eq!(
+            ahead(&known, 95, 77, 50).to_bits(),
+            100.0_f64.to_bits(),
+            "no more than it holds"
+        );
+        let dark = super::tests::known(&["devices=9", "harvest.lambda=0"]);
+        assert_eq!(
+            ahead(&dark, 2, 0, 50).to_bits(),
+            0.0_f64.to_bits(),
+            "no less than empty"
+        );
+    }
+
+    /// A day of 100 TTIs at an equinox, light from TTI 25 to 74.
+    #[test]
+    fn what_comes_depends_on_the_time_of_the_day() {
+        let day = ["devices=9", "harvest.kind=diurnal", "harvest.diurnal.ttis_per_day=100"];
+        let known = known(&day);
+        let (whole, asleep) = (100.0 * 0.5 * libm::exp(-0.1), 1.0 / 14.0);
+        for (now, ttis, share) in [
+            (0, 25_u32, 0.0),
+            (25, 50, 1.0),
+            (25, 25, 0.5),
+            (80, 45, 0.0),
+            (200, 75, 1.0),
+        ] {
+            let expected = 20.0 + share * whole - f64::from(ttis) * asleep;
+            let found = ahead(&known, 20, now, u64::from(ttis));
+            assert!(
+                (found - expected).abs() < 0.05,
+                "{ttis} from {now}: {found}, not {expected}"
+            );
+        }
+        let mean = super::tests::known(&[&day[..], &["harvest.diurnal.known=mean"]].concat());
+        assert!((ahead(&mean, 20, 0, 25) - (20.0 + 25.0 * (whole / 100.0 - asleep))).abs() < 1e-4);
+    }
+
+    #[test]
+    fn dearness_goes_by_what_is_expected_and_who_may_sense_by_what_is_there() {
+        let known = known(&["devices=3"]);
+        let units = |levels: [u64; 3]| levels.map(|level| Energy::from_micro(level * 1_000_000));
+        let (now, later) = (units([50, 50, 5]), units([100, 0, 100]));
+        let mut prices = Prices::new(&known, 2.0);
+        assert_eq!(prices.ahead(&now, &later), [2.0, 8.0, f64::INFINITY]);
+        assert_eq!(prices.ahead(&now, &now), Prices::new(&known, 2.0).at(&now));
+    }
+}

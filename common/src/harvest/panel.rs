@@ -1,0 +1,231 @@
+//! From irradiance, as weather stations record it, to units of energy per TTI.
+//!
+//! A panel of area A and efficiency η turns an irradiance of G W/m² into η·A·G watts. Between two rows of a record
+//! irradiance goes on a straight line, and what comes in a TTI is its integral. Rounding is carried from TTI to TTI, so
+//! that the micro-units of a record add up to its energy.
+
+use crate::declare::{Range, Section, Sink, number};
+use crate::units::{Energy, MAX_UNITS, MICRO_PER_UNIT};
+
+/// TTIs that one column may come to.
+const MOST_TTIS: f64 = 10_000_000.0;
+/// By how much a record may miss a whole number of TTIs, TTIs: rounding.
+const ROUNDING: f64 = 1e-6;
+/// Areas, energies and times.
+const SIZE: Range = Range::above(0.0, 1e9);
+
+crate::declare! {
+    /// A panel, its place in time, and what a unit of energy is.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct Panel in "harvest.trace.panel" only with "harvest.trace.quantity" = &["irradiance"]; {
+        /// Area of the panel.
+        pub area_cm2: f64 = number(SIZE, 1.0).unit("cm²").required(),
+        /// Share of the light's energy that gets into the battery, converter included.
+        pub efficiency: f64 = number(Range::above(0.0, 1.0), 1.0).required(),
+        /// What one unit of energy is. Where E_Tx is 10 units, a tenth of what a report costs.
+        pub unit_mj: f64 = number(SIZE, 1.0).unit("mJ").required(),
+        /// What a TTI stands for.
+        pub tti_seconds: f64 = number(SIZE, 1.0).unit("seconds").required(),
+        /// Time from a row of the file to the next.
+        pub row_seconds: f64 = number(SIZE, 3600.0).unit("seconds"),
+    }
+}
+
+impl Panel {
+    /// Units that come in a second for each W/m².
+    fn units_per_second(&self) -> f64 {
+        let square_metres = self.area_cm2 * 1e-4;
+        1000.0 * square_metres * self.efficiency / self.unit_mj
+    }
+
+    /// Energy per TTI of the rows `irradiance`, W/m² and at least 0, at least one: row i is that at the time
+    /// i·`row_seconds`. After the last row comes the first again, or with `stops` as much as in the last for as long as
+    /// a row lasts.
+    ///
+    /// # Errors
+    /// The rows are no whole number of TTIs, or too many, or more comes in a TTI than may be.
+    pub(super) fn energies(&self, irradiance: &[f64], stops: bool) -> Result<Vec<Energy>, String> {
+        let (rows, row) = (irradiance.len() as f64, self.row_seconds);
+        let ttis = rows * row / self.tti_seconds;
+        let whole = ttis.round();
+        if whole < 1.0 || (ttis - whole).abs() > ROUNDING * whole.max(1.0) {
+            return Err(format!(
+                "its {rows} rows of {row} s are {ttis:.3} TTIs of {} s, and must be a whole number of them; set \
+                 harvest.trace.panel.tti_seconds or row_seconds, or give another number of rows",
+                self.tti_seconds
+            ));
+        }
+        if whole > MOST_TTIS {
+            return Err(format!(
+                "its {rows} rows are {whole} TTIs, and must be at most {MOST_TTIS}; set a longer \
+                 harvest.trace.panel.tti_seconds, or give fewer rows"
+            ));
+        }
+        let after_last = if stops { irradiance.last() } else { irradiance.first() };
+        let after_last = after_last.copied().unwrap_or(0.0);
+        let at = |i: usize| irradiance.get(i).copied().unwrap_or(after_last);
+        // The integral up to row i, W/m² times rows.
+        let mut sums = Vec::with_capacity(irradiance.len() + 1);
+        let mut sum = 0.0;
+        for i in 0..=irradiance.len() {
+            sums.push(sum);
+            sum += 0.5 * (at(i) + at(i + 1));
+        }
+        let micro = self.units_per_second() * row * MICRO_PER_UNIT as f64;
+        let until = |tti: u64| {
+            let place = (tti as f64 / whole * rows).min(rows);
+            let (i, part) = (place as usize, place.fract());
+            let slope = at(i + 1) - at(i);
+            micro * (sums[i] + part * (at(i) + 0.5 * part * slope))
+        };
+        let (mut energies, mut before) = (Vec::with_capacity(whole as usize), 0_u64);
+        for tti in 0..whole as u64 {
+            let end = until(tti + 1);
+            // Beyond the integers that a number holds it is far too much too.
+            let sum = end.round() as u64;
+            let energy = Energy::from_micro(sum.saturating_sub(before));
+            if energy.units() > MAX_UNITS {
+                return Err(format!(
+                    "in TTI {tti} come {:.1} units, and at most {MAX_UNITS} may; set a larger \
+                     harvest.trace.panel.unit_mj",
+                    energy.units()
+                ));
+            }
+            energies.push(energy);
+            before = sum;
+        }
+        Ok(energies)
+    }
+}
+
+/// Hands the fields of `panel`, if there is one, to `sink`.
+pub(super) fn visit(panel: Option<&Panel>, sink: &mut dyn Sink) {
+    if let Some(panel) = panel {
+        panel.visit(sink);
+    }
+}
+
+/// The fields of a panel.
+pub(super) const SECTION: &Section = Panel::SECTION;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 50 cm² at 20 % and 1 mJ a unit: 1000 W/m² are 1000 units a second.
+    const PANEL: Panel = Panel {
+        area_cm2: 50.0,
+        efficiency: 0.2,
+        unit_mj: 1.0,
+        tti_seconds: 1.0,
+        row_seconds: 4.0,
+    };
+
+    fn units(panel: &Panel, rows: &[f64], stops: bool) -> Vec<f64> {
+        let energies = panel.energies(rows, stops).expect("valid");
+        energies.iter().map(|energy| energy.units()).collect()
+    }
+
+    #[test]
+    fn watts_come_to_units_by_area_efficiency_and_time() {
+        assert!((PANEL.units_per_second() - 1.0).abs() < 1e-12);
+        assert_eq!(units(&PANEL, &[7.0, 7.0], false), [7.0; 8]);
+        let slower = Panel {
+            tti_seconds: 8.0,
+            unit_mj: 2.0,
+            ..PANEL
+        };
+        assert_eq!(units(&slower, &[7.0, 7.0], false), [28.0]);
+    }
+
+    #[test]
+    fn between_rows_goes_a_straight_line() {
+        // 0 at 0 s, 8 at 4 s; then back to 0 at 8 s, or on at 8.
+        assert_eq!(
+            units(&PANEL, &[0.0, 8.0], false),
+            [1.0, 3.0, 5.0, 7.0, 7.0, 5.0, 3.0, 1.0]
+        );
+        assert_eq!(
+            units(&PANEL, &[0.0, 8.0], true),
+            [1.0, 3.0, 5.0, 7.0, 8.0, 8.0, 8.0, 8.0]
+        );
+        let odd = Panel {
+            tti_seconds: 8.0 / 3.0,
+            ..PANEL
+        };
+        // The triangle of 32 in thirds: (8/3)²·2/2, then the rest but as much again.
+        let outer = (8.0_f64 / 3.0).powi(2);
+        for (found, expected) in units(&odd, &[0.0, 8.0], false)
+            .iter()
+            .zip([outer, 32.0 - 2.0 * outer, outer])
+        {
+            assert!((found - expected).abs() < 1e-5, "{found}, not {expected}");
+        }
+    }
+
+    /// Against the sum of many narrow strips, and to the micro-unit in all.
+    #[test]
+    fn energy_is_the_integral_and_none_is_lost_by_rounding() {
+        let rows: Vec<f64> = (0..48).map(|i| f64::from((i * 37) % 11) * 1.7e-6).collect();
+        for (stops, tti_seconds) in [(false, 0.4), (true, 0.75), (false, 6.0), (true, 32.0)] {
+            let panel = Panel { tti_seconds, ..PANEL };
+            let energies = panel.energies(&rows, stops).expect("valid");
+            let at = |second: f64| {
+                let (i, part) = ((second / 4.0) as usize, (second / 4.0).fract());
+                let of = |i: usize| match (rows.get(i), stops) {
+                    (Some(&row), _) => row,
+                    (None, true) => rows[47],
+                    (None, false) => rows[0],
+                };
+                of(i) + part * (of(i + 1) - of(i))
+            };
+            let strip = |from: f64, end: f64| {
+                let width = (end - from) / 400.0;
+                (0..400)
+                    .map(|s| width * at(from + (f64::from(s) + 0.5) * width))
+                    .sum::<f64>()
+            };
+            let mut total = 0.0;
+            for (tti, energy) in energies.iter().enumerate() {
+                let from = tti as f64 * tti_seconds;
+                let expected = 1e6 * strip(from, from + tti_seconds);
+                total += expected;
+                assert!(
+                    (energy.micro() as f64 - expected).abs() <= 1.1,
+                    "{tti}: {energy:?}, not {expected}"
+                );
+            }
+            let sum: u64 = energies.iter().map(|energy| energy.micro()).sum();
+            assert!((sum as f64 - total).abs() <= 1.0, "{sum}, not {total}");
+        }
+    }
+
+    #[test]
+    fn errors_say_what_to_do() {
+        let reason = |panel: Panel| panel.energies(&[1e5; 3], false).expect_err("not valid");
+        let odd = reason(Panel {
+            tti_seconds: 5.0,
+            ..PANEL
+        });
+        assert!(
+            odd.starts_with("its 3 rows of 4 s are 2.400 TTIs of 5 s, and must be a whole number"),
+            "{odd}"
+        );
+        let much = reason(Panel {
+            tti_seconds: 12.0,
+            ..PANEL
+        });
+        assert!(
+            much.contains("1200000.0 units") && much.ends_with("a larger harvest.trace.panel.unit_mj"),
+            "{much}"
+        );
+        let many = reason(Panel {
+            tti_seconds: 1e-6,
+            ..PANEL
+        });
+        assert!(
+            many.contains("12000000 TTIs") && many.contains("longer harvest.trace.panel.tti_seconds"),
+            "{many}"
+        );
+    }
+}

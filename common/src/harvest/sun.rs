@@ -1,0 +1,252 @@
+//! Where the sun stands over a place, and how bright that is.
+//!
+//! The formulas are those of J. A. Duffie and W. A. Beckman, *Solar Engineering of Thermal Processes*, Sec. 1.6: the
+//! declination of P. I. Cooper (1969), Eq. (1.6.1a), the hour angle of solar time, the elevation by Eq. (1.6.5), and
+//! the hour angle of sunset by Eq. (1.6.10), cos ω₀ = −tan φ tan δ. A clear sky is that of B. Haurwitz (1945).
+
+use std::f64::consts::{PI, TAU};
+
+use serde::{Deserialize, Serialize};
+
+use crate::declare::choices;
+
+/// The tilt of the Earth's axis in Cooper's formula, degrees.
+const TILT: f64 = 23.45;
+/// How much of the light a clear sky takes, Haurwitz: irradiance is proportional to s·exp(-0.059/s), s the sine of the
+/// elevation.
+const HAZE: f64 = 0.059;
+
+choices! {
+    /// What becomes of sunlight on its way.
+    #[derive(Serialize, Deserialize)]
+    #[serde(rename_all = "kebab-case")]
+    pub enum Sky {
+        /// Irradiance is proportional to the sine of the sun's elevation.
+        Vacuum = "vacuum",
+        /// The air of a clear day, which takes the more the lower the sun is (Haurwitz 1945).
+        Clear = "clear",
+    }
+}
+
+impl Sky {
+    /// Irradiance on level ground where the sine of the sun's elevation is `sine`, as a share of that under a sun in
+    /// the zenith, `[0, 1]`; 0 below the horizon.
+    pub fn irradiance(self, sine: f64) -> f64 {
+        if sine <= 0.0 {
+            return 0.0;
+        }
+        match self {
+            Self::Vacuum => sine,
+            Self::Clear => sine * libm::exp(HAZE - HAZE / sine),
+        }
+    }
+}
+
+/// The course of the sun over a place on a day of the year, the same on each day of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Sun {
+    /// Latitude φ, degrees north, `-90 ..= 90`.
+    pub latitude: f64,
+    /// Day n of a year of 365 days, 1 for the first of January.
+    pub day_of_year: u32,
+    /// Solar time at which TTI 0 begins, hours, `[0, 24)`.
+    pub start_hour: f64,
+    /// TTIs of a day, ≥ 1.
+    pub ttis_per_day: u32,
+    /// The air.
+    pub sky: Sky,
+}
+
+impl Sun {
+    /// The declination δ in radians: 23.45°·sin(360°·(284 + n)/365).
+    pub fn declination(&self) -> f64 {
+        TILT.to_radians() * libm::sin(TAU * (284.0 + f64::from(self.day_of_year)) / 365.0)
+    }
+
+    /// The sine of the elevation at the hour angle `omega` in radians, 0 at noon:
+    /// sin φ sin δ + cos φ cos δ cos ω.
+    pub fn sine(&self, omega: f64) -> f64 {
+        let (phi, delta) = (self.latitude.to_radians(), self.declination());
+        libm::sin(phi) * libm::sin(delta) + libm::cos(phi) * libm::cos(delta) * libm::cos(omega)
+    }
+
+    /// The share of the day that the sun is up, `[0, 1]`: ω₀/π with cos ω₀ = −tan φ tan δ; 0 in the polar night and 1
+    /// in the polar day.
+    pub fn daylight(&self) -> f64 {
+        let cosine = -libm::tan(self.latitude.to_radians()) * libm::tan(self.declination());
+        libm::acos(cosine.clamp(-1.0, 1.0)) / PI
+    }
+
+    /// Irradiance in each TTI of a day, counted from TTI 0, as a share of that under a sun in the zenith, `[0, 1]`:
+    /// that in the middle of the TTI.
+    pub fn day(&self) -> impl Iterator<Item = f64> + '_ {
+        let ttis = f64::from(self.ttis_per_day);
+        // As in Self::sine, with what does not change taken out.
+        let (phi, delta) = (self.latitude.to_radians(), self.declination());
+        let (level, swing) = (libm::sin(phi) * libm::sin(delta), libm::cos(phi) * libm::cos(delta));
+        (0..self.ttis_per_day).map(move |tti| {
+            let of_day = self.start_hour / 24.0 + (f64::from(tti) + 0.5) / ttis;
+            self.sky.irradiance(level + swing * libm::cos(TAU * (of_day - 0.5)))
+        })
+    }
+
+    /// `zenith` times [`Self::day`].
+    pub fn times(&self, zenith: f64) -> impl Iterator<Item = f64> + '_ {
+        self.day().map(move |light| zenith * light)
+    }
+
+    /// The most that [`Self::day`] can come to: irradiance at noon.
+    pub fn noon(&self) -> f64 {
+        self.sky.irradiance(self.sine(0.0))
+    }
+
+    /// The mean of [`Self::day`], `[0, 1]`.
+    pub fn mean(&self) -> f64 {
+        self.day().sum::<f64>() / f64::from(self.ttis_per_day)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sun(latitude: f64, day_of_year: u32) -> Sun {
+        Sun {
+            latitude,
+            day_of_year,
+            start_hour: 0.0,
+            ttis_per_day: 1440,
+            sky: Sky::Vacuum,
+        }
+    }
+
+    /// Days on which the declination is 0, the largest and the smallest, or nearly so.
+    const EQUINOX: u32 = 81;
+    const MIDSUMMER: u32 = 172;
+    const MIDWINTER: u32 = 355;
+
+    #[test]
+    fn the_declination_is_that_of_the_book() {
+        // Duffie and Beckman, Table 1.6.1: the recommended average days of the months.
+        for (day, degrees) in [
+            (17, -20.9),
+            (47, -13.0),
+            (75, -2.4),
+            (105, 9.4),
+            (162, 23.1),
+            (344, -23.0),
+        ] {
+            let found = sun(0.0, day).declination().to_degrees();
+            assert!((found - degrees).abs() < 0.06, "day {day}: {found}, not {degrees}");
+        }
+        assert!(sun(0.0, EQUINOX).declination().abs() < 1e-12);
+    }
+
+    #[test]
+    fn days_are_as_long_as_the_formula_says() {
+        for (latitude, day) in [
+            (0.0, 1),
+            (36.1, 185),
+            (-33.9, 20),
+            (52.5, MIDWINTER),
+            (65.0, MIDSUMMER),
+            (-60.0, 300),
+        ] {
+            let sun = sun(latitude, day);
+            let lit = sun.day().filter(|&light| light > 0.0).count();
+            let expected = 1440.0 * sun.daylight();
+            assert!(
+                (lit as f64 - expected).abs() <= 2.0,
+                "{latitude}° on {day}: {lit} minutes, not {expected}"
+            );
+        }
+        // Madison, 43° N, on 13 February: 10.4 hours (Duffie and Beckman, Example 1.6.3 has ω₀ for such a place).
+        let madison = 24.0 * sun(43.0, 44).daylight();
+        assert!((madison - 10.3).abs() < 0.1, "{madison}");
+        for latitude in [-80.0, -20.0, 0.0, 45.0] {
+            assert!(
+                (sun(latitude, EQUINOX).daylight() - 0.5).abs() < 1e-9,
+                "twelve hours everywhere"
+            );
+        }
+    }
+
+    #[test]
+    fn beyond_the_circle_it_is_day_or_night() {
+        for (latitude, day, lit) in [
+            (78.0, MIDSUMMER, 1.0),
+            (78.0, MIDWINTER, 0.0),
+            (-78.0, MIDWINTER, 1.0),
+            (-78.0, MIDSUMMER, 0.0),
+            (90.0, MIDSUMMER, 1.0),
+            (-90.0, MIDSUMMER, 0.0),
+        ] {
+            let sun = sun(latitude, day);
+            assert_eq!(sun.daylight().to_bits(), f64::to_bits(lit), "{latitude}° on {day}");
+            let found = sun.day().filter(|&light| light > 0.0).count();
+            assert_eq!(found, if lit > 0.0 { 1440 } else { 0 }, "{latitude}° on {day}");
+        }
+    }
+
+    #[test]
+    fn a_day_is_the_same_before_and_after_noon() {
+        for sky in [Sky::Vacuum, Sky::Clear] {
+            let sun = Sun { sky, ..sun(40.0, 100) };
+            let day: Vec<f64> = sun.day().collect();
+            for (morning, evening) in day.iter().zip(day.iter().rev()) {
+                assert!((morning - evening).abs() < 1e-12);
+            }
+            let most = day.iter().copied().fold(0.0, f64::max);
+            assert!(most <= sun.noon() && most > 0.9999 * sun.noon(), "{most}");
+            // A run that begins at another hour has the same day, later.
+            let later = Sun { start_hour: 6.0, ..sun };
+            for (at, light) in later.day().enumerate() {
+                assert!((light - day[(at + 360) % 1440]).abs() < 1e-12);
+            }
+        }
+    }
+
+    /// The daily mean of irradiance in closed form (Duffie and Beckman, Eq. (1.10.3)), and that of a clear sky against
+    /// Simpson's rule.
+    #[test]
+    fn the_daily_mean_is_the_integral() {
+        for (latitude, day) in [(0.0, 81), (36.1, 185), (52.5, 355), (70.0, 172), (-40.0, 10)] {
+            let vacuum = sun(latitude, day);
+            let (phi, delta, omega) = (latitude.to_radians(), vacuum.declination(), PI * vacuum.daylight());
+            let closed =
+                (omega * libm::sin(phi) * libm::sin(delta) + libm::cos(phi) * libm::cos(delta) * libm::sin(omega)) / PI;
+            assert!(
+                (vacuum.mean() - closed).abs() < 1e-5,
+                "{latitude}° on {day}: {} not {closed}",
+                vacuum.mean()
+            );
+            let clear = Sun {
+                sky: Sky::Clear,
+                ..vacuum
+            };
+            let (steps, mut sum) = (20_000_u32, 0.0);
+            for step in 0..=steps {
+                let weight = match step {
+                    0 => 1.0,
+                    last if last == steps => 1.0,
+                    odd if odd % 2 == 1 => 4.0,
+                    _ => 2.0,
+                };
+                let light = clear.sine(omega * f64::from(step) / f64::from(steps));
+                sum += weight
+                    * if light > 1e-9 {
+                        light * libm::exp(HAZE - HAZE / light)
+                    } else {
+                        0.0
+                    };
+            }
+            let integral = sum * omega / (3.0 * f64::from(steps)) / PI;
+            assert!(
+                (clear.mean() - integral).abs() < 1e-5,
+                "{latitude}° on {day}: {} not {integral}",
+                clear.mean()
+            );
+            assert!(clear.mean() < vacuum.mean());
+        }
+    }
+}
