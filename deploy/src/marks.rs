@@ -3,6 +3,7 @@
 //! A mark names a TTI and a fingerprint of all that had happened before it. A run that is taken up is replayed to there
 //! in memory, and must come by the same fingerprint.
 
+use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -146,8 +147,11 @@ impl Marker {
     }
 
     fn fingerprint(&self) -> String {
-        let sum = self.so_far.clone().finalize();
-        sum.iter().map(|byte| format!("{byte:02x}")).collect()
+        let mut text = String::new();
+        for byte in self.so_far.clone().finalize() {
+            let _written = write!(text, "{byte:02x}").is_ok();
+        }
+        text
     }
 
     fn take(&mut self, frame: &Frame) {

@@ -215,7 +215,7 @@ fn tables(path: &Path) -> anyhow::Result<Tables> {
         (EVENTS, series::EVENTS.to_vec()),
         (WINDOWS, series::window_columns().collect()),
     ];
-    Ok(Tables::begin(path, &tables)?)
+    Tables::begin(path, &tables)
 }
 
 /// Whether the run in a folder has come to its end.

@@ -23,7 +23,7 @@ import zenoh
 
 SCENARIO = ["-n", "30", "-k", "1200"]
 # No run of these takes a quarter of this.
-PATIENCE = 120
+PATIENCE = 60
 
 
 def free_endpoint():
@@ -76,7 +76,12 @@ class Run:
             return int(re.search(r"VmHWM:\s+(\d+)", status.read())[1]) / 1024
 
     def finish(self):
-        stdout, stderr = self.process.communicate(timeout=PATIENCE)
+        try:
+            stdout, stderr = self.process.communicate(timeout=PATIENCE)
+        except subprocess.TimeoutExpired:
+            status = self.clock("status")
+            self.process.kill()
+            raise AssertionError((status.stdout, self.process.communicate()[1])) from None
         assert self.process.returncode == 0, (self.process.returncode, stderr)
         return json.loads(stdout), stderr
 
@@ -233,7 +238,8 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         command = [reveille, "run", *SCENARIO, "--quiet", "--json", "--out", "out"]
         memory = json.loads(subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True).stdout)
-    for attack in [speaks, listens, answers, commands, floods, sleeps]:
+    attacks = [speaks, listens, answers, commands, floods, sleeps]
+    for attack in [attack for attack in attacks if attack.__name__ in (sys.argv[2:] or attack.__name__)]:
         run = Run(reveille, attack.__name__)
         started = time.monotonic()
         try:

@@ -163,6 +163,7 @@ impl Barrier {
         let is_sound =
             owner.is_some_and(|position| self.roster.owns(position, report.device)) && self.roster.can_report(&report);
         let is_late = is_sound && self.is_past(report.tti);
+        let is_asked = matches!(self.stage, Stage::Grant { tti, .. } if tti == report.tti);
         match &mut self.stage {
             Stage::Grant {
                 tti,
@@ -178,7 +179,7 @@ impl Barrier {
                 *outcome = Some(WakeOutcome::Reported(report));
             }
             Stage::Nothing | Stage::Grant { .. } | Stage::Wake { .. } | Stage::Finish { .. } => {
-                self.strays += u64::from(!is_late);
+                self.strays += u64::from(!is_late || is_asked);
             }
         }
         self.is_complete()

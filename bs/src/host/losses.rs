@@ -39,8 +39,8 @@ pub struct Point {
 struct Vacancy {
     places: Places,
     since: Instant,
-    /// Whether a replay has been asked for them.
-    is_asked: bool,
+    /// The TTI of which a replay has been asked for them.
+    asked: Option<Tti>,
     resumption: Option<Arc<Resumption>>,
     /// The newcomer that is to carry them and has not said yet that it does.
     offered: Option<HostId>,
@@ -62,7 +62,7 @@ impl Losses {
         self.open.push(Vacancy {
             places,
             since: now,
-            is_asked: false,
+            asked: None,
             resumption: None,
             offered: None,
         });
@@ -79,20 +79,20 @@ impl Losses {
         self.open.iter().map(|vacancy| vacancy.places)
     }
 
-    /// Those that no replay has been asked for; it is now.
-    pub fn unasked(&mut self) -> Vec<Places> {
-        let unasked = self.open.iter_mut().filter(|vacancy| !vacancy.is_asked);
+    /// Those that no replay has been asked for; now one is, for TTI `next`.
+    pub fn unasked(&mut self, next: Tti) -> Vec<Places> {
+        let unasked = self.open.iter_mut().filter(|vacancy| vacancy.asked.is_none());
         unasked
             .map(|vacancy| {
-                vacancy.is_asked = true;
+                vacancy.asked = Some(next);
                 vacancy.places
             })
             .collect()
     }
 
-    /// A replay has found the devices of `host`.
+    /// A replay has found the devices of `host`. What it found for a loss that is over is of no use.
     pub fn found(&mut self, host: HostId, resumption: Resumption) {
-        if let Some(at) = self.of(host) {
+        if let Some(at) = self.of(host).filter(|&at| self.open[at].asked == Some(resumption.next)) {
             self.open[at].resumption = Some(Arc::new(resumption));
         }
     }
@@ -184,8 +184,8 @@ mod tests {
         let now = Instant::now();
         assert!(losses.lose(places(0, 0, 5), now) && losses.lose(places(1, 5, 9), now));
         assert!(!losses.lose(places(0, 0, 5), now), "that was known");
-        assert_eq!(losses.unasked().len(), 2);
-        assert!(losses.unasked().is_empty() && losses.fitting(20).is_none());
+        assert_eq!(losses.unasked(Tti(7)).len(), 2);
+        assert!(losses.unasked(Tti(7)).is_empty() && losses.fitting(20).is_none());
         losses.found(HostId(0), resumption());
         losses.found(HostId(1), resumption());
         assert_eq!(losses.fitting(4).map(|(places, _)| places), None);
@@ -207,10 +207,15 @@ mod tests {
         let mut losses = Losses::default();
         let now = Instant::now();
         losses.lose(places(0, 0, 5), now);
+        losses.unasked(Tti(7));
         losses.found(HostId(0), resumption());
         losses.offer(HostId(0), HostId(1));
         assert_eq!(losses.back(HostId(0), now), Some(Some(HostId(1))));
         assert_eq!(losses.back(HostId(0), now), None);
         assert!(losses.is_empty() && losses.filled(HostId(1), now).is_none());
+        losses.lose(places(0, 0, 5), now);
+        losses.unasked(Tti(9));
+        losses.found(HostId(0), resumption());
+        assert!(losses.fitting(9).is_none(), "that was for the first loss");
     }
 }

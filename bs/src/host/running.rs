@@ -73,20 +73,12 @@ pub(super) async fn run(
     observer: &mut impl Observer,
     joining: Duration,
 ) -> Result<Served, BsError> {
-    let (cycle, accounts, point, views) = match taken {
-        Some(Taken {
-            cycle,
-            accounts,
-            start,
-            views,
-        }) => {
-            let (next, plan) = (start.next, start.plan);
-            (cycle, accounts, Point { next, plan }, views)
-        }
-        None => {
-            let (cycle, accounts) = (Cycle::new(prepared), Accounts::new(&prepared.deployment));
-            (cycle, accounts, Point::default(), Vec::new())
-        }
+    let (cycle, accounts, point, views) = if let Some(taken) = taken {
+        let (next, plan) = (taken.start.next, taken.start.plan);
+        (taken.cycle, taken.accounts, Point { next, plan }, taken.views)
+    } else {
+        let (cycle, accounts) = (Cycle::new(prepared), Accounts::new(&prepared.deployment));
+        (cycle, accounts, Point::default(), Vec::new())
     };
     let boundaries = Boundaries::new(&prepared.scenario, crew.settings.window);
     let mut this = Loop {
@@ -180,9 +172,12 @@ impl Loop<'_> {
     async fn grant(&mut self, observer: &mut impl Observer) -> Result<bool, BsError> {
         let first = self.cycle.next_tti();
         self.keep_pace(first).await?;
-        if self.crew.shared.lock().clock.until() <= first {
-            // It was told to stop while it waited.
-            return Ok(true);
+        {
+            let state = self.crew.shared.lock();
+            if state.clock.until() <= first || !state.losses.is_empty() {
+                // It was told to stop while it waited, or a host is lost, whose devices are taken up at the last grant.
+                return Ok(true);
+            }
         }
         self.crew.bus.set_tti(first);
         if self.cycle.wants_batteries() {
@@ -434,7 +429,7 @@ impl Loop<'_> {
     fn restore(&self, state: &mut BsState) {
         let Some(replay) = &self.crew.replay else { return };
         let Point { next, plan } = self.point;
-        for places in state.losses.unasked() {
+        for places in state.losses.unasked(next) {
             let (replay, shared) = (Arc::clone(replay), Arc::clone(self.crew.shared));
             tokio::task::spawn_blocking(move || {
                 let found = replay.devices(next, places.first, places.count);

@@ -115,7 +115,7 @@ fn days_and_nights_are_carried_one_by_one() {
     .concat();
     let known = known(&set);
     let cycle = |j: u32| DutyCycle {
-        t_on: u32::from(j % 2 == 0),
+        t_on: u32::from(j.is_multiple_of(2)),
         t_drx: 1,
         offset: 0,
     };

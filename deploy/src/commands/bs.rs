@@ -189,7 +189,8 @@ pub async fn serve(
         Ok(prepared) => {
             let preparing = started.elapsed();
             prepared.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
-            (preparing, play(service, &prepared, &path, &mut observer).await)
+            let played = Box::pin(play(service, &prepared, &path, &mut observer));
+            (preparing, played.await)
         }
         Err(error) => (started.elapsed(), Err(error)),
     };

@@ -35,7 +35,7 @@ pub async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
         processes <= devices,
         "--processes {processes}: there are only {devices} devices; 0 to {devices} is allowed"
     );
-    if processes == 0 && args.drive.on_loss == OnLossArg::Wait {
+    if processes == 0 && args.drive.on_loss == OnLossArg::End {
         tracing::warn!("--on-loss has no effect: with --processes 0 there is no device process to lose");
     }
     check(&args.output, &args.drive)?;
