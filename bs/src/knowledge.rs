@@ -72,8 +72,8 @@ pub struct DeviceKnowledge {
 ///
 /// fn all(known: Knowledge) {
 ///     let Knowledge {
-///         area: _, sensing: _, radio: _, alpha: _, tau: _, ttis: _, bs: _, classes: _, courses: _, devices: _, streams: _,
-///         grids: _,
+///         area: _, sensing: _, radio: _, alpha: _, tau: _, ttis: _, bs: _, classes: _, courses: _, devices: _,
+///         streams: _, grids: _,
 ///     } = known;
 /// }
 /// ```

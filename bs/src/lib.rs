@@ -21,3 +21,4 @@ pub mod policy;
 pub mod prepared;
 pub mod scenario;
 pub mod station;
+pub mod taken;

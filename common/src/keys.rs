@@ -18,11 +18,9 @@
 use std::fmt;
 use std::str::FromStr;
 
-use serde::{Deserialize, Serialize};
-
 use crate::ids::{DeviceId, HostId};
 use crate::message::{Access, MessageKind};
-use crate::secret::Secret;
+use crate::secret::{HostPass, Secret};
 
 /// A run's name on the bus: 1 to 64 letters, digits, `-` and `_`, and no `-` to begin with, as options have it.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -51,31 +49,6 @@ impl FromStr for RunName {
 impl fmt::Display for RunName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.0)
-    }
-}
-
-/// By what the BS knows a host: the number that it got with its places, and a token that nobody else was told.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct HostPass {
-    /// The host.
-    pub host: HostId,
-    /// Its token.
-    pub token: Secret,
-}
-
-impl HostPass {
-    /// The pass at the end of `key`, where a host's own keys have it.
-    pub fn at_end_of(key: &str) -> Option<Self> {
-        let mut parts = key.rsplit('/');
-        let token = parts.next()?.parse().ok()?;
-        let host = parts.next()?.parse().ok().map(HostId)?;
-        Some(Self { host, token })
-    }
-}
-
-impl fmt::Display for HostPass {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}/{}", self.host, self.token)
     }
 }
 

@@ -5,6 +5,8 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
+use crate::ids::HostId;
+
 /// A random number of 128 bits that nobody can guess; 32 hexadecimal digits as text. What is printed for debugging
 /// does not give it away.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -46,6 +48,31 @@ impl FromStr for Secret {
             *byte = u8::from_str_radix(&text[at..at + 2], 16).map_err(|_| SecretError)?;
         }
         Ok(Self(bytes))
+    }
+}
+
+/// By what the BS knows a host: the number that it got with its places, and a token that nobody else was told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct HostPass {
+    /// The host.
+    pub host: HostId,
+    /// Its token.
+    pub token: Secret,
+}
+
+impl HostPass {
+    /// The pass at the end of `key`, where a host's own keys have it.
+    pub fn at_end_of(key: &str) -> Option<Self> {
+        let mut parts = key.rsplit('/');
+        let token = parts.next()?.parse().ok()?;
+        let host = parts.next()?.parse().ok().map(HostId)?;
+        Some(Self { host, token })
+    }
+}
+
+impl fmt::Display for HostPass {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.host, self.token)
     }
 }
 

@@ -98,8 +98,8 @@ struct Flow {
 }
 
 impl Auditor {
-    /// The shadow of the run that is `prepared` and goes over the bus from TTI `from` on. It stops the run of `progress`
-    /// if that is not what a replay is.
+    /// The shadow of the run that is `prepared` and goes over the bus from TTI `from` on. It stops the run of
+    /// `progress` if that is not what a replay is.
     pub fn start(prepared: &Prepared, from: Tti, how: AuditArg, progress: &Arc<Progress>) -> Self {
         let shadow = Shared(Arc::new(Mutex::new(Shadow::new(prepared, from))));
         let flow = Arc::new(Flow::default());

@@ -2,10 +2,10 @@
 
 use reveille_bs::boundaries::Boundaries;
 use reveille_bs::cycle::{Cycle, Step};
-use reveille_bs::host::{Start, Taken};
 use reveille_bs::observe::{Happening, Observer};
 use reveille_bs::outcome::Outcome;
 use reveille_bs::prepared::Prepared;
+use reveille_bs::taken::{Start, Taken};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Checkpoint, Failure, Report};
 use reveille_common::radio::Air;

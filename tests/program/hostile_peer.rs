@@ -8,13 +8,13 @@ use reveille_common::codec;
 use reveille_common::event::Stimulus;
 use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, EventId, HostId, Tti};
-use reveille_common::keys::{HostPass, Keys};
+use reveille_common::keys::Keys;
 use reveille_common::message::{
     Answer, Clock, ClockCommand, Failure, JoinReply, JoinRequest, Membership, MessageKind, PlanUpdate, Report, Tick,
     WakeUp,
 };
 use reveille_common::plan::{DutyCycle, Plan};
-use reveille_common::secret::Secret;
+use reveille_common::secret::{HostPass, Secret};
 use reveille_common::totals::{DeviceTotals, Ledger};
 use reveille_common::units::Energy;
 use reveille_tests::process::{Folder, PATIENCE, Process, Summary, ask, free_endpoint, unique_run};

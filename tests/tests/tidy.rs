@@ -29,7 +29,7 @@ const MAY_USE: [(&str, &[&str]); 8] = [
 const LAYERS_OF_COMMON: [&[&str]; 13] = [
     &["codec", "units"],
     &["ids", "totals"],
-    &["phases", "plan", "rng", "state"],
+    &["phases", "plan", "rng", "secret", "state"],
     &["columns", "declare", "io"],
     &["energy", "geometry"],
     &["harvest", "radio", "sensing"],

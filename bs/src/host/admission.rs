@@ -11,8 +11,7 @@
 use std::time::{Duration, Instant};
 
 use reveille_common::ids::{DeviceId, HostId};
-use reveille_common::keys::HostPass;
-use reveille_common::secret::Secret;
+use reveille_common::secret::{HostPass, Secret};
 
 /// The places that a host got.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,18 +1,15 @@
 //! How a base station is driven, how far it has come, and what came of it.
 
 use std::sync::atomic::{AtomicBool, AtomicU64};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
-use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{Checkpoint, Pace, Resumption};
-use reveille_common::score::Accounts;
+use reveille_common::ids::DeviceId;
+use reveille_common::message::Pace;
 use reveille_common::secret::Secret;
-use reveille_common::state::DeviceView;
 
 use super::admission::Places;
 use super::clock::Lateness;
-use crate::cycle::Cycle;
 use crate::outcome::Outcome;
 
 /// What to do when a host is lost.
@@ -22,39 +19,6 @@ pub enum OnLoss {
     End,
     /// Hold the clock until the host is back, or another one carries its devices from where they were.
     Wait,
-}
-
-/// Where a run is taken up that is not at its beginning.
-pub struct Start {
-    /// The TTI to be granted next.
-    pub next: Tti,
-    /// The TTI from which the plan in force holds.
-    pub plan: Option<Tti>,
-    /// All devices, in the order of ids.
-    pub devices: Vec<Checkpoint>,
-}
-
-impl Start {
-    /// The devices of these places.
-    pub(super) fn resumption(&self, places: Places) -> Resumption {
-        Resumption {
-            next: self.next,
-            plan: self.plan,
-            devices: self.devices[places.first.index()..][..places.count as usize].to_vec(),
-        }
-    }
-}
-
-/// A run that was brought to some TTI without the bus.
-pub struct Taken {
-    /// Its world, base station and score.
-    pub cycle: Cycle,
-    /// The sums up to the last boundary.
-    pub accounts: Accounts,
-    /// Where hosts take up its devices.
-    pub start: Arc<Start>,
-    /// The devices at the end of the last TTI, in the order of ids.
-    pub views: Vec<DeviceView>,
 }
 
 /// How the BS runs; none of it changes the outcome.

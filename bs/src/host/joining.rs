@@ -8,18 +8,18 @@ use std::time::Duration;
 use reveille_common::bus::{Bus, BusError, Declared, draw_secret};
 use reveille_common::deployment::Deployment;
 use reveille_common::ids::HostId;
-use reveille_common::keys::HostPass;
 use reveille_common::message::{
     Answer, Assignment, ClockCommand, JoinReply, JoinRequest, Membership, Ready, Report, Resumption,
 };
 use reveille_common::scenario::Scenario;
-use reveille_common::secret::Secret;
+use reveille_common::secret::{HostPass, Secret};
 
 use super::admission::{Newcomer, Places};
-use super::drive::{OnLoss, Progress, Settings, Start};
+use super::drive::{OnLoss, Progress, Settings};
 use super::error::BsError;
 use super::shared::{BsState, Shared};
 use super::wall::now;
+use crate::taken::Start;
 
 /// How often the wait looks at the clock on the wall and at the stop flag.
 const LOOK: Duration = Duration::from_millis(100);
@@ -180,7 +180,11 @@ impl Door {
             secret: self.secret,
         };
         let (first, count) = (places.first.0, places.count);
-        let from_start = || self.start.as_ref().map(|start| start.resumption(places));
+        let from_start = || {
+            self.start
+                .as_ref()
+                .map(|start| start.resumption(places.first, places.count))
+        };
         JoinReply::Welcome(Box::new(Assignment {
             resumption: resumption.map(|r| (*r).clone()).or_else(from_start),
             ..self.deployment.assignment(&self.scenario, membership, first, count)
@@ -232,7 +236,8 @@ impl BsState {
             (false, true) => self.lose(host),
             (false, false) => {
                 if let Some(places) = self.admission.leave(host) {
-                    tracing::warn!(%host, devices = places.count, "a host left before the run began; its places are free again");
+                    let devices = places.count;
+                    tracing::warn!(%host, devices, "a host left before the run began; its places are free again");
                 }
             }
         }
@@ -261,7 +266,8 @@ impl BsState {
             self.reported.remove(&lost.host);
             self.returned = true;
             let (first, last, took) = (places.first.0, places.last().0, took.as_secs_f64());
-            tracing::warn!(%host, first, last, "devices of lost host {} are carried again after {took:.2} s", lost.host);
+            let lost = lost.host;
+            tracing::warn!(%host, first, last, "devices of lost host {lost} are carried again after {took:.2} s");
         }
     }
 }

@@ -21,7 +21,7 @@ use reveille_common::bus::Bus;
 use reveille_common::ids::Tti;
 use reveille_common::message::Clock;
 
-pub use self::drive::{OnLoss, Progress, Served, Settings, Start, Taken};
+pub use self::drive::{OnLoss, Progress, Served, Settings};
 pub use self::error::BsError;
 pub use self::losses::Replay;
 
@@ -30,6 +30,7 @@ use self::shared::Shared;
 use self::told::Told;
 use crate::observe::Observer;
 use crate::prepared::Prepared;
+use crate::taken::Taken;
 
 /// A run to be served.
 pub struct Course<'a> {

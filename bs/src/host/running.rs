@@ -11,7 +11,7 @@ use reveille_common::score::Accounts;
 use reveille_common::state::DeviceView;
 use reveille_common::totals::{DeviceTotals, EventTotals, Ledger};
 
-use super::drive::{OnLoss, Progress, Served, Settings, Taken};
+use super::drive::{OnLoss, Progress, Served, Settings};
 use super::error::BsError;
 use super::joining::READY;
 use super::losses::{Point, Replay};
@@ -24,6 +24,7 @@ use crate::host::barrier::Asked;
 use crate::host::clock::Lateness;
 use crate::observe::{Happening, Observer};
 use crate::prepared::Prepared;
+use crate::taken::Taken;
 
 /// How often a wait looks at what else may have happened.
 const LOOK: Duration = Duration::from_millis(100);
@@ -330,7 +331,7 @@ impl Loop<'_> {
     /// Waits until the barrier is complete, asking again from time to time.
     async fn answered(&mut self) -> Result<(), BsError> {
         let (mut repeat_at, mut stop_at) = (None, None);
-        // How long hosts were silent while this process was looking: one that was stopped for a while has heard nothing.
+        // How long hosts were silent while this process looked: one that was stopped for a while has heard nothing.
         let (mut looked, mut silent) = (None, Duration::ZERO);
         let mut is_named = false;
         loop {
@@ -415,7 +416,8 @@ impl Loop<'_> {
             if state.reported.insert(places.host) {
                 let (host, first, last) = (places.host, places.first.0, places.last().0);
                 let name = state.admission.name(host);
-                tracing::warn!(%host, first, last, %tti, "lost {name}; the clock is held until its devices are carried again");
+                let held = "the clock is held until its devices are carried again";
+                tracing::warn!(%host, first, last, %tti, "lost {name}; {held}");
             }
         }
         for host in state.admission.late(now(), READY) {

@@ -27,9 +27,9 @@ use zenoh::sample::Sample;
 
 use crate::codec::{self, CodecError};
 use crate::ids::{DeviceId, HostId, Tti};
-use crate::keys::{self, HostPass, Keys};
+use crate::keys::{self, Keys};
 use crate::message::{Frame, Payload, Plane, TapBatch, WakeUp};
-use crate::secret::Secret;
+use crate::secret::{HostPass, Secret};
 
 pub use error::BusError;
 pub use raw::RawTopic;

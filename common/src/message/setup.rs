@@ -8,9 +8,8 @@ use crate::energy::EnergyModel;
 use crate::geometry::Point;
 use crate::harvest::HarvestSetup;
 use crate::ids::{DeviceId, Tti};
-use crate::keys::HostPass;
 use crate::radio::Radio;
-use crate::secret::Secret;
+use crate::secret::{HostPass, Secret};
 use crate::sensing::Sensing;
 use crate::units::Energy;
 

@@ -9,8 +9,7 @@ use std::time::Duration;
 use anyhow::ensure;
 use reveille_common::bus::{Bus, BusError, Declared, RawTopic};
 use reveille_common::ids::HostId;
-use reveille_common::keys::HostPass;
-use reveille_common::secret::Secret;
+use reveille_common::secret::{HostPass, Secret};
 
 /// How long a tick may take before it counts as lost.
 const PATIENCE: Duration = Duration::from_secs(10);

@@ -7,9 +7,10 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, anyhow, bail};
-use reveille_bs::host::{self, BsError, Course, OnLoss, Progress, Served, Settings, Taken};
+use reveille_bs::host::{self, BsError, Course, OnLoss, Progress, Served, Settings};
 use reveille_bs::observe::Observer;
 use reveille_bs::prepared::Prepared;
+use reveille_bs::taken::Taken;
 use reveille_common::bus::{Bus, Declared, draw_secret};
 use reveille_common::ids::Tti;
 use reveille_common::keys::RunName;

@@ -1,8 +1,8 @@
 //! A host's way to the BS.
 
 use reveille_common::bus::{Bus, BusError, Topic};
-use reveille_common::keys::HostPass;
 use reveille_common::message::{Answer, Report};
+use reveille_common::secret::HostPass;
 
 /// The topics that a host publishes on: reports on the air plane, answers on the emulation plane.
 pub struct Uplink {
