@@ -1,7 +1,7 @@
 //! The shadow of a run over the bus: it gives back the devices of a lost process, and audits what was heard.
 //!
 //! The BS's loop tells what it notes at the beginning of each grant, so that the shadow never is beyond a TTI that may
-//! have to be asked again. A thread follows. Under [`Audit::Auto`] it takes a twentieth of the time at the most and
+//! have to be asked again. A thread follows. Under [`AuditArg::Auto`] it takes a twentieth of the time at the most and
 //! lags behind if that is not enough; what is left at the end is audited only if that is quick.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};

@@ -22,6 +22,9 @@ import time
 import zenoh
 
 SCENARIO = ["-n", "30", "-k", "1200"]
+# Commands to the clock as they are encoded: pause, step 1, run to TTI 10, resume, pace max; and what anyone may ask.
+COMMANDS = [b"\x04\x00", b"\x04\x01\x01", b"\x04\x02\x0a", b"\x04\x03", b"\x04\x04\x00"]
+STATUS = b"\x04\x05"
 # No run of these takes a quarter of this.
 PATIENCE = 60
 
@@ -103,7 +106,7 @@ def speaks(run):
     listener = stranger.declare_subscriber(f"reveille/{run.name}/tap", lambda s: copies.append(s.payload.to_bytes()))
     run.resume()
     for _ in range(40):
-        payloads = [bytes([3, 0, 0]), bytes([3, 2]), os.urandom(64), *copies[-4:]]
+        payloads = [bytes([4, 0, 0]), bytes([4, 2]), os.urandom(64), *copies[-4:]]
         for key in keys_of(run.name):
             for payload in payloads:
                 try:
@@ -144,7 +147,7 @@ def answers(run):
 
     def reply(query):
         asked.append(str(query.key_expr))
-        query.reply(query.key_expr, b"\x03\x00")
+        query.reply(query.key_expr, b"\x04\x00")
 
     held = []
     for key in ["join", "ready", "control", "describe"]:
@@ -168,13 +171,12 @@ def answers(run):
 def commands(run):
     """Commands to the clock without the key: refused, and the run stays as it is."""
     stranger = session(run.endpoint)
-    for command in range(6):
+    control = f"reveille/{run.name}/emu/control"
+    for command in COMMANDS:
         for attachment in [None, b"0" * 32, b"\xff" * 32]:
-            payload = bytes([3, command, 1])
-            replies = stranger.get(f"reveille/{run.name}/emu/control", payload=payload, attachment=attachment, timeout=3.0)
-            for reply in replies:
-                # The one command that anyone may give asks for the status.
-                assert reply.err is not None or command == 5, (command, reply)
+            replies = list(stranger.get(control, payload=command, attachment=attachment, timeout=3.0))
+            assert len(replies) == 1 and b"needs the run's key" in replies[0].err.payload.to_bytes(), (command, replies)
+    assert all(reply.ok for reply in stranger.get(control, payload=STATUS, timeout=3.0))
     assert "paused before TTI 0" in run.clock("status").stdout
     run.resume()
     return stranger
@@ -188,8 +190,8 @@ def floods(run):
 
     def ask():
         while not stop.is_set():
-            for reply in stranger.get(f"reveille/{run.name}/emu/control", payload=bytes([3, 5]), timeout=1.0):
-                assert reply.ok or reply.err
+            for reply in stranger.get(f"reveille/{run.name}/emu/control", payload=STATUS, timeout=1.0):
+                assert reply.ok
 
     asking = threading.Thread(target=ask)
     asking.start()
