@@ -430,4 +430,6 @@ impl Machine {
 }
 
 #[cfg(test)]
+mod step_by_step_tests;
+#[cfg(test)]
 mod tests;
