@@ -13,6 +13,9 @@
 //! battery, because no event is active or no device that could sense it has δ = 1. The clock knows that from the plan
 //! and from the world that it plays; the policy sees none of it. A driver that asks for one TTI at a time gets the same
 //! run.
+//!
+//! A policy that decides in every TTI decides for all of them at once: where a TTI is quiet, that nothing was heard is
+//! known before any device has gone through it. Only who is told the true batteries must wait for them.
 
 use reveille_common::codec;
 use reveille_common::ids::{DeviceId, Tti};
@@ -37,8 +40,8 @@ use crate::station::Station;
 pub struct Granted {
     /// The TTIs that are granted.
     pub grant: Grant,
-    /// What goes out on the air before them: a new plan, or the plan in force once more for synchronisation.
-    pub update: Option<PlanUpdate>,
+    /// What goes out on the air in them, TTI by TTI: a new plan, or the plan in force once more for synchronisation.
+    pub updates: Vec<PlanUpdate>,
 }
 
 /// A wake-up that is out. [`Cycle::woken`] takes it back.
@@ -145,20 +148,43 @@ impl Cycle {
     pub fn grant(&mut self, horizon: Tti, observer: &mut impl Observer) -> Granted {
         assert!(!self.is_open, "TTI {} is still open", self.next);
         let first = self.next;
-        let update = self.station.announce(first).map(|(update, is_new)| {
-            self.score.plan(&update, is_new, codec::encoded_len(&update));
-            let missed = self.world.plan_sent(first, &update.plan);
-            self.score.plan_missed(first, u64::from(self.scenario.devices), missed);
-            observer.see(&Happening::Plan {
-                update: &update,
-                is_new,
-            });
-            update
-        });
-        let horizon = horizon.min(self.station.next_announcement(first));
         assert!(first < horizon, "a grant covers at least one TTI");
-        let grant = self.play(first, horizon);
+        let foresees = !self.station.is_told_batteries() && !observer.wants_states();
+        let mut updates = Vec::new();
+        let last = loop {
+            updates.extend(self.announce(observer));
+            let span = self.span(horizon, observer);
+            if !foresees || span.stimulus.is_some() || span.last + 1 >= horizon {
+                break span;
+            }
+            self.station.gathered(span.last, &[]);
+            self.next = span.last + 1;
+        };
         self.is_open = true;
+        Granted {
+            grant: Grant { first, ..last },
+            updates,
+        }
+    }
+
+    /// What goes out on the air in the next TTI.
+    fn announce(&mut self, observer: &mut impl Observer) -> Option<PlanUpdate> {
+        let k = self.next;
+        let (update, is_new) = self.station.announce(k)?;
+        self.score.plan(&update, is_new, codec::encoded_len(&update));
+        let missed = self.world.plan_sent(k, &update.plan);
+        self.score.plan_missed(k, u64::from(self.scenario.devices), missed);
+        observer.see(&Happening::Plan {
+            update: &update,
+            is_new,
+        });
+        Some(update)
+    }
+
+    /// The TTIs from the next on, before `horizon` and before anything goes out on the air again, as far as all but the
+    /// last are quiet.
+    fn span(&mut self, horizon: Tti, observer: &mut impl Observer) -> Grant {
+        let grant = self.play(self.next, horizon.min(self.station.next_announcement(self.next)));
         observer.see(&Happening::Granted(&grant));
         for turn in self.turns.drain(..) {
             match turn {
@@ -169,7 +195,7 @@ impl Cycle {
                 Turn::Missed(last) => observer.see(&Happening::EventEnded(&self.score.event_ended(last, 0.0))),
             }
         }
-        Granted { grant, update }
+        grant
     }
 
     fn play(&mut self, first: Tti, horizon: Tti) -> Grant {

@@ -206,7 +206,7 @@ impl Run {
         };
         let wants_states = observer.wants_states();
         let granted = cycle.grant(horizon.min(limit), observer);
-        if let Some(update) = &granted.update {
+        for update in &granted.updates {
             *plan_from = Some(update.from);
             let air = air.at(update.from);
             for machine in machines.iter_mut().filter(|machine| !air.misses_plan(machine.id())) {

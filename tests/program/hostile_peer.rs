@@ -171,6 +171,7 @@ fn forgeries(keys: &Keys, pass: HostPass, tti: u64) -> Vec<(String, Vec<u8>)> {
             account: true,
             views: false,
             plan,
+            plans: 0,
         })
     };
     let clock = [

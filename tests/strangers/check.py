@@ -23,8 +23,8 @@ import zenoh
 
 SCENARIO = ["-n", "30", "-k", "1200"]
 # Commands to the clock as they are encoded: pause, step 1, run to TTI 10, resume, pace max; and what anyone may ask.
-COMMANDS = [b"\x04\x00", b"\x04\x01\x01", b"\x04\x02\x0a", b"\x04\x03", b"\x04\x04\x00"]
-STATUS = b"\x04\x05"
+COMMANDS = [b"\x05\x00", b"\x05\x01\x01", b"\x05\x02\x0a", b"\x05\x03", b"\x05\x04\x00"]
+STATUS = b"\x05\x05"
 # No run of these takes a quarter of this.
 PATIENCE = 60
 
@@ -147,7 +147,7 @@ def answers(run):
 
     def reply(query):
         asked.append(str(query.key_expr))
-        query.reply(query.key_expr, b"\x04\x00")
+        query.reply(query.key_expr, b"\x05\x00")
 
     held = []
     for key in ["join", "ready", "control", "describe"]:

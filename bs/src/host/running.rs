@@ -195,7 +195,7 @@ impl Loop<'_> {
             plan: self.plan_from,
         };
         self.voice.begin();
-        if let Some(update) = granted.update.clone() {
+        for update in &granted.updates {
             self.plan_from = Some(update.from);
             tracing::debug!(from = %update.from, "the plan goes out");
             self.voice.plan(update)?;
@@ -211,6 +211,7 @@ impl Loop<'_> {
             account,
             views: asked.views,
             plan: self.plan_from.unwrap_or_default(),
+            plans: granted.updates.len() as u32,
         });
         {
             let mut state = self.crew.shared.lock();

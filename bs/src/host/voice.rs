@@ -15,7 +15,7 @@ pub(super) struct Voice<'a> {
     to_clocks: Topic<Clock>,
     to_plans: Topic<PlanUpdate>,
     to_devices: BTreeMap<(HostId, DeviceId), Topic<WakeUp>>,
-    plan: Option<PlanUpdate>,
+    plans: Vec<PlanUpdate>,
     grant: Option<Clock>,
     woken: Vec<(HostId, DeviceId, Tti)>,
     end: Option<Clock>,
@@ -29,7 +29,7 @@ impl<'a> Voice<'a> {
             to_clocks: bus.publisher()?,
             to_plans: bus.publisher()?,
             to_devices: BTreeMap::new(),
-            plan: None,
+            plans: Vec::new(),
             grant: None,
             woken: Vec::new(),
             end: None,
@@ -38,14 +38,15 @@ impl<'a> Voice<'a> {
 
     /// What was said before is over: all hosts have done it.
     pub(super) fn begin(&mut self) {
-        (self.plan, self.grant) = (None, None);
+        self.grant = None;
+        self.plans.clear();
         self.woken.clear();
     }
 
-    /// Tells the plan.
-    pub(super) fn plan(&mut self, update: PlanUpdate) -> Result<(), BusError> {
-        self.to_plans.put(&update)?;
-        self.plan = Some(update);
+    /// Tells a plan.
+    pub(super) fn plan(&mut self, update: &PlanUpdate) -> Result<(), BusError> {
+        self.to_plans.put(update)?;
+        self.plans.push(update.clone());
         Ok(())
     }
 
@@ -82,7 +83,7 @@ impl<'a> Voice<'a> {
 
     /// Says all of it once more.
     pub(super) fn say_again(&mut self) -> Result<(), BusError> {
-        if let Some(plan) = &self.plan {
+        for plan in &self.plans {
             self.to_plans.put(plan)?;
         }
         if let Some(grant) = &self.grant {

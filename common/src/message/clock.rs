@@ -21,9 +21,11 @@ pub struct Tick {
     pub account: bool,
     /// Whether the answer carries the states and batteries after `last`.
     pub views: bool,
-    /// The TTI from which the plan in force holds. A host that has missed that plan does not answer, and is sent it
-    /// again.
+    /// The TTI from which the plan holds that is in force in `last`. A host that has missed that plan does not answer,
+    /// and is sent it again.
     pub plan: Tti,
+    /// How many plans go with the grant, each of which holds from one of its TTIs on; likewise.
+    pub plans: u32,
 }
 
 /// What the clock tells: on the emulation plane, from the BS to all hosts.
@@ -65,6 +67,7 @@ impl fmt::Display for Tick {
             account,
             views,
             plan: _,
+            plans: _,
         } = self;
         if first == last {
             write!(f, "TTI {first}")?;

@@ -81,6 +81,7 @@ fn sizes() -> Sizes {
         account: false,
         views: false,
         plan: Tti::ZERO,
+        plans: 1,
     });
     let answer = Answer::Done {
         host: HostId(0),

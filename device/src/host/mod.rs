@@ -9,6 +9,7 @@ mod joining;
 pub mod round;
 pub mod uplink;
 
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -17,7 +18,7 @@ use reveille_common::event::Stimulus;
 use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Assignment, Clock, Membership, PlanUpdate, Ready, Tick, WakeUp};
-use reveille_common::plan::DutyCycle;
+use reveille_common::plan::{DutyCycle, Plan};
 use reveille_common::radio::Air;
 use tokio::runtime::Handle;
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
@@ -119,6 +120,8 @@ struct HostState {
     air: Air,
     /// The TTI from which the plan that this host has holds.
     plan_from: Option<Tti>,
+    /// Plans that hold from TTIs on that have not been granted, in their order.
+    coming: BTreeMap<Tti, Plan>,
     /// The first TTI that has not been granted.
     next: Tti,
     tick: Option<Tick>,
@@ -164,6 +167,7 @@ impl Shared {
             air: Air::new(seed, &radio),
             resting,
             plan_from: resumption.as_ref().and_then(|r| r.plan),
+            coming: BTreeMap::new(),
             next: resumption.map_or(Tti::ZERO, |r| r.next),
             tick: None,
             round: None,
@@ -188,7 +192,7 @@ impl Shared {
         let keys = bus.keys();
         let mut declared = Vec::new();
         let this = Arc::clone(self);
-        declared.push(bus.subscribe(move |update: PlanUpdate| this.on_plan(&update))?);
+        declared.push(bus.subscribe(move |update: PlanUpdate| this.on_plan(update))?);
         let this = Arc::clone(self);
         let host = self.membership.pass.host;
         declared.push(bus.subscribe_wakes(host, move |device, wake| this.on_wake(device, wake))?);
@@ -269,27 +273,35 @@ impl Shared {
         }
     }
 
-    fn on_plan(&self, update: &PlanUpdate) {
+    /// A plan is kept for the grant that it goes with.
+    fn on_plan(&self, update: PlanUpdate) {
+        let PlanUpdate { from, plan } = update;
         let mut state = self.lock();
-        if update.from != state.next {
-            tracing::debug!(
-                from = %update.from,
-                next = %state.next,
-                "a plan for another TTI, one sent again as a rule"
-            );
+        if from < state.next || from >= self.end {
+            let next = state.next;
+            tracing::debug!(%from, %next, "a plan for another TTI, one sent again as a rule");
             return;
         }
-        self.start_actors(&mut state);
-        state.plan_from = Some(update.from);
-        let air = state.air.at(update.from);
-        for (j, duty) in state.duties.iter_mut().enumerate() {
-            let device = DeviceId(self.first.0 + j as u32);
-            let new = update.plan.duty_cycle(device);
-            if *duty != new && !air.misses_plan(device) {
-                *duty = new;
-                self.send(j, Input::Duty(update.from, new));
+        state.coming.insert(from, plan);
+    }
+
+    /// Takes over the plans that go with a grant up to TTI `last`. Gives what changes for which device, in order.
+    fn follow(&self, state: &mut HostState, last: Tti) -> Vec<(usize, Input)> {
+        let mut changes = Vec::new();
+        let later = state.coming.split_off(&last.saturating_add(1));
+        for (from, plan) in std::mem::replace(&mut state.coming, later) {
+            state.plan_from = Some(from);
+            let air = state.air.at(from);
+            for (j, duty) in state.duties.iter_mut().enumerate() {
+                let device = DeviceId(self.first.0 + j as u32);
+                let new = plan.duty_cycle(device);
+                if *duty != new && !air.misses_plan(device) {
+                    *duty = new;
+                    changes.push((j, Input::Duty(from, new)));
+                }
             }
         }
+        changes
     }
 
     fn on_wake(&self, device: DeviceId, wake: WakeUp) {
@@ -341,10 +353,13 @@ impl Shared {
             drop(state);
             return round.repeat(&self.uplink);
         }
+        let own = || state.coming.range(..=tick.last).map(|(from, _)| *from);
+        let plan = own().last().or(state.plan_from);
         if tick.first != state.next
             || tick.last < tick.first
             || tick.last >= self.end
-            || state.plan_from != Some(tick.plan)
+            || plan != Some(tick.plan)
+            || own().count() != tick.plans as usize
         {
             tracing::debug!(
                 ?tick,
@@ -353,8 +368,8 @@ impl Shared {
             );
             return;
         }
-        // The plan may have come before this host took the devices over.
         self.start_actors(&mut state);
+        let changes = self.follow(&mut state, tick.last);
         state.next = tick.last.saturating_add(1);
         let listeners: Vec<usize> = match tick.stimulus {
             Some(stimulus) => (0..state.duties.len())
@@ -375,6 +390,9 @@ impl Shared {
             for j in 0..self.mailboxes.len() {
                 self.send(j, Input::Settle(tick.first, Arc::clone(&round)));
             }
+        }
+        for (j, change) in changes {
+            self.send(j, change);
         }
         if let Some(stimulus) = tick.stimulus {
             for j in listeners {
