@@ -19,7 +19,7 @@
 
 use reveille_common::codec;
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{Failure, PlanUpdate, Report, WakeOutcome, WakeUp};
+use reveille_common::message::{Failure, Outage, PlanUpdate, Report, WakeOutcome, WakeUp};
 use reveille_common::plan::Plan;
 use reveille_common::scenario::Scenario;
 use reveille_common::score::{Final, Score};
@@ -249,6 +249,12 @@ impl Cycle {
             }
         }
         arrived
+    }
+
+    /// Devices are gone from the last granted TTI on. The station is told nothing: it hears no more of them.
+    pub fn gone(&mut self, outage: &Outage, observer: &mut impl Observer) {
+        self.score.gone(outage);
+        observer.see(&Happening::Gone(outage));
     }
 
     /// What came of the wake-up that the last [`Step`] asked for.

@@ -17,7 +17,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 use reveille_common::event::{ActiveEvent, EventRecord};
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{Failure, Likely, PlanUpdate, Report, WakeOutcome};
+use reveille_common::message::{Failure, Likely, Outage, PlanUpdate, Report, WakeOutcome};
 use reveille_common::score::WindowRecord;
 use reveille_common::state::DeviceView;
 
@@ -72,6 +72,8 @@ pub enum Happening<'a> {
         /// The places, with shares whose sum is 1.
         places: &'a [Likely],
     },
+    /// Devices are gone, in a TTI that has been granted. Ground truth.
+    Gone(&'a Outage),
     /// An event has ended, reported or not. Ground truth.
     EventEnded(&'a EventRecord),
     /// All TTIs up to and including this one are closed.

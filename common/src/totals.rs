@@ -350,6 +350,8 @@ pub struct Totals {
     pub energy: DeviceTotals,
     /// How they differ.
     pub spread: Spread,
+    /// Device-TTIs of devices that were gone.
+    pub gone_ttis: u64,
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use reveille_bs::host::Progress;
+use reveille_bs::host::{OnLoss, Progress};
 use reveille_common::secret::Secret;
 
 use crate::display::note;
@@ -51,15 +51,15 @@ pub struct Launcher {
 }
 
 impl Launcher {
-    /// Starts a process for each of `commands`, and tells them the run's `key`. One that ends before the run is started
-    /// anew if `is_kept`; otherwise, or where that does not help, `progress` is told why the run must end.
+    /// Starts a process for each of `commands`, and tells them the run's `key`. With one that ends before the run it goes
+    /// on as `on_loss` says. Where another in its place does not help, `progress` is told why the run must end.
     ///
     /// # Errors
     /// If a process cannot be started.
     pub fn start(
         commands: Vec<Vec<String>>,
         key: Option<Secret>,
-        is_kept: bool,
+        on_loss: OnLoss,
         progress: &Arc<Progress>,
     ) -> anyhow::Result<Self> {
         let state = Arc::new(State {
@@ -71,7 +71,7 @@ impl Launcher {
             state: Arc::clone(&state),
             progress: Arc::clone(progress),
             key,
-            is_kept,
+            on_loss,
         };
         let (sender, begun) = channel();
         let thread = std::thread::Builder::new().name("launcher".to_owned()).spawn(move || {
@@ -121,7 +121,7 @@ struct Keeper {
     state: Arc<State>,
     progress: Arc<Progress>,
     key: Option<Secret>,
-    is_kept: bool,
+    on_loss: OnLoss,
 }
 
 impl Keeper {
@@ -214,8 +214,10 @@ impl Keeper {
     /// A process has ended that should not have.
     fn mourn(&self, place: &mut Place, pid: u32, status: ExitStatus) {
         let why = format!("the device process with pid {pid} ended with {status}");
-        if !self.is_kept {
-            return self.give_up(why);
+        match self.on_loss {
+            OnLoss::End => return self.give_up(why),
+            OnLoss::Continue => return note!("{why}"),
+            OnLoss::Wait => {}
         }
         let is_short = place.started.elapsed() < LONG;
         place.short_lives = if is_short { place.short_lives + 1 } else { 0 };

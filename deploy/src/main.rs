@@ -13,6 +13,7 @@ mod dashboard;
 mod display;
 mod ending;
 mod exit;
+mod input_log;
 mod inputs;
 mod interrupt;
 mod key;

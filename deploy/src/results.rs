@@ -9,6 +9,7 @@
 //! | `devices.csv` | a row per device |
 //! | `learned.json` | the tables of a policy that has learned in the run |
 //! | `summary.json` | metrics, digest, timing, versions |
+//! | `inputs.log` | what the run depends on besides: outages under `--on-loss continue` |
 //! | `mark.json` | how far the run has come, for `--resume`; gone once it is complete |
 //! | `RUNNING` | there and locked while the run goes; left behind, the run was killed |
 //! | `FAILED` | why a run ended without a summary |
@@ -26,6 +27,7 @@ use reveille_lab::training::learned_in;
 
 use crate::claim::{Claim, RUNNING};
 use crate::cli::OutputArgs;
+use crate::input_log::INPUTS;
 use crate::inputs::{self, Inputs};
 use crate::marks::MARK;
 use crate::rows::Tables;
@@ -242,7 +244,7 @@ fn clear(path: &Path, force: bool) -> anyhow::Result<Claim> {
 
 /// Takes out of a folder what a run has left there, all but its mark.
 fn empty(path: &Path) -> anyhow::Result<()> {
-    let files = [SUMMARY, LEARNED, FAILED, DEVICES, EVENTS, WINDOWS, MARK];
+    let files = [SUMMARY, LEARNED, FAILED, DEVICES, EVENTS, WINDOWS, INPUTS, MARK];
     // What makes it a run goes last: a folder that could not be emptied can still be replaced.
     remove(path, files.into_iter().chain(PARTS).chain([SCENARIO]))?;
     let inputs = path.join(inputs::FOLDER);

@@ -15,10 +15,12 @@ use reveille_bs::observe::{Happening, Observer};
 use reveille_bs::outcome::Outcome;
 use reveille_bs::prepared::Prepared;
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{Checkpoint, Frame};
+use reveille_common::message::{Checkpoint, Frame, Outage};
+use reveille_common::totals::Ledger;
 use reveille_lab::shadow::{Difference, Noting, Shadow};
 
 use crate::cli::AuditArg;
+use crate::input_log::InputLog;
 use crate::wall::now;
 
 /// The share of the time that an audit may take by default.
@@ -58,11 +60,14 @@ type Batch = (Tti, Vec<Frame>);
 
 /// A shadow that others may ask.
 #[derive(Clone)]
-pub struct Shared(Arc<Mutex<Shadow>>);
+pub struct Shared {
+    shadow: Arc<Mutex<Shadow>>,
+    log: Arc<Mutex<InputLog>>,
+}
 
 impl Shared {
     fn lock(&self) -> MutexGuard<'_, Shadow> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.shadow.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -74,6 +79,27 @@ impl Replay for Shared {
     fn outcome(&self, k: Tti) -> Result<Outcome, String> {
         Ok(self.lock().outcome(k))
     }
+
+    fn ledgers(&self, k: Tti, first: DeviceId, count: u32) -> Result<Vec<Ledger>, String> {
+        Ok(self.lock().ledgers(k, first, count))
+    }
+
+    fn lose(&self, outage: &Outage) -> Result<(), String> {
+        let mut log = self.log.lock().unwrap_or_else(PoisonError::into_inner);
+        log.add(outage).map_err(|error| format!("{error:#}"))?;
+        self.lock().lose(*outage);
+        Ok(())
+    }
+}
+
+/// How a run over the bus begins.
+pub struct Beginning<'a> {
+    /// Its first TTI there.
+    pub from: Tti,
+    /// Outages that it has had before.
+    pub outages: &'a [Outage],
+    /// Where those that come are kept.
+    pub log: InputLog,
 }
 
 /// The shadow of a run, and the audit that it makes.
@@ -98,10 +124,13 @@ struct Flow {
 }
 
 impl Auditor {
-    /// The shadow of the run that is `prepared` and goes over the bus from TTI `from` on. It stops the run of
-    /// `progress` if that is not what a replay is.
-    pub fn start(prepared: &Prepared, from: Tti, how: AuditArg, progress: &Arc<Progress>) -> Self {
-        let shadow = Shared(Arc::new(Mutex::new(Shadow::new(prepared, from))));
+    /// The shadow of the run that is `prepared` and goes over the bus as `start` says. It stops the run of `progress` if
+    /// that is not what a replay is.
+    pub fn start(prepared: &Prepared, start: Beginning<'_>, how: AuditArg, progress: &Arc<Progress>) -> Self {
+        let shadow = Shared {
+            shadow: Arc::new(Mutex::new(Shadow::new(prepared, start.outages, start.from))),
+            log: Arc::new(Mutex::new(start.log)),
+        };
         let flow = Arc::new(Flow::default());
         let begun = now();
         let (sender, thread) = if how == AuditArg::Off {

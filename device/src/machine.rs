@@ -99,6 +99,7 @@ struct Kept {
     next: Tti,
     open: bool,
     books: Books,
+    is_gone: bool,
 }
 
 /// One device.
@@ -116,6 +117,8 @@ pub struct Machine {
     /// Whether TTI `next - 1` still waits for its end, when the battery is accounted.
     open: bool,
     books: Books,
+    /// Whether it has gone for good: nothing happens to it any more.
+    is_gone: bool,
     /// Its wake-up radio, where that fails.
     ears: Option<Box<Ears>>,
     /// The first TTI from `next` on in which it wakes for nothing if it is in S4.
@@ -137,6 +140,7 @@ impl Machine {
             next: Tti::ZERO,
             open: false,
             books: Books::new(physics.measured_from),
+            is_gone: false,
             false_wake: ears.as_ref().map_or(Tti::NEVER, |ears| ears.false_wake()),
             ears,
         }
@@ -151,6 +155,7 @@ impl Machine {
             next: self.next,
             open: self.open,
             books: self.books.clone(),
+            is_gone: self.is_gone,
         }))
     }
 
@@ -173,7 +178,7 @@ impl Machine {
         }
         (machine.battery, machine.books) = (kept.battery, kept.books);
         (machine.duty, machine.state) = (kept.duty, kept.state);
-        (machine.next, machine.open) = (kept.next, kept.open);
+        (machine.next, machine.open, machine.is_gone) = (kept.next, kept.open, kept.is_gone);
         Ok(machine)
     }
 
@@ -187,9 +192,13 @@ impl Machine {
         self.state
     }
 
-    /// Its battery level after the last step taken.
+    /// Its battery level after the last step taken; nothing once it is gone.
     pub const fn battery(&self) -> Energy {
-        self.battery.level()
+        if self.is_gone {
+            Energy::ZERO
+        } else {
+            self.battery.level()
+        }
     }
 
     /// Its duty cycle.
@@ -201,13 +210,21 @@ impl Machine {
     pub const fn view(&self) -> DeviceView {
         DeviceView {
             state: self.state,
-            battery: self.battery.level(),
+            battery: self.battery(),
         }
+    }
+
+    /// It goes for good with the end of TTI `k`, of which nothing more will be heard. Its books end there.
+    pub fn go(&mut self, k: Tti) {
+        self.begin(k);
+        self.settle(k + 1);
+        self.is_gone = true;
+        self.state = DeviceState::Sleep { powered: false };
     }
 
     /// δ is `duty` from TTI `from` on.
     pub fn set_duty(&mut self, from: Tti, duty: DutyCycle) {
-        if duty != self.duty {
+        if duty != self.duty && !self.is_gone {
             self.settle(from);
             self.duty = duty;
         }
@@ -218,6 +235,9 @@ impl Machine {
     /// # Panics
     /// If TTI `k` or a later one has already begun.
     pub fn settle(&mut self, k: Tti) {
+        if self.is_gone {
+            return;
+        }
         assert!(
             self.next <= k,
             "device {}: TTI {k} has begun, the next is {}",
@@ -257,7 +277,7 @@ impl Machine {
 
     /// Steps 1 and 2 of TTI `k` (harvest, then δ), after ending all TTIs before it. Does nothing if `k` has begun.
     pub fn begin(&mut self, k: Tti) {
-        if self.open && self.next == k + 1 {
+        if self.is_gone || (self.open && self.next == k + 1) {
             return;
         }
         self.settle(k);

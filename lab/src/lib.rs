@@ -2,6 +2,7 @@
 //! training and tuning.
 
 pub mod io;
+mod outages;
 pub mod preparation;
 pub mod reading;
 pub mod run;

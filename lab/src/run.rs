@@ -7,13 +7,15 @@ use reveille_bs::outcome::Outcome;
 use reveille_bs::prepared::Prepared;
 use reveille_bs::taken::{Start, Taken};
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{Checkpoint, Failure, Report};
+use reveille_common::message::{Checkpoint, Failure, Outage, Report};
 use reveille_common::radio::Air;
 use reveille_common::score::{Accounts, WindowRecord};
 use reveille_common::state::DeviceView;
 use reveille_common::totals::Ledger;
 use reveille_common::world::World;
 use reveille_device::machine::{Machine, Physics, Sensed};
+
+use crate::outages::Outages;
 
 /// How to run; none of it changes the outcome.
 #[derive(Clone, Copy, Debug)]
@@ -42,6 +44,7 @@ pub struct Run {
     boundaries: Boundaries,
     accounts: Accounts,
     options: Options,
+    outages: Outages,
     /// The TTI from which the plan in force holds.
     plan_from: Option<Tti>,
     /// The last boundary whose sums were taken.
@@ -88,11 +91,22 @@ impl Run {
             physics,
             boundaries,
             options,
+            outages: Outages::default(),
             plan_from: None,
             reached: Tti::ZERO,
             reports: Vec::new(),
             failures: Vec::new(),
         }
+    }
+
+    /// Devices go, in a TTI that has not been granted. What comes of that is as if their process had been lost.
+    pub fn lose(&mut self, outage: Outage) {
+        self.outages.add(outage);
+    }
+
+    /// Whether there are outages that have not come.
+    pub fn awaits_outages(&self) -> bool {
+        !self.outages.is_empty()
     }
 
     /// The devices, in the order of ids.
@@ -121,13 +135,18 @@ impl Run {
         if self.advance(self.boundaries.end(), observer) {
             self.reach(observer);
         }
+        let ledgers = self.ledgers(DeviceId(0), self.machines.len() as u32);
+        self.cycle.finish(&ledgers)
+    }
+
+    /// The books of the devices from `first` on, `count` of them, before the next TTI.
+    pub fn ledgers(&mut self, first: DeviceId, count: u32) -> Vec<Ledger> {
         let end = self.cycle.next_tti();
-        let ledgers: Vec<Ledger> = self
-            .machines
+        let machines = &mut self.machines[first.index()..][..count as usize];
+        machines
             .iter_mut()
             .map(|machine| settled(machine, end).ledger())
-            .collect();
-        self.cycle.finish(&ledgers)
+            .collect()
     }
 
     /// Runs to TTI `to`, which is then the next, or until `observer` says stop; false if it does. The sums of a window
@@ -189,10 +208,12 @@ impl Run {
             air,
             reports,
             failures,
+            outages,
             plan_from,
             ..
         } = self;
         let k = cycle.next_tti();
+        let limit = limit.min(outages.next_tti().saturating_add(1)).max(k + 1);
         if cycle.wants_batteries() {
             cycle.tell_batteries(machines.iter_mut().map(|machine| {
                 machine.settle(k);
@@ -216,6 +237,9 @@ impl Run {
         let (last, stimulus) = (granted.grant.last, granted.grant.stimulus);
         reports.clear();
         failures.clear();
+        while let Some(outage) = outages.due(last, None) {
+            go(&outage, machines, cycle, observer);
+        }
         if let Some(stimulus) = &stimulus {
             for device in cycle.detectors() {
                 match machines[device.index()].sense(last, stimulus, physics) {
@@ -226,7 +250,12 @@ impl Run {
             }
         }
         let mut step = cycle.gathered(granted, reports, failures, observer);
+        let mut woken = 0;
         while let Step::WakeUp(waking) = step {
+            while let Some(outage) = outages.due(last, Some(woken)) {
+                go(&outage, machines, cycle, observer);
+            }
+            woken += 1;
             let stimulus = stimulus.as_ref().expect("only an event makes the BS wake anyone");
             let outcome = machines[waking.device().index()].wake(last, stimulus, physics);
             step = cycle.woken(waking, &outcome, observer);
@@ -256,6 +285,13 @@ impl Run {
         let window = self.accounts.reach(k, energy, *self.cycle.event_totals());
         observer.window(&window)
     }
+}
+
+/// Devices go in the TTI that was granted last.
+fn go(outage: &Outage, machines: &mut [Machine], cycle: &mut Cycle, observer: &mut impl Observer) {
+    let devices = outage.first.index()..=outage.last().index();
+    machines[devices].iter_mut().for_each(|machine| machine.go(outage.tti));
+    cycle.gone(outage, observer);
 }
 
 fn settled(machine: &mut Machine, k: Tti) -> &Machine {

@@ -9,7 +9,8 @@ use reveille_bs::observe::{Happening, Observer};
 use reveille_bs::outcome::Outcome;
 use reveille_bs::prepared::Prepared;
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{Checkpoint, Frame};
+use reveille_common::message::{Checkpoint, Frame, Outage};
+use reveille_common::totals::Ledger;
 
 use crate::run::{Options, Run};
 
@@ -27,6 +28,7 @@ impl Noting {
             | Happening::EventStarted(_)
             | Happening::Reported(_)
             | Happening::Lost(_)
+            | Happening::Gone(_)
             | Happening::Failed { .. }
             | Happening::WakeUp { .. }
             | Happening::Woken { .. }
@@ -58,6 +60,7 @@ pub struct Shadow {
     run: Run,
     /// The TTI from which on the run is compared.
     from: Tti,
+    outages: Vec<Outage>,
     ahead: Ahead,
 }
 
@@ -89,13 +92,25 @@ impl Observer for Ahead {
 }
 
 impl Shadow {
-    /// The shadow, before TTI 0, of the run that is `prepared` and is compared from TTI `from` on.
-    pub fn new(prepared: &Prepared, from: Tti) -> Self {
+    /// The shadow, before TTI 0, of the run that is `prepared`, has had these `outages`, and is compared from TTI `from`
+    /// on.
+    pub fn new(prepared: &Prepared, outages: &[Outage], from: Tti) -> Self {
         Self {
-            run: Run::new(prepared, Options::default()),
+            run: begin(prepared, outages),
             prepared: prepared.clone(),
             from,
+            outages: outages.to_vec(),
             ahead: Ahead::default(),
+        }
+    }
+
+    /// Devices have gone from the run, in a TTI of which it has told nothing yet.
+    pub fn lose(&mut self, outage: Outage) {
+        self.outages.push(outage);
+        if self.next_tti() > outage.tti {
+            self.begin_anew();
+        } else {
+            self.run.lose(outage);
         }
     }
 
@@ -116,14 +131,19 @@ impl Shadow {
     fn begin_anew(&mut self) -> Run {
         self.ahead.frames.clear();
         self.ahead.again = self.ahead.same;
-        let first = Run::new(&self.prepared, Options::default());
-        std::mem::replace(&mut self.run, first)
+        std::mem::replace(&mut self.run, begin(&self.prepared, &self.outages))
     }
 
     /// The devices from `first` on, `count` of them, as they are before TTI `k`.
     pub fn devices(&mut self, k: Tti, first: DeviceId, count: u32) -> Vec<Checkpoint> {
         self.reach(k);
         self.run.checkpoints(first, count)
+    }
+
+    /// The books of the devices from `first` on, `count` of them, before TTI `k`.
+    pub fn ledgers(&mut self, k: Tti, first: DeviceId, count: u32) -> Vec<Ledger> {
+        self.reach(k);
+        self.run.ledgers(first, count)
     }
 
     /// What the run has come to before TTI `k`; a shadow after that begins anew.
@@ -158,6 +178,13 @@ impl Shadow {
         }
         same_outcome(live, &self.outcome(Tti(live.ttis_done)))
     }
+}
+
+/// A run before TTI 0.
+fn begin(prepared: &Prepared, outages: &[Outage]) -> Run {
+    let mut run = Run::new(prepared, Options::default());
+    outages.iter().for_each(|outage| run.lose(*outage));
+    run
 }
 
 /// What the run `had` instead of what a replay `has`.

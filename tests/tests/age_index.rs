@@ -28,6 +28,7 @@ impl Observer for Heard {
             | Happening::EventStarted(_)
             | Happening::EventEnded(_)
             | Happening::Lost(_)
+            | Happening::Gone(_)
             | Happening::Failed { .. }
             | Happening::Woken { .. }
             | Happening::Closed(_)

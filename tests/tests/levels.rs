@@ -42,6 +42,7 @@ impl Observer for Watch {
             | Happening::EventStarted(_)
             | Happening::Reported(_)
             | Happening::Lost(_)
+            | Happening::Gone(_)
             | Happening::Failed { .. }
             | Happening::WakeUp { .. }
             | Happening::Woken { .. }

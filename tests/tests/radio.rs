@@ -64,7 +64,11 @@ impl Observer for Watch {
             Happening::EventStarted(_) => self.lost = 0,
             Happening::EventEnded(record) => self.events.push((record.tally.reports > 0, self.lost)),
             Happening::Failed { .. } => *self.seen.entry("failed").or_default() += 1,
-            Happening::Granted(_) | Happening::Believed { .. } | Happening::Closed(_) | Happening::States(_) => {}
+            Happening::Granted(_)
+            | Happening::Gone(_)
+            | Happening::Believed { .. }
+            | Happening::Closed(_)
+            | Happening::States(_) => {}
         }
     }
 }

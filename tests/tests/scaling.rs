@@ -32,6 +32,7 @@ impl Observer for Heard {
             Happening::Granted(_)
             | Happening::EventStarted(_)
             | Happening::Lost(_)
+            | Happening::Gone(_)
             | Happening::Failed { .. }
             | Happening::Woken { .. }
             | Happening::Closed(_)

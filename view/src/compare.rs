@@ -15,9 +15,10 @@ use crate::line::{Line, whose};
 use crate::recording::{Reader, RecordingError};
 
 /// The kinds that are compared, in the order in which they come about in a TTI.
-pub const COMPARED: [MessageKind; 7] = [
+pub const COMPARED: [MessageKind; 8] = [
     MessageKind::Plan,
     MessageKind::Event,
+    MessageKind::Gone,
     MessageKind::Report,
     MessageKind::Lost,
     MessageKind::Failed,
@@ -349,7 +350,8 @@ mod tests {
         let this = frames(&[], true);
         for kind in COMPARED {
             let Some(at) = this.iter().rposition(|frame| frame.kind == kind) else {
-                assert!(matches!(kind, MessageKind::Lost | MessageKind::Failed), "{kind:?}");
+                let is_rare = matches!(kind, MessageKind::Lost | MessageKind::Failed | MessageKind::Gone);
+                assert!(is_rare, "{kind:?}");
                 continue;
             };
             let mut other = this.clone();

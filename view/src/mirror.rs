@@ -8,7 +8,7 @@ use std::sync::Arc;
 use reveille_common::deployment::Deployment;
 use reveille_common::event::Stimulus;
 use reveille_common::ids::{DeviceId, MAX_TTIS, Tti};
-use reveille_common::message::{Failure, Frame, Message, PlanUpdate, Report, WakeOutcome, World};
+use reveille_common::message::{Failure, Frame, Message, Outage, PlanUpdate, Report, WakeOutcome, World};
 use reveille_common::plan::Plan;
 use reveille_common::radio::Air;
 use reveille_common::scenario::Scenario;
@@ -40,6 +40,9 @@ pub struct Mirror {
     /// What devices with δ = 1 must be heard to say in the last of them, in the order of ids.
     reports: Vec<Report>,
     failures: Vec<Failure>,
+    /// Those that do, as they were before, in case they turn out to be gone; likewise who was woken last.
+    unsensed: Vec<Machine>,
+    unwoken: Option<Machine>,
     /// The wake-up that is under way: whom, and what comes of it.
     waking: Option<(DeviceId, WakeOutcome)>,
     /// Whether its report has been heard already.
@@ -70,6 +73,8 @@ impl Mirror {
             world: None,
             reports: Vec::new(),
             failures: Vec::new(),
+            unsensed: Vec::new(),
+            unwoken: None,
             waking: None,
             has_reported: false,
         }
@@ -179,6 +184,7 @@ impl Mirror {
                 self.failures.remove(at);
                 Ok(())
             }
+            Message::Gone(outage) => self.gone(outage),
             Message::Wake(_) => self.wake(frame.number),
             Message::Woken(woken) => match self.waking.take() {
                 Some((device, outcome)) if Some(device.0) == frame.number && outcome == woken.outcome => {
@@ -257,19 +263,49 @@ impl Mirror {
         if self.plan.is_none() {
             return Err("there is no plan yet".to_owned());
         }
+        self.unsensed.clear();
         if let Some(stimulus) = &world.stimulus {
             for machine in &mut self.machines {
                 if !machine.duty().is_on(world.last) {
                     continue;
                 }
+                let unsensed = machine.clone();
                 match machine.sense(world.last, stimulus, &self.physics) {
-                    Sensed::Nothing => {}
+                    Sensed::Nothing => continue,
                     Sensed::Reported(report) => self.reports.push(report),
                     Sensed::Failed(failure) => self.failures.push(failure),
                 }
+                self.unsensed.push(unsensed);
             }
         }
         self.world = Some(world);
+        Ok(())
+    }
+
+    /// Devices go in the TTI that has been reached.
+    fn gone(&mut self, outage: &Outage) -> Result<(), String> {
+        if self.now() != Some(outage.tti) || !outage.is_sound(self.machines.len() as u32) {
+            return Err(format!("{outage} in TTI {}, which has not been reached", outage.tti));
+        }
+        let mut undone = Vec::new();
+        if outage.wake_ups.is_none() {
+            undone.append(&mut self.unsensed);
+            self.reports.retain(|report| !outage.has(report.device));
+            self.failures.retain(|failure| !outage.has(failure.device));
+        }
+        if let Some((device, outcome)) = &mut self.waking
+            && outage.has(*device)
+        {
+            *outcome = WakeOutcome::Unheard;
+            undone.extend(self.unwoken.take());
+        }
+        for machine in undone.into_iter().filter(|machine| outage.has(machine.id())) {
+            let at = machine.id().index();
+            self.machines[at] = machine;
+        }
+        for machine in &mut self.machines[outage.first.index()..=outage.last().index()] {
+            machine.go(outage.tti);
+        }
         Ok(())
     }
 
@@ -316,6 +352,7 @@ impl Mirror {
         let machine = self.machines.get_mut(device.index());
         let machine = machine.ok_or_else(|| format!("a wake-up for device {device}, which there is not"))?;
         let air = self.air.at(world.last);
+        self.unwoken = Some(machine.clone());
         let outcome = machine
             .wake(world.last, &stimulus, &self.physics)
             .over(|device| air.loses_report(device));

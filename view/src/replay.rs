@@ -144,6 +144,7 @@ impl Replay {
                 self.under_way()?;
                 self.score.lost(&lost.report);
             }
+            Message::Gone(outage) => self.score.gone(&outage),
             Message::Failed(failed) => {
                 self.under_way()?;
                 self.score.failed(&failed.failure);

@@ -12,8 +12,8 @@ use reveille_common::units::Energy;
 
 use crate::host::roster::Roster;
 
-/// A device whose host has still to answer.
-const UNKNOWN: DeviceView = DeviceView {
+/// A device that nobody carries.
+pub const UNKNOWN: DeviceView = DeviceView {
     state: DeviceState::Sleep { powered: false },
     battery: Energy::ZERO,
 };
@@ -57,11 +57,18 @@ struct Answers<T> {
 }
 
 impl<T> Answers<T> {
-    fn new(hosts: usize) -> Self {
+    fn new(roster: &Roster) -> Self {
         Self {
-            of: (0..hosts).map(|_| None).collect(),
-            missing: hosts,
+            of: (0..roster.hosts()).map(|_| None).collect(),
+            missing: roster.carrying(),
         }
+    }
+
+    /// The host at this position answers no more. Its answer, if it gave one.
+    fn lose(&mut self, host: usize) -> Option<T> {
+        let answer = self.of[host].take();
+        self.missing -= usize::from(answer.is_none());
+        answer
     }
 
     fn put(&mut self, host: usize, answer: T) -> Option<T> {
@@ -130,26 +137,53 @@ impl Barrier {
             tti,
             stimulus,
             asked,
-            answers: Answers::new(self.roster.hosts()),
+            answers: Answers::new(&self.roster),
             expected: 0,
             reports: Vec::new(),
         };
     }
 
-    /// Waits for what comes of a wake-up.
+    /// Waits for what comes of a wake-up; of a device that nobody carries comes nothing.
     pub fn expect_wake(&mut self, tti: Tti, device: DeviceId) {
+        let is_carried = self.roster.carrier(device).is_some();
         self.stage = Stage::Wake {
             tti,
             device,
-            outcome: None,
+            outcome: (!is_carried).then_some(WakeOutcome::Unheard),
         };
     }
 
     /// Waits for the ledgers of all devices.
     pub fn expect_ledgers(&mut self) {
         self.stage = Stage::Finish {
-            answers: Answers::new(self.roster.hosts()),
+            answers: Answers::new(&self.roster),
         };
+    }
+
+    /// `host` has gone for good with its devices: what it has said of an open grant does not count, and nothing more is
+    /// waited for.
+    pub fn lose(&mut self, host: HostId) {
+        let Self { roster, stage, .. } = self;
+        let Some(position) = roster.position(host) else { return };
+        match stage {
+            Stage::Nothing => {}
+            Stage::Grant {
+                answers,
+                expected,
+                reports,
+                ..
+            } => {
+                *expected -= answers.lose(position).map_or(0, |done| done.reports as usize);
+                reports.retain(|report| !roster.owns(position, report.device));
+            }
+            Stage::Wake { device, outcome, .. } => {
+                if roster.owns(position, *device) {
+                    outcome.get_or_insert(WakeOutcome::Unheard);
+                }
+            }
+            Stage::Finish { answers } => drop(answers.lose(position)),
+        }
+        roster.lose(position);
     }
 
     /// A message has come that nobody waited for, from somebody who has no say.
@@ -311,20 +345,24 @@ impl Barrier {
     /// If no grant is complete.
     pub fn take_gathered(&mut self) -> Gathered {
         match std::mem::replace(&mut self.stage, Stage::Nothing) {
-            Stage::Grant { answers, reports, .. } if answers.missing == 0 => {
+            Stage::Grant {
+                answers,
+                reports,
+                asked,
+                ..
+            } if answers.missing == 0 => {
                 let mut gathered = Gathered {
                     reports,
+                    views: vec![UNKNOWN; if asked.views { self.roster.devices() } else { 0 }],
                     ..Gathered::default()
                 };
-                for (host, done) in answers.of.into_iter().flatten().enumerate() {
+                for (host, done) in answers.of.into_iter().enumerate() {
+                    let Some(done) = done else { continue };
                     gathered.failures.extend(done.failures);
                     gathered.totals += done.totals.unwrap_or_default();
-                    if !done.views.is_empty() {
+                    if asked.views {
                         let first = self.roster.places(host).first.index();
-                        let end = first + done.views.len();
-                        let length = gathered.views.len().max(end);
-                        gathered.views.resize(length, UNKNOWN);
-                        gathered.views[first..end].copy_from_slice(&done.views);
+                        gathered.views[first..][..done.views.len()].copy_from_slice(&done.views);
                     }
                 }
                 gathered
@@ -350,17 +388,13 @@ impl Barrier {
         }
     }
 
-    /// Takes the ledgers, in the order of device ids.
+    /// Takes the ledgers of all devices that are carried, in no order.
     ///
     /// # Panics
     /// If they are not complete.
-    pub fn take_ledgers(&mut self) -> Vec<Ledger> {
+    pub fn take_ledgers(&mut self) -> Vec<(DeviceId, Ledger)> {
         match std::mem::replace(&mut self.stage, Stage::Nothing) {
-            Stage::Finish { answers } if answers.missing == 0 => {
-                let mut ledgers: Vec<_> = answers.of.into_iter().flatten().flatten().collect();
-                ledgers.sort_unstable_by_key(|(device, _)| *device);
-                ledgers.into_iter().map(|(_, ledger)| ledger).collect()
-            }
+            Stage::Finish { answers } if answers.missing == 0 => answers.of.into_iter().flatten().flatten().collect(),
             Stage::Nothing | Stage::Grant { .. } | Stage::Wake { .. } | Stage::Finish { .. } => {
                 panic!("the ledgers are not complete")
             }
@@ -375,124 +409,14 @@ impl Barrier {
             Stage::Grant { answers, .. } => answers.of.iter().map(Option::is_none).collect(),
             Stage::Finish { answers } => answers.of.iter().map(Option::is_none).collect(),
         };
-        let missing = is_missing.iter().enumerate().filter(|(_, missing)| **missing);
+        let missing = (0..)
+            .zip(is_missing)
+            .filter(|(host, missing)| *missing && !self.roster.is_gone(*host));
         missing.map(|(host, _)| self.roster.places(host).host).collect()
     }
 
     /// Messages that nobody waited for, or that cannot be true.
     pub const fn strays(&self) -> u64 {
         self.strays
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::host::admission::Places;
-    use crate::host::roster::tests::roster;
-
-    fn done(host: u32, tti: u64, reports: u32) -> Answer {
-        Answer::Done {
-            host: HostId(host),
-            tti: Tti(tti),
-            reports,
-            failures: vec![],
-            totals: None,
-            views: None,
-        }
-    }
-
-    fn report(device: u32, tti: u64) -> Report {
-        Report {
-            device: DeviceId(device),
-            tti: Tti(tti),
-            information: 0.5,
-            battery: Energy::ZERO,
-        }
-    }
-
-    /// Two hosts with five devices each, waiting for TTI 5.
-    fn barrier(stimulus: bool) -> Barrier {
-        let mut barrier = Barrier::new(roster());
-        barrier.expect_grant(Tti(5), stimulus, Asked::default());
-        barrier
-    }
-
-    fn hear(b: &mut Barrier, report: Report) -> bool {
-        b.report(HostId(report.device.0 / 5), report)
-    }
-
-    #[test]
-    fn a_grant_waits_for_every_host_and_every_report() {
-        let mut b = barrier(true);
-        assert!(!b.answer(HostId(0), done(0, 5, 2)));
-        assert!(!b.answer(HostId(0), done(0, 5, 2)), "the same answer twice");
-        assert!(!b.answer(HostId(7), done(7, 5, 0)), "a host that nobody knows");
-        assert!(!b.answer(HostId(1), done(0, 5, 0)), "in another's name");
-        assert!(!b.answer(HostId(1), done(1, 4, 0)), "an answer to another grant");
-        assert!(!b.answer(HostId(1), done(1, 5, 6)), "more reports than devices");
-        assert_eq!(b.waiting(), [HostId(1)]);
-        assert!(!b.answer(HostId(1), done(1, 5, 0)));
-        assert!(!hear(&mut b, report(3, 5)));
-        assert!(!hear(&mut b, report(3, 5)), "the same report twice");
-        assert!(!hear(&mut b, report(4, 4)), "a report of another TTI");
-        assert!(!hear(&mut b, report(10, 5)), "a report of a device that is not there");
-        assert!(!b.report(HostId(1), report(4, 5)), "another host's device");
-        assert!(hear(&mut b, report(4, 5)));
-        assert_eq!(b.take_gathered().reports.len(), 2);
-        // The answer to another grant and the report of another TTI came late: those of a question asked again may.
-        assert_eq!(b.strays(), 5);
-    }
-
-    #[test]
-    fn a_better_answer_takes_the_place_of_a_false_one() {
-        let mut b = barrier(true);
-        assert!(!b.answer(HostId(0), done(0, 5, 3)), "false: nobody reports");
-        assert!(!b.answer(HostId(1), done(1, 5, 0)));
-        assert!(b.answer(HostId(0), done(0, 5, 0)));
-    }
-
-    #[test]
-    fn nobody_reports_on_nothing() {
-        let mut b = barrier(false);
-        assert!(!hear(&mut b, report(3, 5)));
-        assert!(!b.answer(HostId(0), done(0, 5, 1)));
-        assert!(!b.answer(HostId(0), done(0, 5, 0)) && b.answer(HostId(1), done(1, 5, 0)));
-        assert_eq!((b.take_gathered().reports.len(), b.strays()), (0, 2));
-    }
-
-    #[test]
-    fn who_takes_over_says_the_same_once_more() {
-        let mut b = barrier(true);
-        b.answer(HostId(0), done(0, 5, 1));
-        hear(&mut b, report(3, 5));
-        let heir = Places {
-            host: HostId(2),
-            ..b.roster().places(0)
-        };
-        b.roster().replace(HostId(0), heir);
-        assert!(!b.answer(HostId(0), done(0, 5, 1)), "it has no say any more");
-        assert!(!b.report(HostId(2), report(3, 5)) && !b.answer(HostId(2), done(2, 5, 1)));
-        assert!(b.answer(HostId(1), done(1, 5, 0)));
-        assert_eq!(b.take_gathered().reports.len(), 1);
-        b.answer(HostId(2), done(2, 5, 1));
-        assert_eq!(b.strays(), 1, "what is late is no stray");
-    }
-
-    #[test]
-    fn a_wake_up_waits_for_its_device() {
-        let not_woken = |tti| Answer::NotWoken {
-            device: DeviceId(3),
-            tti: Tti(tti),
-            failure: None,
-        };
-        let mut b = Barrier::new(roster());
-        b.expect_wake(Tti(5), DeviceId(3));
-        assert!(!hear(&mut b, report(4, 5)));
-        assert!(!b.answer(HostId(0), not_woken(4)));
-        assert!(!b.answer(HostId(1), not_woken(5)), "another host's device");
-        assert_eq!(b.waiting(), [HostId(0)]);
-        assert!(b.answer(HostId(0), not_woken(5)));
-        assert_eq!(b.take_outcome(), WakeOutcome::Unheard);
     }
 }

@@ -17,6 +17,8 @@ use crate::outcome::Outcome;
 pub enum OnLoss {
     /// End the run with an error.
     End,
+    /// Go on without its devices, which are gone for good.
+    Continue,
     /// Hold the clock until the host is back, or another one carries its devices from where they were.
     Wait,
 }

@@ -146,7 +146,7 @@ impl Door {
         let token = newcomer.token;
         let devices = self.scenario.devices;
         if state.is_running {
-            if state.on_loss == OnLoss::End {
+            if state.on_loss != OnLoss::Wait {
                 return Err(JoinReply::Refused("the run has begun".to_owned()));
             }
             let Some((lost, resumption)) = state.losses.fitting(newcomer.count) else {
@@ -160,10 +160,10 @@ impl Door {
         }
         let Some(places) = state.admission.join(newcomer) else {
             let why = format!("all {devices} devices of the run are carried already");
-            return Err(if state.on_loss == OnLoss::End {
-                JoinReply::Refused(why)
-            } else {
+            return Err(if state.on_loss == OnLoss::Wait {
                 JoinReply::Later(why)
+            } else {
+                JoinReply::Refused(why)
             });
         };
         drop(state);
@@ -251,6 +251,14 @@ impl BsState {
         } else if let Some(places) = self.admission.places(host) {
             self.losses.lose(places, now());
         }
+    }
+
+    /// The run goes on without the devices of the lost host with these places.
+    pub(super) fn go_on_without(&mut self, places: Places) {
+        self.losses.forget(places.host);
+        self.admission.retire(places.host);
+        self.barrier.lose(places.host);
+        self.leaving.push(places);
     }
 
     /// A newcomer carries the devices of a lost host, if it is one and all is in place.

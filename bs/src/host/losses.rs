@@ -4,7 +4,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use reveille_common::ids::{DeviceId, HostId, Tti};
-use reveille_common::message::{Checkpoint, Resumption};
+use reveille_common::message::{Checkpoint, Outage, Resumption};
+use reveille_common::totals::Ledger;
 
 use super::admission::Places;
 use crate::outcome::Outcome;
@@ -23,6 +24,18 @@ pub trait Replay: Send + Sync {
     /// # Errors
     /// Why there is no such state, in words.
     fn outcome(&self, k: Tti) -> Result<Outcome, String>;
+
+    /// The books of the devices from `first` on, `count` of them, before TTI `k`.
+    ///
+    /// # Errors
+    /// Why there is no such state, in words.
+    fn ledgers(&self, k: Tti, first: DeviceId, count: u32) -> Result<Vec<Ledger>, String>;
+
+    /// Devices have gone for good, in the TTI that is open. When this returns, that is kept for whoever replays the run.
+    ///
+    /// # Errors
+    /// Why it cannot be kept, in words.
+    fn lose(&self, outage: &Outage) -> Result<(), String>;
 }
 
 /// Where newcomers take up the devices of a lost host.
@@ -125,6 +138,11 @@ impl Losses {
         for vacancy in self.open.iter_mut().filter(|v| v.offered == Some(newcomer)) {
             vacancy.offered = None;
         }
+    }
+
+    /// Nobody is to carry the devices of `host` any more.
+    pub fn forget(&mut self, host: HostId) {
+        self.open.retain(|vacancy| vacancy.places.host != host);
     }
 
     /// The host is back: its devices are its own. Gives the newcomer, if there is one, that was to carry them.

@@ -3,11 +3,15 @@
 
 pub mod admission;
 pub mod barrier;
+#[cfg(test)]
+mod barrier_tests;
 pub mod clock;
 mod drive;
 mod error;
 mod joining;
 pub mod losses;
+mod missing;
+mod outages;
 pub mod roster;
 mod running;
 mod shared;

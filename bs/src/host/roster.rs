@@ -16,6 +16,8 @@ pub struct Roster {
     /// Largest information Ψ of a report.
     psi: f64,
     hosts: Vec<Places>,
+    /// Whether the host at a position has gone, with its devices.
+    gone: Vec<bool>,
     /// The position in `hosts` of each host by its number.
     positions: Vec<Option<usize>>,
     /// The position in `hosts` of each device's host, once there are any.
@@ -29,6 +31,7 @@ impl Roster {
             devices,
             psi,
             hosts: Vec::new(),
+            gone: Vec::new(),
             positions: Vec::new(),
             carriers: Vec::new(),
         }
@@ -42,7 +45,19 @@ impl Roster {
             self.set_position(places.host, Some(position));
             self.carriers[places.first.index()..][..places.count as usize].fill(position);
         }
+        self.gone = vec![false; hosts.len()];
         self.hosts = hosts;
+    }
+
+    /// The host at `position` has gone, and nobody carries its devices any more.
+    pub fn lose(&mut self, position: usize) {
+        self.set_position(self.hosts[position].host, None);
+        self.gone[position] = true;
+    }
+
+    /// Whether the host at `position` has gone for good.
+    pub fn is_gone(&self, position: usize) -> bool {
+        self.gone[position]
     }
 
     /// From now on the devices of the host `lost` are those of `heir`, the same ones.
@@ -62,10 +77,20 @@ impl Roster {
         self.hosts[position] = heir;
     }
 
-    /// The host that carries `device`, once there are any.
+    /// The host that carries `device`, once there are any; none if it has gone for good.
     pub fn carrier(&self, device: DeviceId) -> Option<HostId> {
         let position = *self.carriers.get(device.index())?;
-        Some(self.hosts[position].host)
+        (!self.gone[position]).then(|| self.hosts[position].host)
+    }
+
+    /// The hosts that carry devices.
+    pub fn carrying(&self) -> usize {
+        self.gone.iter().filter(|is_gone| !**is_gone).count()
+    }
+
+    /// Number of devices N.
+    pub const fn devices(&self) -> usize {
+        self.devices.len()
     }
 
     fn set_position(&mut self, host: HostId, position: Option<usize>) {
@@ -74,12 +99,12 @@ impl Roster {
         self.positions[host.index()] = position;
     }
 
-    /// How many hosts there are.
+    /// How many hosts there are, or were.
     pub const fn hosts(&self) -> usize {
         self.hosts.len()
     }
 
-    /// The position of `host`, `0 .. hosts()`, if it is one of them.
+    /// The position of `host`, `0 .. hosts()`, if it carries devices.
     pub fn position(&self, host: HostId) -> Option<usize> {
         self.positions.get(host.index()).copied().flatten()
     }

@@ -5,22 +5,24 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use reveille_common::bus::{Bus, BusError};
-use reveille_common::ids::Tti;
-use reveille_common::message::{Clock, Pace, Resumption, Tick};
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::{Clock, Outage, Pace, Tick};
 use reveille_common::score::Accounts;
 use reveille_common::state::DeviceView;
 use reveille_common::totals::{DeviceTotals, EventTotals, Ledger};
 
-use super::drive::{OnLoss, Progress, Served, Settings};
+use super::admission::Places;
+use super::drive::{Progress, Served, Settings};
 use super::error::BsError;
-use super::joining::READY;
 use super::losses::{Point, Replay};
-use super::shared::{BsState, Shared};
+use super::missing::{MUTE, SILENT};
+use super::outages::Outages;
+use super::shared::Shared;
 use super::voice::Voice;
 use super::wall::now;
 use crate::boundaries::Boundaries;
 use crate::cycle::{Cycle, Step};
-use crate::host::barrier::Asked;
+use crate::host::barrier::{Asked, UNKNOWN};
 use crate::host::clock::Lateness;
 use crate::observe::{Happening, Observer};
 use crate::prepared::Prepared;
@@ -32,10 +34,6 @@ const LOOK: Duration = Duration::from_millis(100);
 const STOP: Duration = Duration::from_secs(3);
 /// How long the BS waits for an answer before it asks once more.
 const REPEAT: Duration = Duration::from_secs(1);
-/// How long hosts may be silent before they are named.
-const SILENT: Duration = Duration::from_secs(5);
-/// How long hosts may be silent before they count as lost, though their tokens are there.
-const MUTE: Duration = Duration::from_secs(30);
 
 /// What drives a run beside its settings.
 pub(super) struct Crew<'a> {
@@ -47,17 +45,18 @@ pub(super) struct Crew<'a> {
 }
 
 /// The loop over TTIs.
-struct Loop<'a> {
+pub(super) struct Loop<'a> {
     voice: Voice<'a>,
-    crew: Crew<'a>,
-    cycle: Cycle,
+    pub(super) crew: Crew<'a>,
+    pub(super) cycle: Cycle,
     devices: u32,
     boundaries: Boundaries,
     accounts: Accounts,
+    outages: Outages,
     /// The TTI from which the plan in force holds.
     plan_from: Option<Tti>,
     /// Where a newcomer takes up devices.
-    point: Point,
+    pub(super) point: Point,
     /// The devices at the end of the last TTI, where somebody wants to know.
     views: Vec<DeviceView>,
     grants: u64,
@@ -85,6 +84,7 @@ pub(super) async fn run(
     let mut this = Loop {
         voice: Voice::new(crew.bus)?,
         pace: crew.settings.pace,
+        outages: Outages::new(crew.replay.clone()),
         crew,
         cycle,
         devices: prepared.scenario.devices,
@@ -223,11 +223,13 @@ impl Loop<'_> {
         self.grants += 1;
         tracing::trace!(first = %grant.first, last = %grant.last, stimulus = ?grant.stimulus, "granted");
         self.answered().await?;
+        self.let_go(grant.last, None, observer)?;
         let mut gathered = self.crew.shared.lock().barrier.take_gathered();
         self.views = std::mem::take(&mut gathered.views);
         let mut step = self
             .cycle
             .gathered(granted, &mut gathered.reports, &mut gathered.failures, observer);
+        let mut wake_ups = 0;
         while let Step::WakeUp(waking) = step {
             let device = waking.device();
             let host = {
@@ -239,6 +241,8 @@ impl Loop<'_> {
                 self.voice.wake_up(host, device, grant.last)?;
             }
             self.answered().await?;
+            self.let_go(grant.last, Some(wake_ups), observer)?;
+            wake_ups += 1;
             let outcome = self.crew.shared.lock().barrier.take_outcome();
             tracing::debug!(tti = %grant.last, %device, ?outcome, "woken");
             if let Some(view) = self.views.get_mut(device.index()) {
@@ -250,7 +254,30 @@ impl Loop<'_> {
             observer.see(&Happening::States(&self.views));
         }
         self.show();
-        Ok(!account || self.account(first, gathered.totals, events, observer))
+        if !account {
+            return Ok(true);
+        }
+        let totals = gathered.totals + self.outages.sums(first)?;
+        Ok(self.account(first, totals, events, observer))
+    }
+
+    /// Devices that the run goes on without are gone from here on.
+    fn let_go(&mut self, tti: Tti, wake_ups: Option<u32>, observer: &mut impl Observer) -> Result<(), BsError> {
+        let leaving = std::mem::take(&mut self.crew.shared.lock().leaving);
+        for places in leaving {
+            let outage = Outage {
+                first: places.first,
+                count: places.count,
+                tti,
+                wake_ups,
+            };
+            self.outages.begin(outage)?;
+            self.cycle.gone(&outage, observer);
+            if let Some(views) = self.views.get_mut(outage.first.index()..=outage.last().index()) {
+                views.fill(UNKNOWN);
+            }
+        }
+        Ok(())
     }
 
     /// The TTI before which the next grant must end.
@@ -286,7 +313,7 @@ impl Loop<'_> {
             .store(events.misdetected, Ordering::Relaxed);
         let hosts = {
             let mut state = self.crew.shared.lock();
-            let carrying = state.barrier.roster().hosts();
+            let carrying = state.barrier.roster().carrying();
             carrying.saturating_sub(state.losses.places().count())
         };
         self.crew.progress.hosts.store(hosts as u64, Ordering::Relaxed);
@@ -379,79 +406,24 @@ impl Loop<'_> {
         self.voice.say_again()
     }
 
-    /// Says whom the run waits for.
-    fn name_silent(&self) {
-        let state = self.crew.shared.lock();
-        for host in state.barrier.waiting() {
-            let (tti, name) = (self.cycle.next_tti(), state.admission.name(host));
-            tracing::warn!(%host, %tti, "waiting for the answer of {name} for {} s now", SILENT.as_secs());
-        }
-    }
-
-    /// Hosts that have not answered for long do not carry their devices any more.
-    fn give_up_silent(&self) {
-        let mut state = self.crew.shared.lock();
-        for host in state.barrier.waiting() {
-            let name = state.admission.name(host);
-            tracing::warn!(%host, "{name} has not answered for {} s: it counts as lost", MUTE.as_secs());
-            state.lose(host);
-        }
-    }
-
-    /// Whether the run can go on, with those who are lost and without; what is needed for that is begun.
-    fn check(&self, state: &mut BsState) -> Result<(), BsError> {
-        if let Some(why) = state.failure.take() {
-            return Err(BsError::CannotGoOn(why));
-        }
-        let lost: Vec<_> = state.losses.places().collect();
-        let Some(places) = lost.first() else { return Ok(()) };
-        let (tti, host, first, last) = (self.cycle.next_tti(), places.host, places.first.0, places.last().0);
-        match self.crew.settings.on_loss {
-            OnLoss::End => return Err(BsError::HostLost { host, first, last, tti }),
-            OnLoss::Wait if self.crew.progress.stop.load(Ordering::Relaxed) => {
-                return Err(BsError::InterruptedWaiting { host, first, last, tti });
-            }
-            OnLoss::Wait => {}
-        }
-        for places in lost {
-            if state.reported.insert(places.host) {
-                let (host, first, last) = (places.host, places.first.0, places.last().0);
-                let name = state.admission.name(host);
-                let held = "the clock is held until its devices are carried again";
-                tracing::warn!(%host, first, last, %tti, "lost {name}; {held}");
-            }
-        }
-        for host in state.admission.late(now(), READY) {
-            state.lose(host);
-        }
-        self.restore(state);
-        Ok(())
-    }
-
-    /// Has a replay find the devices of lost hosts, where none was asked for them yet.
-    fn restore(&self, state: &mut BsState) {
-        let Some(replay) = &self.crew.replay else { return };
-        let Point { next, plan } = self.point;
-        for places in state.losses.unasked(next) {
-            let (replay, shared) = (Arc::clone(replay), Arc::clone(self.crew.shared));
-            tokio::task::spawn_blocking(move || {
-                let found = replay.devices(next, places.first, places.count);
-                let mut state = shared.lock();
-                match found {
-                    Ok(devices) => state.losses.found(places.host, Resumption { next, plan, devices }),
-                    Err(why) => state.failure = Some(why),
-                }
-                drop(state);
-                shared.ring();
-            });
-        }
-    }
-
     /// Ends the devices' work before the next TTI and gathers their ledgers.
     async fn collect_ledgers(&mut self) -> Result<Vec<Ledger>, BsError> {
         self.crew.shared.lock().barrier.expect_ledgers();
         self.voice.clock(Clock::Finish(self.cycle.next_tti()))?;
         self.answered().await?;
-        Ok(self.crew.shared.lock().barrier.take_ledgers())
+        let end = self.cycle.next_tti();
+        let (mut ledgers, leaving) = {
+            let mut state = self.crew.shared.lock();
+            (state.barrier.take_ledgers(), std::mem::take(&mut state.leaving))
+        };
+        ledgers.extend(self.outages.all_ledgers(end)?);
+        for Places { first, count, .. } in leaving {
+            // It has done all TTIs, and not said so.
+            let own = self.outages.ledgers(end, first, count)?;
+            ledgers.extend((first.0..).map(DeviceId).zip(own));
+        }
+        ledgers.sort_unstable_by_key(|(device, _)| *device);
+        ledgers.dedup_by_key(|(device, _)| *device);
+        Ok(ledgers.into_iter().map(|(_, ledger)| ledger).collect())
     }
 }

@@ -10,7 +10,7 @@ use reveille_common::scenario::Scenario;
 use tokio::sync::Notify;
 
 use super::drive::{OnLoss, Progress, Settings};
-use crate::host::admission::Admission;
+use crate::host::admission::{Admission, Places};
 use crate::host::barrier::Barrier;
 use crate::host::clock::VirtualClock;
 use crate::host::losses::Losses;
@@ -27,6 +27,8 @@ pub(super) struct BsState {
     pub(super) stands: bool,
     /// Devices whose host is lost.
     pub(super) losses: Losses,
+    /// The devices of lost hosts that the run goes on without, until that is noted.
+    pub(super) leaving: Vec<Places>,
     /// Lost hosts that were already spoken of.
     pub(super) reported: BTreeSet<HostId>,
     /// Whether somebody came, or came back, who has to be asked again.
@@ -51,6 +53,7 @@ impl BsState {
     pub(super) fn name_carriers(&mut self, progress: &Progress) {
         let roster = self.barrier.roster();
         let all = (0..roster.hosts())
+            .filter(|position| !roster.is_gone(*position))
             .map(|position| roster.places(position))
             .collect::<Vec<_>>();
         let named = all
@@ -103,6 +106,7 @@ impl Shared {
             next,
             stands: true,
             losses: Losses::default(),
+            leaving: Vec::new(),
             reported: BTreeSet::new(),
             returned: false,
             is_running: false,

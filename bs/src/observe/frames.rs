@@ -52,6 +52,7 @@ impl Frames {
                 take(Frame::of(tti, (), &Belief { places }));
             }
             Happening::EventEnded(record) => take(Frame::of(record.last, (), &EventNews::Ended(*record))),
+            Happening::Gone(outage) => take(Frame::of(outage.tti, (), outage)),
             Happening::Closed(_) => {}
             Happening::States(views) => {
                 let states = States { views: views.to_vec() };

@@ -15,6 +15,7 @@ mod control;
 mod describe;
 mod frame;
 mod join;
+mod outage;
 mod plan;
 mod ready;
 mod report;
@@ -37,6 +38,7 @@ pub use control::{ClockCommand, ClockStatus, LostHost, Pace};
 pub use describe::{Describe, Description};
 pub use frame::{Frame, TapBatch};
 pub use join::{JoinReply, JoinRequest};
+pub use outage::Outage;
 pub use plan::PlanUpdate;
 pub use ready::Ready;
 pub use report::Report;
@@ -243,6 +245,8 @@ messages! {
         "What a device with δ = 1 has sent, and what was lost on its way to the BS.";
     States "states": States, Truth, Members, (), "world → observers",
         "State and battery of all devices at the end of a TTI, where a recording was asked for them.";
+    Gone "gone": Outage, Truth, Members, (), "world → observers",
+        "Devices that are gone for good, as their process was lost under --on-loss continue.";
 }
 
 /// The kinds of message as a table in Markdown, for the page on inspecting.

@@ -11,7 +11,7 @@ use sha2::{Digest as _, Sha256};
 
 use crate::event::Stimulus;
 use crate::ids::{DeviceId, Tti};
-use crate::message::{PlanUpdate, Report, WakeOutcome};
+use crate::message::{Outage, PlanUpdate, Report, WakeOutcome};
 use crate::plan::{DutyCycle, Plan};
 use crate::totals::{DeviceTotals, EventTally, EventTotals, Ledger, Spent, Spread, Totals};
 use crate::units::Energy;
@@ -111,6 +111,18 @@ impl Fingerprint {
         );
     }
 
+    /// Devices are gone.
+    pub fn gone(&mut self, outage: &Outage) {
+        let Outage {
+            first,
+            count,
+            tti,
+            wake_ups,
+        } = *outage;
+        let wake_ups = wake_ups.map_or(0, |before| 1 + u64::from(before));
+        self.words(b'G', [tti.0, u64::from(first.0), u64::from(count), wake_ups]);
+    }
+
     /// `device` was sent a wake-up in `tti`.
     pub fn wake_up(&mut self, tti: Tti, device: DeviceId, outcome: &WakeOutcome) {
         let (kind, drained) = match outcome {
@@ -164,6 +176,7 @@ impl Fingerprint {
             // These follow from what the fingerprint has.
             missed: _,
             losses: _,
+            gone_ttis: _,
             delay_p95_ttis,
             control,
             uplink,

@@ -280,6 +280,10 @@ metrics! {
             let DeviceTotals { false_wakes, sensing_ttis, .. } = run.totals.energy;
             100.0 * false_wakes as f64 / (run.device_ttis() - sensing_ttis as f64)
         };
+        /// Device-TTIs of devices that were gone, as their process was lost under `--on-loss continue`, %. Energies and
+        /// batteries are means over all N devices: those that are gone spend nothing.
+        gone_pct: "% of device-TTIs", "% of device-TTIs without the device" =
+            |run| run.pct_of_device_ttis(run.totals.gone_ttis);
     }
 }
 

@@ -19,7 +19,7 @@ use crate::codec;
 use crate::deployment::Deployment;
 use crate::event::{ActiveEvent, EventRecord, Stimulus};
 use crate::ids::{DeviceId, Tti};
-use crate::message::{Failure, PlanUpdate, Report, WakeOutcome};
+use crate::message::{Failure, Outage, PlanUpdate, Report, WakeOutcome};
 use crate::scenario::Scenario;
 use crate::totals::{EventTally, EventTotals, Ledger, Losses, Missed, PICO_PER_INFORMATION, Spread, Totals, Traffic};
 use crate::units::Energy;
@@ -50,6 +50,7 @@ pub struct Score {
     control: Traffic,
     uplink: Traffic,
     losses: Losses,
+    outages: Vec<Outage>,
     fingerprint: Fingerprint,
 }
 
@@ -90,6 +91,7 @@ impl Score {
             control: Traffic::default(),
             uplink: Traffic::default(),
             losses: Losses::default(),
+            outages: Vec::new(),
             fingerprint: Fingerprint::default(),
         }
     }
@@ -143,6 +145,12 @@ impl Score {
     /// A device with δ = 1 has detected the event and could not transmit.
     pub fn failed(&mut self, failure: &Failure) {
         self.wrong(failure.device, failure.drained);
+    }
+
+    /// Devices are gone.
+    pub fn gone(&mut self, outage: &Outage) {
+        self.fingerprint.gone(outage);
+        self.outages.push(*outage);
     }
 
     /// A wake-up goes out on the air in `tti`, `bytes` long.
@@ -242,6 +250,10 @@ impl Score {
 
     fn totals(&self, end: Tti, ledgers: &[Ledger]) -> Totals {
         let measured = || ledgers.iter().map(|ledger| &ledger.measured);
+        let gone = |outage: &Outage| {
+            let first = self.warm_up_end.0.max(outage.tti.0 + 1);
+            u64::from(outage.count) * end.0.saturating_sub(first)
+        };
         Totals {
             devices: ledgers.len() as u64,
             ttis: end.0.saturating_sub(self.warm_up_end.0),
@@ -253,6 +265,7 @@ impl Score {
             losses: self.losses,
             energy: measured().copied().sum(),
             spread: Spread::of(measured()),
+            gone_ttis: self.outages.iter().map(gone).sum(),
         }
     }
 

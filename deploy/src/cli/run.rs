@@ -118,6 +118,10 @@ pub struct RunArgs {
     /// Step through every TTI by itself, as the emulator does with --no-lookahead.
     #[arg(long)]
     pub no_lookahead: bool,
+    /// What a run over the bus depended on beside scenario and seed, the inputs.log of its folder: devices that were
+    /// lost under --on-loss continue. This run then comes to the same digest.
+    #[arg(long, value_name = "FILE", conflicts_with = "resume")]
+    pub inputs: Option<PathBuf>,
 }
 
 /// How the base station drives a run.
@@ -135,7 +139,8 @@ pub struct DriveArgs {
     ///
     /// With `wait` the clock is held until the process is back or another one carries its devices, from where a replay
     /// of the run finds them: `up` starts another one by itself, under `bs` any `reveille device` will do. The run ends
-    /// with the same digest.
+    /// with the same digest. `continue` is an outage: the devices are gone for good, the base station hears no more of
+    /// them and is not told. When that was is kept in inputs.log; `reveille run --inputs` gives the same digest.
     #[arg(long, value_enum, default_value = "wait")]
     pub on_loss: OnLossArg,
 
@@ -235,6 +240,8 @@ pub enum OnLossArg {
     End,
     /// Hold the clock until its devices are carried again.
     Wait,
+    /// Go on without its devices.
+    Continue,
 }
 
 /// Whether a run is audited.
@@ -253,6 +260,7 @@ impl From<OnLossArg> for OnLoss {
         match arg {
             OnLossArg::End => Self::End,
             OnLossArg::Wait => Self::Wait,
+            OnLossArg::Continue => Self::Continue,
         }
     }
 }

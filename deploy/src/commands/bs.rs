@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context as _, anyhow, bail};
+use anyhow::{Context as _, anyhow, bail, ensure};
 use reveille_bs::host::{self, BsError, Course, OnLoss, Progress, Served, Settings};
 use reveille_bs::observe::Observer;
 use reveille_bs::prepared::Prepared;
@@ -14,7 +14,7 @@ use reveille_bs::taken::Taken;
 use reveille_common::bus::{Bus, Declared, draw_secret};
 use reveille_common::ids::Tti;
 use reveille_common::keys::RunName;
-use reveille_common::message::{Describe, Description, Pace};
+use reveille_common::message::{Describe, Description, Outage, Pace};
 use reveille_common::scenario::Scenario;
 use reveille_lab::preparation::prepare as prepare_run;
 use reveille_lab::run::{Options, Run, StopWhen};
@@ -28,9 +28,10 @@ use super::run::Interrupted;
 use crate::cli::{AuditArg, BsArgs, DriveArgs, OutputArgs};
 use crate::dashboard::feed::{Feed, Hose};
 use crate::display::{Bar, note};
+use crate::input_log::{self, INPUTS, InputLog};
 use crate::marks::{Mark, Marker};
 use crate::results::RunFolder;
-use crate::shadow::{Auditor, whose};
+use crate::shadow::{Auditor, Beginning, whose};
 use crate::summary::{Summary, Timing};
 use crate::watch::Watch;
 use crate::{interrupt, key, limits, local, recording};
@@ -169,7 +170,7 @@ pub async fn serve(
         stop,
         watch,
         shown,
-    } = match prepare(service).await {
+    } = match prepare(service, folder.path()).await {
         Ok(prepared) => prepared,
         Err(error) => {
             folder.fail(&error);
@@ -253,20 +254,32 @@ async fn play(
     };
     let window = mark.as_ref().map_or(settings.window, |mark| mark.window);
     let settings = Settings { window, ..*settings };
-    let from = mark.as_ref().map(|mark| Tti(mark.tti));
+    let outages = match &output.resume {
+        Some(_) => input_log::of_folder(folder, scenario)?,
+        None => Vec::new(),
+    };
+    // What a mark knows nothing of, the run may have gone on from.
+    let known = outages.last().map(|outage| outage.tti + 1);
+    let from = mark.as_ref().map(|mark| Tti(mark.tti)).max(known);
     let mut marker = Marker::new(folder, scenario, window, mark);
     let taken = match from {
         Some(from) => Some(tokio::task::block_in_place(|| {
-            replay(prepared, from, window, progress, &mut (&mut *observer, &mut marker))
+            let mut observers = (&mut *observer, &mut marker);
+            replay(prepared, &outages, from, window, progress, &mut observers)
         })?),
         None => None,
     };
     marker.check()?;
-    let auditor = Auditor::start(prepared, from.unwrap_or_default(), *audit, progress);
+    let beginning = Beginning {
+        from: from.unwrap_or_default(),
+        outages: &outages,
+        log: InputLog::new(folder, scenario),
+    };
+    let auditor = Auditor::start(prepared, beginning, *audit, progress);
     let course = Course {
         prepared,
         taken,
-        replay: (settings.on_loss == OnLoss::Wait).then(|| auditor.replay()),
+        replay: (settings.on_loss != OnLoss::End).then(|| auditor.replay()),
     };
     let mut observers = (observer, (&mut marker, auditor.ear()));
     let served = host::serve(bus, course, &settings, progress, &mut observers).await;
@@ -293,6 +306,7 @@ async fn play(
 /// Brings a run that is taken up to TTI `to`, in memory.
 fn replay(
     prepared: &Prepared,
+    outages: &[Outage],
     to: Tti,
     window: u64,
     progress: &Progress,
@@ -304,6 +318,7 @@ fn replay(
         window,
     };
     let mut run = Run::new(prepared, options);
+    outages.iter().for_each(|outage| run.lose(*outage));
     while run.cycle().next_tti() < to {
         if progress.stop.load(Ordering::Relaxed) {
             bail!(Interrupted);
@@ -314,6 +329,7 @@ fn replay(
         }
         progress.tti.store(run.cycle().next_tti().0, Ordering::Relaxed);
     }
+    ensure!(!run.awaits_outages() || run.cycle().next_tti() < to, input_log::MISFIT);
     Ok(run.hand_over())
 }
 
@@ -373,7 +389,7 @@ struct Prerequisites {
     shown: Option<Hose>,
 }
 
-async fn prepare(service: &Service<'_>) -> anyhow::Result<Prerequisites> {
+async fn prepare(service: &Service<'_>, folder: &Path) -> anyhow::Result<Prerequisites> {
     let Service {
         run,
         bus,
@@ -391,7 +407,13 @@ async fn prepare(service: &Service<'_>) -> anyhow::Result<Prerequisites> {
         );
     }
     let description = Description::from(recording::bundle(scenario)?);
-    let described = bus.serve(move |_: Describe| description.clone())?;
+    let log = folder.join(INPUTS);
+    let described = bus.serve(move |_: Describe| {
+        let mut description = description.clone();
+        let inputs = std::fs::read(&log).ok().map(|bytes| (INPUTS.to_owned(), bytes));
+        description.files.extend(inputs);
+        description
+    })?;
     let (progress, tapped) = (Arc::clone(progress), (*bus).clone());
     let process = move || {
         let get = |value: &AtomicU64| value.load(Ordering::Relaxed);

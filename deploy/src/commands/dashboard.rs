@@ -99,7 +99,7 @@ async fn live(args: &DashboardArgs) -> anyhow::Result<()> {
     let dashboard = serve(&args.listen, Arc::clone(&feed), Some(live.bus())).await?;
     note!("the run is shown at {}; Ctrl-C ends", dashboard.url);
     let hose = feed.open()?;
-    live.follow(scenario, |frame| hose.take(frame)).await;
+    live.follow(&bundle, |frame| hose.take(frame)).await?;
     drop(hose);
     if live.has_ended() && !live.is_interrupted {
         let how = live

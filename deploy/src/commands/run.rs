@@ -6,11 +6,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::Duration;
 
-use anyhow::bail;
+use anyhow::{Context, bail, ensure};
 use reveille_bs::host::Progress;
 use reveille_bs::observe::frames::Framed;
 use reveille_bs::observe::{Happening, Observer};
-use reveille_common::message::Frame;
+use reveille_common::message::{Frame, Outage};
 use reveille_common::scenario::Scenario;
 use reveille_common::score::WindowRecord;
 use reveille_lab::preparation::prepare;
@@ -21,6 +21,7 @@ use super::conclusion::{conclude, window};
 use super::resolution::resolve_run;
 use crate::cli::RunArgs;
 use crate::display::Bar;
+use crate::input_log::{self, InputLog};
 use crate::marks::{Mark, Marker};
 use crate::results::RunFolder;
 use crate::summary::{Summary, Timing};
@@ -44,6 +45,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
             .as_ref()
             .map_or_else(|| window(&args.output, &scenario), |mark| mark.window),
     };
+    let outages = inputs(args, &folder, &scenario)?;
     let mut marker = Marker::new(folder.path(), &scenario, options.window, mark);
     let progress = Arc::new(Progress::default());
     let runtime = crate::wall::runtime(1)?;
@@ -60,10 +62,11 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let bar = Bar::start(&progress, &scenario, args.output.quiet);
     let started = crate::wall::now();
     let run = match set_up(&scenario, options, &stop) {
-        Ok((run, warnings)) => {
+        Ok((mut run, warnings)) => {
             for warning in warnings {
                 tracing::warn!("{warning}");
             }
+            outages.iter().for_each(|outage| run.lose(*outage));
             run
         }
         Err(error) => {
@@ -80,9 +83,11 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         progress: &progress,
         stop: &stop,
         devices: u64::from(scenario.devices),
+        outages: 0,
     };
     let outcome = run.finish(&mut (&mut shown, &mut marker));
     marker.check()?;
+    ensure!(!outcome.complete || shown.outages == outages.len(), input_log::MISFIT);
     marker.finish(outcome.complete)?;
     let run_s = started.elapsed().as_secs_f64();
     drop(bar);
@@ -97,6 +102,17 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     shown.folder.keep_learned(&scenario, &outcome)?;
     shown.folder.finish(&scenario, &outcome, &summary)?;
     conclude(&args.output, &summary, &path)
+}
+
+/// What the run depends on besides: what its folder holds, or what the command names, which is copied there.
+fn inputs(args: &RunArgs, folder: &RunFolder, scenario: &Scenario) -> anyhow::Result<Vec<Outage>> {
+    let Some(path) = &args.inputs else {
+        return input_log::of_folder(folder.path(), scenario);
+    };
+    let outages = input_log::read(path, scenario).context("--inputs")?;
+    let mut log = InputLog::new(folder.path(), scenario);
+    outages.iter().try_for_each(|outage| log.add(outage))?;
+    Ok(outages)
 }
 
 /// Sets a run up on another thread, which takes a while with a million devices or a search before the run; at a signal
@@ -140,10 +156,12 @@ struct Shown<'a, F, W> {
     progress: &'a Progress,
     stop: &'a AtomicBool,
     devices: u64,
+    outages: usize,
 }
 
 impl<F: FnMut(Frame), W: Observer> Observer for Shown<'_, F, W> {
     fn see(&mut self, happening: &Happening<'_>) {
+        self.outages += usize::from(matches!(happening, Happening::Gone(_)));
         self.folder.see(happening);
         self.framed.see(happening);
         self.watchers.see(happening);

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context;
-use reveille_bs::host::{OnLoss, Settings};
+use reveille_bs::host::Settings;
 use reveille_common::bus::{self, Bus, draw_secret};
 use reveille_common::keys::RunName;
 use reveille_device::host::{self, HostError, Offer};
@@ -35,7 +35,7 @@ pub async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
         processes <= devices,
         "--processes {processes}: there are only {devices} devices; 0 to {devices} is allowed"
     );
-    if processes == 0 && args.drive.on_loss == OnLossArg::End {
+    if processes == 0 && args.drive.on_loss != OnLossArg::Wait {
         tracing::warn!("--on-loss has no effect: with --processes 0 there is no device process to lose");
     }
     check(&args.output, &args.drive)?;
@@ -106,8 +106,12 @@ async fn attend(processes: u32, service: &Service<'_>, folder: RunFolder, log: &
     }
     let (endpoint, run) = (service.bus.endpoint(), service.run.to_string());
     let commands = launch::device_commands(devices, processes, endpoint, &run, log);
-    let is_kept = service.settings.on_loss == OnLoss::Wait;
-    let launcher = match Launcher::start(commands, service.settings.key, is_kept, &service.progress) {
+    let launcher = match Launcher::start(
+        commands,
+        service.settings.key,
+        service.settings.on_loss,
+        &service.progress,
+    ) {
         Ok(launcher) => launcher,
         Err(error) => {
             folder.fail(&error);

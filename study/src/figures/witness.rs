@@ -47,6 +47,7 @@ impl Observer for Happened {
             Happening::Plan { .. }
             | Happening::EventStarted(_)
             | Happening::Lost(_)
+            | Happening::Gone(_)
             | Happening::WakeUp { .. }
             | Happening::Believed { .. }
             | Happening::EventEnded(_)

@@ -108,7 +108,9 @@ impl<W: Write> Trace<W> {
         }
         self.mirror.take(frame, &message)?;
         match (&message, device) {
-            (Message::Plan(_), _) => self.instant(frame.tti, STATION, &message.to_string(), None)?,
+            (Message::Plan(_) | Message::Gone(_), _) => {
+                self.instant(frame.tti, STATION, &message.to_string(), None)?;
+            }
             (Message::Wake(_), Some(device)) => {
                 self.flows += 1;
                 let flow = Some((47, self.flows));

@@ -6,7 +6,6 @@ use std::time::Duration;
 use reveille_common::bus::{Bus, Declared};
 use reveille_common::ids::Tti;
 use reveille_common::message::{ClockCommand, ClockStatus, Describe, Frame, Message, MessageKind, TapBatch};
-use reveille_common::scenario::Scenario;
 use reveille_view::recording::Bundle;
 use tokio::sync::Notify;
 use tokio::sync::mpsc::Receiver;
@@ -151,10 +150,14 @@ impl Live {
         Ok(())
     }
 
-    /// Hands to `take` every frame of the run of `scenario` from TTI 0 on, whenever this has connected, but for those
+    /// Hands to `take` every frame of the run that `bundle` describes from TTI 0 on, whenever this has connected, but for those
     /// of the emulation plane of before; until the run ends, Ctrl-C is pressed, or `take` wants no more. Messages that
     /// were left out on the way are said once, and counted.
-    pub async fn follow(&mut self, scenario: Scenario, mut take: impl FnMut(Frame) -> bool) {
+    ///
+    /// # Errors
+    /// What the run depends on cannot be read from `bundle`.
+    pub async fn follow(&mut self, bundle: &Bundle, mut take: impl FnMut(Frame) -> bool) -> anyhow::Result<()> {
+        let mut past = Past::of(bundle)?;
         let mut reached = Tti::ZERO;
         let mut take = |frame: Frame| {
             if frame.kind == MessageKind::World
@@ -164,7 +167,6 @@ impl Live {
             }
             take(frame)
         };
-        let mut past = Past::new(scenario);
         let (mut goes_on, mut is_told) = (true, false);
         // Nobody else has a say in this process: what has to be worked out may take its time.
         tokio::task::block_in_place(|| past.tell(self.status.tti, |frame| goes_on &= take(frame)));
@@ -181,6 +183,7 @@ impl Live {
             }
         }
         self.reached = reached;
+        Ok(())
     }
 
     fn take(&mut self, batch: TapBatch) -> (Vec<Frame>, u64) {

@@ -3,16 +3,21 @@
 //! The same scenario and seed are the same run: what happened before somebody looked is worked out in memory, and what
 //! goes on is heard.
 
+use anyhow::Context;
 use reveille_bs::observe::frames::Framed;
 use reveille_common::ids::Tti;
-use reveille_common::message::{Frame, Message};
+use reveille_common::message::{Frame, Message, Outage};
 use reveille_common::scenario::Scenario;
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Options, Run};
+use reveille_view::recording::Bundle;
+
+use crate::input_log::{self, INPUTS};
 
 /// Puts what has happened before in front of what is heard.
 pub(super) struct Past {
     scenario: Scenario,
+    outages: Vec<Outage>,
     /// The run in memory, once it is needed.
     run: Option<Run>,
     /// The TTIs before this one have been told.
@@ -23,15 +28,29 @@ pub(super) struct Past {
 }
 
 impl Past {
-    /// The past of a run of `scenario` of which nothing is told yet.
-    pub const fn new(scenario: Scenario) -> Self {
+    /// The past of a run of `scenario` that has had these `outages`, of which nothing is told yet.
+    const fn new(scenario: Scenario, outages: Vec<Outage>) -> Self {
         Self {
             scenario,
+            outages,
             run: None,
             told: Tti::ZERO,
             is_within: false,
             is_over: false,
         }
+    }
+
+    /// The past of the run that `bundle` describes, of which nothing is told yet.
+    ///
+    /// # Errors
+    /// It cannot be read.
+    pub fn of(bundle: &Bundle) -> anyhow::Result<Self> {
+        let scenario = bundle.load()?;
+        let log = bundle.files.iter().find(|(name, _)| name == INPUTS);
+        let outages = log.map_or(Ok(Vec::new()), |(_, bytes)| {
+            input_log::parse(&String::from_utf8_lossy(bytes), &scenario)
+        });
+        Ok(Self::new(scenario, outages.context("what the run depends on")?))
     }
 
     /// The TTIs before this one have been told, until what is heard is handed on.
@@ -49,7 +68,9 @@ impl Past {
                 lookahead: false,
                 ..Options::default()
             };
-            Run::new(&prepare(&self.scenario), options)
+            let mut run = Run::new(&prepare(&self.scenario), options);
+            self.outages.iter().for_each(|outage| run.lose(*outage));
+            run
         });
         let mut framed = Framed::new(0, &mut take);
         while run.cycle().next_tti() < end {
@@ -130,7 +151,7 @@ mod tests {
                     // The clock says of late joiners where it stands, or stood a moment before.
                     for before in [0, 3] {
                         let mut told = Vec::new();
-                        let mut past = Past::new(scenario.clone());
+                        let mut past = Past::new(scenario.clone(), Vec::new());
                         let closed = Tti(frames[at].tti.0.saturating_sub(before));
                         past.tell(closed, |frame| told.push(frame));
                         for frame in &frames[at..] {

@@ -28,7 +28,7 @@ pub async fn run(args: &InspectRecordArgs) -> anyhow::Result<ExitCode> {
         tape.take(frame);
         tape.failure().is_none()
     };
-    live.follow(bundle.load()?, record).await;
+    live.follow(&bundle, record).await?;
     drop(tape);
     let (left_out, whole) = (live.left_out, live.check_whole());
     let recorded = recorder.finish(None).map_err(failed)?;

@@ -1,0 +1,61 @@
+//! Truth: devices that are gone.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use super::Concerns;
+use crate::ids::{DeviceId, Tti};
+
+/// Devices, numbered one after another, that are gone from some TTI on for the rest of the run: their process was lost,
+/// and the run goes on without them.
+///
+/// In TTI [`Self::tti`] they harvest and pay for δ once more, which is the last that is in their books. It does not
+/// follow from scenario and seed: where a run has outages they are as much an input as those two.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Outage {
+    /// The first device.
+    pub first: DeviceId,
+    /// How many they are, ≥ 1.
+    pub count: u32,
+    /// The TTI in which they went.
+    pub tti: Tti,
+    /// Wake-ups of that TTI that had come to something before. `None`: they went before they could sense in it.
+    pub wake_ups: Option<u32>,
+}
+
+impl Outage {
+    /// The last device.
+    pub const fn last(&self) -> DeviceId {
+        DeviceId(self.first.0 + self.count - 1)
+    }
+
+    /// Whether `device` is among them.
+    pub const fn has(&self, device: DeviceId) -> bool {
+        self.first.0 <= device.0 && device.0 - self.first.0 < self.count
+    }
+
+    /// Whether there are such devices among the first `devices`.
+    pub fn is_sound(&self, devices: u32) -> bool {
+        let end = self.first.0.checked_add(self.count);
+        self.count > 0 && end.is_some_and(|end| end <= devices)
+    }
+}
+
+impl Concerns for Outage {
+    fn concerns(&self, _number: Option<u32>, device: DeviceId) -> bool {
+        self.has(device)
+    }
+}
+
+impl fmt::Display for Outage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { first, count, .. } = self;
+        if *count == 1 {
+            write!(f, "device {first} is gone for good")
+        } else {
+            write!(f, "devices {first} to {} are gone for good", self.last())
+        }
+    }
+}

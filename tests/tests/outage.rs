@@ -1,0 +1,213 @@
+//! Devices that are gone for good: nobody hears of them, their books end, and every way to the run is the same.
+
+use std::cell::RefCell;
+
+use reveille_bs::observe::frames::Framed;
+use reveille_bs::outcome::Outcome;
+use reveille_bs::prepared::Prepared;
+use reveille_bs::scenario::{Override, load};
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::{Frame, Message, Outage, WakeOutcome};
+use reveille_common::totals::Ledger;
+use reveille_lab::preparation::prepare;
+use reveille_lab::run::{Options, Run};
+use reveille_lab::shadow::Shadow;
+use reveille_view::replay::Replay;
+
+const DEVICES: u32 = 50;
+const TTIS: u64 = 1000;
+/// A tenth of them, as in all presets.
+const WARM_UP: u64 = 100;
+
+fn prepared(policy: &str) -> Prepared {
+    let set = [
+        format!("devices={DEVICES}"),
+        format!("ttis={TTIS}"),
+        format!("policy.name={policy}"),
+    ];
+    let set = set.map(|set| Override::parse(&set).expect("an override"));
+    prepare(&load("paper", &set).expect("a scenario"))
+}
+
+fn run(prepared: &Prepared, outages: &[Outage], options: Options) -> (Outcome, Vec<Frame>) {
+    let frames = RefCell::new(Vec::new());
+    let mut run = Run::new(prepared, options);
+    outages.iter().for_each(|outage| run.lose(*outage));
+    let outcome = run.finish(&mut Framed::new(0, |frame| frames.borrow_mut().push(frame)));
+    (outcome, frames.into_inner())
+}
+
+fn outage(first: u32, count: u32, tti: u64, wake_ups: Option<u32>) -> Outage {
+    Outage {
+        first: DeviceId(first),
+        count,
+        tti: Tti(tti),
+        wake_ups,
+    }
+}
+
+/// The TTIs in which devices reported by themselves, with who did.
+fn reports(frames: &[Frame]) -> Vec<(Tti, DeviceId)> {
+    let report = |frame: &Frame| match frame.message() {
+        Ok(Message::Report(report)) => Some((report.tti, report.device)),
+        _ => None,
+    };
+    frames.iter().filter_map(report).collect()
+}
+
+/// What came of wake-ups, TTI by TTI.
+fn wake_ups(frames: &[Frame]) -> Vec<(Tti, DeviceId, WakeOutcome)> {
+    let woken = |frame: &Frame| match frame.message() {
+        Ok(Message::Woken(woken)) => Some((frame.tti, DeviceId(frame.number?), woken.outcome)),
+        _ => None,
+    };
+    frames.iter().filter_map(woken).collect()
+}
+
+/// Outages of all sorts in a run of `policy`, found in the run that nothing happens to: between events, where one that
+/// is gone would have reported, in the middle of wake-ups, of many devices at once.
+fn outages(frames: &[Frame]) -> Vec<Vec<Outage>> {
+    let late = |tti: &Tti| tti.0 > WARM_UP + 300;
+    let (reports, wakes) = (reports(frames), wake_ups(frames));
+    let (heard, reporter) = *reports.iter().find(|(tti, _)| late(tti)).expect("a report");
+    let before = |at: usize| wakes[..at].iter().filter(|wake| wake.0 == wakes[at].0).count() as u32;
+    let is_late = |at: &usize| late(&wakes[*at].0);
+    let at = (0..wakes.len())
+        .filter(is_late)
+        .max_by_key(|at| before(*at))
+        .expect("wake-ups");
+    let ((tti, device, _), before) = (wakes[at], before(at));
+    vec![
+        vec![outage(reporter.0, 1, heard.0, None)],
+        vec![outage(device.0, 1, tti.0, Some(before))],
+        vec![
+            outage(0, 10, 77, None),
+            outage(12, 3, tti.0, None),
+            outage(20, 9, tti.0 + 1, None),
+        ],
+        vec![outage(0, DEVICES, 800, None)],
+        vec![outage(0, DEVICES, 0, None)],
+    ]
+}
+
+#[test]
+fn nobody_hears_of_who_is_gone() {
+    for policy in ["knn", "random"] {
+        let prepared = prepared(policy);
+        let (_, frames) = run(&prepared, &[], Options::default());
+        for outages in outages(&frames) {
+            let (outcome, disturbed) = run(&prepared, &outages, Options::default());
+            for outage in &outages {
+                let is_after = |tti: Tti| tti > outage.tti || (tti == outage.tti && outage.wake_ups.is_none());
+                let heard = reports(&disturbed).into_iter();
+                let mut late = heard.filter(|(tti, device)| outage.has(*device) && is_after(*tti));
+                assert_eq!(late.next(), None, "{policy}, {outage:?}");
+                for (tti, device, came) in wake_ups(&disturbed) {
+                    let is_deaf = outage.has(device) && is_after(tti);
+                    assert!(
+                        !is_deaf || came == WakeOutcome::Unheard,
+                        "{policy}, {outage:?}: {came:?}"
+                    );
+                }
+            }
+            let gone = |outage: &Outage| {
+                let first = WARM_UP.max(outage.tti.0 + 1);
+                u64::from(outage.count) * (TTIS - first)
+            };
+            let share = outages.iter().map(gone).sum::<u64>() as f64 / (u64::from(DEVICES) * (TTIS - WARM_UP)) as f64;
+            assert!(
+                (outcome.metrics.gone_pct - 100.0 * share).abs() < 1e-9,
+                "{policy}, {outages:?}"
+            );
+            let before = |frames: &[Frame]| -> Vec<Frame> {
+                let first = outages[0].tti;
+                frames.iter().take_while(|frame| frame.tti < first).cloned().collect()
+            };
+            assert_eq!(before(&disturbed).len(), before(&frames).len(), "{policy}");
+        }
+    }
+}
+
+/// In the end the wake-up before the outage counts, and the one in it does not.
+#[test]
+fn an_outage_comes_between_two_wake_ups() {
+    let prepared = prepared("knn");
+    let (_, frames) = run(&prepared, &[], Options::default());
+    let outage = outages(&frames)[1][0];
+    let (_, disturbed) = run(&prepared, &[outage], Options::default());
+    let of_tti = |frames: &[Frame]| {
+        let mut all = wake_ups(frames);
+        all.retain(|(tti, ..)| *tti == outage.tti);
+        all
+    };
+    let (before, after) = (of_tti(&frames), of_tti(&disturbed));
+    let at = outage.wake_ups.expect("in the middle of wake-ups") as usize;
+    assert!(at > 0 && before[..at] == after[..at]);
+    assert_eq!((after[at].1, after[at].2), (outage.first, WakeOutcome::Unheard));
+}
+
+#[test]
+fn the_books_of_who_is_gone_are_those_of_the_run_cut_short() {
+    let prepared = prepared("age-index");
+    let (_, frames) = run(&prepared, &[], Options::default());
+    let spoke: Vec<Tti> = frames
+        .iter()
+        .filter(|frame| {
+            frame
+                .message()
+                .is_ok_and(|message| !matches!(message, Message::World(_) | Message::Plan(_)))
+        })
+        .map(|frame| frame.tti)
+        .collect();
+    let quiet = (700..)
+        .find(|k| !spoke.contains(&Tti(*k)))
+        .expect("a TTI without an event");
+    let outage = outage(4, 11, quiet, None);
+    let (outcome, _) = run(&prepared, &[outage], Options::default());
+    let mut whole = Run::new(&prepared, Options::default());
+    whole.advance(Tti(quiet + 1), &mut ());
+    let own: Vec<Ledger> = whole.ledgers(DeviceId(4), 11);
+    let gone: Vec<Ledger> = outcome.devices[4..15].iter().map(|device| device.ledger).collect();
+    assert_eq!(gone, own);
+}
+
+#[test]
+fn the_run_is_the_same_however_it_is_granted_and_from_its_messages() {
+    for policy in ["knn", "age-index"] {
+        let prepared = prepared(policy);
+        let (_, frames) = run(&prepared, &[], Options::default());
+        for outages in outages(&frames) {
+            let (outcome, frames) = run(&prepared, &outages, Options::default());
+            let one_by_one = Options {
+                lookahead: false,
+                window: 7,
+            };
+            assert_eq!(run(&prepared, &outages, one_by_one).0, outcome, "{policy}, {outages:?}");
+            let mut replay = Replay::new(&prepared.scenario);
+            for frame in &frames {
+                replay
+                    .take(frame)
+                    .unwrap_or_else(|error| panic!("{policy}, {outages:?}: {error}"));
+            }
+            let replayed = replay.finish();
+            assert_eq!(
+                (replayed.digest, replayed.metrics),
+                (outcome.digest, outcome.metrics),
+                "{policy}, {outages:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_shadow_that_is_told_late_goes_back() {
+    let prepared = prepared("knn");
+    let lost = outage(3, 9, 600, None);
+    let (outcome, _) = run(&prepared, &[lost], Options::default());
+    for reached in [10, 601, 900] {
+        let mut shadow = Shadow::new(&prepared, &[], Tti::ZERO);
+        shadow.devices(Tti(reached), DeviceId(0), 1);
+        shadow.lose(lost);
+        assert_eq!(shadow.outcome(Tti(TTIS)), outcome, "from TTI {reached}");
+    }
+}
