@@ -10,7 +10,6 @@ pub mod boundaries;
 pub mod cycle;
 pub mod grant;
 pub mod grids;
-#[cfg(feature = "host")]
 pub mod host;
 pub mod knowledge;
 pub mod levels;

@@ -21,7 +21,7 @@ pub struct Start {
 
 impl Start {
     /// The devices from `first` on, `count` of them.
-    pub(crate) fn resumption(&self, first: DeviceId, count: u32) -> Resumption {
+    pub fn resumption(&self, first: DeviceId, count: u32) -> Resumption {
         Resumption {
             next: self.next,
             plan: self.plan,

@@ -51,8 +51,8 @@ pub struct Launcher {
 }
 
 impl Launcher {
-    /// Starts a process for each of `commands`, and tells them the run's `key`. With one that ends before the run it goes
-    /// on as `on_loss` says. Where another in its place does not help, `progress` is told why the run must end.
+    /// Starts a process for each of `commands`, and tells them the run's `key`. With one that ends before the run it
+    /// goes on as `on_loss` says. Where another in its place does not help, `progress` is told why the run must end.
     ///
     /// # Errors
     /// If a process cannot be started.

@@ -124,8 +124,8 @@ struct Flow {
 }
 
 impl Auditor {
-    /// The shadow of the run that is `prepared` and goes over the bus as `start` says. It stops the run of `progress` if
-    /// that is not what a replay is.
+    /// The shadow of the run that is `prepared` and goes over the bus as `start` says. It stops the run of `progress`
+    /// if that is not what a replay is.
     pub fn start(prepared: &Prepared, start: Beginning<'_>, how: AuditArg, progress: &Arc<Progress>) -> Self {
         let shadow = Shared {
             shadow: Arc::new(Mutex::new(Shadow::new(prepared, start.outages, start.from))),

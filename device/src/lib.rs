@@ -4,5 +4,6 @@
 pub mod battery;
 pub mod books;
 mod ears;
+#[cfg(feature = "host")]
 pub mod host;
 pub mod machine;

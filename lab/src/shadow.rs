@@ -92,8 +92,8 @@ impl Observer for Ahead {
 }
 
 impl Shadow {
-    /// The shadow, before TTI 0, of the run that is `prepared`, has had these `outages`, and is compared from TTI `from`
-    /// on.
+    /// The shadow, before TTI 0, of the run that is `prepared`, has had these `outages`, and is compared from TTI
+    /// `from` on.
     pub fn new(prepared: &Prepared, outages: &[Outage], from: Tti) -> Self {
         Self {
             run: begin(prepared, outages),

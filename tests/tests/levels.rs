@@ -78,7 +78,11 @@ fn watch(folder: &Folder, knowledge: &str, rows: impl Iterator<Item = u32>) -> W
         sensing: Vec::new(),
         events: Vec::new(),
     };
-    start(&load("paper", &overrides).expect("a scenario"), Options::default()).finish(&mut watch);
+    let one_by_one = Options {
+        lookahead: false,
+        ..Options::default()
+    };
+    start(&load("paper", &overrides).expect("a scenario"), one_by_one).finish(&mut watch);
     assert_eq!(watch.sensing.len(), 12_000);
     watch
 }

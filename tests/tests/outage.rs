@@ -92,7 +92,7 @@ fn outages(frames: &[Frame]) -> Vec<Vec<Outage>> {
 
 #[test]
 fn nobody_hears_of_who_is_gone() {
-    for policy in ["knn", "random"] {
+    for policy in ["knn", "age-index"] {
         let prepared = prepared(policy);
         let (_, frames) = run(&prepared, &[], Options::default());
         for outages in outages(&frames) {

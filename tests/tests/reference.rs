@@ -185,6 +185,8 @@ fn lost(run: &Run, n: f64, ttis: f64) -> Vec<Row> {
         ("unheard_wake_ups_pct", pct(unheard, wake_ups)),
         ("missed_plans_pct", pct(missed_plans, plans)),
         ("false_wakes_pct", pct(run.measured.false_wakes, asleep)),
+        // Nobody loses a process in memory.
+        ("gone_pct", 0.0),
     ]
 }
 

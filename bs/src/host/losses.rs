@@ -31,7 +31,8 @@ pub trait Replay: Send + Sync {
     /// Why there is no such state, in words.
     fn ledgers(&self, k: Tti, first: DeviceId, count: u32) -> Result<Vec<Ledger>, String>;
 
-    /// Devices have gone for good, in the TTI that is open. When this returns, that is kept for whoever replays the run.
+    /// Devices have gone for good, in the TTI that is open. When this returns, that is kept for whoever replays the
+    /// run.
     ///
     /// # Errors
     /// Why it cannot be kept, in words.

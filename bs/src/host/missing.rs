@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::Duration;
 
 use reveille_common::message::Resumption;
 
@@ -10,14 +9,9 @@ use super::drive::OnLoss;
 use super::error::BsError;
 use super::joining::READY;
 use super::losses::Point;
-use super::running::Loop;
+use super::running::{Loop, MUTE, SILENT};
 use super::shared::BsState;
 use super::wall::now;
-
-/// How long hosts may be silent before they are named.
-pub(super) const SILENT: Duration = Duration::from_secs(5);
-/// How long hosts may be silent before they count as lost, though their tokens are there.
-pub(super) const MUTE: Duration = Duration::from_secs(30);
 
 impl Loop<'_> {
     /// Says whom the run waits for.

@@ -15,7 +15,6 @@ use super::admission::Places;
 use super::drive::{Progress, Served, Settings};
 use super::error::BsError;
 use super::losses::{Point, Replay};
-use super::missing::{MUTE, SILENT};
 use super::outages::Outages;
 use super::shared::Shared;
 use super::voice::Voice;
@@ -34,6 +33,10 @@ const LOOK: Duration = Duration::from_millis(100);
 const STOP: Duration = Duration::from_secs(3);
 /// How long the BS waits for an answer before it asks once more.
 const REPEAT: Duration = Duration::from_secs(1);
+/// How long hosts may be silent before they are named.
+pub(super) const SILENT: Duration = Duration::from_secs(5);
+/// How long hosts may be silent before they count as lost, though their tokens are there.
+pub(super) const MUTE: Duration = Duration::from_secs(30);
 
 /// What drives a run beside its settings.
 pub(super) struct Crew<'a> {

@@ -150,9 +150,9 @@ impl Live {
         Ok(())
     }
 
-    /// Hands to `take` every frame of the run that `bundle` describes from TTI 0 on, whenever this has connected, but for those
-    /// of the emulation plane of before; until the run ends, Ctrl-C is pressed, or `take` wants no more. Messages that
-    /// were left out on the way are said once, and counted.
+    /// Hands to `take` every frame of the run that `bundle` describes from TTI 0 on, whenever this has connected, but
+    /// for those of the emulation plane of before; until the run ends, Ctrl-C is pressed, or `take` wants no more.
+    /// Messages that were left out on the way are said once, and counted.
     ///
     /// # Errors
     /// What the run depends on cannot be read from `bundle`.
