@@ -13,7 +13,7 @@ mod experiment;
 mod folder;
 mod grid;
 mod io;
-mod journal;
+pub mod journal;
 mod merge;
 mod reuse;
 mod shard;

@@ -1,0 +1,38 @@
+//! Whatever is in a file of learned tables or a model: it is refused in words, or is what its own text says again.
+//!
+//! The first byte chooses: the text of tables, their body under a checksum that is right, or a model.
+
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use reveille_bs::policy::dt::model::weights::Weights;
+use reveille_bs::policy::q_learning::learned::{FORMAT, Learned, VERSION};
+use sha2::{Digest as _, Sha256};
+
+fn tables(text: &str) {
+    match Learned::parse(text) {
+        Ok(learned) => {
+            let written = learned.to_json();
+            let again = Learned::parse(&written).expect("what was written is read");
+            assert_eq!(again.to_json(), written);
+        }
+        Err(error) => assert!(!error.to_string().trim().is_empty()),
+    }
+}
+
+fuzz_target!(|data: &[u8]| {
+    let Some((choice, rest)) = data.split_first() else { return };
+    if choice % 3 == 2 {
+        if let Err(error) = Weights::read(rest) {
+            assert!(!error.to_string().trim().is_empty());
+        }
+        return;
+    }
+    let Ok(text) = std::str::from_utf8(rest) else { return };
+    if choice % 3 == 0 {
+        return tables(text);
+    }
+    let sum: String = Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect();
+    let head = format!("{{\"format\":\"{FORMAT}\",\"version\":{VERSION},\"sha256\":\"{sum}\"");
+    tables(&format!("{head},\"body\":{text}}}\n"));
+});
