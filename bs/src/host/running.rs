@@ -13,7 +13,6 @@ use reveille_common::totals::{DeviceTotals, EventTotals, Ledger};
 
 use super::drive::{OnLoss, Progress, Served, Settings};
 use super::error::BsError;
-use super::joining::READY;
 use super::losses::{Point, Replay};
 use super::shared::{BsState, Shared};
 use super::voice::Voice;
@@ -420,7 +419,7 @@ impl Loop<'_> {
                 tracing::warn!(%host, first, last, %tti, "lost {name}; {held}");
             }
         }
-        for host in state.admission.late(now(), READY) {
+        for host in state.late() {
             state.lose(host);
         }
         self.restore(state);
