@@ -1,5 +1,6 @@
 //! The device processes of `up`, kept going: one that ends is started anew, and takes over what the last one carried.
 
+use std::collections::VecDeque;
 use std::process::{Child, ExitStatus};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::channel;
@@ -9,10 +10,12 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use reveille_bs::host::{OnLoss, Progress};
+use reveille_common::bus::allowed;
 use reveille_common::secret::Secret;
 
 use crate::display::note;
-use crate::launch::{self, LEAVE};
+use crate::launch::{self, LEAVE, Threads};
+use crate::muster::Muster;
 use crate::wall::now;
 
 /// Time between two looks at the processes.
@@ -50,18 +53,32 @@ pub struct Launcher {
     thread: Option<JoinHandle<()>>,
 }
 
+/// What processes are started with, and what for.
+pub struct Orders {
+    /// The arguments of each.
+    pub commands: Vec<Vec<String>>,
+    /// The run's key, which they are told.
+    pub key: Option<Secret>,
+    /// The threads that zenoh has in them.
+    pub threads: Threads,
+    /// What to do with one that ends before the run.
+    pub on_loss: OnLoss,
+}
+
 impl Launcher {
-    /// Starts a process for each of `commands`, and tells them the run's `key`. With one that ends before the run it
-    /// goes on as `on_loss` says. Where another in its place does not help, `progress` is told why the run must end.
+    /// Starts processes, not more at a time than the machine can take. Where one ends before the run and that is not
+    /// to be gone on with, or another one does not help, `progress` is told why the run must end. It says how many are
+    /// there.
     ///
     /// # Errors
-    /// If a process cannot be started.
-    pub fn start(
-        commands: Vec<Vec<String>>,
-        key: Option<Secret>,
-        on_loss: OnLoss,
-        progress: &Arc<Progress>,
-    ) -> anyhow::Result<Self> {
+    /// If one of the first processes cannot be started.
+    pub fn start(orders: Orders, progress: &Arc<Progress>) -> anyhow::Result<Self> {
+        let Orders {
+            commands,
+            key,
+            threads,
+            on_loss,
+        } = orders;
         let state = Arc::new(State {
             pids: Mutex::default(),
             is_over: AtomicBool::new(false),
@@ -70,18 +87,21 @@ impl Launcher {
         let keeper = Keeper {
             state: Arc::clone(&state),
             progress: Arc::clone(progress),
+            muster: Muster::new(),
+            leave: allowed(LEAVE, commands.len() as u32),
             key,
+            threads,
             on_loss,
         };
         let (sender, begun) = channel();
         let thread = std::thread::Builder::new().name("launcher".to_owned()).spawn(move || {
-            let places = keeper.begin(commands);
-            let (places, result) = match places {
-                Ok(places) => (places, Ok(())),
-                Err(error) => (Vec::new(), Err(error)),
-            };
-            if sender.send(result).is_ok() {
-                keeper.keep(places);
+            let (mut waiting, mut places) = (VecDeque::from(commands), Vec::new());
+            let begun = keeper.start(&mut waiting, &mut places);
+            let has_begun = begun.is_ok();
+            if sender.send(begun).is_ok() && has_begun {
+                keeper.keep(waiting, places);
+            } else {
+                end(places);
             }
         })?;
         begun.recv().context("the thread that starts processes has ended")??;
@@ -120,22 +140,23 @@ impl Drop for Launcher {
 struct Keeper {
     state: Arc<State>,
     progress: Arc<Progress>,
+    muster: Muster,
     key: Option<Secret>,
+    threads: Threads,
     on_loss: OnLoss,
+    /// How long processes may take to leave by themselves.
+    leave: Duration,
 }
 
 impl Keeper {
-    fn begin(&self, commands: Vec<Vec<String>>) -> anyhow::Result<Vec<Place>> {
-        let mut places: Vec<Place> = Vec::new();
-        for command in commands {
-            let child = launch::spawn(&command, self.key);
-            let child = match child {
-                Ok(child) => child,
-                Err(error) => {
-                    end(places);
-                    return Err(error).with_context(|| format!("cannot start device process {}", self.pids_len()));
-                }
-            };
+    /// Starts those of the `waiting` whose turn it is.
+    fn start(&self, waiting: &mut VecDeque<Vec<String>>, places: &mut Vec<Place>) -> anyhow::Result<()> {
+        let living = places.iter().filter(|place| place.child.is_some()).count();
+        let there = self.progress.hosts.load(Ordering::Relaxed) as usize;
+        let turns = self.muster.may_start(waiting.len(), living, there);
+        for command in waiting.drain(..turns) {
+            let child = launch::spawn(&command, self.key, self.threads)
+                .with_context(|| format!("cannot start device process {}", places.len()))?;
             places.push(Place {
                 command,
                 child: Some(child),
@@ -144,12 +165,10 @@ impl Keeper {
                 due: None,
             });
         }
-        self.show(&places);
-        Ok(places)
-    }
-
-    fn pids_len(&self) -> usize {
-        self.state.pids.lock().map_or(0, |pids| pids.len())
+        if turns > 0 {
+            self.show(places);
+        }
+        Ok(())
     }
 
     fn show(&self, places: &[Place]) {
@@ -157,10 +176,15 @@ impl Keeper {
         *self.state.pids.lock().unwrap_or_else(PoisonError::into_inner) = pids.collect();
     }
 
-    fn keep(&self, mut places: Vec<Place>) {
+    fn keep(&self, mut waiting: VecDeque<Vec<String>>, mut places: Vec<Place>) {
         while !self.state.is_over.load(Ordering::Relaxed) && !self.state.is_left.load(Ordering::Relaxed) {
+            if let Err(error) = self.start(&mut waiting, &mut places) {
+                waiting.clear();
+                self.give_up(format!("{error:#}"));
+            }
             let mut has_changed = false;
-            for place in &mut places {
+            let has_ended = launch::has_one_ended();
+            for place in places.iter_mut().filter(|place| has_ended || place.due.is_some()) {
                 has_changed |= self.look(place);
             }
             if has_changed {
@@ -169,7 +193,7 @@ impl Keeper {
             std::thread::sleep(LOOK);
         }
         let started = now();
-        while started.elapsed() < LEAVE && !self.state.is_left.load(Ordering::Relaxed) {
+        while started.elapsed() < self.leave && !self.state.is_left.load(Ordering::Relaxed) {
             places.retain_mut(|place| {
                 place
                     .child
@@ -202,7 +226,7 @@ impl Keeper {
         if place.due.is_some_and(|due| now() >= due) {
             place.due = None;
             place.started = now();
-            match launch::spawn(&place.command, self.key) {
+            match launch::spawn(&place.command, self.key, self.threads) {
                 Ok(child) => place.child = Some(child),
                 Err(error) => self.give_up(format!("{error:#}")),
             }

@@ -22,6 +22,7 @@ mod launcher;
 mod limits;
 mod local;
 mod marks;
+mod muster;
 mod paths;
 mod recording;
 mod results;
@@ -65,7 +66,12 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
         Command::Merge(args) => commands::merge::run(&args),
         Command::Up(args) => runtime(2)?.block_on(commands::up::run(&args, &log)),
         Command::Bs(args) => runtime(2)?.block_on(commands::bs::run(&args)),
-        Command::Device(args) => runtime(1)?.block_on(commands::device::run(&args)),
+        Command::Device(args) => {
+            if !args.untuned {
+                launch::with_one_thread();
+            }
+            runtime(1)?.block_on(commands::device::run(&args))
+        }
         Command::Inspect(command) => runtime(1)?.block_on(commands::inspect::run(&command)),
         Command::Dashboard(args) => runtime(2)?.block_on(commands::dashboard::run(&args)),
         Command::Clock(args) => runtime(1)?.block_on(commands::clock::run(&args)),

@@ -76,6 +76,7 @@ async fn over_the_bus(prepared: &Prepared, lookahead: bool, hosts: u32) -> Vec<S
                 key: None,
                 patience: PATIENCE,
                 stands_by: false,
+                hands_over: false,
             };
             carry(&own, offer, &|_| {}).await
         });

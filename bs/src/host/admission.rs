@@ -189,6 +189,16 @@ impl Admission {
         self.devices - self.free.iter().map(|(_, count)| count).sum::<u32>()
     }
 
+    /// Hosts that carry their devices.
+    pub fn carrying(&self) -> usize {
+        self.hosts.iter().filter(|entry| entry.carries()).count()
+    }
+
+    /// Hosts that have places.
+    pub fn placed(&self) -> usize {
+        self.hosts.iter().filter(|entry| !entry.is_gone).count()
+    }
+
     /// The hosts of the run, once every device has one and all of them carry theirs.
     pub fn complete(&self) -> Option<Vec<Places>> {
         let living = || self.hosts.iter().filter(|entry| !entry.is_gone);
@@ -230,7 +240,9 @@ mod tests {
         for (places, nonce) in [(a, 1), (b, 2)] {
             assert!(admission.ready(pass(places, nonce)));
             assert_eq!(admission.complete(), None, "a token is missing");
+            let before = admission.carrying();
             admission.set_alive(places.host, true);
+            assert_eq!((admission.carrying(), admission.placed()), (before + 1, 2));
         }
         assert_eq!(admission.complete(), Some(vec![a, b]));
     }

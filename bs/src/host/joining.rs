@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use reveille_common::bus::{Bus, BusError, Declared, draw_secret};
+use reveille_common::bus::{Bus, BusError, Declared, allowed, draw_secret};
 use reveille_common::deployment::Deployment;
 use reveille_common::ids::HostId;
 use reveille_common::message::{
@@ -24,8 +24,8 @@ use crate::taken::Start;
 /// How often the wait looks at the clock on the wall and at the stop flag.
 const LOOK: Duration = Duration::from_millis(100);
 
-/// Within what time a host that has joined must be ready.
-pub(super) const READY: Duration = Duration::from_secs(20);
+/// Within what time a host that has joined must be ready, where hosts are few.
+const READY: Duration = Duration::from_secs(20);
 
 /// What newcomers are told, and who may be one.
 struct Door {
@@ -261,6 +261,12 @@ impl BsState {
         self.leaving.push(places);
     }
 
+    /// Hosts that have joined and were not ready in time.
+    pub(super) fn late(&self) -> Vec<HostId> {
+        self.admission
+            .late(now(), allowed(READY, self.admission.placed() as u32))
+    }
+
     /// A newcomer carries the devices of a lost host, if it is one and all is in place.
     fn fill(&mut self, host: HostId) {
         if !self.admission.carries(host) {
@@ -294,6 +300,9 @@ pub(super) async fn wait_for_all(
             progress
                 .joined
                 .store(u64::from(state.admission.taken()), Ordering::Relaxed);
+            progress
+                .hosts
+                .store(state.admission.carrying() as u64, Ordering::Relaxed);
             if let Some(hosts) = state.admission.complete() {
                 tracing::info!(
                     hosts = hosts.len(),
@@ -304,7 +313,7 @@ pub(super) async fn wait_for_all(
                 state.is_running = true;
                 return Ok(());
             }
-            for host in state.admission.late(now(), READY) {
+            for host in state.late() {
                 tracing::warn!(%host, "a host joined and then said nothing more; its places are free again");
                 state.admission.leave(host);
             }

@@ -7,11 +7,9 @@ use reveille_common::message::Resumption;
 
 use super::drive::OnLoss;
 use super::error::BsError;
-use super::joining::READY;
 use super::losses::Point;
 use super::running::{Loop, MUTE, SILENT};
 use super::shared::BsState;
-use super::wall::now;
 
 impl Loop<'_> {
     /// Says whom the run waits for.
@@ -65,7 +63,7 @@ impl Loop<'_> {
                 tracing::warn!(%host, first, last, %tti, "lost {name}; {held}");
             }
         }
-        for host in state.admission.late(now(), READY) {
+        for host in state.late() {
             state.lose(host);
         }
         self.restore(state);

@@ -33,7 +33,7 @@ use crate::secret::{HostPass, Secret};
 
 pub use error::BusError;
 pub use raw::RawTopic;
-pub use session::{LEASE_MS, draw_nonce, draw_secret, free_to_listen};
+pub use session::{allowed, draw_nonce, draw_secret, free_to_listen};
 pub use tap::{Sink, Tap};
 
 /// Time between two looks at what is to be sent to observers.

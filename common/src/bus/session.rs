@@ -8,8 +8,16 @@ use super::{Bus, BusError, Tap, access};
 use crate::keys::{Keys, RunName};
 use crate::secret::Secret;
 
-/// How long a link may be silent before its peer counts as lost, milliseconds.
-pub const LEASE_MS: u64 = 2_000;
+/// How long a link may be silent before its peer counts as lost, where few processes share a machine.
+const LEASE: Duration = Duration::from_secs(2);
+/// How many processes are few.
+const FEW: u32 = 100;
+
+/// What may take `base` where few processes share a machine, where `processes` do: one after another of them has its
+/// turn.
+pub fn allowed(base: Duration, processes: u32) -> Duration {
+    base * processes.max(FEW) / FEW
+}
 
 /// What all sessions have in common.
 const COMMON: [(&str, &str); 6] = [
@@ -28,9 +36,17 @@ impl Bus {
     /// # Errors
     /// If the endpoint is not one, or is in use.
     pub async fn listen(endpoint: &str, run: RunName) -> Result<Self, BusError> {
+        Self::listen_to(1, endpoint, run).await
+    }
+
+    /// As [`Self::listen`], for a BS that shares its machine with the processes of `hosts`.
+    ///
+    /// # Errors
+    /// As [`Self::listen`].
+    pub async fn listen_to(hosts: u32, endpoint: &str, run: RunName) -> Result<Self, BusError> {
         let keys = Keys::of_members(run, draw_secret()?);
         let rules = access::rules(&keys);
-        Self::listen_as(endpoint, keys, &[("access_control", &rules)]).await
+        Self::listen_as(hosts, endpoint, keys, &[("access_control", &rules)]).await
     }
 
     /// As [`Self::listen`], on a bus where everybody may do everything: for a bare barrier to compare with.
@@ -38,12 +54,12 @@ impl Bus {
     /// # Errors
     /// As [`Self::listen`].
     pub async fn listen_open(endpoint: &str, run: RunName) -> Result<Self, BusError> {
-        Self::listen_as(endpoint, Keys::new(run), &[]).await
+        Self::listen_as(1, endpoint, Keys::new(run), &[]).await
     }
 
-    async fn listen_as(endpoint: &str, keys: Keys, extra: &[(&str, &str)]) -> Result<Self, BusError> {
+    async fn listen_as(hosts: u32, endpoint: &str, keys: Keys, extra: &[(&str, &str)]) -> Result<Self, BusError> {
         let endpoint = free_to_listen(endpoint)?;
-        let mut config = config(&[("mode", "\"router\"")])?;
+        let mut config = config("router", hosts)?;
         set(&mut config, "listen/endpoints", &format!("[{endpoint:?}]"))?;
         set(&mut config, "listen/exit_on_failure", "true")?;
         for (key, value) in access::LIMITS.iter().chain(extra) {
@@ -62,8 +78,16 @@ impl Bus {
     /// # Errors
     /// If the endpoint is not one, or nobody answers there in time.
     pub async fn connect(endpoint: &str, run: RunName, patience: Duration) -> Result<Self, BusError> {
+        Self::connect_among(1, endpoint, run, patience).await
+    }
+
+    /// As [`Self::connect`], for a host that shares its machine with others, `hosts` with it.
+    ///
+    /// # Errors
+    /// As [`Self::connect`].
+    pub async fn connect_among(hosts: u32, endpoint: &str, run: RunName, patience: Duration) -> Result<Self, BusError> {
         address(endpoint)?;
-        let mut config = config(&[("mode", "\"client\"")])?;
+        let mut config = config("client", hosts)?;
         set(&mut config, "connect/endpoints", &format!("[{endpoint:?}]"))?;
         set(&mut config, "connect/timeout_ms", &patience.as_millis().to_string())?;
         set(&mut config, "connect/exit_on_failure", "true")?;
@@ -101,12 +125,14 @@ pub fn draw_nonce() -> Result<u64, BusError> {
     getrandom::u64().map_err(|e| BusError::Zenoh(format!("no randomness to be had: {e}")))
 }
 
-fn config(extra: &[(&str, &str)]) -> Result<zenoh::Config, BusError> {
+/// What sessions of any `mode` have in common, where `hosts` processes share a machine.
+fn config(mode: &str, hosts: u32) -> Result<zenoh::Config, BusError> {
     let mut config = zenoh::Config::default();
-    for (key, value) in COMMON.iter().chain(extra) {
+    let lease = allowed(LEASE, hosts).as_millis().to_string();
+    let own = [("mode", &*format!("{mode:?}")), ("transport/link/tx/lease", &*lease)];
+    for (key, value) in COMMON.iter().chain(&own) {
         set(&mut config, key, value)?;
     }
-    set(&mut config, "transport/link/tx/lease", &LEASE_MS.to_string())?;
     Ok(config)
 }
 
@@ -190,6 +216,14 @@ mod tests {
         ] {
             assert!(matches!(address(bad), Err(BusError::Endpoint(..))), "{bad}");
         }
+    }
+
+    #[test]
+    fn where_many_share_a_machine_all_takes_longer() {
+        for (processes, seconds) in [(0, 2), (1, 2), (100, 2), (250, 5), (1000, 20)] {
+            assert_eq!(allowed(LEASE, processes), Duration::from_secs(seconds), "{processes}");
+        }
+        assert!(allowed(LEASE, u32::MAX) > Duration::from_hours(1));
     }
 
     #[test]

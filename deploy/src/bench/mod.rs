@@ -4,6 +4,8 @@ mod bare;
 mod barrier;
 mod bus;
 mod memory;
+mod played;
+mod scale;
 mod watch;
 
 use std::process::ExitCode;
@@ -15,6 +17,7 @@ pub fn run(command: &BenchCommand) -> anyhow::Result<ExitCode> {
     match command {
         BenchCommand::Bus(args) => bus::run(args),
         BenchCommand::Memory(args) => memory::run(args),
+        BenchCommand::Scale(args) => scale::run(args),
         BenchCommand::Watch(args) => watch::run(args),
         BenchCommand::BareHost {
             kind,

@@ -26,7 +26,9 @@ pub use inspect::{
 pub use report::{ReportArgs, ReportCommand, SearchArgs};
 pub use run::{AuditArg, BsArgs, DeviceArgs, DriveArgs, OnLossArg, OutputArgs, RunArgs, ScenarioArgs, UpArgs};
 pub use sweep::{GridArgs, MergeArgs, SweepArgs};
-pub use tools::{BenchCommand, BusBenchArgs, ClockArgs, MemoryBenchArgs, ScenarioCommand, TargetArgs, WatchBenchArgs};
+pub use tools::{
+    BenchCommand, BusBenchArgs, ClockArgs, MemoryBenchArgs, ScaleBenchArgs, ScenarioCommand, TargetArgs, WatchBenchArgs,
+};
 pub use train::{DtArgs, RecordArgs, TrainArgs, TrainCommand};
 #[cfg(feature = "tune")]
 pub use tune::ObjectiveArg;

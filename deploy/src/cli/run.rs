@@ -182,6 +182,9 @@ pub struct UpArgs {
     /// Where the base station listens; port 0 takes any free one.
     #[arg(long, default_value = "tcp/127.0.0.1:0")]
     pub listen: String,
+    /// Do without what makes device processes fast, to measure what that brings.
+    #[arg(long, hide = true)]
+    pub untuned: bool,
 }
 
 /// `reveille bs`.
@@ -231,6 +234,12 @@ pub struct DeviceArgs {
     /// The process that started this one; when it ends, this one does.
     #[arg(long, hide = true)]
     pub parent: Option<i32>,
+    /// How many device processes share the machine with this one, itself included.
+    #[arg(long, hide = true, default_value_t = 1)]
+    pub among: u32,
+    /// Do without what makes a device process fast, to measure what that brings.
+    #[arg(long, hide = true)]
+    pub untuned: bool,
 }
 
 /// When a host is lost.

@@ -137,6 +137,8 @@ pub enum BenchCommand {
     Bus(BusBenchArgs),
     /// Device-TTIs per second in memory, on one core.
     Memory(MemoryBenchArgs),
+    /// What a device-TTI costs against the number of devices: in memory, over the bus, over the bus TTI by TTI.
+    Scale(ScaleBenchArgs),
     /// TTIs per second of a run that is recorded, scraped and shown in a browser, against the same run alone.
     Watch(WatchBenchArgs),
     /// One host of a bare barrier.
@@ -169,6 +171,35 @@ pub struct BusBenchArgs {
     #[arg(long, default_value = "3s", value_parser = parse_duration)]
     pub time: Duration,
     /// Repetitions; the median ratio counts.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+    pub repeat: u32,
+}
+
+/// `reveille bench scale`.
+#[derive(Args)]
+pub struct ScaleBenchArgs {
+    /// Numbers of devices to measure.
+    #[arg(
+        long,
+        short = 'n',
+        value_delimiter = ',',
+        default_value = "10,100,1000,10000",
+        value_parser = clap::value_parser!(u32).range(1..)
+    )]
+    pub devices: Vec<u32>,
+    /// Device processes, where there are as many devices.
+    #[arg(long, short = 'P', default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
+    pub processes: u32,
+    /// Policy of the runs.
+    #[arg(long, short, default_value = "knn")]
+    pub policy: String,
+    /// TTIs of each run.
+    #[arg(long, short = 'k', default_value_t = 1_000)]
+    pub ttis: u64,
+    /// Let the area grow with the number of devices, as dense as 50 of them on the preset's area.
+    #[arg(long)]
+    pub keep_density: bool,
+    /// Repetitions; the medians count.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     pub repeat: u32,
 }

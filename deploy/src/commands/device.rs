@@ -39,9 +39,10 @@ pub async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
         key,
         patience: if is_alone { args.patience } else { FOREVER },
         stands_by: true,
+        hands_over: args.untuned,
     };
     let work = async {
-        let bus = Bus::connect(&args.connect, args.run.clone(), args.patience).await?;
+        let bus = Bus::connect_among(args.among, &args.connect, args.run.clone(), args.patience).await?;
         let carried = host::carry(&bus, offer, &say).await;
         bus.close().await;
         carried

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use reveille_bs::host::Settings;
-use reveille_common::bus::{self, Bus, draw_secret};
+use reveille_common::bus::{self, Bus, allowed, draw_secret};
 use reveille_common::keys::RunName;
 use reveille_device::host::{self, HostError, Offer};
 
@@ -15,14 +15,14 @@ use super::conclusion::window;
 use super::resolution::resolve_run;
 use super::run::Interrupted;
 use crate::cli::{OnLossArg, UpArgs};
-use crate::launch;
-use crate::launcher::Launcher;
+use crate::launch::{Fleet, Threads};
+use crate::launcher::{Launcher, Orders};
 use crate::results::RunFolder;
 use crate::summary::Timing;
 
 /// Device processes, where the command line says nothing.
 const PROCESSES: u32 = 4;
-/// How long all device processes may take to join.
+/// How long all device processes may take to join, where they are few.
 const JOIN: Duration = Duration::from_mins(1);
 
 /// Runs everything on this machine.
@@ -47,7 +47,7 @@ pub async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
         Ok((bus, run)) => {
             let service = Service {
                 settings: Settings {
-                    join_patience: Some(JOIN),
+                    join_patience: Some(allowed(JOIN, processes)),
                     key: Some(draw_secret()?),
                     members_only: true,
                     ..settings(&args.drive, &args.output, window(&args.output, &scenario))
@@ -61,7 +61,7 @@ pub async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
                 progress: Arc::default(),
                 started,
             };
-            attend(processes, &service, folder, log).await
+            attend(processes, &service, folder, (args.untuned, log)).await
         }
         Err(error) => {
             folder.fail(&error);
@@ -75,12 +75,18 @@ async fn listen(args: &UpArgs, endpoint: &str, folder: &RunFolder) -> anyhow::Re
         Some(run) => run.clone(),
         None => folder.name().parse().context("the run folder's name")?,
     };
-    let bus = Bus::listen(endpoint, run.clone()).await?;
+    let processes = args.processes.unwrap_or(PROCESSES);
+    let bus = Bus::listen_to(processes, endpoint, run.clone()).await?;
     Ok((bus, run))
 }
 
 /// Serves the run to devices in this process or in `processes` others.
-async fn attend(processes: u32, service: &Service<'_>, folder: RunFolder, log: &[String]) -> anyhow::Result<ExitCode> {
+async fn attend(
+    processes: u32,
+    service: &Service<'_>,
+    folder: RunFolder,
+    (is_untuned, log): (bool, &[String]),
+) -> anyhow::Result<ExitCode> {
     let devices = service.scenario.devices;
     if processes == 0 {
         let own = service.bus.untapped();
@@ -90,6 +96,7 @@ async fn attend(processes: u32, service: &Service<'_>, folder: RunFolder, log: &
             key: service.settings.key,
             patience: JOIN,
             stands_by: false,
+            hands_over: is_untuned,
         };
         let carried = tokio::spawn(async move { host::carry(&own, offer, &|_| {}).await });
         let code = serve(service, folder, |_| {}).await;
@@ -104,14 +111,21 @@ async fn attend(processes: u32, service: &Service<'_>, folder: RunFolder, log: &
             Err(error) => Err(error.into()),
         };
     }
-    let (endpoint, run) = (service.bus.endpoint(), service.run.to_string());
-    let commands = launch::device_commands(devices, processes, endpoint, &run, log);
-    let launcher = match Launcher::start(
-        commands,
-        service.settings.key,
-        service.settings.on_loss,
-        &service.progress,
-    ) {
+    let fleet = Fleet {
+        devices,
+        processes,
+        endpoint: service.bus.endpoint(),
+        run: &service.run.to_string(),
+        log,
+        is_untuned,
+    };
+    let orders = Orders {
+        commands: fleet.commands(),
+        key: service.settings.key,
+        threads: if is_untuned { Threads::Default } else { Threads::One },
+        on_loss: service.settings.on_loss,
+    };
+    let launcher = match Launcher::start(orders, &service.progress) {
         Ok(launcher) => launcher,
         Err(error) => {
             folder.fail(&error);

@@ -9,6 +9,7 @@ use reveille_common::ids::{DeviceId, HostId};
 use reveille_common::message::{Assignment, JoinReply, JoinRequest, Ready};
 use reveille_common::secret::Secret;
 
+use super::ear::Ear;
 use super::{HostError, Left, Shared};
 
 /// The pause between two looks for a place, while there is none.
@@ -27,6 +28,8 @@ pub struct Offer {
     pub patience: Duration,
     /// Whether it also takes up devices of hosts that are lost, as far as it has room.
     pub stands_by: bool,
+    /// Whether another thread does what a host hears even where the one that delivers it could.
+    pub hands_over: bool,
 }
 
 /// What a host process tells whoever started it.
@@ -52,7 +55,7 @@ pub fn carry<'a>(bus: &'a Bus, offer: Offer, say: &'a (dyn Fn(News) + Sync)) -> 
                 return Ok(());
             };
             let room = offer.count.saturating_sub(assignment.devices.len() as u32);
-            let own = tend(bus, assignment, offer.patience, say);
+            let own = tend(bus, assignment, &offer, say);
             let left = if room > 0 && offer.stands_by {
                 let count = room;
                 let others = carry(bus, Offer { count, ..offer.clone() }, &|_| {});
@@ -120,9 +123,10 @@ async fn join(bus: &Bus, offer: &Offer, say: &(dyn Fn(News) + Sync)) -> Result<O
 async fn tend(
     bus: &Bus,
     assignment: Assignment,
-    patience: Duration,
+    offer: &Offer,
     say: &(dyn Fn(News) + Sync),
 ) -> Result<Left, HostError> {
+    let patience = offer.patience;
     let pass = assignment.membership.pass;
     let host = pass.host;
     let (first, count) = (assignment.devices[0].id, assignment.devices.len() as u32);
@@ -131,7 +135,9 @@ async fn tend(
     say(News::Joined(host, first, last));
     let bus = bus.with_secret(assignment.membership.secret);
     let shared = Arc::new(Shared::new(&bus, assignment)?);
-    let _declared = shared.declare(&bus)?;
+    let this = Arc::clone(&shared);
+    let ear = Ear::new(count, offer.hands_over, move |heard| this.hear(heard));
+    let _declared = shared.declare(&bus, ear)?;
     match bus.ask_until(&Ready { host }, Some(pass.token), patience).await? {
         Some(true) => shared.stay(&bus, patience).await,
         Some(false) => Ok(Left::Replaced),

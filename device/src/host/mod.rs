@@ -5,6 +5,7 @@
 //! answer.
 
 pub mod actor;
+mod ear;
 mod joining;
 pub mod round;
 pub mod uplink;
@@ -25,6 +26,7 @@ use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::sync::watch;
 
 use crate::host::actor::{Actor, Input};
+use crate::host::ear::{Ear, Heard};
 use crate::host::round::{Part, Question, Round};
 use crate::host::uplink::Uplink;
 use crate::machine::{Machine, Physics};
@@ -188,16 +190,15 @@ impl Shared {
 
     /// Subscribes to everything that concerns this host. The order matters: once the BS sees the token, all is in
     /// place.
-    fn declare(self: &Arc<Self>, bus: &Bus) -> Result<Vec<Declared>, BusError> {
+    fn declare(self: &Arc<Self>, bus: &Bus, ear: Ear) -> Result<Vec<Declared>, BusError> {
         let keys = bus.keys();
         let mut declared = Vec::new();
-        let this = Arc::clone(self);
-        declared.push(bus.subscribe(move |update: PlanUpdate| this.on_plan(update))?);
-        let this = Arc::clone(self);
+        let hear = ear.clone();
+        declared.push(bus.subscribe(move |update: PlanUpdate| hear.take(Heard::Plan(update)))?);
+        let hear = ear.clone();
         let host = self.membership.pass.host;
-        declared.push(bus.subscribe_wakes(host, move |device, wake| this.on_wake(device, wake))?);
-        let this = Arc::clone(self);
-        declared.push(bus.subscribe(move |clock: Clock| this.on_clock(clock))?);
+        declared.push(bus.subscribe_wakes(host, move |device, wake| hear.take(Heard::Wake(device, wake)))?);
+        declared.push(bus.subscribe(move |clock: Clock| ear.take(Heard::Clock(clock)))?);
         let this = Arc::clone(self);
         declared.push(bus.watch_alive(keys.bs_alive(), move |_, alive| this.on_bs(alive))?);
         declared.push(bus.declare_alive(keys.alive(self.membership.pass))?);
@@ -257,8 +258,8 @@ impl Shared {
         });
     }
 
-    /// Starts the actors, on the runtime that delivers their messages: there a message wakes its actor without handing
-    /// over to another thread, which costs more than all that the actor does.
+    /// Starts the actors, on the runtime where this host does what it hears: there a message wakes its actor without
+    /// handing over to another thread, which costs more than all that the actor does.
     fn start_actors(&self, state: &mut HostState) {
         if state.resting.is_empty() {
             return;
@@ -270,6 +271,14 @@ impl Shared {
                 let _obituary = obituary;
                 actor.run(inputs).await;
             });
+        }
+    }
+
+    fn hear(&self, heard: Heard) {
+        match heard {
+            Heard::Plan(update) => self.on_plan(update),
+            Heard::Wake(device, wake) => self.on_wake(device, wake),
+            Heard::Clock(clock) => self.on_clock(clock),
         }
     }
 
