@@ -52,7 +52,7 @@ def measure(args, policy, ttis):
     ground = Ground(args.reveille, folder, 3600)
     # As fast as it goes.
     played = scenario.Scenario(policy, 50, ttis, 1, 0)
-    samples = {}
+    samples, failed = {}, False
     try:
         game = games.Up(ground, played, f"chaos-{folder.name}", 4)
         game.window = ttis // 1000
@@ -71,11 +71,13 @@ def measure(args, policy, ttis):
         if summary["digest"] != expected:
             raise Failure(f"the digest is {summary['digest']} instead of {expected}")
     except Failure as failure:
+        failed = True
         print(f"{policy}: FAILED: {failure}\n    its files: {folder}", flush=True)
         return False
     finally:
         ground.close()
-    shutil.rmtree(folder, ignore_errors=True)
+        if not failed:
+            shutil.rmtree(folder, ignore_errors=True)
     rate = summary["timing"]["ttis_per_s"]
     print(f"{policy}: {ttis} TTIs at {rate:.0f} TTI/s, digest equal; slope after the first {WARM:.0%} of the run:")
     for name, points in samples.items():
