@@ -247,11 +247,11 @@ class Hand(Game):
         return self.ground.start([*args, "--patience", f"{self.patience}s"], prefix=prefix)
 
     def tend(self):
-        """Starts those again that were killed, or have lost patience."""
+        """Starts those again that were killed, have lost patience, or were dismissed by a run that was interrupted."""
         if self.station is None or self.is_over():
             return
         for place, (count, process) in enumerate(self.by_hand):
-            if process.poll() is not None and process.poll() != 0:
+            if process.poll() is not None:
                 self.again += 1
                 self.by_hand[place] = (count, self.device(count))
 
