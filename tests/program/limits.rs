@@ -6,12 +6,16 @@ use std::process::Command;
 use std::time::Duration;
 
 use reveille_tests::disk::{ReadOnly, SmallDisk};
+use reveille_tests::network::FewPorts;
 use reveille_tests::process::{
     Finished, Folder, Process, Summary, assert_refused, free_endpoint, reveille, unique_run,
 };
 
 /// How long a refusal may take on a busy machine; what it replaces took thirty seconds.
 const AT_ONCE: Duration = Duration::from_secs(10);
+
+/// How long device processes are started anew that end at once, with some for a busy machine.
+const NOT_LATER: Duration = Duration::from_secs(20);
 
 /// Starts `reveille ARGS` with at most `files` open files, of which it has `now` to begin with.
 fn limited(folder: &Folder, files: u32, now: u32, args: &str) -> Process {
@@ -107,6 +111,29 @@ fn a_port_that_is_taken_is_named_before_the_run() {
         assert_clear(&folder, &end, &["cannot listen on", &endpoint]);
         assert!(!folder.join("out").exists());
     }
+}
+
+#[test]
+fn ports_that_are_used_up_are_named_soon() {
+    let folder = Folder::new();
+    // One for the base station, and some for the first device processes.
+    let Some(network) = FewPorts::make(&unique_run("ports"), 4) else {
+        eprintln!("not tested: a network of its own cannot be made here (it takes root)");
+        return;
+    };
+    let mut up = network.command(reveille());
+    up.args("up -n 40 -k 200 -P 10 --out out".split(' '))
+        .current_dir(folder.path())
+        .env("XDG_RUNTIME_DIR", folder.join("runtime"))
+        .env_remove("RUST_LOG");
+    let end = Process::start(&mut up).finish_within(NOT_LATER);
+    assert_eq!(end.code(), Some(1), "{end}");
+    assert!(
+        end.stderr.contains("cannot connect to tcp/127.0.0.1:") && end.stderr.contains("no free port"),
+        "{end}"
+    );
+    assert!(!end.stderr.contains("no base station answers"), "{end}");
+    assert!(folder.list("out").contains(&"FAILED".to_owned()));
 }
 
 #[test]

@@ -25,6 +25,9 @@ pub enum BusError {
         /// How long the connection was tried.
         patience: Duration,
     },
+    /// This machine cannot connect, whoever listens.
+    #[error("cannot connect to {0}: {1}")]
+    Hindered(String, String),
     /// The BS is there, but does not answer for this run.
     #[error("nobody answers for run {run} at {endpoint}. {hint}")]
     NoRun {

@@ -1,5 +1,6 @@
 //! How sessions are opened and configured.
 
+use std::io::ErrorKind;
 use std::time::Duration;
 
 use zenoh::Wait;
@@ -18,6 +19,10 @@ const FEW: u32 = 100;
 pub fn allowed(base: Duration, processes: u32) -> Duration {
     base * processes.max(FEW) / FEW
 }
+
+/// How long a connection is tried before this machine is asked what may keep it from being made, and from then on the
+/// time between two such looks.
+const LOOK: Duration = Duration::from_millis(500);
 
 /// What all sessions have in common.
 const COMMON: [(&str, &str); 6] = [
@@ -76,7 +81,7 @@ impl Bus {
     /// Connects to the BS at `endpoint`, trying for `patience`.
     ///
     /// # Errors
-    /// If the endpoint is not one, or nobody answers there in time.
+    /// If the endpoint is not one, nobody answers there in time, or this machine cannot connect to anybody.
     pub async fn connect(endpoint: &str, run: RunName, patience: Duration) -> Result<Self, BusError> {
         Self::connect_among(1, endpoint, run, patience).await
     }
@@ -86,7 +91,7 @@ impl Bus {
     /// # Errors
     /// As [`Self::connect`].
     pub async fn connect_among(hosts: u32, endpoint: &str, run: RunName, patience: Duration) -> Result<Self, BusError> {
-        address(endpoint)?;
+        let (host, port) = address(endpoint)?;
         let mut config = config("client", hosts)?;
         set(&mut config, "connect/endpoints", &format!("[{endpoint:?}]"))?;
         set(&mut config, "connect/timeout_ms", &patience.as_millis().to_string())?;
@@ -96,7 +101,13 @@ impl Bus {
             "connect/retry",
             "{period_init_ms: 50, period_max_ms: 500, period_increase_factor: 2}",
         )?;
-        let session = open(config).await?.map_err(|error| {
+        let opened = tokio::select! {
+            opened = open(config) => opened?,
+            why = hindrance(host.trim_matches(['[', ']']), port) => {
+                return Err(BusError::Hindered(endpoint.to_owned(), why));
+            }
+        };
+        let session = opened.map_err(|error| {
             tracing::debug!(%error, endpoint, "cannot connect");
             BusError::Connect {
                 endpoint: endpoint.to_owned(),
@@ -140,6 +151,26 @@ fn set(config: &mut zenoh::Config, key: &str, value: &str) -> Result<(), BusErro
     config
         .insert_json5(key, value)
         .map_err(|e| BusError::Zenoh(format!("{key} = {value}: {e}")))
+}
+
+/// Why this machine cannot connect to `host`, once that is known. A BS that is not there yet hinders nobody, and once a
+/// connection can be made there is nothing more to look for.
+async fn hindrance(host: &str, port: u16) -> String {
+    loop {
+        tokio::time::sleep(LOOK).await;
+        let Err(error) = tokio::net::TcpStream::connect((host, port)).await else {
+            return std::future::pending().await;
+        };
+        let hint = if error.kind() == ErrorKind::AddrNotAvailable {
+            "This machine has no free port left for it, or no address of that kind; ports of connections that were \
+             closed are free again after a minute, and net.ipv4.ip_local_port_range says how many there are"
+        } else if error.kind() == ErrorKind::PermissionDenied {
+            "Does a firewall of this machine forbid it?"
+        } else {
+            continue;
+        };
+        return format!("{error}. {hint}");
+    }
 }
 
 /// Opens a session on a thread of its own: zenoh blocks the thread that waits for one, and with it every timer and

@@ -34,8 +34,9 @@ use crate::machine::{Machine, Physics};
 pub use self::joining::{News, Offer, carry};
 
 /// How long a BS that is back is asked whether it still knows a host: one that was started anew does not hear the
-/// question.
-const ANOTHER: Duration = Duration::from_secs(3);
+/// question, which shows at once, since its token comes after all that it answers. A host that gives up too soon has to
+/// be given its places once more.
+const ANOTHER: Duration = Duration::from_secs(1);
 
 /// Why a host could not do its work.
 #[derive(Debug, thiserror::Error)]

@@ -1,0 +1,163 @@
+"""Cases: a scenario and what goes wrong in it, drawn from one seed, played and judged."""
+
+import random
+import shutil
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import faults
+import games
+import machine
+import program
+import scenario
+from program import Failure, Ground
+
+# Seconds that a case may take beside what its faults take.
+PATIENCE = 150
+# Another fault comes after one with this chance, up to this many.
+MORE, MOST = 0.45, 4
+
+
+@dataclass
+class Plan:
+    """What a case is to be."""
+
+    seed: int
+    scenario: scenario.Scenario
+    is_up: bool
+    processes: int
+    faults: list
+    options: list = field(default_factory=list)
+    patience: int = 30
+
+    def has(self, kind):
+        """Whether a fault of this kind is to strike."""
+        return any(fault.kind == kind for fault in self.faults)
+
+    def __str__(self):
+        how = f"up -P {self.processes}" if self.is_up else f"bs and {self.processes} devices"
+        return f"seed {self.seed}: {how}, {self.scenario}: {', '.join(str(fault) for fault in self.faults)}"
+
+
+@dataclass
+class Outcome:
+    """What a case came to."""
+
+    plan: Plan
+    seconds: float = 0.0
+    hits: dict = field(default_factory=dict)
+    late: dict = field(default_factory=dict)
+    losses: list = field(default_factory=list)
+    longest: float = 0.0
+    resumes: list = field(default_factory=list)
+    failure: str = ""
+    folder: str = ""
+
+    def is_held(self):
+        """Whether something else than a kill held the run: its losses last as long as that."""
+        return any(fault.kind in ("freeze", "partition", "strangers") for fault in self.plan.faults)
+
+    def __str__(self):
+        hit = sum(self.hits.values())
+        words = [f"{self.seconds:5.1f} s", f"{hit} hit"]
+        if self.late:
+            words.append(f"{sum(self.late.values())} too late")
+        if self.losses:
+            words.append(f"{len(self.losses)} taken over in {max(self.losses):.2f} s")
+        if self.resumes:
+            words.append(f"{len(self.resumes)} taken up in {max(self.resumes):.2f} s")
+        words.append(f"FAILED: {self.failure}" if self.failure else "digest equal")
+        return f"{self.plan}\n    {', '.join(words)}"
+
+
+def draw(seed, kinds):
+    """The case of a seed, with at least one fault of one of `kinds`, and all of them."""
+    chance = random.Random(f"chaos {seed}")
+    first = chance.choice(kinds)
+    is_up = first not in faults.HAND or (first in faults.UP and chance.random() < 0.65)
+    possible = [kind for kind in (faults.UP if is_up else faults.HAND) if kind in kinds]
+    chosen = [first]
+    while len(chosen) < MOST and chance.random() < MORE:
+        chosen.append(chance.choice(possible))
+    # A disk that was full is that of the whole case; a shell is killed once; strangers stay.
+    for single in ("launcher", "strangers"):
+        while chosen.count(single) > 1:
+            chosen.remove(single)
+    drawn = [faults.draw(chance, kind) for kind in chosen]
+    # A run that was held catches up with its pace.
+    held = sum(fault.how.get("for", 0) for fault in drawn)
+    length = 1.5 + held + sum(fault.after for fault in drawn) + chance.uniform(0.5, 2)
+    return Plan(
+        seed=seed,
+        scenario=scenario.draw(chance, length),
+        is_up=is_up,
+        processes=chance.randint(1, 10),
+        faults=drawn,
+        options=["--audit", chance.choice(["auto", "on"])],
+        patience=chance.choice([10, 30, 90]),
+    )
+
+
+def game_of(plan, ground):
+    """The run of a plan, before it begins; None where this machine cannot have it."""
+    name = f"chaos-{ground.folder.name}"
+    if plan.has("disk"):
+        disk = machine.small_disk(ground, "disk", 512)
+        out = "disk/out"
+        if disk is None:
+            return None
+    else:
+        out = "out"
+    if plan.is_up:
+        shell = plan.has("launcher")
+        return games.Up(ground, plan.scenario, name, plan.processes, plan.options, out, shell)
+    link = machine.Link(ground) if plan.has("partition") else None
+    return games.Hand(ground, plan.scenario, name, plan.processes, plan.options, out, plan.patience, link)
+
+
+def play(reveille, plan, keep_failed=True):
+    """Plays a case; the outcome says what came of it. None where this machine cannot have it."""
+    folder = Path(tempfile.mkdtemp(prefix="chaos-")).resolve()
+    held = sum(fault.how.get("for", 0) for fault in plan.faults)
+    ground = Ground(reveille, folder, PATIENCE + held + plan.scenario.seconds())
+    outcome = Outcome(plan, folder=str(folder))
+    began = time.monotonic()
+    try:
+        game = game_of(plan, ground)
+        if game is None:
+            return None
+        through(plan, game, outcome, program.oracle(reveille, plan.scenario, folder))
+    except Failure as failure:
+        outcome.failure = str(failure)
+    finally:
+        ground.close()
+        outcome.seconds = time.monotonic() - began
+        if not (outcome.failure and keep_failed):
+            shutil.rmtree(folder, ignore_errors=True)
+    return outcome
+
+
+def through(plan, game, outcome, expected):
+    """A run from its first TTI to its last, with all that goes wrong between."""
+    chance = random.Random(f"strikes {plan.seed}")
+    ground = game.ground
+    game.begin()
+    for fault in plan.faults:
+        ground.rest(fault.after)
+        is_possible = not game.is_over()
+        hit = faults.strike(fault, game, chance) if is_possible else False
+        count = outcome.hits if hit else outcome.late
+        count[fault.kind] = count.get(fault.kind, 0) + (int(hit) or 1)
+    summary = game.finish()
+    ground.assert_sane()
+    outcome.losses, outcome.resumes = game.losses(), game.resumes
+    outcome.longest = summary["timing"]["longest_loss_s"]
+    for process in ground.processes:
+        if "OBEYED" in process.out():
+            raise Failure(f"a stranger was obeyed: {process.out()}")
+    if summary["digest"] != expected:
+        raise Failure(f"the digest is {summary['digest']} instead of {expected}")
+    if summary["audit"] not in ("whole", "off") and not summary["audit"].startswith("before TTI"):
+        raise Failure(f"the audit says {summary['audit']}")

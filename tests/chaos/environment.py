@@ -1,0 +1,268 @@
+"""Machines that lack something: room, rights, files, ports, a steady clock. Errors are to be clear and to come soon."""
+
+import os
+import random
+import shutil
+import signal
+import tempfile
+import time
+from pathlib import Path
+
+import faults
+import games
+import machine
+import program
+import scenario
+from program import Failure, Ground
+
+PLAYED = scenario.Scenario("q-learning", 40, 2000, 21, 2)
+SHORT = ["-n", "20", "-k", "400", "--json"]
+# Seconds in which a refusal is to come.
+SOON = 5
+# Users that are not root.
+NOBODY = 65534
+
+# The clock on the wall goes back an hour, forth a day, and back to the year 2001 while a process lives.
+JUMPS = r"""
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <sys/time.h>
+#include <time.h>
+static int (*real)(clockid_t, struct timespec *);
+static time_t jump(void) {
+    static struct timespec first;
+    struct timespec now;
+    if (!real) real = dlsym(RTLD_NEXT, "clock_gettime");
+    real(CLOCK_MONOTONIC, &now);
+    if (!first.tv_sec) first = now;
+    time_t lived = (now.tv_sec - first.tv_sec) % 8;
+    return lived < 1 ? 0 : lived < 3 ? -3600 : lived < 5 ? 86400 : -700000000;
+}
+int clock_gettime(clockid_t id, struct timespec *t) {
+    time_t by = jump();
+    int code = real(id, t);
+    if (id == CLOCK_REALTIME || id == CLOCK_REALTIME_COARSE) t->tv_sec += by;
+    return code;
+}
+int gettimeofday(struct timeval *t, void *zone) {
+    struct timespec now;
+    clock_gettime(CLOCK_REALTIME, &now);
+    if (t) { t->tv_sec = now.tv_sec; t->tv_usec = now.tv_nsec / 1000; }
+    return 0;
+}
+time_t time(time_t *t) {
+    struct timespec now;
+    clock_gettime(CLOCK_REALTIME, &now);
+    if (t) *t = now.tv_sec;
+    return now.tv_sec;
+}
+"""
+
+
+class Cannot(Exception):
+    """This machine cannot do that."""
+
+
+def refused(ground, args, parts, prefix=(), soon=SOON, lines=1):
+    """A command is to be refused soon, in words with all of `parts`; gives the seconds."""
+    began = time.monotonic()
+    process = ground.start(args, prefix=prefix)
+    what = f"the refusal of {' '.join(map(str, args))}"
+    ground.wait(what, lambda: process.poll() is not None, within=4 * soon + 20)
+    took, said = time.monotonic() - began, process.err()
+    lack = [part for part in parts if part not in said]
+    if process.poll() != 1 or lack or "panicked" in said or "reveille: " not in said:
+        raise Failure(f"{what} is code {process.poll()}, without {lack}: {said[-2000:]}")
+    if lines and len(said.strip().splitlines()) > lines:
+        raise Failure(f"{what} has more than {lines} lines: {said[-2000:]}")
+    if took > soon:
+        raise Failure(f"{what} took {took:.1f} s: {said[-2000:]}")
+    return took
+
+
+def played(ground, out="out", **how):
+    """A run of the scenario, not begun."""
+    return games.Up(ground, PLAYED, f"chaos-{ground.folder.name}", how.pop("processes", 4), out=out, **how)
+
+
+def ends_equal(game, expected):
+    """Its end is that of the run in memory."""
+    summary = game.finish()
+    game.ground.assert_sane()
+    if summary["digest"] != expected:
+        raise Failure(f"the digest is {summary['digest']} instead of {expected}")
+
+
+def full_disk(ground, expected):
+    disk = machine.small_disk(ground, "disk", 512)
+    if disk is None:
+        raise Cannot("a small disk takes root")
+    game = played(ground, "disk/out")
+    game.begin()
+    ground.rest(1.2)
+    began = time.monotonic()
+    if not faults.strike_disk({}, game, random):
+        raise Failure("the run was over before the disk was full")
+    took = time.monotonic() - began
+    ends_equal(game, expected)
+    ballast = machine.fill(disk)
+    before = refused(ground, ["up", *SHORT, "--out", disk / "other"], ["No space left on device"])
+    ballast.unlink()
+    end = ground.call(["up", *SHORT, "--out", disk / "other"])
+    if end.returncode != 0:
+        raise Failure(f"the refused run is in the way of another: {end.stderr}")
+    return f"ended and was taken up in {took:.2f} s; refused before the run in {before:.2f} s"
+
+
+def read_only(ground, expected):
+    disk = machine.small_disk(ground, "disk", 4096)
+    if disk is None:
+        raise Cannot("a small disk takes root")
+    machine.must("mount", "-o", "remount,ro", str(disk))
+    took = []
+    for command in ("run", "up", "bs --run=chaos-ro --listen tcp/127.0.0.1:0"):
+        args = [*command.split(), *SHORT, "--out", disk / "other"]
+        took.append(refused(ground, args, ["Read-only file system", "disk/other"]))
+    # A run that was killed, whose folder cannot be written to any more.
+    machine.must("mount", "-o", "remount,rw", str(disk))
+    game = played(ground, "disk/out")
+    game.begin()
+    ground.rest(1.5)
+    game.kill_station()
+    machine.must("mount", "-o", "remount,ro", str(disk))
+    took.append(refused(ground, ["up", "--resume", game.out], ["Read-only file system", "disk/out"]))
+    machine.must("mount", "-o", "remount,rw", str(disk))
+    game.go_on("a folder that could not be written to")
+    ends_equal(game, expected)
+    return f"refused in {max(took):.2f} s, taken up when it could be written to"
+
+
+def no_rights(ground, _):
+    if os.geteuid() != 0 or not shutil.which("setpriv"):
+        raise Cannot("another user takes root and setpriv")
+    ground.folder.chmod(0o755)
+    mine = ground.folder / "mine"
+    mine.mkdir(mode=0o755)
+    prefix = ["setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups"]
+    if not machine.can(*prefix, str(ground.reveille), "--version"):
+        raise Cannot("another user cannot run the program where it is")
+    args = ["up", *SHORT, "--out", mine / "out"]
+    took = refused(ground, args, ["Permission denied", "mine/out"], prefix)
+    return f"refused in {took:.2f} s"
+
+
+def clock(ground, expected):
+    source, library = ground.folder / "jumps.c", ground.folder / "jumps.so"
+    source.write_text(JUMPS)
+    if not machine.can("cc", "-shared", "-fPIC", "-o", str(library), str(source), "-ldl"):
+        raise Cannot("a clock that jumps takes a C compiler")
+    ground.env["LD_PRELOAD"] = str(library)
+    shown = ground.start([], command=["python3", "-c", "import time; time.sleep(6); print(time.localtime().tm_year)"])
+    ground.wait("the date", lambda: shown.poll() is not None)
+    if int(shown.out() or 0) > 2010:
+        raise Cannot(f"the clock does not jump: {shown.out()}")
+    game = played(ground)
+    game.begin()
+    ground.rest(3)
+    program.send(game.hosts()[0], signal.SIGKILL)
+    ground.rest(0.5)
+    game.kill_station()
+    took = game.go_on("SIGKILL under a clock that jumps")
+    ends_equal(game, expected)
+    timing = program.read_summary(game.out)["timing"]
+    if not 0 < timing["run_s"] < 120:
+        raise Failure(f"the run took {timing['run_s']} s by its own account")
+    ground.env.pop("LD_PRELOAD")
+    return f"an hour back, a day forth and to 2001: taken over, and taken up in {took:.2f} s"
+
+
+def few_files(ground, _):
+    def limited(files):
+        return ["sh", "-c", f'ulimit -n {files}; exec "$@"', "sh"]
+
+    fifty = ["up", "-n", "50", "-k", "400", "-P", "50", "--out", "out"]
+    took = [
+        refused(ground, fifty, ["64 files", "ulimit -n 98"], limited(64)),
+        refused(ground, ["up", *SHORT, "--out", "out"], ["24 files", "ulimit -n 52"], limited(24)),
+        refused(ground, ["bs", *SHORT, "--run=x", "--out", "out"], ["24 files"], limited(24)),
+        refused(ground, ["device", "--run=x", "--connect", "tcp/127.0.0.1:9"], ["24 files"], limited(24)),
+    ]
+    if (ground.folder / "out").exists():
+        raise Failure("a folder is left of a run that was refused")
+    return f"64 and 24 refused in {max(took):.2f} s"
+
+
+def no_ports(ground, expected):
+    if not machine.has_networks():
+        raise Cannot("a network of its own takes root and iproute2")
+    # The base station takes one of them, and each device process one.
+    space = machine.Namespace(ground, [("ipv4.ip_local_port_range", "40000 40003")])
+    args = ["up", *PLAYED.args(), "-P", "10", "--out", ground.folder / "out"]
+    took = refused(ground, args, ["port"], space.prefix(), soon=12, lines=0)
+    said = ground.processes[-1].err()
+    if not any("no free port" in line for line in said.splitlines()):
+        raise Failure(f"the reason is not said: {said}")
+    if not (ground.folder / "out/FAILED").exists():
+        raise Failure("no FAILED is left")
+    space.inside("sh", "-c", "echo '40000 41000' > /proc/sys/net/ipv4/ip_local_port_range")
+    again = ground.start(["up", "--resume", ground.folder / "out", "-P", "10", "--json"], prefix=space.prefix())
+    ground.wait("the run that had no ports", lambda: again.poll() is not None, within=60)
+    summary = program.read_summary(ground.folder / "out")
+    if again.poll() != 0 or not summary or summary["digest"] != expected:
+        raise Failure(f"taken up it ended with {again.poll()}: {again.err()}")
+    return f"refused in {took:.2f} s, taken up with ports"
+
+
+def foreign_registry(ground, expected):
+    if os.geteuid() != 0:
+        raise Cannot("a folder of another user takes root")
+    registry = ground.folder / "reveille"
+    registry.mkdir(mode=0o700)
+    (registry / "trap.json").write_text('{"run":"trap","endpoint":"tcp/127.0.0.1:9","pid":1,"key":null}')
+    for path in (registry, registry / "trap.json"):
+        os.chown(path, NOBODY, NOBODY)
+    took = refused(ground, ["clock", "status"], ["belongs to another user"])
+    out = ground.folder / "out"
+    up = ground.start(["up", *PLAYED.args(), "--out", out, "--json"])
+    ground.wait("the end of the run", lambda: up.poll() is not None, within=60)
+    summary = program.read_summary(out)
+    if up.poll() != 0 or not summary or summary["digest"] != expected:
+        raise Failure(f"it ended with {up.poll()}: {up.err()}")
+    if "belongs to another user" not in up.err():
+        raise Failure(f"nothing is said of the folder: {up.err()}")
+    if [path.name for path in registry.iterdir()] != ["trap.json"]:
+        raise Failure("the run has written into the folder of another user")
+    return f"clock refused in {took:.2f} s, the run goes on with a word"
+
+
+PARTS = {
+    "disk": full_disk,
+    "read-only": read_only,
+    "rights": no_rights,
+    "clock": clock,
+    "files": few_files,
+    "ports": no_ports,
+    "registry": foreign_registry,
+}
+
+
+def check(args):
+    """All of them. Whether all is well."""
+    is_well = True
+    for name in args.only.split(",") if args.only else list(PARTS):
+        folder = Path(tempfile.mkdtemp(prefix="chaos-")).resolve()
+        ground = Ground(args.reveille, folder, 150)
+        failed = False
+        try:
+            said = PARTS[name](ground, program.oracle(args.reveille, PLAYED, folder))
+        except Cannot as why:
+            said = f"left out: {why}"
+        except Failure as failure:
+            failed, is_well = True, False
+            said = f"FAILED: {failure}\n    its files: {folder}"
+        finally:
+            ground.close()
+            if not failed:
+                shutil.rmtree(folder, ignore_errors=True)
+        print(f"{name}: {said}", flush=True)
+    return is_well

@@ -1,0 +1,205 @@
+"""Faults: how they are drawn, and how they strike."""
+
+import signal
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import machine
+import program
+from games import TOLD
+from program import Failure
+
+SIGNALS = {"SIGTERM": signal.SIGTERM, "SIGHUP": signal.SIGHUP, "Ctrl-C": signal.SIGINT}
+ATTACKS = ["noise", "huge", "tokens", "clock", "deaf"]
+
+# Where each kind can strike.
+UP = ["hosts", "station", "everything", "joining", "freeze", "signal", "launcher", "strangers", "disk"]
+HAND = ["hosts", "station", "everything", "joining", "freeze", "signal", "partition", "strangers"]
+KINDS = [*UP, "partition"]
+
+
+@dataclass
+class Fault:
+    """Something that goes wrong, so many seconds after what went wrong before it."""
+
+    kind: str
+    after: float
+    how: dict = field(default_factory=dict)
+
+    def __str__(self):
+        how = " ".join(str(value) for value in self.how.values() if value != "")
+        return f"{self.kind} {how}".strip()
+
+
+def draw(random, kind):
+    """A fault by chance."""
+    how = {}
+    match kind:
+        case "hosts":
+            how = {"killed": random.randint(1, 5), "within": round(random.choice([0.0, random.uniform(0, 1.5)]), 2)}
+        case "joining":
+            how["killed"] = "+".join(random.choice(["host", "station"]) for _ in range(random.randint(1, 4)))
+        case "freeze":
+            how["whom"] = random.choice(["host", "station"])
+            how["for"] = 35.0 if random.random() < 0.03 else round(random.uniform(1, 8), 1)
+            how["then"] = random.choice(["", "beside"])
+        case "signal":
+            how["by"] = random.choice(sorted(SIGNALS))
+        case "partition":
+            how["for"] = 15.0 if random.random() < 0.1 else round(random.uniform(0.3, 6), 1)
+            how["then"] = random.choice(["", "beside"])
+        case "strangers":
+            how["doing"] = "+".join(random.sample(ATTACKS, random.randint(1, len(ATTACKS))))
+    return Fault(kind, round(random.uniform(0.2, 1.6), 2), how)
+
+
+def strike(fault, game, random):
+    """Lets a fault strike; whether it has hit a run that was going on. One that ended a run takes it up again."""
+    return globals()[f"strike_{fault.kind}"](fault.how, game, random)
+
+
+def strike_hosts(how, game, random):
+    """SIGKILL of device processes, all at once or one after another."""
+    struck = set()
+    for number in range(how["killed"]):
+        if number:
+            game.ground.rest(how["within"] / how["killed"])
+        hosts = [pid for pid in game.hosts() if pid not in struck]
+        if hosts and game.is_running():
+            chosen = random.choice(hosts)
+            struck.add(chosen)
+            program.send(chosen, signal.SIGKILL)
+    return len(struck)
+
+
+def strike_station(_, game, random):
+    """SIGKILL of the base station."""
+    hit = game.is_running()
+    game.kill_station()
+    return take_up(game, "SIGKILL of the base station") and hit
+
+
+def strike_everything(_, game, random):
+    """SIGKILL of all processes."""
+    hit = game.is_running()
+    game.kill_everything()
+    return take_up(game, "SIGKILL of everything") and hit
+
+
+def strike_joining(how, game, random):
+    """SIGKILL of everything, and of more while the run is being taken up."""
+    hit = game.is_running()
+    game.kill_everything()
+    if is_complete(game):
+        return False
+    game.resume()
+    for whom in how["killed"].split("+"):
+        game.ground.rest(random.uniform(0, 0.5))
+        hosts = game.hosts()
+        if whom == "host" and hosts:
+            program.send(random.choice(hosts), signal.SIGKILL)
+            hit += 1
+        elif whom == "station":
+            game.kill_station()
+            if is_complete(game):
+                return hit
+            game.resume()
+            hit += 1
+    game.wait_until_running("a run to be taken up while more was killed")
+    return hit
+
+
+def is_complete(game):
+    """Whether there is nothing to take up."""
+    summary = program.read_summary(game.out)
+    return summary is not None and summary["status"] == "complete"
+
+
+def take_up(game, why):
+    """Takes a run up that was ended, unless it had come to its end. Whether there was something to take up."""
+    if is_complete(game):
+        return False
+    game.go_on(why)
+    return True
+
+
+def strike_freeze(how, game, random):
+    """SIGSTOP, and SIGCONT after a while."""
+    hosts = game.hosts()
+    pid = game.station.pid if how["whom"] == "station" or not hosts else random.choice(hosts)
+    hit = game.is_running()
+    program.send(pid, signal.SIGSTOP)
+    last(how, game, lambda: program.send(pid, signal.SIGCONT))
+    return hit
+
+
+def last(how, game, end):
+    """Lets a fault last; what comes next comes after it, or beside it."""
+    game.ground.later(how["for"], end)
+    if not how["then"]:
+        # A little more, so that it is over.
+        game.ground.rest(how["for"] + 2 * program.LOOK)
+
+
+def strike_signal(how, game, random):
+    """A signal that asks for the end."""
+    hit = game.is_running()
+    if not game.told(SIGNALS[how["by"]], how["by"]):
+        return False
+    return take_up(game, how["by"]) and hit
+
+
+def strike_launcher(_, game, random):
+    """SIGKILL of the shell that has started the run: the run goes on."""
+    hit = game.is_running()
+    shell = game.station.shell
+    if shell is None or shell.poll() is not None:
+        return False
+    program.send(shell.pid, signal.SIGKILL)
+    shell.wait()
+    return hit
+
+
+def strike_partition(how, game, random):
+    """A link is cut, and mended after a while."""
+    hit = game.is_running()
+    game.link.cut()
+    last(how, game, game.link.mend)
+    return hit
+
+
+def strike_strangers(how, game, random):
+    """Another client of zenoh does what it can, to the end of the run."""
+    script = Path(__file__).with_name("stranger.py")
+    began = game.is_running()
+    seed = random.randint(0, 10**6)
+    command = [sys.executable, script, game.endpoint, game.name, how["doing"], seed]
+    stranger = game.ground.start([], command=command)
+
+    def there():
+        return "there" in stranger.out() or stranger.poll() is not None
+
+    # It is not waited for if the run ends before it is there.
+    game.ground.wait("a stranger to come", lambda: there() or game.is_over(), within=30)
+    if stranger.poll() not in (None, 0) and not game.is_over():
+        raise Failure(f"a stranger could not come: {stranger.err()[-1000:]}")
+    return began and not game.is_over()
+
+
+def strike_disk(_, game, random):
+    """The disk is full: the run ends with words, and is taken up once there is room."""
+    hit = game.is_running()
+    ballast = machine.fill(game.out.parent)
+    try:
+        game.ground.wait("the end of a run on a full disk", lambda: game.station.poll() is not None, within=TOLD)
+    finally:
+        ballast.unlink()
+    code, said = game.station.poll(), game.station.err()
+    if code == 0:
+        return False
+    if code != 1 or "No space left on device" not in said:
+        raise Failure(f"on a full disk it ended with {code}: {said[-2000:]}")
+    if not (game.out / "FAILED").exists():
+        raise Failure(f"on a full disk no FAILED is left: {sorted(path.name for path in game.out.iterdir())}")
+    return take_up(game, "a full disk") and hit

@@ -1,0 +1,243 @@
+"""How runs end and do not end: closed terminals, signals, frozen processes, killed launchers."""
+
+import fcntl
+import os
+import pty
+import select
+import shutil
+import signal
+import subprocess
+import tempfile
+import termios
+import threading
+import time
+from pathlib import Path
+
+import games
+import program
+import scenario
+from program import GONE, Failure, Ground
+
+# Runs of about six seconds, one that learns among them.
+RUNS = [
+    scenario.Scenario("knn", 40, 3000, 11, 2),
+    scenario.Scenario("q-learning", 40, 3000, 12, 2),
+]
+FROZEN = 30
+
+
+class Windowed:
+    """A command in a terminal of its own."""
+
+    def __init__(self, command, ground):
+        self.master, slave = pty.openpty()
+
+        def own():
+            os.setsid()
+            fcntl.ioctl(slave, termios.TIOCSCTTY, 0)
+
+        self.popen = subprocess.Popen(
+            [str(word) for word in command],
+            cwd=ground.folder,
+            env=ground.env,
+            stdin=slave,
+            stdout=slave,
+            stderr=slave,
+            preexec_fn=own,
+        )
+        os.close(slave)
+        program.STARTED.add(self.popen.pid)
+        self.pid, self.name, self.shell, self.said = self.popen.pid, "terminal", None, b""
+        self.is_open = True
+        self.reader = threading.Thread(target=self._read, daemon=True)
+        self.reader.start()
+
+    def _read(self):
+        # A read that waits would hold the terminal when it is closed.
+        while self.is_open:
+            if select.select([self.master], [], [], 0.05)[0]:
+                try:
+                    self.said += os.read(self.master, 4096)
+                except OSError:
+                    return
+
+    def poll(self):
+        """The exit code; None while it lives."""
+        return self.popen.poll()
+
+    def err(self):
+        """What was shown."""
+        return self.said.decode(errors="replace")
+
+    out = err
+
+    def press(self, key):
+        """A key."""
+        os.write(self.master, key)
+
+    def close(self):
+        """The window is closed: nobody holds the terminal any more."""
+        if self.is_open:
+            self.is_open = False
+            self.reader.join()
+            os.close(self.master)
+
+    def kill(self):
+        """Ends it."""
+        if self.popen.poll() is None:
+            self.popen.kill()
+        self.popen.wait()
+        self.close()
+
+
+def ended(game, code, why):
+    """The run is to end with `code` and leave nobody; gives the seconds that took."""
+    began = time.monotonic()
+    game.ground.wait(f"the end after {why}", lambda: game.station.poll() is not None, within=games.TOLD)
+    took = time.monotonic() - began
+    if code is not None and game.station.poll() != code:
+        raise Failure(f"after {why} it ended with {game.station.poll()}: {game.station.err()[-1500:]}")
+    game.assert_nobody_left()
+    return time.monotonic() - began if took < GONE else took
+
+
+def by_terminal(game, end, why):
+    """Starts a run in a terminal, does `end` to that, and takes the run up."""
+    ground = game.ground
+    # The progress bar is for people, the summary for us.
+    options = [word for word in game.drive() if word != "--json"]
+    command = [ground.reveille, "up", *game.scenario.args(), "-P", game.processes, *options, *game.place()]
+    game.station = Windowed(command, ground)
+    ground.processes.append(game.station)
+    game.wait_until_running("a run in a terminal to begin")
+    ground.rest(1.5)
+    hit = game.is_running()
+    end(game.station)
+    took = ended(game, 130, why)
+    if not hit:
+        raise Failure("the run was over before it was struck")
+    if program.read_summary(game.out)["status"] != "interrupted":
+        raise Failure(f"after {why} the summary does not say interrupted")
+    game.station.kill()
+    return f"ended in {took:.2f} s, taken up in {game.go_on(why):.2f} s"
+
+
+def closed_terminal(game):
+    return by_terminal(game, lambda window: window.close(), "a closed terminal")
+
+
+def ctrl_c(game):
+    return by_terminal(game, lambda window: window.press(b"\x03"), "Ctrl-C")
+
+
+def by_signal(game, number, why):
+    game.begin()
+    game.ground.rest(1.5)
+    if not game.is_running():
+        raise Failure("the run was over before it was struck")
+    program.send(game.station.pid, number)
+    took = ended(game, 130, why)
+    return f"ended in {took:.2f} s, taken up in {game.go_on(why):.2f} s"
+
+
+def sigterm(game):
+    return by_signal(game, signal.SIGTERM, "SIGTERM")
+
+
+def sighup(game):
+    return by_signal(game, signal.SIGHUP, "SIGHUP")
+
+
+def killed(game):
+    """SIGKILL of `up`: its device processes do not outlive it."""
+    game.begin()
+    game.ground.rest(1.5)
+    began = time.monotonic()
+    program.send(game.station.pid, signal.SIGKILL)
+    game.station.kill()
+    game.assert_nobody_left()
+    took = time.monotonic() - began
+    return f"nobody left after {took:.2f} s, taken up in {game.go_on('SIGKILL'):.2f} s"
+
+
+def killed_shell(game):
+    """SIGKILL of the shell that started `up`: the run goes on to its end."""
+    game.shell = True
+    game.begin()
+    game.ground.rest(1.5)
+    program.send(game.station.shell.pid, signal.SIGKILL)
+    game.station.shell.wait()
+    game.ground.rest(1)
+    if game.is_over():
+        raise Failure("the run has not gone on")
+    return "the run went on"
+
+
+def frozen(game, whom):
+    """SIGSTOP for half a minute: the run waits, and goes on."""
+    game.begin()
+    game.ground.rest(1)
+    pid = game.station.pid if whom == "the base station" else game.hosts()[0]
+    program.send(pid, signal.SIGSTOP)
+    game.ground.rest(1)
+    before = game.mark()
+    game.ground.rest(FROZEN - 1)
+    after = game.mark()
+    # What was on its way is done.
+    if after - before > 1:
+        raise Failure(f"the clock went on without {whom}: TTI {before} to {after}")
+    program.send(pid, signal.SIGCONT)
+    thawed = time.monotonic()
+
+    def goes_on():
+        return game.mark() > after or game.is_over()
+
+    game.ground.wait(f"the run to go on after {whom} was frozen", goes_on, within=40)
+    return f"held for {FROZEN} s, goes on {time.monotonic() - thawed:.2f} s after"
+
+
+def frozen_station(game):
+    return frozen(game, "the base station")
+
+
+def frozen_host(game):
+    return frozen(game, "a device process")
+
+
+PARTS = {
+    "terminal": closed_terminal,
+    "ctrl-c": ctrl_c,
+    "sigterm": sigterm,
+    "sighup": sighup,
+    "sigkill": killed,
+    "shell": killed_shell,
+    "station": frozen_station,
+    "host": frozen_host,
+}
+
+
+def check(args):
+    """All of them, with each scenario. Whether all is well."""
+    chosen = args.only.split(",") if args.only else list(PARTS)
+    is_well = True
+    for played in RUNS:
+        for name in chosen:
+            folder = Path(tempfile.mkdtemp(prefix="chaos-")).resolve()
+            ground = Ground(args.reveille, folder, 150)
+            said, failure = "", ""
+            try:
+                expected = program.oracle(args.reveille, played, folder)
+                game = games.Up(ground, played, f"chaos-{folder.name}", 4, ["--audit", "on"])
+                said = PARTS[name](game)
+                summary = game.finish()
+                ground.assert_sane()
+                if summary["digest"] != expected:
+                    raise Failure(f"the digest is {summary['digest']} instead of {expected}")
+            except Failure as error:
+                failure, is_well = f"FAILED: {error}\n    its files: {folder}", False
+            finally:
+                ground.close()
+                if not failure:
+                    shutil.rmtree(folder, ignore_errors=True)
+            print(f"{name}, {played.policy}: {failure or said + ', nobody left, digest equal'}", flush=True)
+    return is_well

@@ -1,0 +1,179 @@
+#!/usr/bin/env python3
+"""Faults by chance against runs: each must end with the digest that the same run has in memory.
+
+    tests/chaos/run.py target/release/reveille --minutes 1
+    tests/chaos/run.py target/release/reveille --runs 20 --only hosts,freeze
+    tests/chaos/run.py target/release/reveille --bar kills
+
+Python's standard library is enough. Strangers on the bus take eclipse-zenoh, small disks and links that are cut take
+root; what cannot be had is said and left out. Each case is drawn from a seed of its own, so that it can be had again.
+"""
+
+import argparse
+import concurrent.futures
+import importlib.util
+import os
+import random
+import shlex
+import signal
+import statistics
+import sys
+import time
+from pathlib import Path
+
+# Nothing is left behind.
+sys.dont_write_bytecode = True
+
+import bars
+import cases
+import faults
+import machine
+import program
+
+
+def parse():
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("reveille", type=Path, metavar="BINARY")
+    length = parser.add_mutually_exclusive_group()
+    length.add_argument("--minutes", type=float, help="begin cases for so long [default: 1]")
+    length.add_argument("--runs", type=int, help="so many cases")
+    parser.add_argument("--seed", type=int, help="of the first case; each has the next one [default: any]")
+    parser.add_argument("--only", help=f"kinds of faults, of {', '.join(faults.KINDS)}; or parts of a bar")
+    parser.add_argument("--bar", choices=sorted(bars.BARS), help="a fixed set of cases instead")
+    parser.add_argument("-j", "--jobs", type=int, default=1, help="cases at a time [default: 1]")
+    return parser.parse_args()
+
+
+def possible_kinds(only):
+    """The kinds of faults that are asked for and can be had here."""
+    kinds = only.split(",") if only else list(faults.KINDS)
+    if unknown := [kind for kind in kinds if kind not in faults.KINDS]:
+        sys.exit(f"--only {','.join(unknown)}: the kinds are {', '.join(faults.KINDS)}")
+    cannot = {}
+    if importlib.util.find_spec("zenoh") is None:
+        cannot["strangers"] = "they take eclipse-zenoh (pip install eclipse-zenoh)"
+    if os.geteuid() != 0:
+        cannot["disk"] = "a small disk takes root"
+    if not machine.has_networks():
+        cannot["partition"] = "a link that can be cut takes root and iproute2"
+    for kind, why in cannot.items():
+        if kind in kinds:
+            print(f"without {kind}: {why}")
+    return [kind for kind in kinds if kind not in cannot]
+
+
+def replay(args, plan):
+    """The command that plays a case once more."""
+    command = [sys.executable, sys.argv[0], str(args.reveille), "--runs", "1", "--seed", str(plan.seed)]
+    command += ["--only", args.only] if args.only else []
+    return shlex.join(command + (["--bar", args.bar] if args.bar else []))
+
+
+def interrupt(*_):
+    """What asks for the end does so as Ctrl-C does, also where a shell has it ignored."""
+    program.stop.set()
+    raise KeyboardInterrupt
+
+
+def plans(args):
+    """The cases that are asked for, one after another."""
+    kinds = possible_kinds(args.only)
+    if not kinds:
+        sys.exit("nothing is left to do")
+    until = time.monotonic() + 60 * (args.minutes if args.minutes is not None else 1)
+    for number in range(args.runs if args.runs is not None else 10**9):
+        if args.runs is None and time.monotonic() >= until:
+            return
+        yield cases.draw(args.seed + number, kinds)
+
+
+def play_all(args, plans):
+    """Plays cases, and says what each came to."""
+    outcomes = []
+
+    def show(outcome):
+        if outcome is not None:
+            outcomes.append(outcome)
+            print(outcome, flush=True)
+            if outcome.failure:
+                print(f"    again: {replay(args, outcome.plan)}\n    its files: {outcome.folder}", flush=True)
+
+    if args.jobs == 1:
+        for plan in plans:
+            show(cases.play(args.reveille, plan))
+        return outcomes
+    with concurrent.futures.ThreadPoolExecutor(args.jobs) as pool:
+        going = set()
+        for plan in plans:
+            going.add(pool.submit(cases.play, args.reveille, plan))
+            if len(going) >= args.jobs:
+                done, going = concurrent.futures.wait(going, return_when=concurrent.futures.FIRST_COMPLETED)
+                for one in done:
+                    show(one.result())
+        for one in concurrent.futures.as_completed(going):
+            show(one.result())
+    return outcomes
+
+
+def total(counts):
+    """Counts by kind, summed up and shown."""
+    sums = {}
+    for count in counts:
+        for kind, number in count.items():
+            sums[kind] = sums.get(kind, 0) + number
+    shown = ", ".join(f"{kind} {number}" for kind, number in sorted(sums.items()))
+    return f"{sum(sums.values())} ({shown})" if sums else "0"
+
+
+def spread(seconds):
+    """Median and worst of durations."""
+    if not seconds:
+        return "none"
+    return f"{len(seconds)}, median {statistics.median(seconds):.2f} s, worst {max(seconds):.2f} s"
+
+
+def conclude(args, outcomes, took):
+    """Sums up; whether all is well."""
+    failed = [outcome for outcome in outcomes if outcome.failure]
+    print(f"\n{len(outcomes)} runs in {took:.0f} s; digests equal: {len(outcomes) - len(failed)} of {len(outcomes)}")
+    print(f"faults that hit a run: {total(outcome.hits for outcome in outcomes)}")
+    print(f"faults that came too late: {total(outcome.late for outcome in outcomes)}")
+    well = [outcome for outcome in outcomes if not outcome.failure]
+    print(f"devices taken over after kills: {spread([s for o in well if not o.is_held() for s in o.losses])}")
+    print(f"longest_loss_s of those runs: {spread([o.longest for o in well if o.longest and not o.is_held()])}")
+    print(f"runs taken up: {spread([s for o in well if not o.is_held() for s in o.resumes])}")
+    held = [outcome for outcome in well if outcome.is_held()]
+    print("of runs that were frozen, cut off or attacked besides:")
+    print(f"    longest losses: {spread([outcome.longest for outcome in held if outcome.longest])}")
+    print(f"    taken up: {spread([seconds for outcome in held for seconds in outcome.resumes])}")
+    for outcome in failed:
+        print(f"FAILED: seed {outcome.plan.seed}: {replay(args, outcome.plan)}")
+    return not failed
+
+
+def main():
+    args = parse()
+    args.reveille = args.reveille.resolve()
+    if not os.access(args.reveille, os.X_OK):
+        sys.exit(f"{args.reveille}: there is no program")
+    if args.seed is None:
+        args.seed = random.SystemRandom().randint(1, 10**6) * 1000
+    print(f"seed {args.seed}", flush=True)
+    for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
+        signal.signal(number, interrupt)
+    program.adopt_orphans()
+    began = time.monotonic()
+    try:
+        if args.bar and args.bar in bars.CHECKS:
+            is_well = bars.CHECKS[args.bar](args)
+        else:
+            outcomes = play_all(args, bars.kills(args) if args.bar else plans(args))
+            is_well = conclude(args, outcomes, time.monotonic() - began)
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        sys.exit(130)
+    sys.exit(0 if is_well else 1)
+
+
+main()

@@ -1,0 +1,169 @@
+"""A client of zenoh that is not ours and means no good: stranger.py ENDPOINT RUN ATTACK+ATTACK SEED.
+
+It says "there" once it has begun, and goes on until it is killed.
+"""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import zenoh
+
+# Commands to the clock as they are encoded: pause, step 1, run to TTI 10, resume, pace max.
+COMMANDS = [b"\x05\x00", b"\x05\x01\x01", b"\x05\x02\x0a", b"\x05\x03", b"\x05\x04\x00"]
+HUGE = 20 << 20
+
+
+def session(endpoint):
+    """A client's session."""
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([endpoint]))
+    config.insert_json5("connect/timeout_ms", "20000")
+    config.insert_json5("scouting/multicast/enabled", "false")
+    return zenoh.open(config)
+
+
+def keys_of(run):
+    """Keys that a stranger can think of."""
+    air = ["plan", "wake/0", "wake/0/0", "report/0", "report/0/0"]
+    emu = ["clock", "answer/0", "answer/0/0", "alive/0", "bs", "join", "ready", "control", "describe"]
+    prefixes = [f"reveille/{run}", f"reveille/{run}/@", f"reveille/{run}/@{'0' * 32}"]
+    own = [f"{prefix}/air/{key}" for prefix in prefixes for key in air]
+    own += [f"{prefix}/emu/{key}" for prefix in prefixes for key in emu]
+    return own + [f"reveille/{run}/tap", f"reveille/{run}/**", f"reveille/{run}/*/air/wake/*/*", "**"]
+
+
+def put(peer, key, payload):
+    """Sends, whatever zenoh thinks of it."""
+    try:
+        peer.put(key, payload)
+    except zenoh.ZError:
+        pass
+
+
+def noise(endpoint, run, chance):
+    """Noise and copies of what observers see on every key."""
+    peer = session(endpoint)
+    copies = []
+    peer.declare_subscriber(f"reveille/{run}/tap", lambda s: copies.append(s.payload.to_bytes()))
+    keys = keys_of(run)
+    yield
+    while True:
+        for _ in range(20):
+            size = chance.choice([0, 1, 3, 64, 4096])
+            payload = chance.choice([chance.randbytes(size), bytes([4]) + chance.randbytes(size), *copies[-3:]])
+            put(peer, chance.choice(keys), payload)
+        del copies[:-3]
+        time.sleep(0.02)
+
+
+def huge(endpoint, run, chance):
+    """Messages that no link should carry; the base station closes it, so there is a new one each time."""
+    keys = keys_of(run)
+    yield
+    while True:
+        try:
+            peer = session(endpoint)
+            put(peer, chance.choice(keys), bytes(HUGE))
+            time.sleep(0.3)
+            peer.close()
+        except zenoh.ZError:
+            time.sleep(0.3)
+
+
+def tokens(endpoint, run, chance):
+    """The tokens of hosts and of the base station, and answers in its place."""
+    peer = session(endpoint)
+    names = [f"alive/{host}" for host in range(12)] + [f"alive/{host}/{'0' * 32}" for host in range(4)] + ["bs"]
+    held = []
+    for name in names:
+        try:
+            held.append(peer.liveliness().declare_token(f"reveille/{run}/emu/{name}"))
+        except zenoh.ZError:
+            pass
+    for key in ["join", "ready", "control", "describe"]:
+        answer = lambda query: query.reply(query.key_expr, b"\x05\x00")
+        held.append(peer.declare_queryable(f"reveille/{run}/emu/{key}", answer, complete=True))
+    yield
+    while True:
+        time.sleep(1)
+
+
+def clock(endpoint, run, chance):
+    """Commands without the key, and messages of the clock that are forged."""
+    peer = session(endpoint)
+    yield
+    while True:
+        shown = chance.choice([None, b"0" * 32, chance.randbytes(16).hex().encode()])
+        command = chance.choice(COMMANDS)
+        try:
+            for reply in peer.get(f"reveille/{run}/emu/control", payload=command, attachment=shown, timeout=1.0):
+                if reply.ok:
+                    print("OBEYED", command, flush=True)
+        except zenoh.ZError:
+            pass
+        for tail in ("emu/clock", f"@{'0' * 32}/emu/clock", "*/emu/clock"):
+            put(peer, f"reveille/{run}/{tail}", b"\x05" + chance.randbytes(chance.randint(1, 12)))
+        time.sleep(0.05)
+
+
+def deaf(endpoint, run, chance):
+    """Subscribes to everything, and stops reading."""
+    script = (
+        "import sys; sys.path.insert(0, sys.argv[3]); import os, signal, stranger\n"
+        "peer = stranger.session(sys.argv[1])\n"
+        "held = [peer.declare_subscriber(key, lambda s: None) for key in ['**', f'reveille/{sys.argv[2]}/tap']]\n"
+        "print('subscribed', flush=True)\n"
+        "os.kill(os.getpid(), signal.SIGSTOP)\n"
+    )
+    here = os.path.dirname(os.path.abspath(__file__))
+    command = [sys.executable, "-c", script, endpoint, run, here]
+    sleeper = subprocess.Popen(command, stdout=subprocess.PIPE)
+    SLEEPERS.append(sleeper)
+    sleeper.stdout.readline()
+    yield
+    while True:
+        time.sleep(1)
+
+
+SLEEPERS = []
+
+
+def attack(name, endpoint, run, chance, begun):
+    """Does one of them until the end, on a thread of its own."""
+    try:
+        for step in globals()[name](endpoint, run, chance):
+            begun.release()
+    except zenoh.ZError as error:
+        print(f"{name}: {error}", file=sys.stderr, flush=True)
+        begun.release()
+
+
+def main():
+    endpoint, run, names, seed = sys.argv[1:5]
+    begun, names = threading.Semaphore(0), names.split("+")
+
+    def leave(*_):
+        for sleeper in SLEEPERS:
+            sleeper.kill()
+        os._exit(0)
+
+    signal.signal(signal.SIGTERM, leave)
+    for number, name in enumerate(names):
+        chance = random.Random(f"{seed} {number}")
+        threading.Thread(target=attack, args=(name, endpoint, run, chance, begun), daemon=True).start()
+    for _ in names:
+        begun.acquire()
+    print("there", flush=True)
+    while True:
+        time.sleep(1)
+
+
+if __name__ == "__main__":
+    main()
