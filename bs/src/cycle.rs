@@ -149,12 +149,12 @@ impl Cycle {
         assert!(!self.is_open, "TTI {} is still open", self.next);
         let first = self.next;
         assert!(first < horizon, "a grant covers at least one TTI");
-        let foresees = !self.station.is_told_batteries() && !observer.wants_states();
+        let foresees = !self.station.is_told_batteries();
         let mut updates = Vec::new();
         let last = loop {
             updates.extend(self.announce(observer));
             let span = self.span(horizon, observer);
-            if !foresees || span.stimulus.is_some() || span.last + 1 >= horizon {
+            if !foresees || span.stimulus.is_some() || span.last + 1 >= horizon || observer.wants_states() {
                 break span;
             }
             self.station.gathered(span.last, &[]);

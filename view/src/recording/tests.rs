@@ -145,7 +145,7 @@ fn a_recording_holds_everything() {
         scenario.hash_hex()
     );
     assert!(
-        bytes.len() < frames.len() * 100,
+        bytes.len() < frames.len() * 110,
         "{} bytes, {} frames",
         bytes.len(),
         frames.len()
