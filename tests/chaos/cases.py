@@ -104,7 +104,8 @@ def game_of(plan, ground):
     """The run of a plan, before it begins; None where this machine cannot have it."""
     name = f"chaos-{ground.folder.name}"
     if plan.has("disk"):
-        disk = machine.small_disk(ground, "disk", 512)
+        # Room for the rows of windows, and little more.
+        disk = machine.small_disk(ground, "disk", 512 + plan.scenario.ttis // 10)
         out = "disk/out"
         if disk is None:
             return None
