@@ -57,7 +57,7 @@ class Outcome:
 
     def is_held(self):
         """Whether something else than a kill held the run: its losses last as long as that."""
-        return any(fault.kind in ("freeze", "partition", "strangers") for fault in self.plan.faults)
+        return any(fault.kind in ("freeze", "held", "partition", "strangers") for fault in self.plan.faults)
 
     def __str__(self):
         hit = sum(self.hits.values())
