@@ -83,6 +83,8 @@ pub struct Marker {
     path: PathBuf,
     noting: Noting,
     so_far: Sha256,
+    /// The same of all before `next`: a run may end in the middle of a TTI.
+    whole: Sha256,
     expected: Option<Mark>,
     is_wrong: bool,
     scenario_hash: String,
@@ -98,6 +100,7 @@ impl Marker {
             path: folder.join(MARK),
             noting: Noting::default(),
             so_far: Sha256::new(),
+            whole: Sha256::new(),
             expected,
             is_wrong: false,
             scenario_hash: scenario.hash_hex(),
@@ -142,16 +145,8 @@ impl Marker {
     /// All that comes is of TTI `k` or later.
     fn pass(&mut self, k: Tti) {
         if let Some(mark) = self.expected.take_if(|mark| Tti(mark.tti) <= k) {
-            self.is_wrong = mark.fingerprint != self.fingerprint();
+            self.is_wrong = mark.fingerprint != fingerprint(&self.so_far);
         }
-    }
-
-    fn fingerprint(&self) -> String {
-        let mut text = String::new();
-        for byte in self.so_far.clone().finalize() {
-            let _written = write!(text, "{byte:02x}").is_ok();
-        }
-        text
     }
 
     fn take(&mut self, frame: &Frame) {
@@ -166,12 +161,20 @@ impl Marker {
             scenario_hash: self.scenario_hash.clone(),
             window: self.window,
             tti: self.next.0,
-            fingerprint: self.fingerprint(),
+            fingerprint: fingerprint(&self.whole),
         };
         let part = self.path.with_extension("json.part");
         fs::write(&part, serde_json::to_vec(&mark)?)?;
         fs::rename(&part, &self.path)
     }
+}
+
+fn fingerprint(of: &Sha256) -> String {
+    let mut text = String::new();
+    for byte in of.clone().finalize() {
+        let _written = write!(text, "{byte:02x}").is_ok();
+    }
+    text
 }
 
 impl Observer for Marker {
@@ -181,6 +184,7 @@ impl Observer for Marker {
         self.noting = noting;
         if let Happening::Closed(last) = happening {
             self.next = *last + 1;
+            self.whole.clone_from(&self.so_far);
             let now = now();
             if now >= self.due && self.expected.is_none() && !self.is_wrong {
                 self.due = now + EVERY;

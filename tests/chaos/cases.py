@@ -57,7 +57,7 @@ class Outcome:
 
     def is_held(self):
         """Whether something else than a kill held the run: its losses last as long as that."""
-        return any(fault.kind in ("freeze", "partition", "strangers") for fault in self.plan.faults)
+        return any(fault.kind in ("freeze", "held", "partition", "strangers") for fault in self.plan.faults)
 
     def __str__(self):
         hit = sum(self.hits.values())
@@ -104,7 +104,8 @@ def game_of(plan, ground):
     """The run of a plan, before it begins; None where this machine cannot have it."""
     name = f"chaos-{ground.folder.name}"
     if plan.has("disk"):
-        disk = machine.small_disk(ground, "disk", 512)
+        # Room for the rows of windows, and little more.
+        disk = machine.small_disk(ground, "disk", 512 + plan.scenario.ttis // 10)
         out = "disk/out"
         if disk is None:
             return None

@@ -14,8 +14,8 @@ SIGNALS = {"SIGTERM": signal.SIGTERM, "SIGHUP": signal.SIGHUP, "Ctrl-C": signal.
 ATTACKS = ["noise", "huge", "tokens", "clock", "deaf"]
 
 # Where each kind can strike.
-UP = ["hosts", "station", "everything", "joining", "freeze", "signal", "launcher", "strangers", "disk"]
-HAND = ["hosts", "station", "everything", "joining", "freeze", "signal", "partition", "strangers"]
+UP = ["hosts", "station", "everything", "joining", "held", "freeze", "signal", "launcher", "strangers", "disk"]
+HAND = ["hosts", "station", "everything", "joining", "held", "freeze", "signal", "partition", "strangers"]
 KINDS = [*UP, "partition"]
 
 
@@ -44,7 +44,7 @@ def draw(random, kind):
             how["whom"] = random.choice(["host", "station"])
             how["for"] = 35.0 if random.random() < 0.03 else round(random.uniform(1, 8), 1)
             how["then"] = random.choice(["", "beside"])
-        case "signal":
+        case "signal" | "held":
             how["by"] = random.choice(sorted(SIGNALS))
         case "partition":
             how["for"] = 15.0 if random.random() < 0.1 else round(random.uniform(0.3, 6), 1)
@@ -148,6 +148,26 @@ def strike_signal(how, game, random):
     if not game.told(SIGNALS[how["by"]], how["by"]):
         return False
     return take_up(game, how["by"]) and hit
+
+
+def strike_held(how, game, random):
+    """A signal that asks for the end while the clock is held for a frozen device process."""
+    hosts, station = game.hosts(), game.station
+    if not hosts or not game.is_running():
+        return False
+    before = station.err().count("the clock is held")
+    pid = random.choice(hosts)
+    program.send(pid, signal.SIGSTOP)
+
+    def held():
+        return station.err().count("the clock is held") > before or game.is_over()
+
+    game.ground.wait("the clock to be held for a frozen process", held, within=TOLD)
+    hit = not game.is_over()
+    # It ends in the middle of a TTI.
+    is_told = game.told(SIGNALS[how["by"]], how["by"])
+    program.send(pid, signal.SIGCONT)
+    return is_told and take_up(game, how["by"]) and hit
 
 
 def strike_launcher(_, game, random):

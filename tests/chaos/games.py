@@ -14,6 +14,8 @@ TAKEN_UP = 40
 TOLD = 15
 # Seconds until a run that has begun leaves its first mark, with some for a busy machine.
 MARKED = 1.5
+# Seconds after which a run hangs that comes to no other TTI.
+STALLED = 60
 # What `up` says of a device process that ends again and again.
 HOPELESS = "before it did in its place"
 
@@ -71,6 +73,7 @@ class Game:
         self.window = 5
         self.station = None
         self.begun = None
+        self.seen = 0
         self.resumes = []
         ground.tending = self.tend
 
@@ -149,11 +152,11 @@ class Game:
 
     def finish(self):
         """Waits for the end; gives the summary."""
-        self.ground.wait("the end of the run", lambda: self.station.poll() is not None)
+        self.ground.wait("the end of the run", self.has_ended)
         if self.station.poll() == 1 and HOPELESS in self.station.err():
             # Chance has killed one place too often: that ends a run, and it can be taken up.
             self.go_on("six kills in one place")
-            self.ground.wait("the end of the run", lambda: self.station.poll() is not None)
+            self.ground.wait("the end of the run", self.has_ended)
         code, summary = self.station.poll(), program.read_summary(self.out)
         if code != 0 or summary is None or summary["status"] != "complete":
             raise Failure(f"the run ended with {code}: {self.station.err()[-3000:]}")
@@ -163,6 +166,13 @@ class Game:
             if (self.out / left).exists():
                 raise Failure(f"{left} is left in the folder of a complete run")
         return summary
+
+    def has_ended(self):
+        """Whether the run has ended. One that goes on is slow on a busy machine, and does not hang."""
+        if (mark := self.mark()) != self.seen:
+            self.seen = mark
+            self.ground.extend(STALLED)
+        return self.station.poll() is not None
 
     def leave(self):
         """What is to be done at the end."""

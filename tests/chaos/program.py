@@ -174,6 +174,8 @@ class Ground:
         self.env = dict(os.environ, XDG_RUNTIME_DIR=str(folder))
         self.env.pop("RUST_LOG", None)
         self.until = time.monotonic() + patience
+        # No patience goes beyond this.
+        self.last = time.monotonic() + 8 * patience
         self.patience = patience
         self.processes = []
         # Called at each look: those who keep the run going by hand.
@@ -202,6 +204,10 @@ class Ground:
             timeout=patience,
         )
 
+    def extend(self, seconds):
+        """There is patience for so long from now on, if there was less."""
+        self.until = max(self.until, min(time.monotonic() + seconds, self.last))
+
     def later(self, seconds, act):
         """Does something after a while, whatever is waited for then."""
         self.due.append((time.monotonic() + seconds, act))
@@ -223,14 +229,14 @@ class Ground:
     def wait(self, what, look, within=None):
         """Waits until `look` sees something, and gives that."""
         within = within and within + self.still()
-        until = min(self.until, time.monotonic() + within) if within else self.until
+        began = time.monotonic()
         while True:
             seen = look()
             if seen:
                 return seen
-            if time.monotonic() >= until:
-                limit = within if within and until < self.until else self.patience
-                raise Hung(f"waited {limit:.0f} s for {what}; {self.tails()}")
+            waited = time.monotonic() - began
+            if time.monotonic() >= self.until or (within and waited >= within):
+                raise Hung(f"waited {waited:.0f} s for {what}; {self.tails()}")
             self.look_after()
             time.sleep(LOOK)
 

@@ -11,7 +11,7 @@ POLICIES = {
 }
 
 # TTIs that a busy machine plays in a second without a pace, where one grant may cover many.
-FAST = {"knn": 6000, "q-learning": 400, "age-index": 2000, "dt": 200, "random": 6000}
+FAST = {"knn": 4000, "q-learning": 300, "age-index": 1000, "dt": 150, "random": 600}
 
 
 @dataclass(frozen=True)

@@ -147,6 +147,38 @@ fn an_interrupted_run_is_taken_up() {
     taken_up("up -P 2", Signal::TERM);
 }
 
+/// A run ends in the middle of a TTI where it is interrupted while the clock is held: what it had come to before that TTI
+/// is what it is taken up from.
+#[test]
+fn a_run_that_was_interrupted_while_it_was_held_is_taken_up() {
+    let (folder, run, endpoint) = (Folder::new(), unique_run("held"), free_endpoint());
+    // A plan in each TTI, so that something has happened in the one that is open.
+    let scenario = "-n 20 -k 800 -p random";
+    let expected = folder.summary(&format!("run {scenario}"));
+    let serve = format!("--pace 3ms --run {run} --listen {endpoint}");
+    let host = || {
+        let host = folder.start(&format!("device --connect {endpoint} --run {run} --count 20"));
+        host.wait_for_stderr("joined");
+        host
+    };
+    let bs = folder.start(&format!("bs {scenario} --out out {serve}"));
+    bs.wait_for_stderr("waiting for 20 devices");
+    let killed = host();
+    folder.wait_for_tti(&run, 20);
+    killed.signal(Signal::KILL);
+    bs.wait_for_stderr("the clock is held");
+    bs.signal(Signal::TERM);
+    let end = bs.finish();
+    assert_eq!(end.code(), Some(130), "{end}");
+    let bs = folder.start(&format!("bs --resume out {serve}"));
+    bs.wait_for_stderr("waiting for 20 devices");
+    let heir = host();
+    let end = bs.finish();
+    assert!(end.is_success(), "{end}");
+    assert_eq!(Summary::read(&folder.join("out")).digest(), expected.digest());
+    assert!(heir.finish().is_success());
+}
+
 #[test]
 fn a_folder_that_was_changed_is_not_taken_up() {
     let folder = Folder::new();
