@@ -14,8 +14,8 @@
 //! The secret is told to hosts with their places, the token to one host alone. No wildcard of zenoh matches a part of a
 //! key that begins with `@`: who does not know the secret can neither name those keys nor hear of them, and who does
 //! cannot speak for another host. What all hosts hear, each hears on a key of its own: where they share one, zenoh
-//! looks at all pairs of hosts whenever one more comes. Nothing travels on keys of the plane of truth: its kinds come to observers by the tap
-//! alone.
+//! looks at all pairs of hosts whenever one more comes. Nothing travels on keys of the plane of truth: its kinds come
+//! to observers by the tap alone.
 
 use std::fmt;
 use std::str::FromStr;
