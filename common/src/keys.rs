@@ -3,7 +3,8 @@
 //! | key | what |
 //! |---|---|
 //! | `reveille/{run}/{plane}/{kind}` | queries that anyone may ask |
-//! | `reveille/{run}/@{secret}/{plane}/{kind}` | what the BS tells all hosts, and a host's query |
+//! | `reveille/{run}/@{secret}/{plane}/{kind}` | a host's query |
+//! | `…/{plane}/{kind}/*` | what the BS tells all hosts; each listens on its own number |
 //! | `…/air/wake/{host}/{device}` | a wake-up, to the host that carries the device |
 //! | `…/{plane}/{kind}/{host}/{token}` | what a host sends: reports and answers |
 //! | `…/emu/alive/{host}/{token}` | liveliness tokens of hosts |
@@ -12,8 +13,9 @@
 //!
 //! The secret is told to hosts with their places, the token to one host alone. No wildcard of zenoh matches a part of a
 //! key that begins with `@`: who does not know the secret can neither name those keys nor hear of them, and who does
-//! cannot speak for another host. Nothing travels on keys of the plane of truth: its kinds come to observers by the tap
-//! alone.
+//! cannot speak for another host. What all hosts hear, each hears on a key of its own: where they share one, zenoh
+//! looks at all pairs of hosts whenever one more comes. Nothing travels on keys of the plane of truth: its kinds come
+//! to observers by the tap alone.
 
 use std::fmt;
 use std::str::FromStr;
@@ -91,6 +93,16 @@ impl Keys {
             Access::Members => self.members(),
         };
         format!("{prefix}/{}/{}", kind.plane().name(), kind.name())
+    }
+
+    /// The key on which the BS tells all hosts messages of `kind`.
+    pub fn to_all(&self, kind: MessageKind) -> String {
+        format!("{}/*", self.of(kind))
+    }
+
+    /// The key on which `host` hears what all are told.
+    pub fn to_one_of_all(&self, kind: MessageKind, host: HostId) -> String {
+        format!("{}/{host}", self.of(kind))
     }
 
     /// The key of wake-ups for `device`, which `host` carries.
@@ -190,6 +202,13 @@ mod tests {
         let token = "01".repeat(16);
         assert_eq!(keys.of(MessageKind::Clock), format!("reveille/r1/@{secret}/emu/clock"));
         assert_eq!(
+            [
+                keys.to_all(MessageKind::Clock),
+                keys.to_one_of_all(MessageKind::Clock, HostId(3))
+            ],
+            ["*", "3"].map(|host| format!("reveille/r1/@{secret}/emu/clock/{host}"))
+        );
+        assert_eq!(
             keys.wake(HostId(2), DeviceId(17)),
             format!("reveille/r1/@{secret}/air/wake/2/17")
         );
@@ -219,6 +238,7 @@ mod tests {
         let keys = Keys::of_members("r1".parse().expect("valid"), SECRET);
         for &kind in MessageKind::ALL {
             assert_eq!(classify(&keys.of(kind)), Some((kind, None)));
+            assert_eq!(classify(&keys.to_all(kind)), Some((kind, None)));
             assert_eq!(classify(&keys.uplink(kind, pass())), Some((kind, Some(2))));
         }
         assert_eq!(classify("reveille/r1/air/clock"), None);

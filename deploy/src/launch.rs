@@ -137,7 +137,7 @@ pub fn spawn(arguments: &[String], key: Option<Secret>, threads: Threads) -> any
 }
 
 /// Begins this process anew with one thread for zenoh, unless somebody has said which it is to have. zenoh looks at the
-/// environment alone, which a process cannot change for itself. Returns if there is nothing to do, or it cannot be done.
+/// environment alone, which a process cannot change for itself. Returns if there is nothing to do, or it is impossible.
 pub fn with_one_thread() {
     if are_threads_said() {
         return;

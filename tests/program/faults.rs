@@ -291,20 +291,20 @@ async fn an_unanswered_grant_is_repeated_with_its_plan() {
         panic!("{reply:?}")
     };
     let membership = assignment.membership;
+    let pass = membership.pass;
     let bus = bus.with_secret(membership.secret);
     let (send, heard) = std::sync::mpsc::channel();
     let plans = send.clone();
     let _plan = bus
-        .subscribe(move |_: PlanUpdate| {
+        .subscribe(pass.host, move |_: PlanUpdate| {
             let _deaf = plans.send("plan");
         })
         .expect("subscribed");
     let _clock = bus
-        .subscribe(move |_: Clock| {
+        .subscribe(pass.host, move |_: Clock| {
             let _deaf = send.send("grant");
         })
         .expect("subscribed");
-    let pass = membership.pass;
     let _alive = bus.declare_alive(bus.keys().alive(pass)).expect("declared");
     let ready = Ready { host: pass.host };
     let known = bus

@@ -126,6 +126,7 @@ async fn garbage_on_every_key_changes_nothing() {
         all.push(keys.wake(HostId(1), DeviceId(j)));
         all.extend([MessageKind::Report, MessageKind::Answer].map(|kind| keys.uplink(kind, other)));
     }
+    all.extend([MessageKind::Clock, MessageKind::Plan].map(|kind| keys.to_all(kind)));
     all.extend([format!("{}/x/y", keys.of(MessageKind::Answer)), keys.tap()]);
     folder.clock(&run, "resume");
     for payload in garbage() {
@@ -212,11 +213,12 @@ fn forgeries(keys: &Keys, pass: HostPass, tti: u64) -> Vec<(String, Vec<u8>)> {
         host: HostId(0),
         ledgers,
     };
-    let mut all: Vec<(String, Vec<u8>)> = clock
-        .iter()
-        .map(|c| (keys.of(MessageKind::Clock), codec::encode(c)))
-        .collect();
-    all.push((keys.of(MessageKind::Plan), codec::encode(&plan)));
+    let downlinks = |kind| [keys.to_all(kind), keys.to_one_of_all(kind, HostId(1)), keys.of(kind)];
+    let mut all: Vec<(String, Vec<u8>)> = Vec::new();
+    for key in downlinks(MessageKind::Clock) {
+        all.extend(clock.iter().map(|c| (key.clone(), codec::encode(c))));
+    }
+    all.extend(downlinks(MessageKind::Plan).map(|key| (key, codec::encode(&plan))));
     for when in [tti, u64::MAX] {
         let wake = codec::encode(&WakeUp { tti: Tti(when) });
         all.extend([1, 2].map(|host| (keys.wake(HostId(host), DeviceId(0)), wake.clone())));

@@ -91,8 +91,9 @@ class Run:
 
 def keys_of(name):
     """Keys that a stranger can think of."""
-    air = ["plan", "wake/0", "wake/0/0", "report/0", "report/0/0"]
-    emu = ["clock", "answer/0", "answer/0/0", "alive/0", "bs", "join", "ready", "control", "describe"]
+    air = ["plan", "plan/0", "plan/*", "wake/0", "wake/0/0", "report/0", "report/0/0"]
+    emu = ["clock", "clock/0", "clock/*", "answer/0", "answer/0/0", "alive/0", "bs"]
+    emu += ["join", "ready", "control", "describe"]
     prefixes = [f"reveille/{name}", f"reveille/{name}/@", f"reveille/{name}/@{'0' * 32}"]
     own = [f"{prefix}/air/{key}" for prefix in prefixes for key in air]
     own += [f"{prefix}/emu/{key}" for prefix in prefixes for key in emu]

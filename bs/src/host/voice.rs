@@ -3,8 +3,6 @@
 //! A host that has missed something, or that takes over devices as they were before the grant, is told all of it once
 //! more, in order. To one that has heard it, it changes nothing.
 
-use std::collections::BTreeMap;
-
 use reveille_common::bus::{Bus, BusError, Topic};
 use reveille_common::ids::{DeviceId, HostId, Tti};
 use reveille_common::message::{Clock, PlanUpdate, WakeUp};
@@ -14,7 +12,6 @@ pub(super) struct Voice<'a> {
     bus: &'a Bus,
     to_clocks: Topic<Clock>,
     to_plans: Topic<PlanUpdate>,
-    to_devices: BTreeMap<(HostId, DeviceId), Topic<WakeUp>>,
     plans: Vec<PlanUpdate>,
     grant: Option<Clock>,
     woken: Vec<(HostId, DeviceId, Tti)>,
@@ -28,7 +25,6 @@ impl<'a> Voice<'a> {
             bus,
             to_clocks: bus.publisher()?,
             to_plans: bus.publisher()?,
-            to_devices: BTreeMap::new(),
             plans: Vec::new(),
             grant: None,
             woken: Vec::new(),
@@ -63,15 +59,7 @@ impl<'a> Voice<'a> {
     /// Wakes `device`, which `host` carries.
     pub(super) fn wake_up(&mut self, host: HostId, device: DeviceId, tti: Tti) -> Result<(), BusError> {
         self.woken.push((host, device, tti));
-        self.send_wake_up(host, device, tti)
-    }
-
-    fn send_wake_up(&mut self, host: HostId, device: DeviceId, tti: Tti) -> Result<(), BusError> {
-        let topic = match self.to_devices.entry((host, device)) {
-            std::collections::btree_map::Entry::Occupied(topic) => topic.into_mut(),
-            std::collections::btree_map::Entry::Vacant(place) => place.insert(self.bus.waker(host, device)?),
-        };
-        topic.put(&WakeUp { tti })
+        self.bus.wake(host, device, &WakeUp { tti })
     }
 
     /// Wake-ups that are said again go to the hosts that carry the devices now.
@@ -82,16 +70,15 @@ impl<'a> Voice<'a> {
     }
 
     /// Says all of it once more.
-    pub(super) fn say_again(&mut self) -> Result<(), BusError> {
+    pub(super) fn say_again(&self) -> Result<(), BusError> {
         for plan in &self.plans {
             self.to_plans.put(plan)?;
         }
         if let Some(grant) = &self.grant {
             self.to_clocks.put(grant)?;
         }
-        for at in 0..self.woken.len() {
-            let (host, device, tti) = self.woken[at];
-            self.send_wake_up(host, device, tti)?;
+        for &(host, device, tti) in &self.woken {
+            self.bus.wake(host, device, &WakeUp { tti })?;
         }
         match &self.end {
             Some(end) => self.to_clocks.put(end),

@@ -34,7 +34,7 @@ const QUERIES: [MessageKind; 4] = [
 
 /// zenoh's configuration of access to the run with these `keys`.
 pub(super) fn rules(keys: &Keys) -> String {
-    let down: Vec<String> = DOWN.iter().map(|&kind| keys.of(kind)).collect();
+    let down: Vec<String> = DOWN.iter().map(|&kind| keys.to_all(kind)).collect();
     let wake = format!("{}/*/*", keys.of(MessageKind::Wake));
     let up: Vec<String> = UP.iter().map(|&kind| keys.uplinks(kind)).collect();
     let queries: Vec<String> = QUERIES.iter().map(|&kind| keys.of(kind)).collect();

@@ -21,6 +21,7 @@ use std::time::Duration;
 
 use serde::de::DeserializeOwned;
 use zenoh::Wait;
+use zenoh::key_expr::KeyExpr;
 use zenoh::pubsub::Publisher;
 use zenoh::qos::CongestionControl;
 use zenoh::sample::Sample;
@@ -28,7 +29,7 @@ use zenoh::sample::Sample;
 use crate::codec::{self, CodecError};
 use crate::ids::{DeviceId, HostId, Tti};
 use crate::keys::{self, Keys};
-use crate::message::{Frame, Payload, Plane, TapBatch, WakeUp};
+use crate::message::{Frame, MessageKind, Payload, Plane, TapBatch, WakeUp};
 use crate::secret::{HostPass, Secret};
 
 pub use error::BusError;
@@ -155,20 +156,29 @@ impl Bus {
         }
     }
 
-    /// The topic of messages of type `P`, which have a single key.
+    /// The topic of messages of type `P` to all hosts.
     ///
     /// # Errors
     /// If zenoh refuses.
     pub fn publisher<P: Payload<Address = ()>>(&self) -> Result<Topic<P>, BusError> {
-        self.topic(self.keys.of(P::KIND), None)
+        let publisher = self.session.declare_publisher(self.keys.to_all(P::KIND));
+        let way = Way::Published(publisher.congestion_control(CongestionControl::Block).wait()?);
+        Ok(Topic::new(way, None, self.tap.clone()))
     }
 
-    /// The topic of wake-ups for `device`, which `host` carries.
+    /// Wakes `device`, which `host` carries. Waits while the link is congested.
     ///
     /// # Errors
-    /// If zenoh refuses.
-    pub fn waker(&self, host: HostId, device: DeviceId) -> Result<Topic<WakeUp>, BusError> {
-        self.topic(self.keys.wake(host, device), Some(device.0))
+    /// If the session is closed.
+    pub fn wake(&self, host: HostId, device: DeviceId, wake: &WakeUp) -> Result<(), BusError> {
+        let payload = codec::encode(wake);
+        if let Some(tap) = &self.tap {
+            tap.see(MessageKind::Wake, Some(device.0), &payload);
+        }
+        // Thousands of keys, each of which is hardly ever used: declared, zenoh would look through all that there are
+        // for each new one.
+        let put = self.session.put(self.keys.wake(host, device), payload);
+        Ok(put.congestion_control(CongestionControl::Block).wait()?)
     }
 
     /// The topic of messages of type `P` from the host with this pass.
@@ -176,29 +186,21 @@ impl Bus {
     /// # Errors
     /// If zenoh refuses.
     pub fn uplink<P: Payload>(&self, pass: HostPass) -> Result<Topic<P>, BusError> {
-        self.topic(self.keys.uplink(P::KIND, pass), Some(pass.host.0))
+        let key = self.session.declare_keyexpr(self.keys.uplink(P::KIND, pass)).wait()?;
+        let way = Way::Named(self.session.clone(), key);
+        Ok(Topic::new(way, Some(pass.host.0), self.tap.clone()))
     }
 
-    fn topic<P: Payload>(&self, key: String, number: Option<u32>) -> Result<Topic<P>, BusError> {
-        let publisher = self.session.declare_publisher(key);
-        Ok(Topic {
-            publisher: publisher.congestion_control(CongestionControl::Block).wait()?,
-            number,
-            tap: self.tap.clone(),
-            _payload: PhantomData,
-        })
-    }
-
-    /// Calls `handle` with each message of type `P`, which has a single key. It must not block.
+    /// Calls `handle` with each message of type `P` to all hosts, of which this is `host`. It must not block.
     ///
     /// # Errors
     /// If zenoh refuses.
-    pub fn subscribe<P, F>(&self, handle: F) -> Result<Declared, BusError>
+    pub fn subscribe<P, F>(&self, host: HostId, handle: F) -> Result<Declared, BusError>
     where
         P: Payload<Address = ()>,
         F: Fn(P) + Send + Sync + 'static,
     {
-        self.listen_on(self.keys.of(P::KIND), move |_, message| {
+        self.listen_on(self.keys.to_one_of_all(P::KIND, host), move |_, message| {
             handle(message);
             true
         })
@@ -318,15 +320,33 @@ impl Declared {
     }
 }
 
+/// How messages get on their way.
+enum Way {
+    /// By a publisher, to which zenoh tells all that are interested.
+    Published(Publisher<'static>),
+    /// On a key that has a short name on the link, to the BS whether it is interested or not. A publisher of each host
+    /// would have to be told of all that the other hosts hear.
+    Named(zenoh::Session, KeyExpr<'static>),
+}
+
 /// Where messages of type `P` are published, on one key.
 pub struct Topic<P> {
-    publisher: Publisher<'static>,
+    way: Way,
     number: Option<u32>,
     tap: Option<Arc<Tap>>,
     _payload: PhantomData<fn(&P)>,
 }
 
 impl<P: Payload> Topic<P> {
+    const fn new(way: Way, number: Option<u32>, tap: Option<Arc<Tap>>) -> Self {
+        Self {
+            way,
+            number,
+            tap,
+            _payload: PhantomData,
+        }
+    }
+
     /// Publishes `message`. Waits while the link is congested.
     ///
     /// # Errors
@@ -336,6 +356,13 @@ impl<P: Payload> Topic<P> {
         if let Some(tap) = &self.tap {
             tap.see(P::KIND, self.number, &payload);
         }
-        Ok(self.publisher.put(payload).wait()?)
+        match &self.way {
+            Way::Published(publisher) => publisher.put(payload).wait()?,
+            Way::Named(session, key) => {
+                let put = session.put(key, payload);
+                put.congestion_control(CongestionControl::Block).wait()?;
+            }
+        }
+        Ok(())
     }
 }

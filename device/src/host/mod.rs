@@ -194,12 +194,12 @@ impl Shared {
     fn declare(self: &Arc<Self>, bus: &Bus, ear: Ear) -> Result<Vec<Declared>, BusError> {
         let keys = bus.keys();
         let mut declared = Vec::new();
-        let hear = ear.clone();
-        declared.push(bus.subscribe(move |update: PlanUpdate| hear.take(Heard::Plan(update)))?);
-        let hear = ear.clone();
         let host = self.membership.pass.host;
+        let hear = ear.clone();
+        declared.push(bus.subscribe(host, move |update: PlanUpdate| hear.take(Heard::Plan(update)))?);
+        let hear = ear.clone();
         declared.push(bus.subscribe_wakes(host, move |device, wake| hear.take(Heard::Wake(device, wake)))?);
-        declared.push(bus.subscribe(move |clock: Clock| ear.take(Heard::Clock(clock)))?);
+        declared.push(bus.subscribe(host, move |clock: Clock| ear.take(Heard::Clock(clock)))?);
         let this = Arc::clone(self);
         declared.push(bus.watch_alive(keys.bs_alive(), move |_, alive| this.on_bs(alive))?);
         declared.push(bus.declare_alive(keys.alive(self.membership.pass))?);
