@@ -60,32 +60,35 @@ impl InputLog {
     }
 
     fn write(&mut self, outage: &Outage) -> io::Result<()> {
-        let file = match self.file.take() {
-            Some(file) => self.file.insert(file),
-            None => {
-                let mut options = OpenOptions::new();
-                let mut file = options
-                    .read(true)
-                    .write(true)
-                    .create(true)
-                    .truncate(false)
-                    .open(&self.path)?;
-                // The last line of a run that was killed may not be whole. Nothing depends on that one.
-                let (_, whole) = lines(&io::read_to_string(&file)?);
-                file.set_len(whole as u64)?;
-                file.seek(SeekFrom::End(0))?;
-                if whole == 0 {
-                    let first = Entry::Inputs {
-                        version: VERSION,
-                        scenario_hash: self.scenario_hash.clone(),
-                    };
-                    writeln!(file, "{}", serde_json::to_string(&first)?)?;
-                }
-                self.file.insert(file)
-            }
-        };
+        let opened = self.file.take();
+        let mut file = opened.map_or_else(|| self.open(), Ok)?;
         writeln!(file, "{}", serde_json::to_string(&Entry::Outage(*outage))?)?;
-        file.sync_data()
+        file.sync_data()?;
+        self.file = Some(file);
+        Ok(())
+    }
+
+    /// The file behind its last whole line, and with its first.
+    fn open(&self) -> io::Result<File> {
+        let mut options = OpenOptions::new();
+        let mut file = options
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(&self.path)?;
+        // The last line of a run that was killed may not be whole. Nothing depends on that one.
+        let (_, whole) = lines(&io::read_to_string(&file)?);
+        file.set_len(whole as u64)?;
+        file.seek(SeekFrom::End(0))?;
+        if whole == 0 {
+            let first = Entry::Inputs {
+                version: VERSION,
+                scenario_hash: self.scenario_hash.clone(),
+            };
+            writeln!(file, "{}", serde_json::to_string(&first)?)?;
+        }
+        Ok(file)
     }
 }
 

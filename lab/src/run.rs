@@ -104,6 +104,13 @@ impl Run {
         self.outages.add(outage);
     }
 
+    /// As [`Self::lose`], in the order in which they come.
+    pub fn lose_all(&mut self, outages: &[Outage]) {
+        for outage in outages {
+            self.lose(*outage);
+        }
+    }
+
     /// Whether there are outages that have not come.
     pub fn awaits_outages(&self) -> bool {
         !self.outages.is_empty()

@@ -183,7 +183,7 @@ impl Shadow {
 /// A run before TTI 0.
 fn begin(prepared: &Prepared, outages: &[Outage]) -> Run {
     let mut run = Run::new(prepared, Options::default());
-    outages.iter().for_each(|outage| run.lose(*outage));
+    run.lose_all(outages);
     run
 }
 

@@ -32,7 +32,7 @@ fn prepared(policy: &str) -> Prepared {
 fn run(prepared: &Prepared, outages: &[Outage], options: Options) -> (Outcome, Vec<Frame>) {
     let frames = RefCell::new(Vec::new());
     let mut run = Run::new(prepared, options);
-    outages.iter().for_each(|outage| run.lose(*outage));
+    run.lose_all(outages);
     let outcome = run.finish(&mut Framed::new(0, |frame| frames.borrow_mut().push(frame)));
     (outcome, frames.into_inner())
 }
@@ -159,7 +159,7 @@ fn the_books_of_who_is_gone_are_those_of_the_run_cut_short() {
         })
         .map(|frame| frame.tti)
         .collect();
-    let quiet = (700..)
+    let quiet = (700..TTIS)
         .find(|k| !spoke.contains(&Tti(*k)))
         .expect("a TTI without an event");
     let outage = outage(4, 11, quiet, None);

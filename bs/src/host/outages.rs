@@ -46,14 +46,13 @@ impl Outages {
         let mut all = DeviceTotals::default();
         for at in 0..self.gone.len() {
             let Gone { outage, sums } = &self.gone[at];
-            all += match sums {
-                Some(sums) => *sums,
-                None => {
-                    let (is_closed, ledgers) = (outage.tti < k, self.ledgers(k, outage.first, outage.count)?);
-                    let sums = ledgers.iter().map(|ledger| ledger.whole).sum();
-                    self.gone[at].sums = is_closed.then_some(sums);
-                    sums
-                }
+            all += if let Some(sums) = sums {
+                *sums
+            } else {
+                let (is_closed, ledgers) = (outage.tti < k, self.ledgers(k, outage.first, outage.count)?);
+                let sums = ledgers.iter().map(|ledger| ledger.whole).sum();
+                self.gone[at].sums = is_closed.then_some(sums);
+                sums
             };
         }
         Ok(all)

@@ -318,7 +318,7 @@ fn replay(
         window,
     };
     let mut run = Run::new(prepared, options);
-    outages.iter().for_each(|outage| run.lose(*outage));
+    run.lose_all(outages);
     while run.cycle().next_tti() < to {
         if progress.stop.load(Ordering::Relaxed) {
             bail!(Interrupted);

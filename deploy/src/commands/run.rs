@@ -66,7 +66,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
             for warning in warnings {
                 tracing::warn!("{warning}");
             }
-            outages.iter().for_each(|outage| run.lose(*outage));
+            run.lose_all(&outages);
             run
         }
         Err(error) => {

@@ -364,7 +364,7 @@ impl Shared {
             return round.repeat(&self.uplink);
         }
         let own = || state.coming.range(..=tick.last).map(|(from, _)| *from);
-        let plan = own().last().or(state.plan_from);
+        let plan = own().next_back().or(state.plan_from);
         if tick.first != state.next
             || tick.last < tick.first
             || tick.last >= self.end

@@ -69,7 +69,7 @@ impl Past {
                 ..Options::default()
             };
             let mut run = Run::new(&prepare(&self.scenario), options);
-            self.outages.iter().for_each(|outage| run.lose(*outage));
+            run.lose_all(&self.outages);
             run
         });
         let mut framed = Framed::new(0, &mut take);
