@@ -87,6 +87,8 @@ pub struct Marker {
     whole: Sha256,
     expected: Option<Mark>,
     is_wrong: bool,
+    /// Whether the last mark could not be written.
+    has_failed: bool,
     scenario_hash: String,
     window: u64,
     due: Instant,
@@ -103,6 +105,7 @@ impl Marker {
             whole: Sha256::new(),
             expected,
             is_wrong: false,
+            has_failed: false,
             scenario_hash: scenario.hash_hex(),
             window,
             due: now() + EVERY,
@@ -188,9 +191,12 @@ impl Observer for Marker {
             let now = now();
             if now >= self.due && self.expected.is_none() && !self.is_wrong {
                 self.due = now + EVERY;
-                if let Err(error) = self.write() {
+                let failed = self.write().err();
+                // On a disk that is full the tables end the run before the second time.
+                if let Some(error) = failed.as_ref().filter(|_| self.has_failed) {
                     tracing::warn!(%error, "cannot mark how far the run has come");
                 }
+                self.has_failed = failed.is_some();
             }
         }
     }

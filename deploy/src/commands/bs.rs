@@ -284,8 +284,10 @@ async fn play(
     let mut observers = (observer, (&mut marker, auditor.ear()));
     let served = host::serve(bus, course, &settings, progress, &mut observers).await;
     drop(observers);
-    marker.finish(served.as_ref().is_ok_and(|served| served.outcome.complete))?;
+    let marked = marker.finish(served.as_ref().is_ok_and(|served| served.outcome.complete));
+    // Why the run ended comes first.
     let served = served?;
+    marked?;
     let audited = auditor.finish(&served.outcome);
     if audited.is_err() {
         // What is wrong is not gone on with.

@@ -88,7 +88,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let outcome = run.finish(&mut (&mut shown, &mut marker));
     marker.check()?;
     ensure!(!outcome.complete || shown.outages == outages.len(), input_log::MISFIT);
-    marker.finish(outcome.complete)?;
+    let marked = marker.finish(outcome.complete);
     let run_s = started.elapsed().as_secs_f64();
     drop(bar);
     let timing = Timing {
@@ -100,7 +100,9 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let path = shown.folder.path().to_owned();
     watch.finish(Some(summary.to_json()?))?;
     shown.folder.keep_learned(&scenario, &outcome)?;
+    // What the tables have to say of a disk that is full comes first.
     shown.folder.finish(&scenario, &outcome, &summary)?;
+    marked?;
     conclude(&args.output, &summary, &path)
 }
 
