@@ -34,7 +34,7 @@ fn table(name: &str, format: Format, bytes: &[u8]) {
             let again = path(&format!("again-{name}"));
             table.write(&again, format).expect("what was read is written");
             let again = Table::read(&again).expect("what was written is read");
-            assert_eq!(again.len(), table.len());
+            assert_eq!(again.rows.len(), table.rows.len());
         }
         Err(error) => assert!(!error.to_string().trim().is_empty()),
     }
@@ -49,10 +49,11 @@ fn journal(lines: &[u8]) {
     bytes.extend_from_slice(lines);
     fs::write(&path, bytes).expect("memory to write to");
     if let Ok(opened) = Journal::open(&path, "sweep", 4, 8) {
-        let kept = opened.runs().clone();
+        // NaN is no equal to itself, and is shown like itself.
+        let kept = format!("{:?}", opened.runs());
         drop(opened);
         let again = Journal::open(&path, "sweep", 4, 8).expect("it was mended");
-        assert_eq!((again.dropped(), again.runs()), (0, &kept));
+        assert_eq!((again.dropped(), format!("{:?}", again.runs())), (0, kept));
     }
 }
 
