@@ -147,8 +147,8 @@ fn an_interrupted_run_is_taken_up() {
     taken_up("up -P 2", Signal::TERM);
 }
 
-/// A run ends in the middle of a TTI where it is interrupted while the clock is held: what it had come to before that TTI
-/// is what it is taken up from.
+/// A run ends in the middle of a TTI where it is interrupted while the clock is held: what it had come to before that
+/// TTI is what it is taken up from.
 #[test]
 fn a_run_that_was_interrupted_while_it_was_held_is_taken_up() {
     let (folder, run, endpoint) = (Folder::new(), unique_run("held"), free_endpoint());

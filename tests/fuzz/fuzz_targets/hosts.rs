@@ -29,6 +29,8 @@ struct Books {
     losses: Losses,
     passes: Vec<HostPass>,
     is_running: bool,
+    /// Whether the run waits for what is lost, or goes on without it.
+    waits: bool,
     now: Instant,
     tti: u64,
 }
@@ -43,7 +45,7 @@ enum Open {
 }
 
 impl Books {
-    fn new() -> Self {
+    fn new(waits: bool) -> Self {
         let set = Override::parse(&format!("devices={DEVICES}")).expect("an override");
         let scenario = load("quick", &[set]).expect("a preset");
         let deployment = Deployment::new(&scenario);
@@ -53,6 +55,7 @@ impl Books {
             losses: Losses::default(),
             passes: Vec::new(),
             is_running: false,
+            waits,
             now: Instant::now(),
             tti: 0,
         }
@@ -84,6 +87,9 @@ impl Books {
             return Ok(());
         }
         if self.is_running {
+            if !self.waits {
+                return Ok(());
+            }
             if let Some((lost, _)) = self.losses.fitting(newcomer.count) {
                 let places = self.admission.take_over(newcomer, lost);
                 self.losses.offer(lost.host, places.host);
@@ -225,7 +231,7 @@ impl Books {
 }
 
 fn play(input: &mut Unstructured<'_>) -> Result<()> {
-    let mut books = Books::new();
+    let mut books = Books::new(input.arbitrary()?);
     let mut open = Open::Nothing;
     while !input.is_empty() {
         books.now += Duration::from_millis(100);
@@ -245,8 +251,8 @@ fn play(input: &mut Unstructured<'_>) -> Result<()> {
                 }
             }
             4 => books.begin(),
-            5 => books.give_up(),
-            6 => books.restore(),
+            5 if !books.waits => books.give_up(),
+            6 if books.waits => books.restore(),
             7 if books.is_running && open == Open::Nothing => {
                 books.tti += 1;
                 books.barrier.expect_grant(Tti(books.tti), input.arbitrary()?, Asked::default());
@@ -269,7 +275,8 @@ fn play(input: &mut Unstructured<'_>) -> Result<()> {
             _ => books.hear(input)?,
         }
         let waiting = books.barrier.waiting();
-        assert!(waiting.is_empty() || !books.barrier.is_complete() || open == Open::Wake, "{waiting:?} have not answered");
+        let is_early = books.barrier.is_complete() && open != Open::Wake && !waiting.is_empty();
+        assert!(!is_early, "{waiting:?} have not answered");
         if books.barrier.is_complete() {
             match open {
                 Open::Nothing => {}
