@@ -34,6 +34,9 @@ const LOOK: Duration = Duration::from_millis(50);
 pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let scenario = resolve_run(&args.scenario, &args.output)?;
     crate::watch::check(&args.output)?;
+    // Before there is a folder: a log that does not fit leaves none.
+    let named = args.inputs.as_ref().map(|path| input_log::read(path, &scenario));
+    let named = named.transpose().context("--inputs")?;
     let folder = RunFolder::create(&args.output, &scenario)?;
     let mark = match &args.output.resume {
         Some(_) => Mark::read(folder.path(), &scenario)?,
@@ -45,7 +48,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
             .as_ref()
             .map_or_else(|| window(&args.output, &scenario), |mark| mark.window),
     };
-    let outages = inputs(args, &folder, &scenario)?;
+    let outages = inputs(named, &folder, &scenario)?;
     let mut marker = Marker::new(folder.path(), &scenario, options.window, mark);
     let progress = Arc::new(Progress::default());
     let runtime = crate::wall::runtime(1)?;
@@ -106,12 +109,11 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     conclude(&args.output, &summary, &path)
 }
 
-/// What the run depends on besides: what its folder holds, or what the command names, which is copied there.
-fn inputs(args: &RunArgs, folder: &RunFolder, scenario: &Scenario) -> anyhow::Result<Vec<Outage>> {
-    let Some(path) = &args.inputs else {
+/// What the run depends on besides: what its folder holds, or what the command has `named`, which is copied there.
+fn inputs(named: Option<Vec<Outage>>, folder: &RunFolder, scenario: &Scenario) -> anyhow::Result<Vec<Outage>> {
+    let Some(outages) = named else {
         return input_log::of_folder(folder.path(), scenario);
     };
-    let outages = input_log::read(path, scenario).context("--inputs")?;
     let mut log = InputLog::new(folder.path(), scenario);
     outages.iter().try_for_each(|outage| log.add(outage))?;
     Ok(outages)
