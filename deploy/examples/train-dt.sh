@@ -14,8 +14,6 @@ folder=${2:?a folder for recordings and models}
 # same bytes.
 mkdir -p "$folder"
 cd "$folder"
-# The training makes many tensors of a few megabytes and drops them again: asking the kernel for each takes half of the time.
-export MALLOC_MMAP_MAX_=0 MALLOC_TRIM_THRESHOLD_=4000000000
 
 # Families of events, each with a setting that is varied.
 families=(

@@ -1,0 +1,160 @@
+#!/usr/bin/env python3
+"""Tables of docs/dt.md from the sweeps of judge-dt.sh: `python judge_dt.py FOLDER`. Needs nothing but Python.
+
+`dt` is compared run by run, in the same world: with the line through another policy's points (energy, P1) of that seed,
+without points that find less than a cheaper one. Differences have 95 % intervals over seeds.
+"""
+
+import csv
+import sys
+from collections import defaultdict
+from pathlib import Path
+from statistics import fmean, stdev
+
+FOLDER = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
+PRICE = "policy.dt.price"
+
+
+def rows(name):
+    """The runs of the sweep `name`, as dictionaries of text."""
+    with open(FOLDER / name / "results.csv", newline="") as table:
+        return list(csv.DictReader(table))
+
+
+def interval(values):
+    """Half of the 95 % interval of the mean of `values`."""
+    count = len(values)
+    return (1.96 + 2.4 / (count - 1)) * stdev(values) / count**0.5 if count > 1 else float("nan")
+
+
+def column(runs, metric):
+    """`metric` of the runs in which it is defined."""
+    return [float(run[metric]) for run in runs if run[metric] != ""]
+
+
+def mean(runs, metric):
+    return fmean(column(runs, metric))
+
+
+def said(values, digits=4):
+    return f"{fmean(values):.{digits}f} ± {interval(values):.{digits}f}"
+
+
+def line_at(points, energy):
+    """P1 at `energy` on the line through `points` that nothing cheaper beats, or None outside of their energies."""
+    front = []
+    for cost, found in sorted(points):
+        if not front or found > front[-1][1]:
+            front.append((cost, found))
+    for (left, low), (right, high) in zip(front, front[1:]):
+        if left <= energy <= right:
+            return low + (high - low) * (energy - left) / (right - left)
+    return None
+
+
+def beside(ours, theirs):
+    """Difference of P1 at equal energy, a row of a table's last columns, and how many runs lay outside of the line."""
+    points = defaultdict(list)
+    for run in theirs:
+        points[run["seed"]].append((float(run["energy_per_device_tti"]), float(run["info_p1"])))
+    differences, lines = [], []
+    for run in ours:
+        line = line_at(points[run["seed"]], float(run["energy_per_device_tti"]))
+        if line is not None:
+            differences.append(float(run["info_p1"]) - line)
+            lines.append(line)
+    if len(differences) < 2:
+        return f"| outside of its energies in {len(ours) - len(differences)} of {len(ours)} runs | |"
+    share, width = 100 * fmean(differences) / fmean(lines), 100 * interval(differences) / fmean(lines)
+    left = len(ours) - len(differences)
+    note = f", {left} runs outside" if left else ""
+    return f"| {fmean(lines):.3f} | {fmean(differences):+.4f} ± {interval(differences):.4f} ({share:+.1f} ± {width:.1f} %{note}) |"
+
+
+def by(runs, *fields):
+    """The runs in groups of equal `fields`, in the order in which they come."""
+    groups = defaultdict(list)
+    for run in runs:
+        groups[tuple(run[field] for field in fields)].append(run)
+    return groups
+
+
+def point(runs):
+    return f"{mean(runs, 'info_p1'):.3f} | {mean(runs, 'energy_per_device_tti'):.3f}"
+
+
+def heading(title, *names):
+    print(f"\n{title}\n")
+    print("| " + " | ".join(names) + " |")
+    print("|" + "---|" * len(names))
+
+
+def claims(layout):
+    heading(f"Claims, N = 250, {layout}", "policy", "P1", "of genie's", "energy", "missed, %", "wrong an event", "runs")
+    all_runs = by(rows(f"claims-{layout}-dt"), "policy")
+    all_runs.update(by(rows(f"claims-{layout}-knn"), "policy", "bs.ranking"))
+    learning = [run for run in rows(f"learning-{layout}-windows") if run["n"] == "250"]
+    all_runs.update(by(learning, "policy", "policy.q-learning.window", "bs.ranking"))
+    best = {run["seed"]: float(run["info_p1"]) for run in all_runs[("genie",)]}
+    for name, runs in all_runs.items():
+        share = [float(run["info_p1"]) / best[run["seed"]] for run in runs]
+        print(
+            f"| {' '.join(name)} | {said(column(runs, 'info_p1'))} | {said(share)} "
+            f"| {said(column(runs, 'energy_per_device_tti'))} | {mean(runs, 'misdetection_pct'):.4f} "
+            f"| {mean(runs, 'wrong_activations_per_event'):.3f} | {len(runs)} |"
+        )
+
+
+def learned(layout):
+    heading(f"Beside q-learning's line, {layout}", "ranking", "N", "price", "P1", "energy", "line there", "difference")
+    lines = rows(f"learning-{layout}-windows") + rows(f"learning-{layout}-ages")
+    for (ranking, n), theirs in by(lines, "bs.ranking", "n").items():
+        ours = [run for run in rows(f"families-{layout}-uniform-dt") if run["n"] == n]
+        for (price,), runs in by(ours, PRICE).items():
+            print(f"| {ranking} | {n} | {price} | {point(runs)} {beside(runs, theirs)}")
+
+
+def families(layout):
+    heading(f"Beside age-index, {layout}", "events", "N", "price", "P1", "energy", "age-index there", "difference")
+    for events in ["uniform", "bursts", "aftershocks", "hot-spots"]:
+        theirs = by(rows(f"families-{layout}-{events}-age"), "n")
+        for (n, price), runs in by(rows(f"families-{layout}-{events}-dt"), "n", PRICE).items():
+            print(f"| {events} | {n} | {price} | {point(runs)} {beside(runs, theirs[(n,)])}")
+
+
+def targets(n):
+    heading(f"Target return, N = {n}", "target", "P1", "energy", "fixed prices there", "difference")
+    prices = rows(f"target-{n}-price")
+    for (target,), runs in by(rows(f"target-{n}-dt"), "policy.dt.target").items():
+        print(f"| {target} | {point(runs)} {beside(runs, prices)}")
+
+
+def unseen():
+    heading("Never seen, price 0.35", "events", "layout", "N", "P1", "energy", "age-index there", "difference")
+    for events in ["uniform", "bursts"]:
+        for layout in ["uniform", "poisson-disk", "hex"]:
+            theirs = by(rows(f"unseen-{layout}-{events}-age"), "n")
+            for (n,), runs in by(rows(f"unseen-{layout}-{events}-dt"), "n").items():
+                print(f"| {events} | {layout} | {n} | {point(runs)} {beside(runs, theirs[(n,)])}")
+
+
+def ablations():
+    models = sorted({path.name.rsplit("-", 2)[0] for path in FOLDER.glob("ablation-*-dt")})
+    if not models:
+        return
+    heading("Models of one's own, price 1", "model", "events", "N", "P1", "energy", "age-index there", "difference")
+    for model in models:
+        for events in ["uniform", "bursts", "aftershocks"]:
+            theirs = by(rows(f"ablation-age-{events}"), "n")
+            for (n,), runs in by(rows(f"{model}-{events}-dt"), "n").items():
+                print(f"| {model.removeprefix('ablation-')} | {events} | {n} | {point(runs)} {beside(runs, theirs[(n,)])}")
+
+
+for layout in ["jittered", "uniform"]:
+    claims(layout)
+    learned(layout)
+    families(layout)
+for n in ["50", "250"]:
+    targets(n)
+unseen()
+ablations()
