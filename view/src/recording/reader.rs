@@ -65,6 +65,8 @@ pub struct Reader<R> {
     /// The frame after which the file ends or is torn has been read.
     is_over: bool,
     frames: u64,
+    /// The number of the next frame; nothing after a jump.
+    next: Option<u32>,
     /// What follows the summary's index is not read again.
     from: Tti,
     bundle: Bundle,
@@ -92,6 +94,7 @@ impl<R: Read + Seek> Reader<R> {
             linear: linear(false),
             is_over: false,
             frames: 0,
+            next: Some(0),
             from: Tti::ZERO,
             bundle: Bundle::default(),
             about: BTreeMap::new(),
@@ -169,6 +172,7 @@ impl<R: Read + Seek> Reader<R> {
         self.source.seek(SeekFrom::Start(offset))?;
         self.linear = linear(is_inside);
         (self.is_over, self.held, self.frames) = (false, None, 0);
+        self.next = (!is_inside).then_some(0);
         Ok(())
     }
 
@@ -211,6 +215,10 @@ impl<R: Read + Seek> Reader<R> {
                 frames,
                 why: error.to_string(),
             },
+            Stop::Missing => RecordingError::Damaged {
+                frames,
+                why: "messages are missing".to_owned(),
+            },
         })
     }
 
@@ -222,9 +230,14 @@ impl<R: Read + Seek> Reader<R> {
                     self.linear.notify_read(read);
                 }
                 LinearReadEvent::Record { data, opcode } => match mcap::parse_record(opcode, data)? {
-                    Record::Message { data, .. } => {
+                    Record::Message { header, data } => {
+                        // They are numbered one after another: a chunk that is none any more is missed.
+                        if self.next.is_some_and(|next| next != header.sequence) {
+                            return Err(Stop::Missing);
+                        }
                         let text = std::str::from_utf8(&data).map_err(|_| LineError::Hex)?;
                         let frame = from_json(text)?;
+                        self.next = Some(header.sequence.wrapping_add(1));
                         self.frames += 1;
                         return Ok(Some(frame));
                     }
@@ -244,7 +257,14 @@ impl<R: Read + Seek> Reader<R> {
                         }
                     }
                     // The end of the data: what follows is the index.
-                    Record::DataEnd(_) => return Ok(None),
+                    Record::DataEnd(_) => {
+                        if let (Some(next), Some(all)) = (self.next, self.len())
+                            && next != all as u32
+                        {
+                            return Err(Stop::Missing);
+                        }
+                        return Ok(None);
+                    }
                     Record::Header(_)
                     | Record::Footer(_)
                     | Record::Schema { .. }
@@ -267,8 +287,13 @@ impl<R: Read + Seek> Reader<R> {
 
 /// Why reading stops.
 enum Stop {
+    /// Frames that were written are not there.
+    Missing,
     Io(io::Error),
-    Version { found: String, wire: String },
+    Version {
+        found: String,
+        wire: String,
+    },
     Format(McapError),
     Line(LineError),
 }

@@ -225,3 +225,30 @@ proptest! {
         prop_assert!(frames.starts_with(&own));
     }
 }
+
+/// A reader passes over what it does not know, as the format demands: what was known once must not be lost like that.
+#[test]
+fn chunks_that_are_none_any_more_are_missed() {
+    let (scenario, frames) = small();
+    let bytes = recorded(&scenario, &frames, Some("{}"));
+    let summary = mcap::Summary::read(&bytes)
+        .expect("a container")
+        .expect("it was closed");
+    let chunks: Vec<usize> = summary
+        .chunk_indexes
+        .iter()
+        // The first has channels and no messages.
+        .filter(|chunk| !chunk.message_index_offsets.is_empty())
+        .map(|chunk| chunk.chunk_start_offset as usize)
+        .collect();
+    assert!(chunks.len() > 5);
+    for at in chunks {
+        let mut damaged = bytes.clone();
+        // The kind of the record.
+        damaged[at] = 0x7f;
+        let (own, end) = read(&damaged);
+        assert!(own.len() < frames.len() && frames.starts_with(&own), "at {at}");
+        let said = end.expect_err("not all of it").to_string();
+        assert!(said.contains("messages are missing"), "at {at}: {said}");
+    }
+}
