@@ -225,11 +225,15 @@ def look(page, pictures):
     assert page.value("reveille.moment.states.length") == DEVICES
     loaded = page.value("performance.getEntriesByType('resource').every((r) => r.name.startsWith(location.origin))")
     assert loaded, "something is loaded from elsewhere"
-    painted = page.value(
+    script = (
         "(() => { const m = document.getElementById('map'), d = m.getContext('2d').getImageData(0, 0, m.width, m.height).data;"
         " const seen = new Set(); for (let i = 0; i < d.length; i += 4) seen.add(d[i] << 16 | d[i + 1] << 8 | d[i + 2]); return seen.size; })()"
     )
-    assert painted > 50, f"{painted} colours on the map"
+    # States are there before they are painted.
+    until = time.monotonic() + 5
+    while (painted := page.value(script)) <= 50:
+        assert time.monotonic() < until, f"{painted} colours on the map"
+        time.sleep(0.05)
     before, start = page.value("reveille.updates"), time.monotonic()
     time.sleep(3)
     rate = (page.value("reveille.updates") - before) / (time.monotonic() - start)

@@ -6,12 +6,18 @@ import environment
 import faults
 import lifecycle
 import memory
+import outages
 import scenario
 from cases import Plan
 
 # How many runs of each part.
 KILLS = {"hosts": 100, "station": 30, "everything": 10}
-CHECKS = {"lifecycle": lifecycle.check, "memory": memory.check, "environment": environment.check}
+CHECKS = {
+    "lifecycle": lifecycle.check,
+    "memory": memory.check,
+    "environment": environment.check,
+    "outages": outages.check,
+}
 BARS = ["kills", *CHECKS]
 # What the runs of 50 devices are played with.
 DEVICES, PROCESSES = 50, 10

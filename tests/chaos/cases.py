@@ -2,6 +2,7 @@
 
 import random
 import shutil
+import subprocess
 import tempfile
 import time
 from dataclasses import dataclass, field
@@ -130,7 +131,7 @@ def play(reveille, plan, keep_failed=True):
         if game is None:
             return None
         through(plan, game, outcome, program.oracle(reveille, plan.scenario, folder))
-    except Failure as failure:
+    except (Failure, subprocess.SubprocessError) as failure:
         outcome.failure = str(failure)
     finally:
         ground.close()

@@ -95,10 +95,12 @@ def ended(game, code, why):
     began = time.monotonic()
     game.ground.wait(f"the end after {why}", lambda: game.station.poll() is not None, within=games.TOLD)
     took = time.monotonic() - began
+    if took > GONE:
+        raise Failure(f"after {why} it took {took:.1f} s to end")
     if code is not None and game.station.poll() != code:
         raise Failure(f"after {why} it ended with {game.station.poll()}: {game.station.err()[-1500:]}")
     game.assert_nobody_left()
-    return time.monotonic() - began if took < GONE else took
+    return time.monotonic() - began
 
 
 def by_terminal(game, end, why):

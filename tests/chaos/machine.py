@@ -1,9 +1,11 @@
 """What takes root: a small disk, and a link that can be cut. All of it is taken back."""
 
+import itertools
 import os
 import subprocess
 
-_count = 0
+# Threads may ask for the next number at the same time.
+_numbers = itertools.count(1)
 
 
 def can(*command):
@@ -20,9 +22,7 @@ def must(*command):
 
 
 def _number():
-    global _count
-    _count += 1
-    return _count
+    return next(_numbers)
 
 
 def small_disk(ground, name, kilobytes):

@@ -19,6 +19,8 @@ BLOCKS = 20
 # Student's t for 95 % with two less than so many degrees of freedom.
 T_95 = 2.101
 EVERY = 0.2
+# kB for each million of TTIs: what is surely more than that is a leak.
+ALLOWED = 500
 
 
 def resident(pid):
@@ -80,12 +82,14 @@ def measure(args, policy, ttis):
             shutil.rmtree(folder, ignore_errors=True)
     rate = summary["timing"]["ttis_per_s"]
     print(f"{policy}: {ttis} TTIs at {rate:.0f} TTI/s, digest equal; slope after the first {WARM:.0%} of the run:")
+    is_flat = True
     for name, points in samples.items():
         kept = [point for point in points if point[0] >= WARM * ttis]
         try:
             rise, half = slope(kept)
         except Failure as failure:
-            print(f"    {name}: {failure}")
+            print(f"    {name}: FAILED: {failure}")
+            is_flat = False
             continue
         # In kB for each million of TTIs.
         rise, half = rise * 1e6, half * 1e6
@@ -95,7 +99,10 @@ def measure(args, policy, ttis):
             f"{', '.join(map(str, fifths))} kB",
             flush=True,
         )
-    return True
+        if rise - half > ALLOWED:
+            print(f"    {name}: FAILED: more than {ALLOWED} kB per 10^6 TTIs")
+            is_flat = False
+    return is_flat
 
 
 def check(args):

@@ -149,7 +149,10 @@ def conclude(args, outcomes, took):
     print(f"    taken up: {spread([seconds for outcome in held for seconds in outcome.resumes])}")
     for outcome in failed:
         print(f"FAILED: seed {outcome.plan.seed}: {replay(args, outcome.plan)}")
-    return not failed
+    is_struck = any(outcome.hits for outcome in outcomes)
+    if not is_struck:
+        print("FAILED: no fault hit a run")
+    return is_struck and not failed
 
 
 def main():

@@ -3,7 +3,6 @@
 It says "there" once it has begun, and goes on until it is killed.
 """
 
-import json
 import os
 import random
 import signal
@@ -11,32 +10,14 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import zenoh
 
-# Commands to the clock as they are encoded: pause, step 1, run to TTI 10, resume, pace max.
-COMMANDS = [b"\x05\x00", b"\x05\x01\x01", b"\x05\x02\x0a", b"\x05\x03", b"\x05\x04\x00"]
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "strangers"))
+from bus import COMMANDS, WELCOME, WIRE, check_wire, keys_of, session  # noqa: E402
+
 HUGE = 20 << 20
-
-
-def session(endpoint):
-    """A client's session."""
-    config = zenoh.Config()
-    config.insert_json5("mode", '"client"')
-    config.insert_json5("connect/endpoints", json.dumps([endpoint]))
-    config.insert_json5("connect/timeout_ms", "20000")
-    config.insert_json5("scouting/multicast/enabled", "false")
-    return zenoh.open(config)
-
-
-def keys_of(run):
-    """Keys that a stranger can think of."""
-    air = ["plan", "wake/0", "wake/0/0", "report/0", "report/0/0"]
-    emu = ["clock", "answer/0", "answer/0/0", "alive/0", "bs", "join", "ready", "control", "describe"]
-    prefixes = [f"reveille/{run}", f"reveille/{run}/@", f"reveille/{run}/@{'0' * 32}"]
-    own = [f"{prefix}/air/{key}" for prefix in prefixes for key in air]
-    own += [f"{prefix}/emu/{key}" for prefix in prefixes for key in emu]
-    return own + [f"reveille/{run}/tap", f"reveille/{run}/**", f"reveille/{run}/*/air/wake/*/*", "**"]
 
 
 def put(peer, key, payload):
@@ -57,7 +38,7 @@ def noise(endpoint, run, chance):
     while True:
         for _ in range(20):
             size = chance.choice([0, 1, 3, 64, 4096])
-            payload = chance.choice([chance.randbytes(size), bytes([4]) + chance.randbytes(size), *copies[-3:]])
+            payload = chance.choice([chance.randbytes(size), bytes([WIRE]) + chance.randbytes(size), *copies[-3:]])
             put(peer, chance.choice(keys), payload)
         del copies[:-3]
         time.sleep(0.02)
@@ -88,7 +69,7 @@ def tokens(endpoint, run, chance):
         except zenoh.ZError:
             pass
     for key in ["join", "ready", "control", "describe"]:
-        answer = lambda query: query.reply(query.key_expr, b"\x05\x00")
+        answer = lambda query: query.reply(query.key_expr, WELCOME)
         held.append(peer.declare_queryable(f"reveille/{run}/emu/{key}", answer, complete=True))
     yield
     while True:
@@ -98,6 +79,7 @@ def tokens(endpoint, run, chance):
 def clock(endpoint, run, chance):
     """Commands without the key, and messages of the clock that are forged."""
     peer = session(endpoint)
+    check_wire(peer, run)
     yield
     while True:
         shown = chance.choice([None, b"0" * 32, chance.randbytes(16).hex().encode()])
@@ -109,7 +91,7 @@ def clock(endpoint, run, chance):
         except zenoh.ZError:
             pass
         for tail in ("emu/clock", f"@{'0' * 32}/emu/clock", "*/emu/clock"):
-            put(peer, f"reveille/{run}/{tail}", b"\x05" + chance.randbytes(chance.randint(1, 12)))
+            put(peer, f"reveille/{run}/{tail}", bytes([WIRE]) + chance.randbytes(chance.randint(1, 12)))
         time.sleep(0.05)
 
 

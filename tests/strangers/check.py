@@ -21,10 +21,9 @@ import time
 
 import zenoh
 
+from bus import COMMANDS, STATUS, WELCOME, WIRE, check_wire, keys_of, session
+
 SCENARIO = ["-n", "30", "-k", "1200"]
-# Commands to the clock as they are encoded: pause, step 1, run to TTI 10, resume, pace max; and what anyone may ask.
-COMMANDS = [b"\x05\x00", b"\x05\x01\x01", b"\x05\x02\x0a", b"\x05\x03", b"\x05\x04\x00"]
-STATUS = b"\x05\x05"
 # No run of these takes a quarter of this.
 PATIENCE = 60
 
@@ -33,14 +32,6 @@ def free_endpoint():
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         return f"tcp/127.0.0.1:{listener.getsockname()[1]}"
-
-
-def session(endpoint):
-    config = zenoh.Config()
-    config.insert_json5("mode", '"client"')
-    config.insert_json5("connect/endpoints", json.dumps([endpoint]))
-    config.insert_json5("scouting/multicast/enabled", "false")
-    return zenoh.open(config)
 
 
 class Run:
@@ -91,17 +82,6 @@ class Run:
         return json.loads(stdout), stderr
 
 
-def keys_of(name):
-    """Keys that a stranger can think of."""
-    air = ["plan", "plan/0", "plan/*", "wake/0", "wake/0/0", "report/0", "report/0/0"]
-    emu = ["clock", "clock/0", "clock/*", "answer/0", "answer/0/0", "alive/0", "bs"]
-    emu += ["join", "ready", "control", "describe"]
-    prefixes = [f"reveille/{name}", f"reveille/{name}/@", f"reveille/{name}/@{'0' * 32}"]
-    own = [f"{prefix}/air/{key}" for prefix in prefixes for key in air]
-    own += [f"{prefix}/emu/{key}" for prefix in prefixes for key in emu]
-    return own + [f"reveille/{name}/tap", f"reveille/{name}/**", f"reveille/{name}/*/air/wake/*/*", "**"]
-
-
 def speaks(run):
     """Puts noise and replayed copies of what observers see on every key."""
     stranger = session(run.endpoint)
@@ -109,7 +89,7 @@ def speaks(run):
     listener = stranger.declare_subscriber(f"reveille/{run.name}/tap", lambda s: copies.append(s.payload.to_bytes()))
     run.resume()
     for _ in range(40):
-        payloads = [bytes([4, 0, 0]), bytes([4, 2]), os.urandom(64), *copies[-4:]]
+        payloads = [bytes([WIRE, 0, 0]), bytes([WIRE, 2]), os.urandom(64), *copies[-4:]]
         for key in keys_of(run.name):
             for payload in payloads:
                 try:
@@ -150,7 +130,7 @@ def answers(run):
 
     def reply(query):
         asked.append(str(query.key_expr))
-        query.reply(query.key_expr, b"\x05\x00")
+        query.reply(query.key_expr, WELCOME)
 
     held = []
     for key in ["join", "ready", "control", "describe"]:
@@ -179,7 +159,7 @@ def commands(run):
         for attachment in [None, b"0" * 32, b"\xff" * 32]:
             replies = list(stranger.get(control, payload=command, attachment=attachment, timeout=3.0))
             assert len(replies) == 1 and b"needs the run's key" in replies[0].err.payload.to_bytes(), (command, replies)
-    assert all(reply.ok for reply in stranger.get(control, payload=STATUS, timeout=3.0))
+    check_wire(stranger, run.name)
     assert "paused before TTI 0" in run.clock("status").stdout
     run.resume()
     return stranger
@@ -215,11 +195,10 @@ def floods(run):
 
 
 SLEEPER = """
-import json, os, signal, sys, zenoh
-config = zenoh.Config()
-config.insert_json5("mode", '"client"')
-config.insert_json5("connect/endpoints", json.dumps([sys.argv[1]]))
-stranger = zenoh.open(config)
+import os, signal, sys
+sys.path.insert(0, sys.argv[3])
+import bus
+stranger = bus.session(sys.argv[1])
 held = [stranger.declare_subscriber(key, lambda s: None) for key in ["**", f"reveille/{sys.argv[2]}/tap"]]
 print("there", flush=True)
 os.kill(os.getpid(), signal.SIGSTOP)
@@ -228,9 +207,9 @@ os.kill(os.getpid(), signal.SIGSTOP)
 
 def sleeps(run):
     """An observer that stops reading holds nobody up."""
-    sleeper = subprocess.Popen(
-        [sys.executable, "-c", SLEEPER, run.endpoint, run.name], stdout=subprocess.PIPE, text=True
-    )
+    here = os.path.dirname(os.path.abspath(__file__))
+    command = [sys.executable, "-c", SLEEPER, run.endpoint, run.name, here]
+    sleeper = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert sleeper.stdout.readline() == "there\n"
     started = time.monotonic()
     run.resume()
