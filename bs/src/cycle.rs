@@ -33,6 +33,10 @@ use crate::outcome::Outcome;
 use crate::prepared::Prepared;
 use crate::station::Station;
 
+/// Plans that go with a grant at the most. More would not be faster, and all of them have to be decided, sent and kept
+/// before anybody answers.
+const AHEAD: usize = 64;
+
 /// A grant that is out. [`Cycle::gathered`] takes it back.
 #[derive(Debug)]
 #[must_use = "the TTIs are open until their reports are gathered"]
@@ -50,12 +54,24 @@ pub struct Granted {
 pub struct Waking {
     tti: Tti,
     device: DeviceId,
+    sent: Tti,
+    is_late: bool,
 }
 
 impl Waking {
     /// The device to wake.
     pub const fn device(&self) -> DeviceId {
         self.device
+    }
+
+    /// Whether the event is over when the device is awake. Ground truth.
+    pub const fn is_late(&self) -> bool {
+        self.is_late
+    }
+
+    /// What goes out on the air.
+    pub const fn message(&self) -> WakeUp {
+        WakeUp { tti: self.sent }
     }
 }
 
@@ -76,6 +92,8 @@ pub struct Cycle {
     score: Score,
     next: Tti,
     is_open: bool,
+    /// Wake-ups of the open TTI.
+    wake_ups: u64,
     /// What the world did in the last grant; kept for its memory.
     turns: Vec<Turn>,
 }
@@ -102,6 +120,7 @@ impl Cycle {
             score: Score::new(&prepared.scenario, &prepared.deployment),
             next: Tti::ZERO,
             is_open: false,
+            wake_ups: 0,
             turns: Vec::new(),
         }
     }
@@ -137,8 +156,9 @@ impl Cycle {
     }
 
     /// The battery levels of all devices, in the order of ids, at the end of the last TTI. To be told between TTIs.
-    pub fn tell_batteries(&mut self, levels: impl IntoIterator<Item = Energy>) {
+    pub fn tell_batteries(&mut self, levels: impl IntoIterator<Item = Energy>, observer: &mut impl Observer) {
         self.station.tell_batteries(levels);
+        observer.told(self.next, self.station.batteries());
     }
 
     /// Grants TTIs from [`Self::next_tti`] on, at most up to and not including `horizon`.
@@ -154,7 +174,12 @@ impl Cycle {
         let last = loop {
             updates.extend(self.announce(observer));
             let span = self.span(horizon, observer);
-            if !foresees || span.stimulus.is_some() || span.last + 1 >= horizon || observer.wants_states() {
+            if !foresees
+                || updates.len() >= AHEAD
+                || span.stimulus.is_some()
+                || span.last + 1 >= horizon
+                || observer.wants_states()
+            {
                 break span;
             }
             self.station.gathered(span.last, &[]);
@@ -208,6 +233,7 @@ impl Cycle {
             first,
             last: stimulated.unwrap_or(Tti(horizon.0 - 1)),
             stimulus: stimulated.and_then(|_| world.stimulus()),
+            until: world.until(),
         }
     }
 
@@ -229,6 +255,7 @@ impl Cycle {
             observer.see(&Happening::Failed { tti, failure });
         }
         self.station.gathered(tti, &reports[..arrived]);
+        self.wake_ups = 0;
         self.next_step(tti, observer)
     }
 
@@ -257,17 +284,22 @@ impl Cycle {
         observer.see(&Happening::Gone(outage));
     }
 
+    /// Whether `device` is gone.
+    pub fn is_gone(&self, device: DeviceId) -> bool {
+        self.score.is_gone(device)
+    }
+
     /// What came of the wake-up that the last [`Step`] asked for.
     #[expect(clippy::needless_pass_by_value, reason = "a wake-up is used up by its outcome")]
     pub fn woken(&mut self, waking: Waking, outcome: &WakeOutcome, observer: &mut impl Observer) -> Step {
-        let Waking { tti, device } = waking;
+        let Waking { tti, device, .. } = waking;
         let air = self.world.air(tti);
         let outcome = &outcome.over(|device| air.loses_report(device));
         self.score.woken(tti, device, outcome, self.world.is_far(device));
         observer.see(&Happening::Woken { tti, device, outcome });
         let report = match outcome {
             WakeOutcome::Reported(report) => Some(report),
-            WakeOutcome::Failed(_) | WakeOutcome::Unheard | WakeOutcome::Lost(_) => None,
+            WakeOutcome::Failed(_) | WakeOutcome::Unheard | WakeOutcome::Lost(_) | WakeOutcome::Late { .. } => None,
         };
         self.station.woken(tti, device, report);
         self.next_step(tti, observer)
@@ -307,9 +339,18 @@ impl Cycle {
     /// The policy's next wake-up in `tti`, or the end of it.
     fn next_step(&mut self, tti: Tti, observer: &mut impl Observer) -> Step {
         if let Some(device) = self.station.next_wake_up(tti) {
-            self.score.wake_up(tti, codec::encoded_len(&WakeUp { tti }));
-            observer.see(&Happening::WakeUp { tti, device });
-            return Step::WakeUp(Waking { tti, device });
+            let sent = self.scenario.radio.sent(tti, self.wake_ups);
+            let is_late = self.scenario.radio.is_late(sent, self.world.until());
+            self.wake_ups += 1;
+            let waking = Waking {
+                tti,
+                device,
+                sent,
+                is_late,
+            };
+            self.score.wake_up(tti, codec::encoded_len(&waking.message()));
+            observer.see(&Happening::WakeUp { tti, device, sent });
+            return Step::WakeUp(waking);
         }
         if observer.wants_beliefs() {
             let places = self.station.belief();

@@ -12,4 +12,6 @@ pub struct Grant {
     pub last: Tti,
     /// What the world shows in `last`, if any device might react to it.
     pub stimulus: Option<Stimulus>,
+    /// The last TTI in which it would show that.
+    pub until: Tti,
 }

@@ -20,6 +20,7 @@ use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Failure, Likely, Outage, PlanUpdate, Report, WakeOutcome};
 use reveille_common::score::WindowRecord;
 use reveille_common::state::DeviceView;
+use reveille_common::units::Energy;
 
 use crate::grant::Grant;
 
@@ -54,6 +55,8 @@ pub enum Happening<'a> {
         tti: Tti,
         /// The device that is woken.
         device: DeviceId,
+        /// When it is sent, where devices take time to wake and others were woken before; as a rule `tti`.
+        sent: Tti,
     },
     /// What came of the last wake-up.
     Woken {
@@ -98,6 +101,10 @@ pub trait Observer {
         false
     }
 
+    /// The policy was told the true `batteries`, in the order of ids, before it decides of TTI `tti`: what it goes by
+    /// is no happening of the run.
+    fn told(&mut self, _tti: Tti, _batteries: &[Energy]) {}
+
     /// The sums of a window of TTIs have come in. Over the bus that is a grant later than in memory, and so it is no
     /// happening. Says whether to go on with the run.
     fn window(&mut self, _window: &WindowRecord) -> bool {
@@ -121,6 +128,10 @@ impl<O: Observer> Observer for &mut O {
         (**self).wants_beliefs()
     }
 
+    fn told(&mut self, tti: Tti, batteries: &[Energy]) {
+        (**self).told(tti, batteries);
+    }
+
     fn window(&mut self, window: &WindowRecord) -> bool {
         (**self).window(window)
     }
@@ -142,6 +153,12 @@ impl<O: Observer> Observer for Option<O> {
         self.as_ref().is_some_and(Observer::wants_beliefs)
     }
 
+    fn told(&mut self, tti: Tti, batteries: &[Energy]) {
+        if let Some(observer) = self {
+            observer.told(tti, batteries);
+        }
+    }
+
     fn window(&mut self, window: &WindowRecord) -> bool {
         self.as_mut().is_none_or(|observer| observer.window(window))
     }
@@ -160,6 +177,11 @@ impl<A: Observer, B: Observer> Observer for (A, B) {
 
     fn wants_beliefs(&self) -> bool {
         self.0.wants_beliefs() || self.1.wants_beliefs()
+    }
+
+    fn told(&mut self, tti: Tti, batteries: &[Energy]) {
+        self.0.told(tti, batteries);
+        self.1.told(tti, batteries);
     }
 
     fn window(&mut self, window: &WindowRecord) -> bool {
@@ -225,6 +247,7 @@ mod tests {
             lossy.see(&Happening::WakeUp {
                 tti: Tti(k),
                 device: DeviceId(0),
+                sent: Tti(k),
             });
         }
         drop(lossy);

@@ -116,6 +116,11 @@ impl Station {
         self.view.levels.as_ref().is_some_and(Levels::are_told)
     }
 
+    /// The battery levels as they are known, in the order of ids; empty where nobody looks at them.
+    pub fn batteries(&self) -> &[Energy] {
+        self.view.levels.as_ref().map_or(&[], Levels::all)
+    }
+
     /// The battery levels of all devices, in the order of ids, at the end of the last TTI.
     pub fn tell_batteries(&mut self, levels: impl IntoIterator<Item = Energy>) {
         if let Some(known) = &mut self.view.levels {

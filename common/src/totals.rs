@@ -321,6 +321,8 @@ pub struct Losses {
     pub wake_ups: u64,
     /// Those of them that the device did not hear: its radio missed it or had no power, or it was not asleep.
     pub unheard: u64,
+    /// Those of them that the device heard too late: it woke when the event was over.
+    pub late: u64,
     /// Plans sent, one for each device.
     pub plans: u64,
     /// Those of them that the device missed.
@@ -350,6 +352,9 @@ pub struct Totals {
     pub energy: DeviceTotals,
     /// How they differ.
     pub spread: Spread,
+    /// TTIs from the first report of an event to its last, summed over the events that were reported: what it takes to
+    /// wake devices one after another.
+    pub refining_ttis: u64,
     /// Device-TTIs of devices that were gone.
     pub gone_ttis: u64,
 }

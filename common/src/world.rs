@@ -154,6 +154,11 @@ impl World {
         self.current.map(|current| current.event.stimulus)
     }
 
+    /// The last TTI of the event under way, if nobody reports it; 0 while none is.
+    pub fn until(&self) -> Tti {
+        self.current.map_or(Tti::ZERO, |current| current.event.last)
+    }
+
     /// The devices that detect the event in the TTI that [`Self::play`] gave, battery permitting, in no order.
     pub fn detectors(&self) -> &[DeviceId] {
         &self.detectors

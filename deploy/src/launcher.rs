@@ -149,11 +149,16 @@ struct Keeper {
 }
 
 impl Keeper {
-    /// Starts those of the `waiting` whose turn it is.
-    fn start(&self, waiting: &mut VecDeque<Vec<String>>, places: &mut Vec<Place>) -> anyhow::Result<()> {
+    /// How many of `waiting` processes may start now.
+    fn turns(&self, waiting: usize, places: &[Place]) -> usize {
         let living = places.iter().filter(|place| place.child.is_some()).count();
         let there = self.progress.hosts.load(Ordering::Relaxed) as usize;
-        let turns = self.muster.may_start(waiting.len(), living, there);
+        self.muster.may_start(waiting, living, there)
+    }
+
+    /// Starts those of the `waiting` whose turn it is.
+    fn start(&self, waiting: &mut VecDeque<Vec<String>>, places: &mut Vec<Place>) -> anyhow::Result<()> {
+        let turns = self.turns(waiting.len(), places);
         for command in waiting.drain(..turns) {
             let child = launch::spawn(&command, self.key, self.threads)
                 .with_context(|| format!("cannot start device process {}", places.len()))?;
@@ -184,8 +189,17 @@ impl Keeper {
             }
             let mut has_changed = false;
             let has_ended = launch::has_one_ended();
-            for place in places.iter_mut().filter(|place| has_ended || place.due.is_some()) {
-                has_changed |= self.look(place);
+            if has_ended {
+                for place in &mut places {
+                    has_changed |= self.look(place);
+                }
+            }
+            let is_due = |place: &&mut Place| place.due.is_some_and(|due| now() >= due);
+            let waiting = places.iter_mut().filter(is_due).count();
+            let turns = if waiting > 0 { self.turns(waiting, &places) } else { 0 };
+            for place in places.iter_mut().filter(is_due).take(turns) {
+                self.start_anew(place);
+                has_changed = true;
             }
             if has_changed {
                 self.show(&places);
@@ -211,7 +225,7 @@ impl Keeper {
         end(places);
     }
 
-    /// Looks at one process. Whether it is another now, or none.
+    /// Looks at one process. Whether it has ended.
     fn look(&self, place: &mut Place) -> bool {
         if let Some(child) = &mut place.child
             && let Ok(Some(status)) = child.try_wait()
@@ -223,16 +237,16 @@ impl Keeper {
             }
             return true;
         }
-        if place.due.is_some_and(|due| now() >= due) {
-            place.due = None;
-            place.started = now();
-            match launch::spawn(&place.command, self.key, self.threads) {
-                Ok(child) => place.child = Some(child),
-                Err(error) => self.give_up(format!("{error:#}")),
-            }
-            return true;
-        }
         false
+    }
+
+    fn start_anew(&self, place: &mut Place) {
+        place.due = None;
+        place.started = now();
+        match launch::spawn(&place.command, self.key, self.threads) {
+            Ok(child) => place.child = Some(child),
+            Err(error) => self.give_up(format!("{error:#}")),
+        }
     }
 
     /// A process has ended that should not have.
@@ -240,8 +254,8 @@ impl Keeper {
         let why = format!("the device process with pid {pid} ended with {status}");
         match self.on_loss {
             OnLoss::End => return self.give_up(why),
-            OnLoss::Continue => return note!("{why}"),
-            OnLoss::Wait => {}
+            OnLoss::Continue if self.progress.has_begun.load(Ordering::Relaxed) => return note!("{why}"),
+            OnLoss::Continue | OnLoss::Wait => {}
         }
         let is_short = place.started.elapsed() < LONG;
         place.short_lives = if is_short { place.short_lives + 1 } else { 0 };

@@ -17,6 +17,7 @@ use reveille_bs::prepared::Prepared;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Checkpoint, Frame, Outage};
 use reveille_common::totals::Ledger;
+use reveille_common::units::Energy;
 use reveille_lab::shadow::{Difference, Noting, Shadow};
 
 use crate::cli::AuditArg;
@@ -127,15 +128,15 @@ impl Auditor {
     /// The shadow of the run that is `prepared` and goes over the bus as `start` says. It stops the run of `progress`
     /// if that is not what a replay is.
     pub fn start(prepared: &Prepared, start: Beginning<'_>, how: AuditArg, progress: &Arc<Progress>) -> Self {
+        let is_audited = how != AuditArg::Off;
+        let from = if is_audited { start.from } else { Tti::NEVER };
         let shadow = Shared {
-            shadow: Arc::new(Mutex::new(Shadow::new(prepared, start.outages, start.from))),
+            shadow: Arc::new(Mutex::new(Shadow::new(prepared, start.outages, from))),
             log: Arc::new(Mutex::new(start.log)),
         };
         let flow = Arc::new(Flow::default());
         let begun = now();
-        let (sender, thread) = if how == AuditArg::Off {
-            (None, None)
-        } else {
+        let (sender, thread) = if is_audited {
             let (sender, batches) = channel();
             let follower = Follower {
                 shadow: shadow.clone(),
@@ -148,6 +149,8 @@ impl Auditor {
                 Some(sender),
                 Some(std::thread::spawn(move || follower.follow(&batches))),
             )
+        } else {
+            (None, None)
         };
         Self {
             shadow,
@@ -189,7 +192,7 @@ impl Auditor {
         }
         let mut shadow = self.shadow.lock();
         if self.flow.is_given_up.load(Ordering::Relaxed) {
-            return Ok(Audited::Before(shadow.next_tti()));
+            return Ok(Audited::Before(shadow.compared()));
         }
         shadow.conclude(outcome)?;
         Ok(Audited::Whole)
@@ -216,6 +219,7 @@ impl Follower {
         for (k, frames) in batches {
             self.flow.waiting.fetch_sub(frames.len() as u64, Ordering::Relaxed);
             if self.flow.is_given_up.load(Ordering::Relaxed) {
+                self.shadow.lock().forget();
                 continue;
             }
             if let Err(difference) = self.compare(k, &frames) {
@@ -228,6 +232,10 @@ impl Follower {
                 self.progress.stop.store(true, Ordering::Relaxed);
                 return Err(difference);
             }
+        }
+        if self.flow.is_given_up.load(Ordering::Relaxed) {
+            // It is still asked for lost devices, and must not keep what nobody compares.
+            self.shadow.lock().forget();
         }
         Ok(())
     }
@@ -314,6 +322,15 @@ impl Drop for Ear {
 }
 
 impl Observer for Ear {
+    fn told(&mut self, tti: Tti, batteries: &[Energy]) {
+        if let Some(k) = self.closed.take() {
+            self.tell(k);
+        }
+        if self.sender.is_some() {
+            self.frames.push(Noting::told(tti, batteries));
+        }
+    }
+
     fn see(&mut self, happening: &Happening<'_>) {
         if matches!(happening, Happening::Plan { .. } | Happening::Granted(_))
             && let Some(k) = self.closed.take()

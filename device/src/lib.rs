@@ -4,6 +4,7 @@
 pub mod battery;
 pub mod books;
 mod ears;
+pub mod follower;
 #[cfg(feature = "host")]
 pub mod host;
 pub mod machine;

@@ -310,10 +310,25 @@ impl Machine {
             self.false_wake = ears.take_false_wake();
         }
         if self.state == (DeviceState::Sleep { powered: true }) {
-            let paid = self.battery.pay(self.costs.e_idle);
-            self.books.false_wake(paid);
-            self.state = DeviceState::Sleep { powered: paid.is_ok() };
+            let _late = self.find_nothing();
         }
+    }
+
+    /// S2, and from there to S4 with nothing found.
+    fn find_nothing(&mut self) -> WakeOutcome {
+        let paid = self.battery.pay(self.costs.e_idle);
+        self.books.false_wake(paid);
+        let powered = paid.is_ok();
+        self.state = DeviceState::Sleep { powered };
+        WakeOutcome::Late {
+            spent: paid.err().unwrap_or(self.costs.e_idle),
+            powered,
+        }
+    }
+
+    /// Whether it has δ = 1 in TTI `k` and is near enough to detect `stimulus`, battery permitting.
+    pub fn may_sense(&self, k: Tti, stimulus: &Stimulus, physics: &Physics) -> bool {
+        self.duty.is_on(k) && self.position.distance(stimulus.epicentre) <= physics.sensing.d_max
     }
 
     /// Steps 4 and 5 of TTI `k`: senses `stimulus` and transmits. TTI `k` is begun if it was not.
@@ -333,17 +348,20 @@ impl Machine {
         }
     }
 
-    /// Step 6 of TTI `k`: a wake-up sent to this device. `stimulus` is what the world shows. TTI `k` is begun if it was
-    /// not.
-    pub fn wake(&mut self, k: Tti, stimulus: &Stimulus, physics: &Physics) -> WakeOutcome {
+    /// Step 6 of TTI `k`: a wake-up sent to this device. `stimulus` is what the world shows when it is awake; nothing
+    /// if the event is over by then. TTI `k` is begun if it was not.
+    pub fn wake(&mut self, k: Tti, stimulus: Option<&Stimulus>, physics: &Physics) -> WakeOutcome {
         self.begin(k);
         let is_missed = self.misses_wake_up(k);
         match self.state {
-            DeviceState::Sleep { powered: true } if !is_missed => {
-                let d = self.position.distance(stimulus.epicentre);
-                self.transmit(k, d, physics)
-                    .map_or_else(WakeOutcome::Failed, WakeOutcome::Reported)
-            }
+            DeviceState::Sleep { powered: true } if !is_missed => match stimulus {
+                Some(stimulus) => {
+                    let d = self.position.distance(stimulus.epicentre);
+                    self.transmit(k, d, physics)
+                        .map_or_else(WakeOutcome::Failed, WakeOutcome::Reported)
+                }
+                None => self.find_nothing(),
+            },
             DeviceState::Sleep { .. } | DeviceState::Idle | DeviceState::Active | DeviceState::Transmission => {
                 WakeOutcome::Unheard
             }

@@ -41,8 +41,13 @@ for metric in info_p1 energy_per_device_tti; do
     --out "$scratch/target-${metric%%_*}"
 done
 
+"$reveille" figures robustness --only wake_latency --ttis "$ttis" --seeds "$seeds" --set bs.sync_interval=100 \
+  --format svg --out "$scratch/robustness"
+mkdir "$scratch/wake-latency"
+cp "$scratch"/robustness/*-info_p1.svg "$scratch/wake-latency"
+
 # Pages with a dark background show them too, so they get a white one of their own.
 mkdir -p "$folder"
-for picture in run result front attention target-info target-energy; do
+for picture in run result front attention target-info target-energy wake-latency; do
   sed 's|^<defs>$|<rect width="100%" height="100%" fill="#fff"/>\n<defs>|' "$scratch/$picture"/*.svg > "$folder/$picture.svg"
 done

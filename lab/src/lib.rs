@@ -1,8 +1,10 @@
 //! Runs of the Reveille machines in memory, without a bus: one, or a whole sweep with its result table; trajectories,
 //! training and tuning.
 
+mod coming;
+pub mod inputs;
 pub mod io;
-mod outages;
+pub mod mark;
 pub mod preparation;
 pub mod reading;
 pub mod run;

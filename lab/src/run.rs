@@ -15,7 +15,7 @@ use reveille_common::totals::Ledger;
 use reveille_common::world::World;
 use reveille_device::machine::{Machine, Physics, Sensed};
 
-use crate::outages::Outages;
+use crate::coming::Coming;
 
 /// How to run; none of it changes the outcome.
 #[derive(Clone, Copy, Debug)]
@@ -44,7 +44,7 @@ pub struct Run {
     boundaries: Boundaries,
     accounts: Accounts,
     options: Options,
-    outages: Outages,
+    coming: Coming,
     /// The TTI from which the plan in force holds.
     plan_from: Option<Tti>,
     /// The last boundary whose sums were taken.
@@ -91,7 +91,7 @@ impl Run {
             physics,
             boundaries,
             options,
-            outages: Outages::default(),
+            coming: Coming::default(),
             plan_from: None,
             reached: Tti::ZERO,
             reports: Vec::new(),
@@ -101,7 +101,7 @@ impl Run {
 
     /// Devices go, in a TTI that has not been granted. What comes of that is as if their process had been lost.
     pub fn lose(&mut self, outage: Outage) {
-        self.outages.add(outage);
+        self.coming.add(outage);
     }
 
     /// As [`Self::lose`], in the order in which they come.
@@ -113,7 +113,7 @@ impl Run {
 
     /// Whether there are outages that have not come.
     pub fn awaits_outages(&self) -> bool {
-        !self.outages.is_empty()
+        !self.coming.is_empty()
     }
 
     /// The devices, in the order of ids.
@@ -215,17 +215,18 @@ impl Run {
             air,
             reports,
             failures,
-            outages,
+            coming,
             plan_from,
             ..
         } = self;
         let k = cycle.next_tti();
-        let limit = limit.min(outages.next_tti().saturating_add(1)).max(k + 1);
+        let limit = limit.min(coming.next_tti().saturating_add(1)).max(k + 1);
         if cycle.wants_batteries() {
-            cycle.tell_batteries(machines.iter_mut().map(|machine| {
+            let batteries = machines.iter_mut().map(|machine| {
                 machine.settle(k);
                 machine.battery()
-            }));
+            });
+            cycle.tell_batteries(batteries, observer);
         }
         let horizon = if self.options.lookahead {
             self.boundaries.next_boundary(k)
@@ -244,7 +245,7 @@ impl Run {
         let (last, stimulus) = (granted.grant.last, granted.grant.stimulus);
         reports.clear();
         failures.clear();
-        while let Some(outage) = outages.due(last, None) {
+        while let Some(outage) = coming.due(last, None) {
             go(&outage, machines, cycle, observer);
         }
         if let Some(stimulus) = &stimulus {
@@ -259,11 +260,11 @@ impl Run {
         let mut step = cycle.gathered(granted, reports, failures, observer);
         let mut woken = 0;
         while let Step::WakeUp(waking) = step {
-            while let Some(outage) = outages.due(last, Some(woken)) {
+            while let Some(outage) = coming.due(last, Some(woken)) {
                 go(&outage, machines, cycle, observer);
             }
             woken += 1;
-            let stimulus = stimulus.as_ref().expect("only an event makes the BS wake anyone");
+            let stimulus = stimulus.as_ref().filter(|_| !waking.is_late());
             let outcome = machines[waking.device().index()].wake(last, stimulus, physics);
             step = cycle.woken(waking, &outcome, observer);
         }

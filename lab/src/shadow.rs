@@ -9,8 +9,10 @@ use reveille_bs::observe::{Happening, Observer};
 use reveille_bs::outcome::Outcome;
 use reveille_bs::prepared::Prepared;
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{Checkpoint, Frame, Outage};
+use reveille_common::message::{Checkpoint, Frame, Message, Outage, States};
+use reveille_common::state::{DeviceState, DeviceView};
 use reveille_common::totals::Ledger;
+use reveille_common::units::Energy;
 
 use crate::run::{Options, Run};
 
@@ -19,6 +21,17 @@ use crate::run::{Options, Run};
 pub struct Noting(Frames);
 
 impl Noting {
+    /// The `batteries` that a policy is told before it decides of TTI `tti`. No digest covers them, but what it
+    /// decides: a host that lies in them is found here, and who it is.
+    pub fn told(tti: Tti, batteries: &[Energy]) -> Frame {
+        let view = |battery: &Energy| DeviceView {
+            state: DeviceState::Sleep { powered: true },
+            battery: *battery,
+        };
+        let views = batteries.iter().map(view).collect();
+        Frame::of(tti, (), &States { views })
+    }
+
     /// Hands to `take` what `happening` is in messages, if a digest covers it.
     pub fn of(&mut self, happening: &Happening<'_>, take: impl FnMut(Frame)) {
         match happening {
@@ -60,6 +73,7 @@ pub struct Shadow {
     run: Run,
     /// The TTI from which on the run is compared.
     from: Tti,
+    compared: Tti,
     outages: Vec<Outage>,
     ahead: Ahead,
 }
@@ -76,18 +90,25 @@ struct Ahead {
     again: u64,
 }
 
+impl Ahead {
+    fn take(&mut self, frame: Frame) {
+        if self.again > 0 {
+            self.again -= 1;
+        } else {
+            self.frames.push_back(frame);
+        }
+    }
+}
+
 impl Observer for Ahead {
     fn see(&mut self, happening: &Happening<'_>) {
-        let Self {
-            noting, frames, again, ..
-        } = self;
-        noting.of(happening, |frame| {
-            if *again > 0 {
-                *again -= 1;
-            } else {
-                frames.push_back(frame);
-            }
-        });
+        let mut noting = self.noting;
+        noting.of(happening, |frame| self.take(frame));
+        self.noting = noting;
+    }
+
+    fn told(&mut self, tti: Tti, batteries: &[Energy]) {
+        self.take(Noting::told(tti, batteries));
     }
 }
 
@@ -99,6 +120,7 @@ impl Shadow {
             run: begin(prepared, outages),
             prepared: prepared.clone(),
             from,
+            compared: from,
             outages: outages.to_vec(),
             ahead: Ahead::default(),
         }
@@ -134,6 +156,17 @@ impl Shadow {
         std::mem::replace(&mut self.run, begin(&self.prepared, &self.outages))
     }
 
+    /// The run is not compared any more.
+    pub fn forget(&mut self) {
+        self.from = Tti::NEVER;
+        self.ahead = Ahead::default();
+    }
+
+    /// The TTI before which all was the same.
+    pub const fn compared(&self) -> Tti {
+        self.compared
+    }
+
     /// The devices from `first` on, `count` of them, as they are before TTI `k`.
     pub fn devices(&mut self, k: Tti, first: DeviceId, count: u32) -> Vec<Checkpoint> {
         self.reach(k);
@@ -164,6 +197,7 @@ impl Shadow {
                 own => return Err(difference(Some(frame), own.as_ref())),
             }
         }
+        self.compared = k;
         Ok(())
     }
 
@@ -189,6 +223,11 @@ fn begin(prepared: &Prepared, outages: &[Outage]) -> Run {
 
 /// What the run `had` instead of what a replay `has`.
 fn difference(had: Option<&Frame>, has: Option<&Frame>) -> Difference {
+    if let (Some(had), Some(has)) = (had, has)
+        && let Some(lie) = lie(had, has)
+    {
+        return lie;
+    }
     let ttis = had.iter().chain(&has).map(|frame| frame.tti);
     let say = |frame: Option<&Frame>| match frame {
         None => "nothing more".to_owned(),
@@ -205,6 +244,21 @@ fn difference(had: Option<&Frame>, has: Option<&Frame>) -> Difference {
         device: had.and_then(Frame::device).or_else(|| has.and_then(Frame::device)),
         what: format!("the run had {}, a replay has {}", say(had), say(has)),
     }
+}
+
+/// The first battery that a run was told wrongly, where that is the difference.
+fn lie(had: &Frame, has: &Frame) -> Option<Difference> {
+    let (Ok(Message::States(had)), Ok(Message::States(own))) = (had.message(), has.message()) else {
+        return None;
+    };
+    let pairs = had.views.iter().zip(&own.views).zip((0..).map(DeviceId));
+    let ((said, held), device) = pairs.into_iter().find(|((said, held), _)| said != held)?;
+    let (said, held) = (said.battery.units(), held.battery.units());
+    Some(Difference {
+        tti: has.tti,
+        device: Some(device),
+        what: format!("device {device} was said to hold {said:.2} units before it, and held {held:.2}"),
+    })
 }
 
 /// Whether a run came to what its replay comes to.

@@ -58,7 +58,8 @@ const FURTHER: [(&str, &str); 8] = [
 
 /// Everything that the radio can do wrong at once.
 const FAILING: &str = "--set radio.wake_miss=0.3 --set radio.false_wake=0.02 --set radio.uplink_loss=0.2 \
-                       --set radio.plan_loss=0.2 --set radio.interference=bursts --set bs.sync_interval=37";
+                       --set radio.plan_loss=0.2 --set radio.wake_latency=1 --set radio.interference=bursts \
+                       --set bs.sync_interval=37";
 
 fn digest(args: &str) -> String {
     Folder::new().summary(args).digest().to_owned()

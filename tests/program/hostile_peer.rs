@@ -169,6 +169,7 @@ fn forgeries(keys: &Keys, pass: HostPass, tti: u64) -> Vec<(String, Vec<u8>)> {
             first,
             last,
             stimulus,
+            until: last,
             account: true,
             views: false,
             plan,

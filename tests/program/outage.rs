@@ -6,7 +6,8 @@ use rustix::process::Signal;
 #[test]
 fn a_run_goes_on_without_a_killed_process() {
     let (folder, run) = (Folder::new(), unique_run("outage"));
-    let scenario = "-n 24 -k 900 -p knn";
+    // The sums of every TTI are asked for, and of some a part only is there.
+    let scenario = "-n 24 -k 900 -p knn --window 1";
     let whole = folder.summary(&format!("run {scenario}"));
     let up = folder.start(&format!(
         "up {scenario} -P 4 --pace 4ms --on-loss continue --audit on --out out --record out.mcap --run {run} --json"
@@ -78,9 +79,22 @@ fn a_killed_run_with_an_outage_is_taken_up() {
     });
     up.signal(Signal::KILL);
     up.finish();
-    let end = folder.run("up --resume out --on-loss continue");
+    // Others carry the devices that are gone, and go as well.
+    let run = unique_run("outage");
+    let up = folder.start(&format!(
+        "up --resume out -P 2 --pace 3ms --on-loss continue --audit on --run {run}"
+    ));
+    let tti = folder.wait_for_tti(&run, 10);
+    send_signal(hosts_of(&run)[0], Signal::KILL);
+    wait_until("one process less", PATIENCE, || {
+        (hosts_of(&run).len() == 1).then_some(())
+    });
+    folder.wait_for_tti(&run, tti + 60);
+    let end = up.finish();
     assert!(end.is_success(), "{end}");
     let summary = Summary::read(&folder.join("out"));
     let again = folder.summary("run -n 20 -k 1500 -p age-index --inputs out/inputs.log");
     assert_eq!((summary.digest(), summary.status()), (again.digest(), "complete"));
+    let gone = summary.metric("gone_pct");
+    assert!(gone > 0.0 && gone < 100.0, "{gone}");
 }

@@ -40,7 +40,8 @@ fn memory_and_bus_record_the_same_air_and_truth() {
     // Also where messages are lost, which recordings then tell.
     are_the_same(
         "-p knn -n 20 -k 400 --set events.alpha=0.4 --record-states 60 --quiet --set radio.wake_miss=0.2 \
-         --set radio.uplink_loss=0.3 --set radio.false_wake=0.02 --set radio.plan_loss=0.3 --set bs.sync_interval=50",
+         --set radio.uplink_loss=0.3 --set radio.false_wake=0.02 --set radio.plan_loss=0.3 --set radio.wake_latency=1 \
+         --set bs.sync_interval=50",
     );
 }
 

@@ -433,6 +433,15 @@ impl Summary {
             .as_u64()
             .unwrap_or_else(|| panic!("{path} is no whole number: {value}"))
     }
+
+    /// The metric `name`.
+    ///
+    /// # Panics
+    /// If there is none.
+    pub fn metric(&self, name: &str) -> f64 {
+        let value = &self.0["metrics"][name];
+        value.as_f64().unwrap_or_else(|| panic!("{name} is no number: {value}"))
+    }
 }
 
 /// Waits until `look` sees something.

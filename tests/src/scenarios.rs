@@ -155,7 +155,7 @@ fn radio() -> impl Strategy<Value = String> {
     let p = || prop_oneof![3 => Just(0.0), 3 => 0.0..0.5f64, 1 => Just(1.0)];
     let ttis = || prop_oneof![1 => Just(1.0), 4 => 1.0..25.0f64];
     let bursts = proptest::option::weighted(0.3, (ttis(), ttis(), prop_oneof![Just(1.0), 0.0..1.0f64]));
-    let failing = (p(), p(), p(), p(), bursts).prop_map(|(wake, startled, uplink, plan, bursts)| {
+    let failing = (p(), p(), p(), p(), bursts, 0..4u32).prop_map(|(wake, startled, uplink, plan, bursts, latency)| {
         let bursts = bursts.map_or_else(String::new, |(burst, quiet, loss)| {
             format!(
                 "interference = \"bursts\"\n[radio.bursts]\nburst_ttis = {burst:?}\nquiet_ttis = {quiet:?}\n\
@@ -164,7 +164,7 @@ fn radio() -> impl Strategy<Value = String> {
         });
         format!(
             "[radio]\nwake_miss = {wake:?}\nfalse_wake = {startled:?}\nuplink_loss = {uplink:?}\n\
-             plan_loss = {plan:?}\n{bursts}"
+             plan_loss = {plan:?}\nwake_latency = {latency}\n{bursts}"
         )
     });
     prop_oneof![Just(String::new()), failing]

@@ -33,7 +33,7 @@ impl Observer for Watch {
     fn see(&mut self, happening: &Happening<'_>) {
         match happening {
             Happening::Plan { update, .. } => self.transcript.plans.push((update.from, update.plan.clone())),
-            Happening::WakeUp { tti, device } => self.transcript.wake_ups.push((*tti, *device)),
+            Happening::WakeUp { tti, device, .. } => self.transcript.wake_ups.push((*tti, *device)),
             Happening::Believed { tti, places } => self.transcript.beliefs.push((*tti, places.to_vec())),
             Happening::EventEnded(event) => self.events.push(**event),
             Happening::Granted(_)

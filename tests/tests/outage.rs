@@ -77,6 +77,9 @@ fn outages(frames: &[Frame]) -> Vec<Vec<Outage>> {
         .max_by_key(|at| before(*at))
         .expect("wake-ups");
     let ((tti, device, _), before) = (wakes[at], before(at));
+    // Two processes at once, each with somebody who would have reported in that TTI.
+    let mut both = reports.windows(2).filter(|two| late(&two[0].0) && two[0].0 == two[1].0);
+    let both = both.next().expect("two reports in a TTI");
     vec![
         vec![outage(reporter.0, 1, heard.0, None)],
         vec![outage(device.0, 1, tti.0, Some(before))],
@@ -87,6 +90,9 @@ fn outages(frames: &[Frame]) -> Vec<Vec<Outage>> {
         ],
         vec![outage(0, DEVICES, 800, None)],
         vec![outage(0, DEVICES, 0, None)],
+        both.iter()
+            .map(|(tti, device)| outage(device.0, 1, tti.0, None))
+            .collect(),
     ]
 }
 

@@ -51,7 +51,7 @@ impl Observer for Watch {
                 self.lost += 1;
                 self.reports[1].push((report.tti, report.device));
             }
-            Happening::WakeUp { tti, device } => self.wake_ups.push((*tti, *device)),
+            Happening::WakeUp { tti, device, .. } => self.wake_ups.push((*tti, *device)),
             Happening::Woken { tti, device, outcome } => match outcome {
                 WakeOutcome::Reported(_) => self.reports[0].push((*tti, *device)),
                 WakeOutcome::Lost(_) => {
@@ -59,6 +59,7 @@ impl Observer for Watch {
                     self.reports[1].push((*tti, *device));
                 }
                 WakeOutcome::Unheard => self.unheard.push((*tti, *device)),
+                WakeOutcome::Late { .. } => *self.seen.entry("late").or_default() += 1,
                 WakeOutcome::Failed(_) => *self.seen.entry("failed").or_default() += 1,
             },
             Happening::EventStarted(_) => self.lost = 0,
@@ -264,6 +265,107 @@ fn every_failure_has_its_metric() {
             } else {
                 assert!(value.abs() < 1e-12, "{field}: {name} {value}");
             }
+        }
+    }
+}
+
+/// What happened to the wake-ups of each event: its start, then when each was sent and what came of it.
+#[derive(Default)]
+struct Calls {
+    start: Tti,
+    sent: Vec<Tti>,
+    /// TTIs from the event's start until the device was awake, and what came of it.
+    came: Vec<(u64, WakeOutcome)>,
+    latency: u64,
+}
+
+impl Observer for Calls {
+    fn see(&mut self, happening: &Happening<'_>) {
+        match happening {
+            Happening::EventStarted(event) => self.start = event.start,
+            Happening::WakeUp { tti, sent, .. } => {
+                assert_eq!(
+                    sent.0,
+                    tti.0 + self.sent.len() as u64 * self.latency,
+                    "one after the other"
+                );
+                self.sent.push(*sent);
+            }
+            Happening::Woken { outcome, .. } => {
+                let awake = self.sent[self.sent.len() - 1].0 + self.latency;
+                self.came.push((awake - self.start.0, **outcome));
+            }
+            Happening::Closed(_) => self.sent.clear(),
+            Happening::Plan { .. }
+            | Happening::Granted(_)
+            | Happening::Reported(_)
+            | Happening::Lost(_)
+            | Happening::Failed { .. }
+            | Happening::Believed { .. }
+            | Happening::Gone(_)
+            | Happening::EventEnded(_)
+            | Happening::States(_) => {}
+        }
+    }
+}
+
+/// An event of 6 TTIs that was reported in its first is there for who is awake up to 5 TTIs later, and for nobody else.
+#[test]
+fn who_wakes_when_the_event_is_over_finds_nothing() {
+    for (policy, latency) in [
+        ("q-learning", 1),
+        ("q-learning", 2),
+        ("age-index", 3),
+        ("genie", 2),
+        ("genie", 6),
+    ] {
+        let (name, latency_set) = (format!("policy.name={policy}"), format!("radio.wake_latency={latency}"));
+        let prepared = prepared(&[
+            &name,
+            &latency_set,
+            "ttis=3000",
+            "events.duration=6",
+            "energy.initial=100",
+        ]);
+        let mut calls = Calls {
+            latency,
+            ..Calls::default()
+        };
+        let outcome = Run::new(&prepared, Options::default()).finish(&mut calls);
+        let (mut in_time, mut late) = (0, 0);
+        for (after, came) in &calls.came {
+            match came {
+                WakeOutcome::Late { spent, powered } => {
+                    late += 1;
+                    assert!(
+                        *after > 5 && (!powered || spent.micro() == 1_000_000),
+                        "{policy}: {after} TTIs, {came}"
+                    );
+                }
+                WakeOutcome::Reported(_) | WakeOutcome::Failed(_) | WakeOutcome::Lost(_) => {
+                    in_time += 1;
+                    assert!(*after <= 5, "{policy}: {after} TTIs, {came}");
+                }
+                WakeOutcome::Unheard => {}
+            }
+        }
+        assert!(
+            late > 50 || (policy, latency) == ("genie", 2),
+            "{policy}, {latency}: {late} of {in_time}"
+        );
+        assert_eq!(in_time == 0, latency > 5, "{policy}, {latency}: {in_time}");
+        assert_eq!(
+            outcome.totals.energy.false_wakes > 0,
+            late > 0,
+            "a wake-up for nothing is in the books"
+        );
+        if policy == "genie" {
+            let missed = outcome.metrics.misdetection_pct;
+            assert_eq!(
+                missed > 99.0,
+                latency > 5,
+                "{missed} % missed with a latency of {latency}"
+            );
         }
     }
 }

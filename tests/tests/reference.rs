@@ -154,6 +154,7 @@ fn same_metrics(scenario: &Scenario, run: &Run, totals: &Totals, metrics: &Metri
     let mut rows = information(&counted, &seen, run.start_probability * ttis);
     rows.extend(energy(run, n, ttis));
     rows.extend([
+        ("refining_ttis", run.refining_ttis as f64 / seen.len() as f64),
         ("ctl_bytes_per_tti", totals.control.bytes as f64 / ttis),
         ("ctl_msgs_per_tti", totals.control.messages as f64 / ttis),
         ("uplink_bytes_per_tti", totals.uplink.bytes as f64 / ttis),
@@ -175,6 +176,7 @@ fn lost(run: &Run, n: f64, ttis: f64) -> Vec<Row> {
         reports,
         wake_ups,
         unheard,
+        late,
         plans,
         missed_plans,
     } = run.losses;
@@ -183,6 +185,7 @@ fn lost(run: &Run, n: f64, ttis: f64) -> Vec<Row> {
     vec![
         ("lost_reports_pct", pct(reports, reports + run.arrived)),
         ("unheard_wake_ups_pct", pct(unheard, wake_ups)),
+        ("late_wake_ups_pct", pct(late, wake_ups)),
         ("missed_plans_pct", pct(missed_plans, plans)),
         ("false_wakes_pct", pct(run.measured.false_wakes, asleep)),
         // Nobody loses a process in memory.

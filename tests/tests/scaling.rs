@@ -23,7 +23,7 @@ impl Observer for Heard {
     fn see(&mut self, happening: &Happening<'_>) {
         match happening {
             Happening::Plan { update, .. } => self.plans.push((update.from, update.plan.clone())),
-            Happening::WakeUp { tti, device } => self.wake_ups.push((*tti, *device)),
+            Happening::WakeUp { tti, device, .. } => self.wake_ups.push((*tti, *device)),
             Happening::Reported(report) => self.reports.push((report.tti, report.device, report.information)),
             Happening::EventEnded(event) => {
                 self.ended

@@ -167,7 +167,7 @@ fn bytes(hex: &str) -> Option<Vec<u8>> {
 #[cfg(test)]
 mod tests {
     use reveille_common::ids::{DeviceId, HostId};
-    use reveille_common::message::{Answer, Report, WakeUp};
+    use reveille_common::message::{Answer, Report, WakeOutcome, WakeUp};
     use reveille_common::units::Energy;
 
     use super::*;
@@ -184,7 +184,7 @@ mod tests {
         let answer = Answer::NotWoken {
             device: DeviceId(4),
             tti,
-            failure: None,
+            outcome: WakeOutcome::Unheard,
         };
         let broken = Frame {
             payload: vec![3, 255, 0, 16],

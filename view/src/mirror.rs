@@ -3,14 +3,15 @@
 //! Nobody has to send the states of all devices for an observer to know them: they follow from the scenario, the plans,
 //! what the world shows and the wake-ups. What the devices are heard to say is compared with what the machines say.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 
 use reveille_common::deployment::Deployment;
 use reveille_common::event::Stimulus;
 use reveille_common::ids::{DeviceId, MAX_TTIS, Tti};
-use reveille_common::message::{Failure, Frame, Message, Outage, PlanUpdate, Report, WakeOutcome, World};
+use reveille_common::message::{Failure, Frame, Message, Outage, PlanUpdate, Report, WakeOutcome, WakeUp, World};
 use reveille_common::plan::Plan;
-use reveille_common::radio::Air;
+use reveille_common::radio::{Air, Radio};
 use reveille_common::scenario::Scenario;
 use reveille_common::state::{DeviceState, DeviceView};
 use reveille_common::totals::Ledger;
@@ -31,6 +32,7 @@ pub struct Discrepancy {
 pub struct Mirror {
     machines: Vec<Machine>,
     physics: Physics,
+    radio: Radio,
     air: Air,
     /// How many devices have missed the last plan.
     missed: u64,
@@ -38,8 +40,8 @@ pub struct Mirror {
     /// The TTIs that the devices go through, once there are any.
     world: Option<World>,
     /// What devices with δ = 1 must be heard to say in the last of them, in the order of ids.
-    reports: Vec<Report>,
-    failures: Vec<Failure>,
+    reports: VecDeque<Report>,
+    failures: VecDeque<Failure>,
     /// Those that do, as they were before, in case they turn out to be gone; likewise who was woken last.
     unsensed: Vec<Machine>,
     unwoken: Option<Machine>,
@@ -66,13 +68,14 @@ impl Mirror {
                 .iter()
                 .map(|setup| Machine::new(setup, &physics))
                 .collect(),
+            radio: scenario.radio,
             air: Air::new(scenario.seed, &scenario.radio),
             missed: 0,
             physics,
             plan: None,
             world: None,
-            reports: Vec::new(),
-            failures: Vec::new(),
+            reports: VecDeque::new(),
+            failures: VecDeque::new(),
             unsensed: Vec::new(),
             unwoken: None,
             waking: None,
@@ -180,12 +183,12 @@ impl Mirror {
             Message::Failed(failed) => {
                 let own = |failure: &Failure| *failure == failed.failure;
                 let at = self.failures.iter().position(own);
-                let at = at.ok_or_else(|| format!("device {} has not failed so", failed.failure.device))?;
-                self.failures.remove(at);
-                Ok(())
+                let own = at.and_then(|at| self.failures.remove(at));
+                let none = || format!("device {} has not failed so", failed.failure.device);
+                own.map(|_| ()).ok_or_else(none)
             }
             Message::Gone(outage) => self.gone(outage),
-            Message::Wake(_) => self.wake(frame.number),
+            Message::Wake(wake) => self.wake(frame.number, *wake),
             Message::Woken(woken) => match self.waking.take() {
                 Some((device, outcome)) if Some(device.0) == frame.number && outcome == woken.outcome => {
                     let is_told = self.has_reported || !matches!(outcome, WakeOutcome::Reported(_));
@@ -266,14 +269,14 @@ impl Mirror {
         self.unsensed.clear();
         if let Some(stimulus) = &world.stimulus {
             for machine in &mut self.machines {
-                if !machine.duty().is_on(world.last) {
+                if !machine.may_sense(world.last, stimulus, &self.physics) {
                     continue;
                 }
                 let unsensed = machine.clone();
                 match machine.sense(world.last, stimulus, &self.physics) {
                     Sensed::Nothing => continue,
-                    Sensed::Reported(report) => self.reports.push(report),
-                    Sensed::Failed(failure) => self.failures.push(failure),
+                    Sensed::Reported(report) => self.reports.push_back(report),
+                    Sensed::Failed(failure) => self.failures.push_back(failure),
                 }
                 self.unsensed.push(unsensed);
             }
@@ -289,7 +292,7 @@ impl Mirror {
         }
         let mut undone = Vec::new();
         if outage.wake_ups.is_none() {
-            undone.append(&mut self.unsensed);
+            undone.extend(self.unsensed.extract_if(.., |machine| outage.has(machine.id())));
             self.reports.retain(|report| !outage.has(report.device));
             self.failures.retain(|failure| !outage.has(failure.device));
         }
@@ -332,8 +335,8 @@ impl Mirror {
             };
         }
         let at = self.reports.iter().position(|own| own.device == report.device);
-        let at = at.ok_or_else(|| format!("a report of device {}, which has sent none", report.device))?;
-        let own = self.reports.remove(at);
+        let own = at.and_then(|at| self.reports.remove(at));
+        let own = own.ok_or_else(|| format!("a report of device {}, which has sent none", report.device))?;
         if own != *report {
             return Err(format!("device {} reported: {own}; not: {report}", own.device));
         }
@@ -345,7 +348,7 @@ impl Mirror {
         }
     }
 
-    fn wake(&mut self, number: Option<u32>) -> Result<(), String> {
+    fn wake(&mut self, number: Option<u32>, wake: WakeUp) -> Result<(), String> {
         let world = self.world.ok_or("a wake-up before the first TTI")?;
         let stimulus = world.stimulus.ok_or("a wake-up where there is no event")?;
         let device = number.map(DeviceId).ok_or("a wake-up for nobody")?;
@@ -353,8 +356,9 @@ impl Mirror {
         let machine = machine.ok_or_else(|| format!("a wake-up for device {device}, which there is not"))?;
         let air = self.air.at(world.last);
         self.unwoken = Some(machine.clone());
+        let stimulus = (!self.radio.is_late(wake.tti, world.until)).then_some(&stimulus);
         let outcome = machine
-            .wake(world.last, &stimulus, &self.physics)
+            .wake(world.last, stimulus, &self.physics)
             .over(|device| air.loses_report(device));
         self.has_reported = false;
         match self.waking.replace((device, outcome)) {

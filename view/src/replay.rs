@@ -151,7 +151,7 @@ impl Replay {
             }
             Message::Wake(wake) => {
                 self.under_way()?;
-                self.score.wake_up(wake.tti, codec::encoded_len(&wake));
+                self.score.wake_up(frame.tti, codec::encoded_len(&wake));
             }
             Message::Woken(woken) => {
                 let epicentre = self.under_way()?.epicentre;

@@ -4,6 +4,8 @@
 //! comes twice takes the place of the first; one that nobody waits for any more, as after a question that was asked
 //! again, is dropped.
 
+use std::collections::BTreeMap;
+
 use reveille_common::ids::{DeviceId, HostId, Tti};
 use reveille_common::message::{Answer, Failure, Report, WakeOutcome};
 use reveille_common::state::{DeviceState, DeviceView};
@@ -21,7 +23,7 @@ pub const UNKNOWN: DeviceView = DeviceView {
 /// The answers to one grant.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Gathered {
-    /// The reports of all devices, in the order of arrival.
+    /// The reports of all devices, in the order of ids.
     pub reports: Vec<Report>,
     /// The devices that could not transmit.
     pub failures: Vec<Failure>,
@@ -91,7 +93,7 @@ enum Stage {
         answers: Answers<Done>,
         /// Reports that the answers so far speak of.
         expected: usize,
-        reports: Vec<Report>,
+        reports: BTreeMap<DeviceId, Report>,
     },
     Wake {
         tti: Tti,
@@ -139,7 +141,7 @@ impl Barrier {
             asked,
             answers: Answers::new(&self.roster),
             expected: 0,
-            reports: Vec::new(),
+            reports: BTreeMap::new(),
         };
     }
 
@@ -174,7 +176,7 @@ impl Barrier {
                 ..
             } => {
                 *expected -= answers.lose(position).map_or(0, |done| done.reports as usize);
-                reports.retain(|report| !roster.owns(position, report.device));
+                reports.retain(|device, _| !roster.owns(position, *device));
             }
             Stage::Wake { device, outcome, .. } => {
                 if roster.owns(position, *device) {
@@ -205,9 +207,8 @@ impl Barrier {
                 reports,
                 ..
             } if is_sound && report.tti == *tti => {
-                if reports.iter().all(|r| r.device != report.device) {
-                    reports.push(report);
-                }
+                // The first counts, where one is sent again.
+                reports.entry(report.device).or_insert(report);
             }
             Stage::Wake { tti, device, outcome } if is_sound && report.tti == *tti && report.device == *device => {
                 *outcome = Some(WakeOutcome::Reported(report));
@@ -301,15 +302,13 @@ impl Barrier {
                 Answer::NotWoken {
                     device: who,
                     tti: when,
-                    failure,
+                    outcome: came,
                 },
             ) => {
-                let is_sound = when == *tti
-                    && who == *device
-                    && roster.owns(host, who)
-                    && failure.is_none_or(|f| f.device == who && roster.can_fail(&f));
+                let is_sound =
+                    when == *tti && who == *device && roster.owns(host, who) && roster.can_come_to(who, &came);
                 if is_sound {
-                    *outcome = Some(failure.map_or(WakeOutcome::Unheard, WakeOutcome::Failed));
+                    *outcome = Some(came);
                 }
                 is_sound
             }
@@ -352,7 +351,7 @@ impl Barrier {
                 ..
             } if answers.missing == 0 => {
                 let mut gathered = Gathered {
-                    reports,
+                    reports: reports.into_values().collect(),
                     views: vec![UNKNOWN; if asked.views { self.roster.devices() } else { 0 }],
                     ..Gathered::default()
                 };

@@ -101,7 +101,7 @@ fn a_wake_up_waits_for_its_device() {
     let not_woken = |tti| Answer::NotWoken {
         device: DeviceId(3),
         tti: Tti(tti),
-        failure: None,
+        outcome: WakeOutcome::Unheard,
     };
     let mut b = Barrier::new(roster());
     b.expect_wake(Tti(5), DeviceId(3));

@@ -23,7 +23,8 @@ pub enum OnLoss {
     Wait,
 }
 
-/// How the BS runs; none of it changes the outcome.
+/// How the BS runs. None of it changes the outcome, except that a run that goes on without lost devices
+/// ([`OnLoss::Continue`]) comes to what comes of that.
 #[derive(Clone, Copy, Debug)]
 pub struct Settings {
     /// Grant as many TTIs at a time as possible, or one.
@@ -51,6 +52,8 @@ pub struct Settings {
 pub struct Progress {
     /// Devices that have joined.
     pub joined: AtomicU64,
+    /// Whether all have, so that the run has begun.
+    pub has_begun: AtomicBool,
     /// The next TTI to be granted.
     pub tti: AtomicU64,
     /// Counted events that have ended.

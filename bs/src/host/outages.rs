@@ -6,27 +6,30 @@ use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Outage;
 use reveille_common::totals::{DeviceTotals, Ledger};
 
+use super::admission::Places;
 use super::error::BsError;
 use super::losses::Replay;
 
-/// Devices that are gone, and what their books came to.
-struct Gone {
-    outage: Outage,
+/// A host that is lost for good, and what the books of its devices came to.
+struct Lost {
+    places: Places,
+    /// The TTI in which they went, if not before.
+    tti: Tti,
     /// Their sums, once they are closed and somebody has asked.
     sums: Option<DeviceTotals>,
 }
 
-/// All devices that are gone. What they did before follows from a replay.
+/// All hosts that the run goes on without. What their devices did before follows from a replay.
 pub(super) struct Outages {
     replay: Option<Arc<dyn Replay>>,
-    gone: Vec<Gone>,
+    lost: Vec<Lost>,
 }
 
 impl Outages {
     /// None so far.
     pub(super) const fn new(replay: Option<Arc<dyn Replay>>) -> Self {
-        let gone = Vec::new();
-        Self { replay, gone }
+        let lost = Vec::new();
+        Self { replay, lost }
     }
 
     fn replay(&self) -> Result<&dyn Replay, BsError> {
@@ -34,36 +37,41 @@ impl Outages {
         self.replay.as_deref().ok_or_else(none)
     }
 
-    /// One more, in the TTI that is open.
-    pub(super) fn begin(&mut self, outage: Outage) -> Result<(), BsError> {
-        self.replay()?.lose(&outage).map_err(BsError::CannotGoOn)?;
-        self.gone.push(Gone { outage, sums: None });
-        Ok(())
+    /// A host that carried these places is lost, in the TTI that is open. Nobody else answers for its devices from here
+    /// on, those that were gone before the run was taken up among them.
+    pub(super) fn lose(&mut self, places: Places, tti: Tti) {
+        let sums = None;
+        self.lost.push(Lost { places, tti, sums });
     }
 
-    /// The sums before TTI `k` over all devices that are gone.
+    /// Devices of such a host go.
+    pub(super) fn begin(&self, outage: &Outage) -> Result<(), BsError> {
+        self.replay()?.lose(outage).map_err(BsError::CannotGoOn)
+    }
+
+    /// The sums before TTI `k` over all devices of those hosts.
     pub(super) fn sums(&mut self, k: Tti) -> Result<DeviceTotals, BsError> {
         let mut all = DeviceTotals::default();
-        for at in 0..self.gone.len() {
-            let Gone { outage, sums } = &self.gone[at];
+        for at in 0..self.lost.len() {
+            let Lost { places, tti, sums } = &self.lost[at];
             all += if let Some(sums) = sums {
                 *sums
             } else {
-                let (is_closed, ledgers) = (outage.tti < k, self.ledgers(k, outage.first, outage.count)?);
+                let (is_closed, ledgers) = (*tti < k, self.ledgers(k, places.first, places.count)?);
                 let sums = ledgers.iter().map(|ledger| ledger.whole).sum();
-                self.gone[at].sums = is_closed.then_some(sums);
+                self.lost[at].sums = is_closed.then_some(sums);
                 sums
             };
         }
         Ok(all)
     }
 
-    /// The ledgers before TTI `k` of all devices that are gone.
+    /// The ledgers before TTI `k` of all devices of those hosts.
     pub(super) fn all_ledgers(&self, k: Tti) -> Result<Vec<(DeviceId, Ledger)>, BsError> {
         let mut all = Vec::new();
-        for Gone { outage, .. } in &self.gone {
-            let ledgers = self.ledgers(k, outage.first, outage.count)?;
-            all.extend((outage.first.0..).map(DeviceId).zip(ledgers));
+        for Lost { places, .. } in &self.lost {
+            let ledgers = self.ledgers(k, places.first, places.count)?;
+            all.extend((places.first.0..).map(DeviceId).zip(ledgers));
         }
         Ok(all)
     }

@@ -2,7 +2,7 @@
 //! checked here, for it may be anything.
 
 use reveille_common::ids::{DeviceId, HostId};
-use reveille_common::message::{DeviceSetup, Failure, Report};
+use reveille_common::message::{DeviceSetup, Failure, Report, WakeOutcome};
 use reveille_common::state::DeviceView;
 use reveille_common::totals::{DeviceTotals, Ledger};
 use reveille_common::units::Energy;
@@ -132,6 +132,19 @@ impl Roster {
     pub fn can_fail(&self, failure: &Failure) -> bool {
         self.setup(failure.device)
             .is_some_and(|setup| failure.drained < setup.energy.e_tx)
+    }
+
+    /// Whether a wake-up of `device` can have come to this, where no report was sent.
+    pub fn can_come_to(&self, device: DeviceId, outcome: &WakeOutcome) -> bool {
+        match outcome {
+            WakeOutcome::Unheard => true,
+            WakeOutcome::Failed(failure) => failure.device == device && self.can_fail(failure),
+            WakeOutcome::Late { spent, powered } => self.setup(device).is_some_and(|setup| {
+                let e_idle = setup.energy.e_idle;
+                if *powered { *spent == e_idle } else { *spent < e_idle }
+            }),
+            WakeOutcome::Reported(_) | WakeOutcome::Lost(_) => false,
+        }
     }
 
     /// Whether the host at `position` can have come to so many reports and these failures in one TTI.

@@ -101,6 +101,7 @@ pub(super) async fn run(
         due: None,
     };
     this.show();
+    this.crew.progress.has_begun.store(true, Ordering::Relaxed);
     this.crew.shared.lock().name_carriers(this.crew.progress);
     let started = now();
     let outcome = match this.play(observer).await {
@@ -185,20 +186,23 @@ impl Loop<'_> {
         }
         self.crew.bus.set_tti(first);
         if self.cycle.wants_batteries() {
-            self.cycle.tell_batteries(self.views.iter().map(|view| view.battery));
+            let batteries = self.views.iter().map(|view| view.battery);
+            self.cycle.tell_batteries(batteries, observer);
         }
         let account = self.boundaries.is_boundary(first);
         let events = *self.cycle.event_totals();
         let horizon = self.horizon(first);
         let wants_states = observer.wants_states();
-        let granted = self.cycle.grant(horizon, observer);
+        let mut granted = self.cycle.grant(horizon, observer);
         let grant = granted.grant;
         self.point = Point {
             next: first,
             plan: self.plan_from,
         };
         self.voice.begin();
-        for update in &granted.updates {
+        let updates = std::mem::take(&mut granted.updates);
+        let plans = updates.len() as u32;
+        for update in updates {
             self.plan_from = Some(update.from);
             tracing::debug!(from = %update.from, "the plan goes out");
             self.voice.plan(update)?;
@@ -211,10 +215,11 @@ impl Loop<'_> {
             first,
             last: grant.last,
             stimulus: grant.stimulus,
+            until: grant.until,
             account,
             views: asked.views,
             plan: self.plan_from.unwrap_or_default(),
-            plans: granted.updates.len() as u32,
+            plans,
         });
         {
             let mut state = self.crew.shared.lock();
@@ -228,55 +233,61 @@ impl Loop<'_> {
         self.answered().await?;
         self.let_go(grant.last, None, observer)?;
         let mut gathered = self.crew.shared.lock().barrier.take_gathered();
+        // A host that is lost from here on is among those that have answered.
+        let sums = if account {
+            Some(gathered.totals + self.outages.sums(first)?)
+        } else {
+            None
+        };
         self.views = std::mem::take(&mut gathered.views);
-        let mut step = self
+        let step = self
             .cycle
             .gathered(granted, &mut gathered.reports, &mut gathered.failures, observer);
+        self.wake(grant.last, step, observer).await?;
+        if wants_states {
+            observer.see(&Happening::States(&self.views));
+        }
+        self.show();
+        Ok(sums.is_none_or(|sums| self.account(first, sums, events, observer)))
+    }
+
+    /// The wake-ups of TTI `tti`, one after the other.
+    async fn wake(&mut self, tti: Tti, mut step: Step, observer: &mut impl Observer) -> Result<(), BsError> {
         let mut wake_ups = 0;
         while let Step::WakeUp(waking) = step {
             let device = waking.device();
             let host = {
                 let mut state = self.crew.shared.lock();
-                state.barrier.expect_wake(grant.last, device);
+                state.barrier.expect_wake(tti, device);
                 state.barrier.roster().carrier(device)
             };
             if let Some(host) = host {
-                self.voice.wake_up(host, device, grant.last)?;
+                self.voice.wake_up(host, device, waking.message())?;
             }
             self.answered().await?;
-            self.let_go(grant.last, Some(wake_ups), observer)?;
+            self.let_go(tti, Some(wake_ups), observer)?;
             wake_ups += 1;
             let outcome = self.crew.shared.lock().barrier.take_outcome();
-            tracing::debug!(tti = %grant.last, %device, ?outcome, "woken");
+            tracing::debug!(%tti, %device, ?outcome, "woken");
             if let Some(view) = self.views.get_mut(device.index()) {
                 *view = outcome.on(*view);
             }
             step = self.cycle.woken(waking, &outcome, observer);
         }
-        if wants_states {
-            observer.see(&Happening::States(&self.views));
-        }
-        self.show();
-        if !account {
-            return Ok(true);
-        }
-        let totals = gathered.totals + self.outages.sums(first)?;
-        Ok(self.account(first, totals, events, observer))
+        Ok(())
     }
 
-    /// Devices that the run goes on without are gone from here on.
+    /// Devices that the run goes on without are gone from here on, those that are not gone already.
     fn let_go(&mut self, tti: Tti, wake_ups: Option<u32>, observer: &mut impl Observer) -> Result<(), BsError> {
         let leaving = std::mem::take(&mut self.crew.shared.lock().leaving);
         for places in leaving {
-            let outage = Outage {
-                first: places.first,
-                count: places.count,
-                tti,
-                wake_ups,
-            };
-            self.outages.begin(outage)?;
-            self.cycle.gone(&outage, observer);
-            if let Some(views) = self.views.get_mut(outage.first.index()..=outage.last().index()) {
+            self.outages.lose(places, tti);
+            let devices = (places.first.0..=places.last().0).map(DeviceId);
+            for outage in Outage::of(devices.filter(|&device| !self.cycle.is_gone(device)), tti, wake_ups) {
+                self.outages.begin(&outage)?;
+                self.cycle.gone(&outage, observer);
+            }
+            if let Some(views) = self.views.get_mut(places.first.index()..=places.last().index()) {
                 views.fill(UNKNOWN);
             }
         }
@@ -426,7 +437,11 @@ impl Loop<'_> {
             ledgers.extend((first.0..).map(DeviceId).zip(own));
         }
         ledgers.sort_unstable_by_key(|(device, _)| *device);
-        ledgers.dedup_by_key(|(device, _)| *device);
+        let each = (0..self.devices).map(DeviceId);
+        assert!(
+            ledgers.iter().map(|(device, _)| *device).eq(each),
+            "a ledger for each device"
+        );
         Ok(ledgers.into_iter().map(|(_, ledger)| ledger).collect())
     }
 }

@@ -4,7 +4,7 @@
 //! more, in order. To one that has heard it, it changes nothing.
 
 use reveille_common::bus::{Bus, BusError, Topic};
-use reveille_common::ids::{DeviceId, HostId, Tti};
+use reveille_common::ids::{DeviceId, HostId};
 use reveille_common::message::{Clock, PlanUpdate, WakeUp};
 
 /// The BS's voice.
@@ -14,7 +14,7 @@ pub(super) struct Voice<'a> {
     to_plans: Topic<PlanUpdate>,
     plans: Vec<PlanUpdate>,
     grant: Option<Clock>,
-    woken: Vec<(HostId, DeviceId, Tti)>,
+    woken: Vec<(HostId, DeviceId, WakeUp)>,
     end: Option<Clock>,
 }
 
@@ -40,9 +40,9 @@ impl<'a> Voice<'a> {
     }
 
     /// Tells a plan.
-    pub(super) fn plan(&mut self, update: &PlanUpdate) -> Result<(), BusError> {
-        self.to_plans.put(update)?;
-        self.plans.push(update.clone());
+    pub(super) fn plan(&mut self, update: PlanUpdate) -> Result<(), BusError> {
+        self.to_plans.put(&update)?;
+        self.plans.push(update);
         Ok(())
     }
 
@@ -57,9 +57,9 @@ impl<'a> Voice<'a> {
     }
 
     /// Wakes `device`, which `host` carries.
-    pub(super) fn wake_up(&mut self, host: HostId, device: DeviceId, tti: Tti) -> Result<(), BusError> {
-        self.woken.push((host, device, tti));
-        self.bus.wake(host, device, &WakeUp { tti })
+    pub(super) fn wake_up(&mut self, host: HostId, device: DeviceId, wake: WakeUp) -> Result<(), BusError> {
+        self.woken.push((host, device, wake));
+        self.bus.wake(host, device, &wake)
     }
 
     /// Wake-ups that are said again go to the hosts that carry the devices now.
@@ -77,8 +77,8 @@ impl<'a> Voice<'a> {
         if let Some(grant) = &self.grant {
             self.to_clocks.put(grant)?;
         }
-        for &(host, device, tti) in &self.woken {
-            self.bus.wake(host, device, &WakeUp { tti })?;
+        for (host, device, wake) in &self.woken {
+            self.bus.wake(*host, *device, wake)?;
         }
         match &self.end {
             Some(end) => self.to_clocks.put(end),

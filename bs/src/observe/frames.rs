@@ -31,6 +31,7 @@ impl Frames {
                     first: grant.first,
                     last: grant.last,
                     stimulus: grant.stimulus,
+                    until: grant.until,
                 };
                 take(Frame::of(grant.first, (), &world));
             }
@@ -40,7 +41,7 @@ impl Frames {
             Happening::Failed { tti, failure } => {
                 take(Frame::of(tti, failure.device, &FailedReport { failure: *failure }));
             }
-            Happening::WakeUp { tti, device } => take(Frame::of(tti, device, &WakeUp { tti })),
+            Happening::WakeUp { tti, device, sent } => take(Frame::of(tti, device, &WakeUp { tti: sent })),
             Happening::Woken { tti, device, outcome } => {
                 if let WakeOutcome::Reported(report) = outcome {
                     take(Frame::of::<Report>(tti, device, report));

@@ -4,20 +4,10 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::Concerns;
+use super::{Concerns, Failure, WakeOutcome};
 use crate::ids::{DeviceId, HostId, Tti};
 use crate::state::DeviceView;
 use crate::totals::{DeviceTotals, Ledger};
-use crate::units::Energy;
-
-/// A device that entered S2 and could not pay E_Tx.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Failure {
-    /// The device.
-    pub device: DeviceId,
-    /// What was left in its battery and is now lost.
-    pub drained: Energy,
-}
 
 /// Emulation, host → BS: the answer to a [`Clock`](super::Clock) message or to a wake-up.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -45,8 +35,8 @@ pub enum Answer {
         device: DeviceId,
         /// The TTI.
         tti: Tti,
-        /// What its battery lost, if it woke at all.
-        failure: Option<Failure>,
+        /// What came of it instead.
+        outcome: WakeOutcome,
     },
     /// The ledgers of a host's devices at the end of the run.
     Final {
@@ -84,18 +74,7 @@ impl fmt::Display for Answer {
                     .as_ref()
                     .map_or(Ok(()), |sums| write!(f, ", batteries hold {}", sums.battery))
             }
-            Self::NotWoken {
-                device,
-                failure: Some(failure),
-                ..
-            } => write!(
-                f,
-                "device {device} woke and could not transmit, {} drained",
-                failure.drained
-            ),
-            Self::NotWoken {
-                device, failure: None, ..
-            } => write!(f, "device {device} did not hear its wake-up"),
+            Self::NotWoken { device, outcome, .. } => write!(f, "device {device} {outcome}"),
             Self::Final { ledgers, .. } => write!(f, "the ledgers of {} devices", ledgers.len()),
         }
     }

@@ -17,6 +17,8 @@ pub struct Tick {
     pub last: Tti,
     /// What the world shows in `last`.
     pub stimulus: Option<Stimulus>,
+    /// The last TTI in which it would show that: after it nobody who wakes finds anything.
+    pub until: Tti,
     /// Whether the answer carries the sums of the TTIs before `first`.
     pub account: bool,
     /// Whether the answer carries the states and batteries after `last`.
@@ -64,6 +66,7 @@ impl fmt::Display for Tick {
             first,
             last,
             stimulus,
+            until: _,
             account,
             views,
             plan: _,

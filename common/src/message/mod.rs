@@ -31,7 +31,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use crate::codec::{self, CodecError};
 use crate::ids::{DeviceId, HostId};
 
-pub use answer::{Answer, Failure};
+pub use answer::Answer;
 pub use belief::{Belief, Likely};
 pub use clock::{Clock, Tick};
 pub use control::{ClockCommand, ClockStatus, LostHost, Pace};
@@ -41,7 +41,7 @@ pub use join::{JoinReply, JoinRequest};
 pub use outage::Outage;
 pub use plan::PlanUpdate;
 pub use ready::Ready;
-pub use report::Report;
+pub use report::{Failure, Report};
 pub use setup::{Assignment, Checkpoint, DeviceSetup, Membership, Resumption};
 pub use truth::{EventNews, FailedReport, LostReport, States, Woken, World};
 pub use wake::{WakeOutcome, WakeUp};

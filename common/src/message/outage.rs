@@ -28,7 +28,25 @@ pub struct Outage {
 impl Outage {
     /// The last device.
     pub const fn last(&self) -> DeviceId {
-        DeviceId(self.first.0 + self.count - 1)
+        DeviceId(self.first.0.saturating_add(self.count.saturating_sub(1)))
+    }
+
+    /// What it is that `devices`, by rising number, go in TTI `tti` after so many wake-ups: an outage for all that
+    /// follow one another.
+    pub fn of(devices: impl IntoIterator<Item = DeviceId>, tti: Tti, wake_ups: Option<u32>) -> Vec<Self> {
+        let mut all: Vec<Self> = Vec::new();
+        for device in devices {
+            match all.last_mut() {
+                Some(last) if last.last().0 + 1 == device.0 => last.count += 1,
+                Some(_) | None => all.push(Self {
+                    first: device,
+                    count: 1,
+                    tti,
+                    wake_ups,
+                }),
+            }
+        }
+        all
     }
 
     /// Whether `device` is among them.
@@ -56,6 +74,43 @@ impl fmt::Display for Outage {
             write!(f, "device {first} is gone for good")
         } else {
             write!(f, "devices {first} to {} are gone for good", self.last())
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn devices_that_follow_one_another_go_together() {
+        let went = |devices: &[u32]| -> Vec<(u32, u32)> {
+            let outages = Outage::of(devices.iter().copied().map(DeviceId), Tti(4), Some(2));
+            assert!(
+                outages
+                    .iter()
+                    .all(|outage| (outage.tti, outage.wake_ups) == (Tti(4), Some(2)))
+            );
+            outages.iter().map(|outage| (outage.first.0, outage.last().0)).collect()
+        };
+        assert_eq!(went(&[]), []);
+        assert_eq!(went(&[0, 1, 2]), [(0, 2)]);
+        assert_eq!(went(&[3, 5, 6, 9]), [(3, 3), (5, 6), (9, 9)]);
+    }
+
+    #[test]
+    fn one_that_cannot_be_is_told_in_words() {
+        for (first, count) in [(0, 0), (u32::MAX, u32::MAX), (7, 0)] {
+            let outage = Outage {
+                first: DeviceId(first),
+                count,
+                tti: Tti(1),
+                wake_ups: None,
+            };
+            assert!(
+                !outage.is_sound(u32::MAX) && outage.to_string().contains("gone for good"),
+                "{outage}"
+            );
         }
     }
 }

@@ -21,6 +21,15 @@ pub struct Report {
     pub battery: Energy,
 }
 
+/// A device that entered S2 and could not pay E_Tx.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Failure {
+    /// The device.
+    pub device: DeviceId,
+    /// What was left in its battery and is now lost.
+    pub drained: Energy,
+}
+
 impl Concerns for Report {
     fn concerns(&self, number: Option<u32>, device: DeviceId) -> bool {
         number == Some(device.0)

@@ -18,6 +18,8 @@ pub struct World {
     pub last: Tti,
     /// What the world shows in `last`, if any device might react to it.
     pub stimulus: Option<Stimulus>,
+    /// The last TTI in which it would show that.
+    pub until: Tti,
 }
 
 impl Concerns for World {
@@ -28,7 +30,9 @@ impl Concerns for World {
 
 impl fmt::Display for World {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { first, last, stimulus } = self;
+        let Self {
+            first, last, stimulus, ..
+        } = self;
         if first == last {
             write!(f, "TTI {first}")?;
         } else {

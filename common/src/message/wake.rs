@@ -12,7 +12,8 @@ use crate::units::Energy;
 /// Air, BS → one device's wake-up radio.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WakeUp {
-    /// The TTI in which it is sent.
+    /// The TTI in which it is sent: that of the reports, or later where devices take time to wake and others were woken
+    /// before.
     pub tti: Tti,
 }
 
@@ -39,6 +40,13 @@ pub enum WakeOutcome {
     Unheard,
     /// S4 → S2 → S3: the device reported, and the report was lost on its way to the BS.
     Lost(Report),
+    /// S4 → S2 → S4: the device woke when the event was over, and found nothing.
+    Late {
+        /// What that took from its battery: E_idle, or what was left of it.
+        spent: Energy,
+        /// Whether it was E_idle, so that its wake-up radio still has power.
+        powered: bool,
+    },
 }
 
 impl fmt::Display for WakeOutcome {
@@ -52,6 +60,7 @@ impl fmt::Display for WakeOutcome {
             ),
             Self::Unheard => f.write_str("did not hear it"),
             Self::Lost(report) => write!(f, "reported, and that was lost: {report}"),
+            Self::Late { spent, .. } => write!(f, "woke when the event was over, for {:.2}", spent.units()),
         }
     }
 }
@@ -62,7 +71,7 @@ impl WakeOutcome {
     pub fn over(self, is_lost: impl FnOnce(DeviceId) -> bool) -> Self {
         match self {
             Self::Reported(report) if is_lost(report.device) => Self::Lost(report),
-            Self::Reported(_) | Self::Failed(_) | Self::Unheard | Self::Lost(_) => self,
+            Self::Reported(_) | Self::Failed(_) | Self::Unheard | Self::Lost(_) | Self::Late { .. } => self,
         }
     }
 
@@ -77,6 +86,10 @@ impl WakeOutcome {
             Self::Failed(_) => DeviceView {
                 state: DeviceState::Sleep { powered: false },
                 battery: Energy::ZERO,
+            },
+            Self::Late { spent, powered } => DeviceView {
+                state: DeviceState::Sleep { powered: *powered },
+                battery: view.battery.saturating_sub(*spent),
             },
             Self::Unheard => view,
         }

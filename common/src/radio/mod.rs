@@ -19,7 +19,11 @@ pub use false_wakes::FalseWakes;
 
 use serde::{Deserialize, Serialize};
 
-use crate::declare::{PROBABILITY, Reader, ScenarioError, Section, Sink, choice, number};
+use crate::declare::{PROBABILITY, Reader, ScenarioError, Section, Sink, choice, number, whole};
+use crate::ids::Tti;
+
+/// The longest that a device may take to wake, in TTIs.
+const LONGEST_LATENCY: u64 = 1_000_000;
 
 crate::declare! {
     /// The radio between base station and devices. By default it never fails.
@@ -35,6 +39,10 @@ crate::declare! {
         /// Probability that a device misses a plan δ and keeps the one that it has: one draw per device and TTI in
         /// which a plan is sent. When the plan is sent again for synchronisation that is another chance.
         plan_loss: f64 = number(PROBABILITY, 0.0),
+        /// TTIs from a wake-up until the device is awake. Wake-ups for an event follow one another, each when the
+        /// answer to the one before is due; who wakes when the event is over finds nothing, for E_idle. All of it is
+        /// in the books of the TTI in which the event was reported.
+        wake_latency: u64 = whole(0, LONGEST_LATENCY, 0).unit("TTIs"),
         /// Whether more is lost at times.
         interference: Interference = choice::<Interference>("none"),
     }
@@ -51,6 +59,8 @@ pub struct Radio {
     pub uplink_loss: f64,
     /// Probability that a device misses a plan, `[0, 1]`.
     pub plan_loss: f64,
+    /// TTIs from a wake-up until the device is awake, at most a million.
+    pub wake_latency: u64,
     /// Bursts in which more is lost.
     pub bursts: Option<Bursts>,
 }
@@ -80,6 +90,7 @@ impl Radio {
             false_wake,
             uplink_loss,
             plan_loss,
+            wake_latency,
             interference,
         } = Settings::read(reader)?;
         Ok(Self {
@@ -87,6 +98,7 @@ impl Radio {
             false_wake,
             uplink_loss,
             plan_loss,
+            wake_latency,
             bursts: match interference {
                 Interference::None => None,
                 Interference::Bursts => Some(Bursts::read(reader)?),
@@ -105,6 +117,7 @@ impl Radio {
             false_wake,
             uplink_loss,
             plan_loss,
+            wake_latency,
             bursts,
         } = *self;
         Settings {
@@ -112,6 +125,7 @@ impl Radio {
             false_wake,
             uplink_loss,
             plan_loss,
+            wake_latency,
             interference: bursts.map_or(Interference::None, |_| Interference::Bursts),
         }
         .visit(sink);
@@ -132,10 +146,32 @@ impl Radio {
             false_wake,
             uplink_loss,
             plan_loss,
+            wake_latency,
             bursts,
         } = self;
         let probabilities = [wake_miss, false_wake, uplink_loss, plan_loss];
-        probabilities.into_iter().all(|&p| PROBABILITY.contains(p)) && bursts.is_none_or(|bursts| bursts.is_sound())
+        probabilities.into_iter().all(|&p| PROBABILITY.contains(p))
+            && *wake_latency <= LONGEST_LATENCY
+            && bursts.is_none_or(|bursts| bursts.is_sound())
+    }
+
+    /// When the wake-up that comes after `before` others for what was reported in TTI `tti` is sent.
+    pub const fn sent(&self, tti: Tti, before: u64) -> Tti {
+        tti.saturating_add(before.saturating_mul(self.wake_latency))
+    }
+
+    /// Whether a wake-up that is sent in TTI `sent` can be for what was reported in TTI `tti`.
+    pub const fn may_be_sent(&self, sent: Tti, tti: Tti) -> bool {
+        match sent.0.checked_sub(tti.0) {
+            Some(0) => true,
+            Some(later) => self.wake_latency > 0 && later.is_multiple_of(self.wake_latency),
+            None => false,
+        }
+    }
+
+    /// Whether who is sent a wake-up in TTI `sent` is awake too late for an event that is over after TTI `until`.
+    pub const fn is_late(&self, sent: Tti, until: Tti) -> bool {
+        sent.saturating_add(self.wake_latency).0 > until.0
     }
 
     /// What a base station knows of it.

@@ -11,8 +11,27 @@ fn radio() -> Radio {
         false_wake: 0.02,
         uplink_loss: 0.25,
         plan_loss: 0.4,
+        wake_latency: 3,
         bursts: None,
     }
+}
+
+#[test]
+fn wake_ups_follow_one_another_by_the_latency() {
+    let (radio, at_once) = (radio(), Radio::default());
+    assert_eq!(
+        [0, 1, 5].map(|before| radio.sent(Tti(40), before)),
+        [Tti(40), Tti(43), Tti(55)]
+    );
+    assert_eq!([0, 1, 5].map(|before| at_once.sent(Tti(40), before)), [Tti(40); 3]);
+    assert_eq!(
+        [44, 45, 46].map(|until| radio.is_late(Tti(43), Tti(until))),
+        [true, true, false]
+    );
+    assert!(!at_once.is_late(Tti(40), Tti(40)) && radio.is_late(Tti::NEVER, Tti(u64::MAX - 1)));
+    let may_be = |radio: &Radio| [39, 40, 41, 43, 46].map(|sent| radio.may_be_sent(Tti(sent), Tti(40)));
+    assert_eq!(may_be(&radio), [false, true, false, true, true]);
+    assert_eq!(may_be(&at_once), [false, true, false, false, false]);
 }
 
 /// The shares of `ttis` TTIs of 50 devices in which a wake-up, a report and a plan are lost.
@@ -153,6 +172,7 @@ fn a_radio_that_never_fails_is_no_part_of_a_scenario() {
         "false_wake=0.1",
         "uplink_loss=0.1",
         "plan_loss=0.1",
+        "wake_latency=1",
         "interference=bursts",
     ] {
         let field = format!("radio.{field}");

@@ -130,12 +130,13 @@ impl Fingerprint {
             WakeOutcome::Failed(failure) => (1, failure.drained),
             WakeOutcome::Unheard => (2, Energy::ZERO),
             WakeOutcome::Lost(_) => (3, Energy::ZERO),
+            WakeOutcome::Late { spent, .. } => (4, *spent),
         };
         self.words(b'W', [tti.0, u64::from(device.0), kind, drained.micro()]);
         match outcome {
             WakeOutcome::Reported(report) => self.report(report),
             WakeOutcome::Lost(report) => self.lost(report),
-            WakeOutcome::Failed(_) | WakeOutcome::Unheard => {}
+            WakeOutcome::Failed(_) | WakeOutcome::Unheard | WakeOutcome::Late { .. } => {}
         }
     }
 
@@ -177,6 +178,7 @@ impl Fingerprint {
             missed: _,
             losses: _,
             gone_ttis: _,
+            refining_ttis: _,
             delay_p95_ttis,
             control,
             uplink,

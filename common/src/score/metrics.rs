@@ -270,12 +270,24 @@ metrics! {
             let Losses { wake_ups, unheard, .. } = run.totals.losses;
             100.0 * unheard as f64 / wake_ups as f64
         };
+        /// Wake-ups that woke a device when the event was over, as waking takes time (`radio.wake_latency`), % of those
+        /// sent.
+        late_wake_ups_pct: "% of wake-ups", "% of wake-ups that came too late" = |run| {
+            let Losses { wake_ups, late, .. } = run.totals.losses;
+            100.0 * late as f64 / wake_ups as f64
+        };
+        /// TTIs from an event's first report to its last, for which woken devices need time to wake one after another,
+        /// mean over reported events.
+        refining_ttis: "TTIs", "TTIs from the first report to the last" = |run| {
+            let EventTotals { events, misdetected, .. } = run.totals.events;
+            run.totals.refining_ttis as f64 / (events - misdetected) as f64
+        };
         /// Plans that a device missed, % of those sent, one for each device.
         missed_plans_pct: "% of plans", "% of plans that devices missed" = |run| {
             let Losses { plans, missed_plans, .. } = run.totals.losses;
             100.0 * missed_plans as f64 / plans as f64
         };
-        /// Device-TTIs with δ = 0 in which a device woke for nothing, % of those with δ = 0.
+        /// Device-TTIs with δ = 0 in which a device woke for nothing, unbidden or too late, % of those with δ = 0.
         false_wakes_pct: "% of δ = 0", "% of δ = 0 with a wake-up for nothing" = |run| {
             let DeviceTotals { false_wakes, sensing_ttis, .. } = run.totals.energy;
             100.0 * false_wakes as f64 / (run.device_ttis() - sensing_ttis as f64)

@@ -31,6 +31,12 @@ struct Current {
     tally: EventTally,
     /// Whether a report about it was lost.
     has_lost: bool,
+    /// The TTI in which wake-ups were sent last, and how many in it.
+    called: (Tti, u64),
+    /// Of those, how many until the last one that was answered.
+    answered: u64,
+    /// Devices that woke when it was over.
+    late: u64,
 }
 
 /// The score of a run under way.
@@ -50,6 +56,9 @@ pub struct Score {
     control: Traffic,
     uplink: Traffic,
     losses: Losses,
+    wake_latency: u64,
+    /// TTIs from the first to the last report, summed over the counted events.
+    refining_ttis: u64,
     outages: Vec<Outage>,
     fingerprint: Fingerprint,
 }
@@ -91,6 +100,8 @@ impl Score {
             control: Traffic::default(),
             uplink: Traffic::default(),
             losses: Losses::default(),
+            wake_latency: scenario.radio.wake_latency,
+            refining_ttis: 0,
             outages: Vec::new(),
             fingerprint: Fingerprint::default(),
         }
@@ -124,6 +135,9 @@ impl Score {
             event,
             tally: EventTally::default(),
             has_lost: false,
+            called: (Tti::NEVER, 0),
+            answered: 0,
+            late: 0,
         });
         self.acts.clear();
     }
@@ -153,9 +167,17 @@ impl Score {
         self.outages.push(*outage);
     }
 
+    /// Whether `device` is gone.
+    pub fn is_gone(&self, device: DeviceId) -> bool {
+        self.outages.iter().any(|outage| outage.has(device))
+    }
+
     /// A wake-up goes out on the air in `tti`, `bytes` long.
     pub fn wake_up(&mut self, tti: Tti, bytes: u64) {
-        self.current().tally.wake_ups += 1;
+        let current = self.current();
+        current.tally.wake_ups += 1;
+        let before = if current.called.0 == tti { current.called.1 } else { 0 };
+        current.called = (tti, before + 1);
         self.count_control(tti, bytes);
     }
 
@@ -167,7 +189,9 @@ impl Score {
         match outcome {
             WakeOutcome::Reported(report) => {
                 self.count_uplink(report);
-                self.current().tally.reports += 1;
+                let current = self.current();
+                current.tally.reports += 1;
+                current.answered = current.called.1;
                 self.act(device, Acts::WOKEN_REPORT);
                 self.far(device, is_far);
             }
@@ -179,6 +203,12 @@ impl Score {
             WakeOutcome::Failed(failure) => {
                 self.act(device, Acts::WOKEN);
                 self.wrong(device, failure.drained);
+            }
+            WakeOutcome::Late { spent, .. } => {
+                self.losses.late += u64::from(is_measured);
+                self.current().late += 1;
+                self.act(device, Acts::WOKEN);
+                self.wrong(device, *spent);
             }
             WakeOutcome::Unheard => {
                 self.losses.unheard += u64::from(is_measured);
@@ -201,6 +231,9 @@ impl Score {
             event,
             mut tally,
             has_lost,
+            answered,
+            late,
+            ..
         } = self.current.take().expect("an event is under way");
         tally.information_pico = (information * PICO_PER_INFORMATION).round() as u64;
         self.fingerprint.event_ended(last, &tally);
@@ -218,8 +251,11 @@ impl Score {
             let delay = record.delay();
             self.events.count(&tally, delay);
             match delay {
-                Some(delay) => self.delays.count(delay),
-                None => self.count_missed(&record, has_lost),
+                Some(delay) => {
+                    self.delays.count(delay);
+                    self.refining_ttis += answered * self.wake_latency;
+                }
+                None => self.count_missed(&record, has_lost, late),
             }
             for (device, act) in &self.acts {
                 self.devices[device.index()].acts += *act;
@@ -265,15 +301,16 @@ impl Score {
             losses: self.losses,
             energy: measured().copied().sum(),
             spread: Spread::of(measured()),
+            refining_ttis: self.refining_ttis,
             gone_ttis: self.outages.iter().map(gone).sum(),
         }
     }
 
-    fn count_missed(&mut self, event: &EventRecord, has_lost: bool) {
+    fn count_missed(&mut self, event: &EventRecord, has_lost: bool, late: u64) {
         let is_in_reach = |device: &DeviceRecord| device.position.distance(event.epicentre) <= self.d_max;
         let cause = if has_lost {
             &mut self.missed.lost
-        } else if event.tally.wrong_activations > 0 {
+        } else if event.tally.wrong_activations > late {
             &mut self.missed.unpaid
         } else if self.devices.iter().any(is_in_reach) {
             &mut self.missed.unseen

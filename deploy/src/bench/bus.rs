@@ -87,6 +87,7 @@ fn sizes() -> Sizes {
         first: tti,
         last: tti,
         stimulus: None,
+        until: Tti::ZERO,
         account: false,
         views: false,
         plan: Tti::ZERO,

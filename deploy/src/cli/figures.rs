@@ -2,8 +2,10 @@
 
 use std::path::PathBuf;
 
+use clap::builder::PossibleValuesParser;
 use clap::{Args, Subcommand, ValueEnum};
 use reveille_bs::policy::q_learning::learned::Lookback;
+use reveille_study::figures::robustness;
 
 use super::ScenarioArgs;
 use super::parse::{parse_device, parse_field, parse_whole};
@@ -203,12 +205,20 @@ pub struct RobustnessArgs {
     /// The policies, separated by commas [default: all].
     #[arg(long, value_delimiter = ',', value_name = "POLICY")]
     pub policies: Vec<String>,
+    /// Only what fails so, separated by commas [default: all].
+    #[arg(long, value_delimiter = ',', value_name = "IMPAIRMENT", value_parser = impairments())]
+    pub only: Vec<String>,
     /// Runs of each policy at each level, with seeds one after another.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=10_000))]
     pub seeds: u64,
     /// The pictures.
     #[command(flatten)]
     pub pictures: PictureArgs,
+}
+
+/// What can fail, by name.
+fn impairments() -> PossibleValuesParser {
+    PossibleValuesParser::new(robustness::IMPAIRMENTS.iter().map(|impairment| impairment.name))
 }
 
 /// `reveille figures timeline`.

@@ -29,7 +29,7 @@ use crate::cli::{AuditArg, BsArgs, DriveArgs, OutputArgs};
 use crate::dashboard::feed::{Feed, Hose};
 use crate::display::{Bar, note};
 use crate::input_log::{self, INPUTS, InputLog};
-use crate::marks::{Mark, Marker};
+use crate::marks::{self, Marker};
 use crate::results::RunFolder;
 use crate::shadow::{Auditor, Beginning, whose};
 use crate::summary::{Summary, Timing};
@@ -249,7 +249,7 @@ async fn play(
         ..
     } = service;
     let mark = match &output.resume {
-        Some(_) => Mark::read(folder, scenario)?,
+        Some(_) => marks::read(folder, scenario)?,
         None => None,
     };
     let window = mark.as_ref().map_or(settings.window, |mark| mark.window);

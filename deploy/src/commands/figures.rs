@@ -215,11 +215,14 @@ fn draw_robustness(args: &RobustnessArgs) -> anyhow::Result<ExitCode> {
         resolve(&given)
     };
     let scenarios = policies.iter().map(of).collect::<anyhow::Result<Vec<_>>>()?;
-    let points = robustness::measure(&scenarios, args.seeds);
+    let is_asked_for = |name: &str| args.only.is_empty() || args.only.iter().any(|only| only == name);
+    let all = robustness::IMPAIRMENTS.iter();
+    let impairments: Vec<_> = all.filter(|impairment| is_asked_for(impairment.name)).collect();
+    let points = robustness::measure(&scenarios, &impairments, args.seeds);
     let name = format!("{}-n{}", robustness::NAME, scenarios[0].devices);
-    for (place, impairment) in robustness::IMPAIRMENTS.iter().enumerate() {
+    for impairment in impairments {
         for metric in robustness::METRICS {
-            let chart = robustness::chart(&points, place, metric, &scenarios[0]);
+            let chart = robustness::chart(&points, impairment, metric, &scenarios[0]);
             let metric = metric.0;
             write(
                 &args.pictures,

@@ -22,7 +22,7 @@ use super::resolution::resolve_run;
 use crate::cli::RunArgs;
 use crate::display::Bar;
 use crate::input_log::{self, InputLog};
-use crate::marks::{Mark, Marker};
+use crate::marks::{self, Marker};
 use crate::results::RunFolder;
 use crate::summary::{Summary, Timing};
 use crate::watch::{Sink, Watch};
@@ -39,7 +39,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let named = named.transpose().context("--inputs")?;
     let folder = RunFolder::create(&args.output, &scenario)?;
     let mark = match &args.output.resume {
-        Some(_) => Mark::read(folder.path(), &scenario)?,
+        Some(_) => marks::read(folder.path(), &scenario)?,
         None => None,
     };
     let options = Options {

@@ -403,6 +403,7 @@ impl Known {
                 WakeOutcome::Failed(_) => "woken and could not pay",
                 WakeOutcome::Unheard => "did not hear",
                 WakeOutcome::Lost(_) => "woken, and its report was lost",
+                WakeOutcome::Late { .. } => "woken too late",
             };
             self.under_way.push(format!("{whose} {came}"));
         }

@@ -22,8 +22,8 @@ pub enum Input {
     View(Tti, Arc<Round>),
     /// The physical world in a TTI.
     Sense(Tti, Stimulus, Arc<Round>),
-    /// Air: the wake-up radio in a TTI, and what the world shows then.
-    Wake(Tti, Stimulus),
+    /// Air: the wake-up radio in a TTI, and what the world shows when the device is awake.
+    Wake(Tti, Option<Stimulus>),
 }
 
 /// A device's task.
@@ -63,7 +63,7 @@ impl Actor {
                     round.add(&Part::View(self.machine.id(), self.machine.view()), &self.uplink);
                 }
                 Input::Sense(tti, stimulus, round) => self.sense(tti, &stimulus, &round),
-                Input::Wake(tti, stimulus) => self.wake(tti, &stimulus),
+                Input::Wake(tti, stimulus) => self.wake(tti, stimulus.as_ref()),
             }
         }
     }
@@ -82,7 +82,7 @@ impl Actor {
         round.add(&part, &self.uplink);
     }
 
-    fn wake(&mut self, tti: Tti, stimulus: &Stimulus) {
+    fn wake(&mut self, tti: Tti, stimulus: Option<&Stimulus>) {
         let outcome = match self.last_wake {
             Some((last, outcome)) if last == tti => outcome,
             Some(_) | None => self.machine.wake(tti, stimulus, &self.physics),
@@ -93,18 +93,9 @@ impl Actor {
         match outcome {
             // What is lost on its way was sent.
             WakeOutcome::Reported(report) | WakeOutcome::Lost(report) => self.uplink.report(&report),
-            WakeOutcome::Failed(failure) => {
-                self.uplink.answer(&Answer::NotWoken {
-                    device,
-                    tti,
-                    failure: Some(failure),
-                });
+            WakeOutcome::Failed(_) | WakeOutcome::Unheard | WakeOutcome::Late { .. } => {
+                self.uplink.answer(&Answer::NotWoken { device, tti, outcome });
             }
-            WakeOutcome::Unheard => self.uplink.answer(&Answer::NotWoken {
-                device,
-                tti,
-                failure: None,
-            }),
         }
     }
 }

@@ -13,7 +13,7 @@ use tokio::sync::mpsc::{UnboundedSender, unbounded_channel};
 
 /// Devices up to which a host does at once what it hears. Their ledgers, at most 250 B each, or their reports, with
 /// keys, fill no more than half of the link's queue.
-const FEW: u32 = 256;
+pub const FEW: u32 = 256;
 
 /// What a host hears from its BS.
 pub enum Heard {
@@ -35,8 +35,8 @@ pub enum Ear {
 }
 
 impl Ear {
-    /// The ear of a host with `devices` devices, which does `act` for each message; on another thread if it must, or
-    /// `hands_over` asks for it. Call it on the process's own runtime.
+    /// The ear of a host whose process carries up to `devices` devices, which does `act` for each message; on another
+    /// thread if it must, or `hands_over` asks for it. Call it on the process's own runtime.
     pub fn new(devices: u32, hands_over: bool, act: impl Fn(Heard) + Send + Sync + 'static) -> Self {
         if devices <= FEW && !hands_over {
             return Self::AtOnce(Arc::new(act));

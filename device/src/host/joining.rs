@@ -9,7 +9,7 @@ use reveille_common::ids::{DeviceId, HostId};
 use reveille_common::message::{Assignment, JoinReply, JoinRequest, Ready};
 use reveille_common::secret::Secret;
 
-use super::ear::Ear;
+use super::ear::{Ear, FEW};
 use super::{HostError, Left, Shared};
 
 /// The pause between two looks for a place, while there is none.
@@ -58,7 +58,13 @@ pub fn carry<'a>(bus: &'a Bus, offer: Offer, say: &'a (dyn Fn(News) + Sync)) -> 
             let own = tend(bus, assignment, &offer, say);
             let left = if room > 0 && offer.stands_by {
                 let count = room;
-                let others = carry(bus, Offer { count, ..offer.clone() }, &|_| {});
+                let hands_over = offer.hands_over || offer.count > FEW;
+                let others = Offer {
+                    count,
+                    hands_over,
+                    ..offer.clone()
+                };
+                let others = carry(bus, others, &|_| {});
                 beside(own, others).await?
             } else {
                 own.await?
@@ -136,7 +142,8 @@ async fn tend(
     let bus = bus.with_secret(assignment.membership.secret);
     let shared = Arc::new(Shared::new(&bus, assignment)?);
     let this = Arc::clone(&shared);
-    let ear = Ear::new(count, offer.hands_over, move |heard| this.hear(heard));
+    // All that the process may carry goes through the same queue.
+    let ear = Ear::new(offer.count.max(count), offer.hands_over, move |heard| this.hear(heard));
     let _declared = shared.declare(&bus, ear)?;
     match bus.ask_until(&Ready { host }, Some(pass.token), patience).await? {
         Some(true) => shared.stay(&bus, patience).await,

@@ -10,24 +10,20 @@ mod joining;
 pub mod round;
 pub mod uplink;
 
-use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use reveille_common::bus::{Bus, BusError, Declared};
-use reveille_common::event::Stimulus;
-use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Assignment, Clock, Membership, PlanUpdate, Ready, Tick, WakeUp};
-use reveille_common::plan::{DutyCycle, Plan};
-use reveille_common::radio::Air;
 use tokio::runtime::Handle;
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::sync::watch;
 
+use crate::follower::{Beginning, Call, Follower, Heed, Question, Turn};
 use crate::host::actor::{Actor, Input};
 use crate::host::ear::{Ear, Heard};
-use crate::host::round::{Part, Question, Round};
+use crate::host::round::{Part, Round};
 use crate::host::uplink::Uplink;
 use crate::machine::{Machine, Physics};
 
@@ -105,10 +101,6 @@ impl Drop for Obituary {
 /// What a host carries, shared by the callbacks of its subscriptions.
 struct Shared {
     membership: Membership,
-    first: DeviceId,
-    positions: Vec<Point>,
-    d_max: f64,
-    end: Tti,
     fallback: Handle,
     mailboxes: Vec<UnboundedSender<Input>>,
     uplink: Arc<Uplink>,
@@ -119,15 +111,8 @@ struct Shared {
 struct HostState {
     /// Actors that have not been started; see [`Shared::start_actors`].
     resting: Vec<(Actor, UnboundedReceiver<Input>)>,
-    duties: Vec<DutyCycle>,
-    air: Air,
-    /// The TTI from which the plan that this host has holds.
-    plan_from: Option<Tti>,
-    /// Plans that hold from TTIs on that have not been granted, in their order.
-    coming: BTreeMap<Tti, Plan>,
-    /// The first TTI that has not been granted.
-    next: Tti,
-    tick: Option<Tick>,
+    follower: Follower,
+    /// The answer to the last question.
     round: Option<Arc<Round>>,
 }
 
@@ -144,9 +129,7 @@ impl Shared {
             devices,
             traces,
         } = assignment;
-        let first = devices.first().map_or(DeviceId(0), |d| d.id);
         let uplink = Arc::new(Uplink::new(bus, membership.pass)?);
-        let positions = devices.iter().map(|d| d.position).collect();
         let d_max = sensing.d_max;
         let physics = Arc::new(Physics::new(seed, measured_from, sensing, radio, &devices, traces));
         let machines: Vec<Machine> = match &resumption {
@@ -158,7 +141,13 @@ impl Shared {
                 .collect::<Result<_, _>>()
                 .map_err(HostError::Assignment)?,
         };
-        let duties = machines.iter().map(Machine::duty).collect();
+        let beginning = Beginning {
+            first: devices.first().map_or(DeviceId(0), |d| d.id),
+            positions: devices.iter().map(|d| d.position).collect(),
+            duties: machines.iter().map(Machine::duty).collect(),
+            next: resumption.as_ref().map_or(Tti::ZERO, |r| r.next),
+            plan: resumption.and_then(|r| r.plan),
+        };
         let (mut resting, mut mailboxes) = (Vec::new(), Vec::new());
         for machine in machines {
             let (mailbox, inputs) = unbounded_channel();
@@ -166,21 +155,12 @@ impl Shared {
             resting.push((Actor::new(machine, Arc::clone(&physics), Arc::clone(&uplink)), inputs));
         }
         let state = Mutex::new(HostState {
-            duties,
-            air: Air::new(seed, &radio),
             resting,
-            plan_from: resumption.as_ref().and_then(|r| r.plan),
-            coming: BTreeMap::new(),
-            next: resumption.map_or(Tti::ZERO, |r| r.next),
-            tick: None,
+            follower: Follower::new(beginning, d_max, Tti(ttis), seed, &radio),
             round: None,
         });
         Ok(Self {
             membership,
-            first,
-            positions,
-            d_max,
-            end: Tti(ttis),
             fallback: Handle::current(),
             mailboxes,
             uplink,
@@ -232,10 +212,9 @@ impl Shared {
                 }
             };
             if !changed {
-                let tti = self.lock().tick.map_or(Tti::ZERO, |t| t.last);
                 return Err(HostError::BsLost {
                     run: bus.keys().run().to_string(),
-                    tti,
+                    tti: self.lock().follower.granted(),
                     patience,
                 });
             }
@@ -283,55 +262,19 @@ impl Shared {
         }
     }
 
-    /// A plan is kept for the grant that it goes with.
     fn on_plan(&self, update: PlanUpdate) {
-        let PlanUpdate { from, plan } = update;
-        let mut state = self.lock();
-        if from < state.next || from >= self.end {
-            let next = state.next;
-            tracing::debug!(%from, %next, "a plan for another TTI, one sent again as a rule");
-            return;
+        let from = update.from;
+        if !self.lock().follower.plan(update) {
+            tracing::debug!(%from, "a plan for another TTI, one sent again as a rule");
         }
-        state.coming.insert(from, plan);
-    }
-
-    /// Takes over the plans that go with a grant up to TTI `last`. Gives what changes for which device, in order.
-    fn follow(&self, state: &mut HostState, last: Tti) -> Vec<(usize, Input)> {
-        let mut changes = Vec::new();
-        let later = state.coming.split_off(&last.saturating_add(1));
-        for (from, plan) in std::mem::replace(&mut state.coming, later) {
-            state.plan_from = Some(from);
-            let air = state.air.at(from);
-            for (j, duty) in state.duties.iter_mut().enumerate() {
-                let device = DeviceId(self.first.0 + j as u32);
-                let new = plan.duty_cycle(device);
-                if *duty != new && !air.misses_plan(device) {
-                    *duty = new;
-                    changes.push((j, Input::Duty(from, new)));
-                }
-            }
-        }
-        changes
     }
 
     fn on_wake(&self, device: DeviceId, wake: WakeUp) {
-        let Some(j) = device
-            .index()
-            .checked_sub(self.first.index())
-            .filter(|&j| j < self.mailboxes.len())
-        else {
-            tracing::debug!(%device, "a wake-up for a device that this host does not carry");
-            return;
-        };
-        let stimulus = self
-            .lock()
-            .tick
-            .filter(|tick| tick.last == wake.tti)
-            .and_then(|tick| tick.stimulus);
-        if let Some(stimulus) = stimulus {
-            self.send(j, Input::Wake(wake.tti, stimulus));
+        let woken = self.lock().follower.wake(device, wake);
+        if let Some(Call { device, tti, stimulus }) = woken {
+            self.send(device, Input::Wake(tti, stimulus));
         } else {
-            tracing::debug!(%device, tti = %wake.tti, "a wake-up outside its TTI");
+            tracing::debug!(%device, tti = %wake.tti, "a wake-up outside its TTI, or for somebody else");
         }
     }
 
@@ -353,56 +296,20 @@ impl Shared {
     }
 
     fn on_grant(&self, tick: Tick) {
-        let mut state = self.lock();
-        if let Some(round) = state
-            .round
-            .as_ref()
-            .filter(|r| r.question() == Question::Grant(tick.last))
-        {
-            let round = Arc::clone(round);
-            drop(state);
-            return round.repeat(&self.uplink);
-        }
-        let own = || state.coming.range(..=tick.last).map(|(from, _)| *from);
-        let plan = own().next_back().or(state.plan_from);
-        if tick.first != state.next
-            || tick.last < tick.first
-            || tick.last >= self.end
-            || plan != Some(tick.plan)
-            || own().count() != tick.plans as usize
-        {
-            tracing::debug!(
-                ?tick,
-                next = %state.next,
-                "cannot follow this grant; waiting for it to be sent again with its plan"
-            );
+        let Some((state, turn)) = self.heed(|follower| follower.grant(tick)) else {
             return;
-        }
-        self.start_actors(&mut state);
-        let changes = self.follow(&mut state, tick.last);
-        state.next = tick.last.saturating_add(1);
-        let listeners: Vec<usize> = match tick.stimulus {
-            Some(stimulus) => (0..state.duties.len())
-                .filter(|&j| state.duties[j].is_on(tick.last) && self.is_in_reach(j, &stimulus))
-                .collect(),
-            None => Vec::new(),
         };
+        let Turn { changes, listeners } = turn;
         let questions = usize::from(tick.account) + usize::from(tick.views);
-        let round = Arc::new(Round::new(
-            self.membership.pass.host,
-            Question::Grant(tick.last),
-            questions * self.mailboxes.len() + listeners.len(),
-        ));
-        state.tick = Some(tick);
-        state.round = Some(Arc::clone(&round));
-        drop(state);
+        let parts = questions * self.mailboxes.len() + listeners.len();
+        let round = self.begin(state, Question::Grant(tick.last), parts);
         if tick.account {
             for j in 0..self.mailboxes.len() {
                 self.send(j, Input::Settle(tick.first, Arc::clone(&round)));
             }
         }
-        for (j, change) in changes {
-            self.send(j, change);
+        for (j, from, duty) in changes {
+            self.send(j, Input::Duty(from, duty));
         }
         if let Some(stimulus) = tick.stimulus {
             for j in listeners {
@@ -417,34 +324,46 @@ impl Shared {
         round.add(&Part::Nothing, &self.uplink);
     }
 
-    /// Whether the world's stimulus reaches the `j`-th device at all.
-    fn is_in_reach(&self, j: usize, stimulus: &Stimulus) -> bool {
-        self.positions[j].distance(stimulus.epicentre) <= self.d_max
-    }
-
     fn on_finish(&self, end: Tti) {
-        let mut state = self.lock();
-        if let Some(round) = state.round.as_ref().filter(|r| r.question() == Question::Ledgers) {
-            let round = Arc::clone(round);
-            drop(state);
-            return round.repeat(&self.uplink);
-        }
-        if end != state.next {
-            tracing::debug!(%end, next = %state.next, "an end at another TTI than the next; ignored");
+        let Some((state, ())) = self.heed(|follower| follower.finish(end)) else {
             return;
-        }
-        self.start_actors(&mut state);
-        let round = Arc::new(Round::new(
-            self.membership.pass.host,
-            Question::Ledgers,
-            self.mailboxes.len(),
-        ));
-        state.round = Some(Arc::clone(&round));
-        drop(state);
+        };
+        let round = self.begin(state, Question::Ledgers, self.mailboxes.len());
         for j in 0..self.mailboxes.len() {
             self.send(j, Input::Settle(end, Arc::clone(&round)));
         }
         round.add(&Part::Nothing, &self.uplink);
+    }
+
+    /// What is to be done about a question, if anything; one that is asked again is answered again.
+    fn heed<T>(&self, follow: impl FnOnce(&mut Follower) -> Heed<T>) -> Option<(MutexGuard<'_, HostState>, T)> {
+        let mut state = self.lock();
+        match follow(&mut state.follower) {
+            Heed::Do(it) => {
+                self.start_actors(&mut state);
+                Some((state, it))
+            }
+            Heed::Again => {
+                let round = state.round.clone();
+                drop(state);
+                if let Some(round) = round {
+                    round.repeat(&self.uplink);
+                }
+                None
+            }
+            Heed::Wait => {
+                let next = state.follower.next();
+                tracing::debug!(%next, "cannot follow the clock; waiting to be asked again");
+                None
+            }
+        }
+    }
+
+    /// Opens the answer to a question, to which the host itself and `parts` times a device adds.
+    fn begin(&self, mut state: MutexGuard<'_, HostState>, question: Question, parts: usize) -> Arc<Round> {
+        let round = Arc::new(Round::new(self.membership.pass.host, question, parts));
+        state.round = Some(Arc::clone(&round));
+        round
     }
 
     fn send(&self, j: usize, input: Input) {
@@ -452,7 +371,7 @@ impl Shared {
         let _closed = self.mailboxes[j].send(input).is_err();
     }
 
-    fn lock(&self) -> std::sync::MutexGuard<'_, HostState> {
+    fn lock(&self) -> MutexGuard<'_, HostState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

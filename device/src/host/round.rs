@@ -2,21 +2,13 @@
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use reveille_common::ids::{DeviceId, HostId, Tti};
+use reveille_common::ids::{DeviceId, HostId};
 use reveille_common::message::{Answer, Failure, Report};
 use reveille_common::state::DeviceView;
 use reveille_common::totals::{DeviceTotals, Ledger};
 
+use crate::follower::Question;
 use crate::host::uplink::Uplink;
-
-/// What is asked of the devices.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Question {
-    /// A grant that ends with this TTI.
-    Grant(Tti),
-    /// The ledgers.
-    Ledgers,
-}
 
 /// The answer in the making.
 pub struct Round {
@@ -111,11 +103,6 @@ impl Round {
     fn whole(&self) -> Option<(Vec<Report>, Answer)> {
         let parts = self.lock();
         (parts.pending == 0).then(|| (parts.reports.clone(), self.answer(&parts)))
-    }
-
-    /// What was asked.
-    pub const fn question(&self) -> Question {
-        self.question
     }
 
     fn answer(&self, parts: &Parts) -> Answer {

@@ -24,6 +24,8 @@ enum Incident {
     Event { distance: f64, is_woken: bool },
     /// It is woken without having been shown the event.
     Woken { distance: f64 },
+    /// It is awake when the event is over.
+    Late,
 }
 
 fn happening() -> impl Strategy<Value = Incident> {
@@ -33,6 +35,7 @@ fn happening() -> impl Strategy<Value = Incident> {
         1 => Just(Incident::Settled),
         1 => (distance(), any::<bool>()).prop_map(|(distance, is_woken)| Incident::Event { distance, is_woken }),
         1 => distance().prop_map(|distance| Incident::Woken { distance }),
+        1 => Just(Incident::Late),
     ]
 }
 
@@ -126,11 +129,16 @@ impl Plain {
             (_, false) => DARK,
         };
         if is_startled && self.state == ASLEEP {
-            self.false_wakes += 1;
-            if !self.pays(self.costs.e_idle, 1) {
-                self.state = DARK;
-            }
+            self.wakes_for_nothing();
         }
+    }
+
+    /// Whether that could be paid for.
+    fn wakes_for_nothing(&mut self) -> bool {
+        self.false_wakes += 1;
+        let is_paid = self.pays(self.costs.e_idle, 1);
+        self.state = if is_paid { ASLEEP } else { DARK };
+        is_paid
     }
 
     /// Whether it transmits, where it comes to that: `Err` is what is lost in trying.
@@ -205,7 +213,7 @@ fn of_woken(woken: &WakeOutcome) -> Came {
         WakeOutcome::Unheard => None,
         WakeOutcome::Reported(_) => Some(Ok(())),
         WakeOutcome::Failed(failure) => Some(Err(failure.drained.micro())),
-        WakeOutcome::Lost(_) => panic!("a device does not know what is lost"),
+        WakeOutcome::Lost(_) | WakeOutcome::Late { .. } => panic!("nothing is lost, and it was not late: {woken}"),
     }
 }
 
@@ -267,9 +275,20 @@ proptest! {
             if let Incident::Woken { distance } | Incident::Event { distance, is_woken: true } = *happening {
                 let hears = unit_for_pair(1, Purpose::WakeMiss, 7, k) >= radio.wake_miss;
                 let expected = (plain.state == ASLEEP && hears).then(|| plain.transmits());
-                prop_assert_eq!(of_woken(&machine.wake(Tti(k), &event(distance), &world)), expected, "TTI {}", k);
+                prop_assert_eq!(of_woken(&machine.wake(Tti(k), Some(&event(distance)), &world)), expected, "TTI {}", k);
             }
-            if matches!(happening, Incident::Event { .. } | Incident::Woken { .. }) {
+            if matches!(happening, Incident::Late) {
+                let hears = unit_for_pair(1, Purpose::WakeMiss, 7, k) >= radio.wake_miss;
+                let expected = if plain.state == ASLEEP && hears {
+                    let before = plain.level;
+                    let powered = plain.wakes_for_nothing();
+                    WakeOutcome::Late { spent: micro(before - plain.level), powered }
+                } else {
+                    WakeOutcome::Unheard
+                };
+                prop_assert_eq!(machine.wake(Tti(k), None, &world), expected, "TTI {}", k);
+            }
+            if matches!(happening, Incident::Event { .. } | Incident::Woken { .. } | Incident::Late) {
                 prop_assert_eq!((machine.state(), machine.battery()), (plain.state, micro(plain.level)), "TTI {}", k);
             }
             plain.ends();

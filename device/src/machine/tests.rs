@@ -114,7 +114,7 @@ fn a_false_wake_costs_e_idle_in_s4_and_leaves_a_device_that_hears() {
     machine.begin(Tti(0));
     assert_eq!((machine.state(), machine.battery()), (ASLEEP, micro(489)));
     assert!(matches!(
-        machine.wake(Tti(0), &event(NEAR), &world),
+        machine.wake(Tti(0), Some(&event(NEAR)), &world),
         WakeOutcome::Reported(_)
     ));
     machine.set_duty(Tti(1), DutyCycle::SENSING);
@@ -130,7 +130,7 @@ fn a_false_wake_costs_e_idle_in_s4_and_leaves_a_device_that_hears() {
     let (mut machine, world) = device_with(always, costs(16), &[0]);
     machine.begin(Tti(1));
     assert_eq!((machine.state(), machine.battery()), (DARK, micro(0)));
-    assert_eq!(machine.wake(Tti(1), &event(NEAR), &world), WakeOutcome::Unheard);
+    assert_eq!(machine.wake(Tti(1), Some(&event(NEAR)), &world), WakeOutcome::Unheard);
     machine.settle(Tti(2));
     let totals = machine.totals();
     assert_eq!(
@@ -147,7 +147,7 @@ fn a_missed_wake_up_costs_nothing() {
         ..Radio::default()
     };
     let (mut machine, world) = device_with(deaf, costs(500), &[0]);
-    assert_eq!(machine.wake(Tti(3), &event(NEAR), &world), WakeOutcome::Unheard);
+    assert_eq!(machine.wake(Tti(3), Some(&event(NEAR)), &world), WakeOutcome::Unheard);
     assert_eq!((machine.state(), machine.battery()), (ASLEEP, micro(496)));
 }
 
@@ -187,7 +187,7 @@ fn s1_to_s3_reports_and_pays_e_tx() {
     );
     // S3 lasts to the end of the TTI: it neither senses again nor hears a wake-up.
     assert_eq!(machine.sense(Tti(0), &event(NEAR), &world), Sensed::Nothing);
-    assert_eq!(machine.wake(Tti(0), &event(NEAR), &world), WakeOutcome::Unheard);
+    assert_eq!(machine.wake(Tti(0), Some(&event(NEAR)), &world), WakeOutcome::Unheard);
     machine.begin(Tti(1));
     assert_eq!((machine.state(), machine.battery()), (DeviceState::Idle, micro(380)));
 }
@@ -220,7 +220,7 @@ fn s2_to_s4_where_e_tx_cannot_be_paid_drains_the_battery() {
     };
     assert_eq!(machine.sense(Tti(0), &event(NEAR), &world), Sensed::Failed(failure));
     assert_eq!((machine.state(), machine.battery()), (DARK, micro(0)));
-    assert_eq!(machine.wake(Tti(0), &event(NEAR), &world), WakeOutcome::Unheard);
+    assert_eq!(machine.wake(Tti(0), Some(&event(NEAR)), &world), WakeOutcome::Unheard);
     machine.settle(Tti(1));
     let spent = Spent {
         sensing: micro(10),
@@ -242,7 +242,7 @@ fn s2_to_s4_where_e_tx_cannot_be_paid_drains_the_battery() {
 #[test]
 fn s4_to_s3_by_a_wake_up_that_is_heard() {
     let (mut machine, world) = dry(500, false);
-    let WakeOutcome::Reported(report) = machine.wake(Tti(3), &event(NEAR), &world) else {
+    let WakeOutcome::Reported(report) = machine.wake(Tti(3), Some(&event(NEAR)), &world) else {
         panic!("{machine:?}")
     };
     assert_eq!(
@@ -257,7 +257,7 @@ fn s4_to_s3_by_a_wake_up_that_is_heard() {
 #[test]
 fn a_woken_device_out_of_reach_reports_nothing_of_worth() {
     let (mut machine, world) = dry(500, false);
-    let WakeOutcome::Reported(report) = machine.wake(Tti(0), &event(FAR), &world) else {
+    let WakeOutcome::Reported(report) = machine.wake(Tti(0), Some(&event(FAR)), &world) else {
         panic!("{machine:?}")
     };
     assert_worth(&report, 0.0);
@@ -271,17 +271,20 @@ fn a_wake_up_that_cannot_be_paid_drains_the_battery() {
         device: DeviceId(7),
         drained: micro(99),
     };
-    assert_eq!(machine.wake(Tti(0), &event(NEAR), &world), WakeOutcome::Failed(failure));
+    assert_eq!(
+        machine.wake(Tti(0), Some(&event(NEAR)), &world),
+        WakeOutcome::Failed(failure)
+    );
     assert_eq!((machine.state(), machine.battery()), (DARK, micro(0)));
 }
 
 #[test]
 fn a_wake_up_is_unheard_in_s1_and_by_a_radio_without_power() {
     let (mut machine, world) = dry(500, true);
-    assert_eq!(machine.wake(Tti(0), &event(NEAR), &world), WakeOutcome::Unheard);
+    assert_eq!(machine.wake(Tti(0), Some(&event(NEAR)), &world), WakeOutcome::Unheard);
     assert_eq!((machine.state(), machine.battery()), (DeviceState::Idle, micro(490)));
     let (mut machine, world) = dry(0, false);
-    assert_eq!(machine.wake(Tti(0), &event(NEAR), &world), WakeOutcome::Unheard);
+    assert_eq!(machine.wake(Tti(0), Some(&event(NEAR)), &world), WakeOutcome::Unheard);
     assert_eq!(machine.state(), DARK);
 }
 
@@ -291,7 +294,7 @@ fn a_device_that_cannot_pay_for_s1_is_drained_and_deaf_until_it_harvests() {
     machine.set_duty(Tti(0), DutyCycle::SENSING);
     assert_eq!(machine.sense(Tti(0), &event(NEAR), &world), Sensed::Nothing);
     assert_eq!((machine.state(), machine.battery()), (DARK, micro(0)));
-    assert_eq!(machine.wake(Tti(0), &event(NEAR), &world), WakeOutcome::Unheard);
+    assert_eq!(machine.wake(Tti(0), Some(&event(NEAR)), &world), WakeOutcome::Unheard);
     assert!(matches!(
         machine.sense(Tti(1), &event(NEAR), &world),
         Sensed::Reported(_)

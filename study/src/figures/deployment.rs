@@ -121,7 +121,7 @@ fn role(device: DeviceId, happened: &Happened, state: DeviceState) -> Role {
     let wake_up = (1..).zip(&happened.woken).find(|(_, (woken, _))| *woken == device);
     match wake_up {
         Some((number, (_, WakeOutcome::Reported(_)))) => return Role::Woken(number),
-        Some((_, (_, WakeOutcome::Failed(_)))) => return Role::Failed,
+        Some((_, (_, WakeOutcome::Failed(_) | WakeOutcome::Late { .. }))) => return Role::Failed,
         Some((_, (_, WakeOutcome::Unheard | WakeOutcome::Lost(_)))) => return Role::Deaf,
         None => {}
     }

@@ -36,7 +36,7 @@ pub struct Impairment {
     pub title: &'static str,
     /// What its levels are, for an axis.
     pub axis: &'static str,
-    /// How often it fails; never comes first.
+    /// How often it fails, or by how much; never comes first.
     pub levels: &'static [f64],
     /// The radio in which it does, at a level above 0.
     radio: fn(f64) -> Radio,
@@ -45,7 +45,7 @@ pub struct Impairment {
 const LEVELS: &[f64] = &[0.0, 0.1, 0.2, 0.3, 0.5];
 
 /// All of them.
-pub const IMPAIRMENTS: [Impairment; 5] = [
+pub static IMPAIRMENTS: [Impairment; 6] = [
     Impairment {
         name: "wake_miss",
         title: "Wake-ups that are missed",
@@ -87,6 +87,16 @@ pub const IMPAIRMENTS: [Impairment; 5] = [
         },
     },
     Impairment {
+        name: "wake_latency",
+        title: "Devices that take time to wake",
+        axis: "TTIs from a wake-up until the device is awake",
+        levels: &[0.0, 1.0, 2.0, 3.0, 4.0],
+        radio: |ttis| Radio {
+            wake_latency: ttis as u64,
+            ..Radio::default()
+        },
+    },
+    Impairment {
         name: "interference",
         title: "Bursts of interference",
         axis: "share of the time in which nothing gets through",
@@ -107,8 +117,8 @@ pub const IMPAIRMENTS: [Impairment; 5] = [
 pub struct Point {
     /// The policy.
     pub policy: String,
-    /// The place of what fails in [`IMPAIRMENTS`].
-    pub impairment: usize,
+    /// What fails.
+    pub impairment: &'static Impairment,
     /// How often it fails.
     pub level: f64,
     /// The metrics of its runs, in the order of seeds.
@@ -122,12 +132,12 @@ impl Point {
     }
 }
 
-/// What `scenarios`, one for each policy, come to with all that can fail at all levels, in runs with `seeds` seeds from
-/// their own on, on all cores. What they say of the radio is left out.
-pub fn measure(scenarios: &[Scenario], seeds: u64) -> Vec<Point> {
+/// What `scenarios`, one for each policy, come to with each of `impairments` at all levels, in runs with `seeds` seeds
+/// from their own on, on all cores. What they say of the radio is left out.
+pub fn measure(scenarios: &[Scenario], impairments: &[&'static Impairment], seeds: u64) -> Vec<Point> {
     let workshop = Workshop::default();
     let mut cells: Vec<(&Scenario, Radio)> = scenarios.iter().map(|scenario| (scenario, Radio::default())).collect();
-    for Impairment { levels, radio, .. } in IMPAIRMENTS {
+    for Impairment { levels, radio, .. } in impairments {
         for &level in levels.iter().skip(1) {
             cells.extend(scenarios.iter().map(|scenario| (scenario, radio(level))));
         }
@@ -148,8 +158,8 @@ pub fn measure(scenarios: &[Scenario], seeds: u64) -> Vec<Point> {
     let mut by_cell = metrics.chunks(seeds as usize);
     let perfect: Vec<&[Metrics]> = by_cell.by_ref().take(scenarios.len()).collect();
     let mut points = Vec::new();
-    for (impairment, Impairment { levels, .. }) in IMPAIRMENTS.iter().enumerate() {
-        for &level in *levels {
+    for &impairment in impairments {
+        for &level in impairment.levels {
             for (at, scenario) in scenarios.iter().enumerate() {
                 let runs = if level > 0.0 { by_cell.next() } else { Some(perfect[at]) };
                 points.push(Point {
@@ -164,13 +174,16 @@ pub fn measure(scenarios: &[Scenario], seeds: u64) -> Vec<Point> {
     points
 }
 
-/// The chart of a metric of [`METRICS`] against what fails by the place `impairment`, from `points` of runs of
-/// `scenario`.
-pub fn chart(points: &[Point], impairment: usize, (metric, word): (&str, &str), scenario: &Scenario) -> Chart {
+/// The chart of a metric of [`METRICS`] against how often something fails, from `points` of runs of `scenario`.
+pub fn chart(points: &[Point], impairment: &Impairment, (metric, word): (&str, &str), scenario: &Scenario) -> Chart {
     let Impairment {
-        title, axis, levels, ..
-    } = IMPAIRMENTS[impairment];
-    let own: Vec<&Point> = points.iter().filter(|point| point.impairment == impairment).collect();
+        name,
+        title,
+        axis,
+        levels,
+        ..
+    } = *impairment;
+    let own: Vec<&Point> = points.iter().filter(|point| point.impairment.name == name).collect();
     let mut policies: Vec<&str> = Vec::new();
     for point in &own {
         if !policies.contains(&point.policy.as_str()) {
@@ -249,7 +262,7 @@ pub fn csv(points: &[Point]) -> String {
                 mean, half_width, runs, ..
             }) = point.reading(metric)
             {
-                let (name, half) = (IMPAIRMENTS[point.impairment].name, csv_half(half_width));
+                let (name, half) = (point.impairment.name, csv_half(half_width));
                 let _ = writeln!(
                     out,
                     "{name},{},{},{metric},{mean},{half},{runs}",
@@ -280,7 +293,8 @@ mod tests {
             load("paper", &set).expect("a scenario")
         };
         let scenarios = [of("random"), of("genie")];
-        let points = measure(&scenarios, 2);
+        let all: Vec<&Impairment> = IMPAIRMENTS.iter().collect();
+        let points = measure(&scenarios, &all, 2);
         let levels: usize = IMPAIRMENTS.iter().map(|impairment| impairment.levels.len()).sum();
         assert_eq!(points.len(), 2 * levels);
         let perfect: Vec<&Point> = points.iter().filter(|point| point.level <= 0.0).collect();
@@ -293,14 +307,15 @@ mod tests {
             "false_wakes_pct",
             "lost_reports_pct",
             "missed_plans_pct",
+            "late_wake_ups_pct",
             "misdetection_pct",
         ];
-        for (impairment, metric) in shown.into_iter().enumerate() {
+        for (impairment, metric) in all.into_iter().zip(shown) {
             let own = points
                 .iter()
-                .filter(|point| point.impairment == impairment && point.policy == "genie");
+                .filter(|point| point.impairment.name == impairment.name && point.policy == "genie");
             let values: Vec<f64> = own.filter_map(|point| Some(point.reading(metric)?.mean)).collect();
-            let levels = IMPAIRMENTS[impairment].levels.len();
+            let levels = impairment.levels.len();
             assert!(
                 values.len() == levels && values[levels - 1] > values[0] + 2.0,
                 "{metric}: {values:?}"

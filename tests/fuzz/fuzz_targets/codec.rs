@@ -50,7 +50,9 @@ fuzz_target!(|data: &[u8]| {
         1 => {
             if let Some(Ok(reply)) = Reply::decode(kind, payload) {
                 let wire = reply.encode();
-                let again = Reply::decode(kind, &wire).expect("a query").expect("what was encoded decodes");
+                let again = Reply::decode(kind, &wire)
+                    .expect("a query")
+                    .expect("what was encoded decodes");
                 assert_eq!(again.encode(), wire, "the same wire form");
             }
         }

@@ -1,5 +1,5 @@
-//! Whatever is in the files that programs leave: journals and tables of sweeps, trajectories, recordings. They are
-//! refused in words or read, and nothing in them brings the reader down.
+//! Whatever is in the files that programs leave: journals and tables of sweeps, trajectories, recordings, marks and
+//! logs of inputs of runs. They are refused in words or read, and nothing in them brings the reader down.
 //!
 //! The first byte chooses the kind. Files that are read by path lie in memory.
 
@@ -7,9 +7,14 @@
 
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 use std::{fs, process};
 
 use libfuzzer_sys::fuzz_target;
+use reveille_bs::scenario::load;
+use reveille_common::scenario::Scenario;
+use reveille_lab::inputs;
+use reveille_lab::mark::Mark;
 use reveille_lab::sweep::journal::{Journal, Keeper as _};
 use reveille_lab::table::{Format, Table};
 use reveille_lab::trajectories;
@@ -66,7 +71,12 @@ fn recording(bytes: &[u8]) {
             return;
         }
     };
-    let mut replay = reader.bundle().load().ok().filter(|scenario| scenario.devices <= 64).map(|s| Replay::new(&s));
+    let mut replay = reader
+        .bundle()
+        .load()
+        .ok()
+        .filter(|scenario| scenario.devices <= 64)
+        .map(|s| Replay::new(&s));
     let mut fits = true;
     while let Ok(Some(frame)) = reader.next_frame() {
         if let Some(replay) = replay.as_mut().filter(|_| fits) {
@@ -75,9 +85,42 @@ fn recording(bytes: &[u8]) {
     }
 }
 
+fn scenario() -> &'static Scenario {
+    static SCENARIO: OnceLock<Scenario> = OnceLock::new();
+    SCENARIO.get_or_init(|| load("quick", &[]).expect("a preset"))
+}
+
+/// A mark that is read is written as the same, and another run is none that comes by it.
+fn mark(text: &str) {
+    match Mark::parse(text, scenario()) {
+        Ok(mark) => {
+            assert_eq!(Mark::parse(&mark.text(), scenario()).expect("what was written"), mark);
+            assert!(mark.window > 0 && mark.tti <= scenario().ttis);
+        }
+        Err(error) => assert!(!error.to_string().trim().is_empty()),
+    }
+}
+
+/// Inputs that are read are written as the same, and a run can have them.
+fn log(text: &str) {
+    match inputs::parse(text, scenario()) {
+        Ok(outages) => {
+            let lines: String = outages.iter().map(inputs::line).collect();
+            let again = inputs::parse(&(inputs::first_line(scenario()) + &lines), scenario());
+            assert_eq!(again.expect("what was written"), outages);
+            for outage in outages {
+                assert!(outage.is_sound(scenario().devices) && outage.tti.0 < scenario().ttis);
+            }
+        }
+        Err(error) => assert!(!error.to_string().trim().is_empty()),
+    }
+}
+
 fuzz_target!(|data: &[u8]| {
-    let Some((choice, rest)) = data.split_first() else { return };
-    match choice % 5 {
+    let Some((choice, rest)) = data.split_first() else {
+        return;
+    };
+    match choice % 7 {
         0 => journal(rest),
         1 => {
             // The table, and what it says of itself.
@@ -91,6 +134,13 @@ fuzz_target!(|data: &[u8]| {
             if let Err(error) = trajectories::read(&put("trajectories.parquet", rest)) {
                 assert!(!error.to_string().trim().is_empty());
             }
+        }
+        4 => mark(&String::from_utf8_lossy(rest)),
+        5 => {
+            // Behind the line that names the run, or for itself.
+            let text = String::from_utf8_lossy(rest);
+            log(&text);
+            log(&(inputs::first_line(scenario()) + &text));
         }
         _ => recording(rest),
     }

@@ -16,7 +16,7 @@ use reveille_bs::scenario::{Override, load};
 use reveille_common::codec;
 use reveille_common::deployment::Deployment;
 use reveille_common::ids::{DeviceId, HostId, Tti};
-use reveille_common::message::{Answer, Checkpoint, Failure, Report, Resumption};
+use reveille_common::message::{Answer, Checkpoint, Failure, Report, Resumption, WakeOutcome};
 use reveille_common::secret::{HostPass, Secret};
 use reveille_common::units::Energy;
 
@@ -196,8 +196,15 @@ impl Books {
                 self.barrier.answer(host, answer);
             }
             2 => {
-                let failure = input.arbitrary::<bool>()?.then_some(failure);
-                self.barrier.answer(host, Answer::NotWoken { device, tti, failure });
+                let outcome = match input.int_in_range(0..=2)? {
+                    0 => WakeOutcome::Unheard,
+                    1 => WakeOutcome::Failed(failure),
+                    _ => WakeOutcome::Late {
+                        spent: battery,
+                        powered: input.arbitrary()?,
+                    },
+                };
+                self.barrier.answer(host, Answer::NotWoken { device, tti, outcome });
             }
             3 => {
                 let ledgers = Vec::new();
@@ -255,7 +262,9 @@ fn play(input: &mut Unstructured<'_>) -> Result<()> {
             6 if books.waits => books.restore(),
             7 if books.is_running && open == Open::Nothing => {
                 books.tti += 1;
-                books.barrier.expect_grant(Tti(books.tti), input.arbitrary()?, Asked::default());
+                books
+                    .barrier
+                    .expect_grant(Tti(books.tti), input.arbitrary()?, Asked::default());
                 open = Open::Grant;
             }
             8 if books.is_running && open == Open::Nothing => {

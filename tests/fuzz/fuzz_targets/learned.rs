@@ -21,7 +21,9 @@ fn tables(text: &str) {
 }
 
 fuzz_target!(|data: &[u8]| {
-    let Some((choice, rest)) = data.split_first() else { return };
+    let Some((choice, rest)) = data.split_first() else {
+        return;
+    };
     if choice % 3 == 2 {
         if let Err(error) = Weights::read(rest) {
             assert!(!error.to_string().trim().is_empty());

@@ -37,6 +37,8 @@ pub struct Run {
     pub wake_ups: u64,
     /// What the radio lost in measured TTIs.
     pub losses: Losses,
+    /// TTIs from the first report to the last, summed over the counted events.
+    pub refining_ttis: u64,
     /// Reports that arrived in measured TTIs.
     pub arrived: u64,
     /// Wake-ups that a device did not hear, in all TTIs.
@@ -98,6 +100,8 @@ struct Event {
     duration: u64,
     tally: EventTally,
     information: f64,
+    /// TTIs from the first report to the last.
+    refined: u64,
     /// What devices did for it.
     acts: Vec<(usize, [u64; 4])>,
     /// Reporters of this TTI; the event ends in the TTI of its first report.
@@ -121,6 +125,7 @@ struct World<'a> {
     acts: Vec<[u64; 4]>,
     wake_ups: u64,
     losses: Losses,
+    refining_ttis: u64,
     arrived: u64,
     unheard: u64,
     spared: u64,
@@ -169,6 +174,7 @@ impl<'a> World<'a> {
             events: Vec::new(),
             wake_ups: 0,
             losses: Losses::default(),
+            refining_ttis: 0,
             arrived: 0,
             unheard: 0,
             spared: 0,
@@ -243,6 +249,7 @@ impl<'a> World<'a> {
             duration,
             tally: EventTally::default(),
             information: 0.0,
+            refined: 0,
             acts: Vec::new(),
             reporters: Vec::new(),
         });
@@ -323,8 +330,19 @@ impl<'a> World<'a> {
             self.wake_ups += u64::from(k >= self.warm_up_end);
             let heard = self.devices[j].state == State::Asleep && !self.radio.misses_wake_up(j);
             event.acts.push((j, [0, 1, u64::from(heard), 0]));
-            let has_reported = if heard {
-                self.transmit(j, k, &mut event)
+            // One after the other, each takes its time to wake.
+            let awake = k + woken.len() as u64 * self.scenario.radio.wake_latency;
+            let is_over = awake >= event.start.saturating_add(event.duration);
+            let has_reported = if heard && is_over {
+                self.wake_too_late(j, k, &mut event);
+                false
+            } else if heard {
+                if self.transmit(j, k, &mut event) {
+                    event.refined = awake - k;
+                    true
+                } else {
+                    false
+                }
             } else {
                 self.unheard += 1;
                 self.losses.unheard += u64::from(k >= self.warm_up_end);
@@ -340,6 +358,18 @@ impl<'a> World<'a> {
         }
         self.event = Some(event);
         true
+    }
+
+    /// Device `j` wakes when the event is over, finds nothing and sleeps again.
+    fn wake_too_late(&mut self, j: usize, k: u64, event: &mut Event) {
+        let device = &mut self.devices[j];
+        device.false_wakes += 1;
+        let (gone, paid) = device.pay(device.costs.e_idle, 1);
+        device.state = if paid { State::Asleep } else { State::Dark };
+        event.acts.push((j, [0, 0, 0, 1]));
+        event.tally.wrong_activations += 1;
+        event.tally.wasted += Energy::from_micro(gone);
+        self.losses.late += u64::from(k >= self.warm_up_end);
     }
 
     /// From S2: device `j` sends its report, or cannot. Whether the report arrives.
@@ -403,6 +433,7 @@ impl<'a> World<'a> {
             return;
         }
         if event.start >= self.warm_up_end {
+            self.refining_ttis += event.refined;
             for (j, acts) in event.acts.drain(..) {
                 let sums = self.acts[j].iter_mut().zip(acts);
                 sums.for_each(|(sum, act)| *sum += act);
@@ -467,6 +498,7 @@ impl<'a> World<'a> {
                 wake_ups: self.wake_ups,
                 ..self.losses
             },
+            refining_ttis: self.refining_ttis,
             arrived: self.arrived,
             unheard: self.unheard,
             spared: self.spared,

@@ -120,9 +120,10 @@ impl<W: Write> Trace<W> {
                 let flow = Some((48, self.flows));
                 let said = match &woken.outcome {
                     WakeOutcome::Reported(report) => format!("woken: {report}"),
-                    outcome @ (WakeOutcome::Failed(_) | WakeOutcome::Unheard | WakeOutcome::Lost(_)) => {
-                        outcome.to_string()
-                    }
+                    outcome @ (WakeOutcome::Failed(_)
+                    | WakeOutcome::Unheard
+                    | WakeOutcome::Lost(_)
+                    | WakeOutcome::Late { .. }) => outcome.to_string(),
                 };
                 self.instant(frame.tti, states(device), &said, flow)?;
             }

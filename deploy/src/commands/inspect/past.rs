@@ -8,11 +8,12 @@ use reveille_bs::observe::frames::Framed;
 use reveille_common::ids::Tti;
 use reveille_common::message::{Frame, Message, Outage};
 use reveille_common::scenario::Scenario;
+use reveille_lab::inputs;
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Options, Run};
 use reveille_view::recording::Bundle;
 
-use crate::input_log::{self, INPUTS};
+use crate::input_log::INPUTS;
 
 /// Puts what has happened before in front of what is heard.
 pub(super) struct Past {
@@ -48,7 +49,7 @@ impl Past {
         let scenario = bundle.load()?;
         let log = bundle.files.iter().find(|(name, _)| name == INPUTS);
         let outages = log.map_or(Ok(Vec::new()), |(_, bytes)| {
-            input_log::parse(&String::from_utf8_lossy(bytes), &scenario)
+            inputs::parse(&String::from_utf8_lossy(bytes), &scenario)
         });
         Ok(Self::new(scenario, outages.context("what the run depends on")?))
     }

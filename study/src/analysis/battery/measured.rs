@@ -77,7 +77,7 @@ fn levels_of(setup: &DeviceSetup, world: &Physics, lattice: &Lattice, drive: &Dr
             if duty.is_on(tti) {
                 machine.sense(tti, &stimulus, world);
             } else {
-                machine.wake(tti, &stimulus, world);
+                machine.wake(tti, Some(&stimulus), world);
             }
         }
         if k >= sample.warm_up {

@@ -7,9 +7,9 @@ use reveille_common::message::Outage;
 
 /// Outages that have not come yet, in the order in which they do.
 #[derive(Clone, Debug, Default)]
-pub struct Outages(VecDeque<Outage>);
+pub struct Coming(VecDeque<Outage>);
 
-impl Outages {
+impl Coming {
     /// One more, after all that were added before.
     pub fn add(&mut self, outage: Outage) {
         self.0.push_back(outage);
