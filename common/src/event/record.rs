@@ -25,8 +25,36 @@ pub struct EventRecord {
 
 impl EventRecord {
     /// TTIs from its start to its first report, 0 for the same TTI; `None` if it was missed. It ends with its first
-    /// report.
+    /// report. A record from elsewhere may end before it starts, which counts as 0.
     pub fn delay(&self) -> Option<u64> {
-        (self.tally.reports > 0).then(|| self.last - self.start)
+        (self.tally.reports > 0).then(|| self.last.0.saturating_sub(self.start.0))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_delay_is_that_of_the_first_report() {
+        let delay = |start, last, reports| {
+            let record = EventRecord {
+                event: EventId(0),
+                epicentre: Point::new(1.0, 2.0),
+                start: Tti(start),
+                last: Tti(last),
+                counted: true,
+                tally: EventTally {
+                    reports,
+                    ..EventTally::default()
+                },
+            };
+            record.delay()
+        };
+        assert_eq!(
+            (delay(5, 5, 1), delay(5, 8, 3), delay(5, 8, 0)),
+            (Some(0), Some(3), None)
+        );
+        assert_eq!(delay(8, 5, 1), Some(0), "a record that cannot be");
     }
 }
