@@ -11,6 +11,7 @@ pub mod run;
 pub mod series;
 pub mod shadow;
 pub mod stats;
+pub mod stepping;
 pub mod sweep;
 pub mod table;
 pub mod training;
