@@ -182,6 +182,12 @@ impl Cycle {
         asks.then(|| self.station.question(self.next, Stage::Plan))?
     }
 
+    /// Between TTIs, what somebody outside would be asked for a plan of the next one, whether it is asked or the run is
+    /// at its end. Nothing where a policy of this program decides.
+    pub fn outlook(&self) -> Option<Question<'_>> {
+        (!self.is_open).then(|| self.station.question(self.next, Stage::Plan))?
+    }
+
     /// The answer to [`Self::question`].
     ///
     /// # Panics
@@ -423,6 +429,7 @@ impl Cycle {
             let record = self.score.event_ended(tti, self.station.information());
             observer.see(&Happening::EventEnded(&record));
         }
+        self.station.closed(tti);
         observer.see(&Happening::Closed(tti));
         (self.is_open, self.next) = (false, tti + 1);
         Step::Closed

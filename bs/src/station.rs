@@ -128,6 +128,13 @@ impl Station {
         self.mind.external().map(|external| external.question(stage, seen))
     }
 
+    /// TTI `tti` is closed.
+    pub fn closed(&mut self, tti: Tti) {
+        if let Mind::External(external) = &mut self.mind {
+            external.closed(tti + 1, &self.view.plan);
+        }
+    }
+
     /// What somebody outside has decided for the TTI that begins next.
     pub fn tell_plan(&mut self, decision: Decision) {
         self.asked().0.tell_plan(decision);
@@ -237,7 +244,7 @@ impl Station {
         }
         match mind {
             Mind::Policy(policy) if *has_heard => policy.reported(&view.at(tti), reports),
-            Mind::External(external) if *has_heard => external.reported(reports),
+            Mind::External(external) if *has_heard => external.reported(&view.at(tti), reports),
             Mind::Policy(_) | Mind::Genie(_) | Mind::External(_) => {}
         }
     }

@@ -2,6 +2,7 @@
 //! training and tuning.
 
 mod coming;
+pub mod gym;
 pub mod inputs;
 pub mod io;
 pub mod mark;

@@ -351,8 +351,11 @@ impl Run {
 
     /// Goes on from between two TTIs to where somebody outside has to decide.
     pub(crate) fn to_question(&mut self, observer: &mut impl Observer) -> Stand {
-        while self.reach(observer) && self.cycle.next_tti() < self.boundaries.end() {
+        while self.reach(observer) {
             self.brief(observer);
+            if self.cycle.next_tti() >= self.boundaries.end() {
+                break;
+            }
             if self.cycle.question().is_some() {
                 return Stand::Plan;
             }

@@ -50,6 +50,12 @@ impl<O: Observer> Stepping<O> {
         }
     }
 
+    /// As [`Self::question`]; at the end of the run, what would be asked if it went on.
+    pub fn view(&self) -> Question<'_> {
+        let question = self.question().or_else(|| self.run.cycle().outlook());
+        question.expect("somebody outside decides")
+    }
+
     /// Answers at [`Stage::Plan`](reveille_bs::policy::external::Stage::Plan) and goes on to the next question.
     ///
     /// # Panics

@@ -11,6 +11,7 @@ use super::external::External;
 use super::kind::{Profile, Registered};
 use super::mind::Mind;
 use super::registry::{self, Registry};
+use crate::beliefs::ages;
 use crate::knowledge::Knowledge;
 
 /// The registry of those who can answer.
@@ -36,7 +37,8 @@ impl PolicyKind for ExternalKind {
         "Decides nothing itself: another program is asked for each decision."
     }
 
-    fn settle(&self, _: &Reader<'_>, _: &Site<'_>) -> Result<Arc<dyn PolicySettings>, ScenarioError> {
+    fn settle(&self, reader: &Reader<'_>, site: &Site<'_>) -> Result<Arc<dyn PolicySettings>, ScenarioError> {
+        ages::check_cells(self.name(), reader, site)?;
         Ok(Arc::new(NoSettings))
     }
 }

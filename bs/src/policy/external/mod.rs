@@ -14,6 +14,8 @@
 //! before, or that do not exist are dropped ([`Question::may_wake`]); an answer of which nothing is left ends the
 //! wake-ups of the TTI. A device that cannot pay may be told to sense or woken, as by any policy: its action fails.
 
+mod features;
+mod memory;
 mod question;
 
 use std::collections::VecDeque;
@@ -22,6 +24,8 @@ use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Report;
 use reveille_common::plan::{DutyCycle, Plan};
 
+pub use self::features::{DEVICE, Feature, GLOBAL};
+pub use self::memory::Memory;
 pub use self::question::{Decision, Question, Stage};
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
@@ -41,6 +45,7 @@ pub struct External {
     queue: VecDeque<DeviceId>,
     /// Whether no more wake-ups are asked for in this TTI.
     is_done: bool,
+    memory: Memory,
 }
 
 impl External {
@@ -53,6 +58,7 @@ impl External {
             woken: vec![false; known.n()],
             queue: VecDeque::new(),
             is_done: true,
+            memory: Memory::new(known),
         }
     }
 
@@ -75,6 +81,7 @@ impl External {
             seen,
             heard: &self.heard,
             woken: &self.woken,
+            memory: &self.memory,
         }
     }
 
@@ -111,7 +118,9 @@ impl External {
     }
 
     /// The TTI has brought these reports, at least one.
-    pub fn reported(&mut self, reports: &[Report]) {
+    pub fn reported(&mut self, seen: &Observation<'_>, reports: &[Report]) {
+        self.memory.pass(seen.now, seen.plan);
+        reports.iter().for_each(|report| self.memory.hear(report));
         self.heard.clear();
         self.heard.extend_from_slice(reports);
         self.woken.fill(false);
@@ -124,8 +133,14 @@ impl External {
         self.queue.pop_front()
     }
 
+    /// The TTIs before `end` are closed; those that were not before have passed under `plan`.
+    pub fn closed(&mut self, end: Tti, plan: &Plan) {
+        self.memory.pass(end, plan);
+    }
+
     /// What the last wake-up brought.
     pub fn answered(&mut self, report: Option<&Report>) {
+        report.iter().for_each(|report| self.memory.hear(report));
         self.heard.extend(report);
     }
 }

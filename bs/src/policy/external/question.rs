@@ -4,6 +4,7 @@ use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Report;
 use reveille_common::plan::Plan;
 
+use super::memory::Memory;
 use crate::observation::Observation;
 
 /// What is to be decided.
@@ -28,6 +29,8 @@ pub struct Question<'a> {
     pub heard: &'a [Report],
     /// By device, whether it was woken in the TTI of [`Self::heard`], with a report or without.
     pub woken: &'a [bool],
+    /// What was noticed before.
+    pub memory: &'a Memory,
 }
 
 impl Question<'_> {
