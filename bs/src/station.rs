@@ -158,7 +158,7 @@ impl Station {
         let external = self.mind.external()?;
         Some(Self {
             view: self.view.clone(),
-            mind: Mind::External(external.clone()),
+            mind: Mind::External(Box::new(external.clone())),
             next_decision: self.next_decision,
             has_heard: self.has_heard,
         })

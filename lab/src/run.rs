@@ -350,7 +350,7 @@ impl Run {
     }
 
     /// Goes on from between two TTIs to where somebody outside has to decide.
-    pub(crate) fn to_question(&mut self, observer: &mut impl Observer) -> Stand {
+    pub(crate) fn seek_question(&mut self, observer: &mut impl Observer) -> Stand {
         while self.reach(observer) {
             self.brief(observer);
             if self.cycle.next_tti() >= self.boundaries.end() {
@@ -383,7 +383,7 @@ impl Run {
     fn go_on(&mut self, step: Step, observer: &mut impl Observer) -> Stand {
         match self.wake(step, observer) {
             Some(asking) => Stand::Wake(asking),
-            None => self.to_question(observer),
+            None => self.seek_question(observer),
         }
     }
 

@@ -37,7 +37,7 @@ impl<O: Observer> Stepping<O> {
     /// If a policy decides that is not `external`.
     pub fn with_world(prepared: &Prepared, world: World, options: Options, mut observer: O) -> Self {
         let mut run = Run::with_world(prepared, world, options);
-        let stand = run.to_question(&mut observer);
+        let stand = run.seek_question(&mut observer);
         Self { run, stand, observer }
     }
 

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use reveille_bs::observe::{Happening, Observer};
-use reveille_bs::policy::external::{Decision, Question, Stage};
+use reveille_bs::policy::external::{DEVICE, Decision, GLOBAL, Question, Stage};
 use reveille_bs::policy::outside::{self, EXTERNAL};
 use reveille_bs::policy::registry;
 use reveille_bs::prepared::Prepared;
@@ -193,8 +193,14 @@ fn said(question: &Question<'_>) -> String {
     };
     let devices: Vec<(bool, bool, bool)> = (0..n).map(each).collect();
     let at = (seen.now, question.stage, seen.plan, seen.information);
+    let mut rows = vec![0.0; n as usize * DEVICE.len()];
+    let (mut row, mut mask) = ([0.0; GLOBAL.len()], vec![0; n as usize]);
+    question.write_devices(&mut rows);
+    question.write_global(&mut row);
+    question.write_mask(&mut mask);
+    let numbers = (rows, row, mask);
     format!(
-        "{at:?} {:?} {:?} {:?} {devices:?}",
+        "{at:?} {:?} {:?} {:?} {devices:?} {numbers:?}",
         seen.batteries, question.heard, question.woken
     )
 }

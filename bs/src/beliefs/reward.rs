@@ -47,8 +47,8 @@ pub fn coverage(known: &Knowledge) -> Coverage {
     Coverage::new(&known.positions(), known.area, &known.sensing)
 }
 
-/// The share of r*(k) of wake-ups of `woken` out of `n` devices that have brought `brought` more of Î, a share of Ψ: what
-/// it is worth, and what it costs, ≤ 0. Those of a TTI add up to r*(k).
+/// The share of r*(k) of wake-ups of `woken` out of `n` devices that have brought `brought` more of Î, a share of Ψ:
+/// what it is worth, and what it costs, ≤ 0. Those of a TTI add up to r*(k).
 pub fn of_wake_ups(mu2: f64, brought: f64, woken: u32, n: usize) -> [f64; 2] {
     [mu2 * brought, -f64::from(woken) / n as f64]
 }

@@ -28,7 +28,7 @@ pub enum Mind {
     /// An upper bound.
     Genie(Box<dyn Bound>),
     /// Somebody outside, who is asked.
-    External(External),
+    External(Box<External>),
 }
 
 impl Mind {

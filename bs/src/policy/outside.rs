@@ -52,6 +52,6 @@ impl Registered for ExternalKind {
     }
 
     fn build(&self, _: &PolicyChoice, known: &Knowledge, _: Option<&Opaque>) -> Mind {
-        Mind::External(External::new(known))
+        Mind::External(Box::new(External::new(known)))
     }
 }

@@ -76,7 +76,7 @@ impl Place<'_> {
         } = step;
         *self.reward = step.reward();
         self.parts.copy_from_slice(&[asleep, missed, information, woken]);
-        *self.ttis = environment.ttis_done() as i64;
+        *self.ttis = environment.ttis_done().cast_signed();
         *self.ended = environment.question().is_none();
         let question = environment.view();
         question.write_devices(self.devices);

@@ -138,7 +138,7 @@ impl Question<'_> {
         assert_eq!(rows.len(), known.n() * DEVICE.len(), "a row for each device");
         let is_open = self.stage == Stage::Wake;
         let heard = if is_open { self.heard } else { &[] };
-        let ln_n = (known.n() as f64).ln().max(f64::MIN_POSITIVE);
+        let ln_n = libm::log(known.n() as f64).max(f64::MIN_POSITIVE);
         for (j, row) in rows.chunks_exact_mut(DEVICE.len()).enumerate() {
             let (device, own) = (DeviceId(j as u32), &known.devices[j]);
             let report = heard.iter().find(|report| report.device == device);
@@ -161,7 +161,7 @@ impl Question<'_> {
                 bounded(memory.since_sensing(j, seen.now), HALF),
                 bounded(memory.since_report(j, seen.now), HALF_REPORT),
                 stale(memory.staleness(j)),
-                f64::from(1 + memory.neighbours(j)).ln() / ln_n,
+                libm::log(f64::from(1 + memory.neighbours(j))) / ln_n,
                 harvest(own.mean_harvest, own.energy.e_idle),
                 harvest(comes, own.energy.e_idle),
             ];
@@ -192,7 +192,7 @@ impl Question<'_> {
             seen.information / psi,
             memory.i_min() / psi,
             known.alpha,
-            (n.ln() / 10.0).min(1.0),
+            (libm::log(n) / 10.0).min(1.0),
             share(devices().filter(|j| self.is_sensing(*j)).count()),
             reports / (reports + 1.0),
             share(woken),

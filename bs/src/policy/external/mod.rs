@@ -87,8 +87,9 @@ impl External {
 
     /// The answer at [`Stage::Plan`].
     pub fn tell_plan(&mut self, decision: Decision) {
-        let plan = fitted(&decision.plan, self.woken.len() as u32);
-        self.told = Some(Decision { plan, ..decision });
+        let Decision { plan, next } = decision;
+        let plan = fitted(&plan, self.woken.len() as u32);
+        self.told = Some(Decision { plan, next });
     }
 
     /// The answer at [`Stage::Wake`]: wake these, one after the other in this order.
@@ -120,7 +121,9 @@ impl External {
     /// The TTI has brought these reports, at least one.
     pub fn reported(&mut self, seen: &Observation<'_>, reports: &[Report]) {
         self.memory.pass(seen.now, seen.plan);
-        reports.iter().for_each(|report| self.memory.hear(report));
+        for report in reports {
+            self.memory.hear(report);
+        }
         self.heard.clear();
         self.heard.extend_from_slice(reports);
         self.woken.fill(false);
@@ -140,8 +143,10 @@ impl External {
 
     /// What the last wake-up brought.
     pub fn answered(&mut self, report: Option<&Report>) {
-        report.iter().for_each(|report| self.memory.hear(report));
-        self.heard.extend(report);
+        if let Some(report) = report {
+            self.memory.hear(report);
+            self.heard.push(*report);
+        }
     }
 }
 
