@@ -96,7 +96,8 @@ pub struct Batch {
 }
 
 impl Batch {
-    /// Environments of these `scenarios`, at least one, with equally many devices each, on `threads` threads.
+    /// Environments of these `scenarios`, at least one, with equally many devices each, on `threads` threads, or as many
+    /// as there are environments if that is fewer.
     ///
     /// # Errors
     /// There are no such threads to be had.
@@ -106,6 +107,7 @@ impl Batch {
     pub fn new(scenarios: &[Scenario], weights: Weights, threads: usize) -> Result<Self, ThreadPoolBuildError> {
         let devices = scenarios.first().expect("at least one environment").devices as usize;
         assert!(scenarios.iter().all(|scenario| scenario.devices as usize == devices));
+        let threads = threads.min(scenarios.len());
         let pool = (threads > 1).then(|| ThreadPoolBuilder::new().num_threads(threads).build());
         let pool = pool.transpose()?;
         let make = |scenario: &Scenario| Environment::new(Ground::new(scenario), weights);

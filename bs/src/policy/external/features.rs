@@ -137,16 +137,9 @@ impl Question<'_> {
         let (seen, memory, known) = (&self.seen, self.memory, self.seen.known);
         assert_eq!(rows.len(), known.n() * DEVICE.len(), "a row for each device");
         let is_open = self.stage == Stage::Wake;
-        let heard = if is_open { self.heard } else { &[] };
-        let ln_n = libm::log(known.n() as f64).max(f64::MIN_POSITIVE);
+        let of_this_tti = |value: f64| if is_open { value } else { 0.0 };
         for (j, row) in rows.chunks_exact_mut(DEVICE.len()).enumerate() {
             let (device, own) = (DeviceId(j as u32), &known.devices[j]);
-            let report = heard.iter().find(|report| report.device == device);
-            let distances = heard.iter().map(|report| {
-                let reporter = &known.devices[report.device.index()];
-                reporter.position.distance(own.position)
-            });
-            let nearest = distances.min_by(f64::total_cmp);
             let comes = known.expected_harvest(device, seen.now, seen.now + 1);
             let values: [f64; DEVICE.len()] = [
                 own.position.x / known.area.width,
@@ -156,12 +149,12 @@ impl Question<'_> {
                 flag(self.is_sensing(device)),
                 flag(self.may_wake(device)),
                 flag(is_open && self.woken[j]),
-                report.map_or(0.0, |report| report.information / known.sensing.psi),
-                nearest.map_or(0.0, |d| known.sensing.p(d)),
+                of_this_tti(memory.information(j) / known.sensing.psi),
+                of_this_tti(memory.nearness(j)),
                 bounded(memory.since_sensing(j, seen.now), HALF),
                 bounded(memory.since_report(j, seen.now), HALF_REPORT),
                 stale(memory.staleness(j)),
-                libm::log(f64::from(1 + memory.neighbours(j))) / ln_n,
+                memory.crowd(j),
                 harvest(own.mean_harvest, own.energy.e_idle),
                 harvest(comes, own.energy.e_idle),
             ];

@@ -1,9 +1,10 @@
 //! What a base station remembers for those who are asked: who looked when, and how long no place was looked at.
 
-use reveille_common::geometry::Buckets;
+use reveille_common::geometry::{Buckets, Point};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Report;
 use reveille_common::plan::Plan;
+use reveille_common::sensing::Sensing;
 
 use crate::beliefs::ages::{self, Ages};
 use crate::beliefs::ranking::i_min;
@@ -24,9 +25,23 @@ pub struct Memory {
     looked: Vec<u64>,
     /// By device, the TTI of the last report, counted from 1; 0 for none.
     reported: Vec<u64>,
-    /// Other devices within d_max, by device.
-    neighbours: Vec<u32>,
+    /// Ln(1 + other devices within d_max) / ln(N), by device.
+    crowds: Vec<f64>,
+    positions: Vec<Point>,
+    sensing: Sensing,
+    near: Near,
     i_min: f64,
+}
+
+/// The reports of the TTI in which something was heard last, by device.
+#[derive(Clone, Debug)]
+struct Near {
+    /// I_ij of its own, 0 without.
+    information: Vec<f64>,
+    /// Distance to the nearest reporter, m; infinite where there is none.
+    distance: Vec<f64>,
+    /// P(d) of it.
+    p: Vec<f64>,
 }
 
 impl Memory {
@@ -36,10 +51,11 @@ impl Memory {
         let lost = known.radio.silence();
         let ages = Ages::losing(lost, &positions, known.area, &known.sensing, ages::worths());
         let buckets = Buckets::new(&positions, known.area, known.sensing.d_max);
-        let count = |j: usize| {
+        let ln_n = libm::log(known.n() as f64).max(f64::MIN_POSITIVE);
+        let crowd = |j: usize| {
             let mut others = 0_u32;
             buckets.within(positions[j], known.sensing.d_max, |i, _| others += u32::from(i != j));
-            others
+            libm::log(f64::from(1 + others)) / ln_n
         };
         Self {
             fresh: (0..known.n()).map(|j| ages.worth(j)).collect(),
@@ -48,9 +64,16 @@ impl Memory {
             is_found: false,
             looked: vec![0; known.n()],
             reported: vec![0; known.n()],
-            neighbours: (0..known.n()).map(count).collect(),
+            crowds: (0..known.n()).map(crowd).collect(),
+            near: Near {
+                information: vec![0.0; known.n()],
+                distance: vec![f64::INFINITY; known.n()],
+                p: vec![0.0; known.n()],
+            },
             i_min: i_min(&positions, known.area, &known.sensing),
             ages,
+            positions,
+            sensing: known.sensing.clone(),
         }
     }
 
@@ -68,10 +91,44 @@ impl Memory {
         }
     }
 
-    /// A report has come, in the TTI that passes next.
+    /// Reports have come first in the TTI that passes next, at least one.
+    pub fn hear_first(&mut self, reports: &[Report]) {
+        self.near.information.fill(0.0);
+        self.near.distance.fill(f64::INFINITY);
+        self.near.p.fill(0.0);
+        for report in reports {
+            self.hear(report);
+        }
+    }
+
+    /// One more has come in the same TTI.
     pub fn hear(&mut self, report: &Report) {
+        let Self {
+            positions,
+            sensing,
+            near,
+            ..
+        } = self;
         self.is_found = true;
         self.reported[report.device.index()] = report.tti.0 + 1;
+        near.information[report.device.index()] = report.information;
+        let at = positions[report.device.index()];
+        for ((own, nearest), p) in positions.iter().zip(&mut near.distance).zip(&mut near.p) {
+            let distance = own.distance(at);
+            if distance < *nearest {
+                (*nearest, *p) = (distance, sensing.p(distance));
+            }
+        }
+    }
+
+    /// I of the report of `device` in the TTI in which something was heard last, `[0, Ψ]`; 0 without.
+    pub fn information(&self, device: usize) -> f64 {
+        self.near.information[device]
+    }
+
+    /// P(d) of the distance from `device` to the nearest of those who reported then, `[0, 1]`.
+    pub fn nearness(&self, device: usize) -> f64 {
+        self.near.p[device]
     }
 
     /// TTIs to `now` from the last that has passed in which `device` was told to sense; nothing if there was none.
@@ -105,9 +162,9 @@ impl Memory {
         self.ages.all() / self.all_fresh
     }
 
-    /// Other devices within d_max of `device`.
-    pub fn neighbours(&self, device: usize) -> u32 {
-        self.neighbours[device]
+    /// Ln(1 + n) / ln(N), n the other devices within d_max of `device`, `[0, 1]`.
+    pub fn crowd(&self, device: usize) -> f64 {
+        self.crowds[device]
     }
 
     /// I_min (Sec. V-A), `[0, Ψ]`.

@@ -121,9 +121,7 @@ impl External {
     /// The TTI has brought these reports, at least one.
     pub fn reported(&mut self, seen: &Observation<'_>, reports: &[Report]) {
         self.memory.pass(seen.now, seen.plan);
-        for report in reports {
-            self.memory.hear(report);
-        }
+        self.memory.hear_first(reports);
         self.heard.clear();
         self.heard.extend_from_slice(reports);
         self.woken.fill(false);
