@@ -96,8 +96,8 @@ pub struct Batch {
 }
 
 impl Batch {
-    /// Environments of these `scenarios`, at least one, with equally many devices each, on `threads` threads, or as many
-    /// as there are environments if that is fewer.
+    /// Environments of these `scenarios`, at least one, with equally many devices each, on `threads` threads, or as
+    /// many as there are environments if that is fewer.
     ///
     /// # Errors
     /// There are no such threads to be had.
