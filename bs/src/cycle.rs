@@ -9,6 +9,10 @@
 //! ```
 //! [`Granted`] and [`Waking`] are given out by one step and used up by the next: the order is held by types.
 //!
+//! Where somebody outside decides ([`external`](crate::policy::external)), the cycle asks. A plan is asked for between
+//! TTIs ([`Cycle::question`], answered by [`Cycle::decide`]); whom to wake, after reports, by a step of its own,
+//! [`Step::Asks`], whose [`Asking`] is used up by [`Cycle::wake`]. Policies of this program are never asked.
+//!
 //! A grant covers one or more TTIs. All but the last are *quiet*: no device can detect anything in them, whatever its
 //! battery, because no event is active or no device that could sense it has δ = 1. The clock knows that from the plan
 //! and from the world that it plays; the policy sees none of it. A driver that asks for one TTI at a time gets the same
@@ -30,6 +34,7 @@ use reveille_common::world::{Turn, World};
 use crate::grant::Grant;
 use crate::observe::{Happening, Observer};
 use crate::outcome::Outcome;
+use crate::policy::external::{Decision, Question, Stage};
 use crate::prepared::Prepared;
 use crate::station::Station;
 
@@ -75,11 +80,20 @@ impl Waking {
     }
 }
 
+/// A question for somebody outside: whom to wake. [`Cycle::wake`] takes it back. A copy goes with a copy of its cycle.
+#[derive(Clone, Debug)]
+#[must_use = "the TTI is open until it is answered"]
+pub struct Asking {
+    tti: Tti,
+}
+
 /// What follows the reports of a TTI.
 #[derive(Debug)]
 pub enum Step {
     /// Send this wake-up and tell [`Cycle::woken`] what came of it.
     WakeUp(Waking),
+    /// Ask whom to wake ([`Cycle::question_of`]) and tell [`Cycle::wake`].
+    Asks(Asking),
     /// The TTI is closed; the next may be granted.
     Closed,
 }
@@ -161,10 +175,59 @@ impl Cycle {
         observer.told(self.next, self.station.batteries());
     }
 
+    /// What somebody outside is to decide before the next grant; after the true batteries have been told where they are
+    /// wanted. Nothing where a policy of this program decides, the last plan holds on, or it was answered.
+    pub fn question(&self) -> Option<Question<'_>> {
+        let asks = !self.is_open && self.station.asks_for_plan(self.next);
+        asks.then(|| self.station.question(self.next, Stage::Plan))?
+    }
+
+    /// Between TTIs, what somebody outside would be asked for a plan of the next one, whether it is asked or the run is
+    /// at its end. Nothing where a policy of this program decides.
+    pub fn outlook(&self) -> Option<Question<'_>> {
+        (!self.is_open).then(|| self.station.question(self.next, Stage::Plan))?
+    }
+
+    /// The answer to [`Self::question`].
+    ///
+    /// # Panics
+    /// If nobody has asked.
+    pub fn decide(&mut self, decision: Decision) {
+        assert!(self.question().is_some(), "no plan was asked for");
+        self.station.tell_plan(decision);
+    }
+
+    /// What somebody outside is to decide within a TTI: whom to wake.
+    pub fn question_of(&self, asking: &Asking) -> Question<'_> {
+        let question = self.station.question(asking.tti, Stage::Wake);
+        question.expect("who is asked decides")
+    }
+
+    /// The answer to [`Step::Asks`]: these devices are woken, one after the other in this order, before it is asked
+    /// again; nobody ends the wake-ups of the TTI. What cannot be done is left out, see
+    /// [`external`](crate::policy::external).
+    #[expect(clippy::needless_pass_by_value, reason = "a question is used up by its answer")]
+    pub fn wake(&mut self, asking: Asking, devices: &[DeviceId], observer: &mut impl Observer) -> Step {
+        self.station.tell_whom(asking.tti, devices);
+        self.next_step(asking.tti, observer)
+    }
+
+    /// A copy of the run that goes on from here, where somebody outside decides.
+    pub fn branch(&self) -> Option<Self> {
+        Some(Self {
+            station: self.station.branch()?,
+            scenario: self.scenario.clone(),
+            world: self.world.clone(),
+            score: self.score.clone(),
+            turns: self.turns.clone(),
+            ..*self
+        })
+    }
+
     /// Grants TTIs from [`Self::next_tti`] on, at most up to and not including `horizon`.
     ///
     /// # Panics
-    /// If the last grant is still open, or `horizon` is not after the next TTI.
+    /// If the last grant is still open, `horizon` is not after the next TTI, or a [`Self::question`] is not answered.
     pub fn grant(&mut self, horizon: Tti, observer: &mut impl Observer) -> Granted {
         assert!(!self.is_open, "TTI {} is still open", self.next);
         let first = self.next;
@@ -178,6 +241,7 @@ impl Cycle {
                 || updates.len() >= AHEAD
                 || span.stimulus.is_some()
                 || span.last + 1 >= horizon
+                || self.station.asks_for_plan(span.last + 1)
                 || observer.wants_states()
             {
                 break span;
@@ -352,6 +416,9 @@ impl Cycle {
             observer.see(&Happening::WakeUp { tti, device, sent });
             return Step::WakeUp(waking);
         }
+        if self.station.asks_whom(tti) {
+            return Step::Asks(Asking { tti });
+        }
         if observer.wants_beliefs() {
             let places = self.station.belief();
             if !places.is_empty() {
@@ -362,6 +429,7 @@ impl Cycle {
             let record = self.score.event_ended(tti, self.station.information());
             observer.see(&Happening::EventEnded(&record));
         }
+        self.station.closed(tti);
         observer.see(&Happening::Closed(tti));
         (self.is_open, self.next) = (false, tti + 1);
         Step::Closed

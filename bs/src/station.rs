@@ -11,6 +11,7 @@ use crate::beliefs::posterior::Belief;
 use crate::knowledge::Knowledge;
 use crate::levels::Levels;
 use crate::observation::Observation;
+use crate::policy::external::{Decision, External, Question, Stage};
 use crate::policy::mind::{Bound, Mind};
 
 /// The base station of one run.
@@ -23,6 +24,7 @@ pub struct Station {
 }
 
 /// What the policy is shown.
+#[derive(Clone)]
 struct View {
     known: Knowledge,
     plan: Plan,
@@ -97,8 +99,69 @@ impl Station {
     pub fn belief(&self) -> Vec<Likely> {
         match &self.mind {
             Mind::Policy(policy) if self.has_heard => policy.belief().map_or_else(Vec::new, Belief::shares),
-            Mind::Policy(_) | Mind::Genie(_) => Vec::new(),
+            Mind::Policy(_) | Mind::Genie(_) | Mind::External(_) => Vec::new(),
         }
+    }
+
+    /// Whether somebody outside is to tell a plan before TTI `k` begins.
+    pub fn asks_for_plan(&self, k: Tti) -> bool {
+        self.mind.external().is_some_and(|external| external.asks_for_plan(k))
+    }
+
+    /// Whether somebody outside is to tell whom to wake in TTI `tti`.
+    pub fn asks_whom(&self, tti: Tti) -> bool {
+        let asked = self.mind.external().filter(|_| self.has_heard);
+        asked.is_some_and(|external| external.asks_whom(&self.view.at(tti)))
+    }
+
+    /// What somebody outside is asked in TTI `k`, if it is for them to decide.
+    pub fn question(&self, k: Tti, stage: Stage) -> Option<Question<'_>> {
+        let seen = self.view.at(k);
+        let seen = match stage {
+            // Nothing has been gathered in a TTI that has not begun.
+            Stage::Plan => Observation {
+                information: 0.0,
+                ..seen
+            },
+            Stage::Wake => seen,
+        };
+        self.mind.external().map(|external| external.question(stage, seen))
+    }
+
+    /// TTI `tti` is closed.
+    pub fn closed(&mut self, tti: Tti) {
+        if let Mind::External(external) = &mut self.mind {
+            external.closed(tti + 1, &self.view.plan);
+        }
+    }
+
+    /// What somebody outside has decided for the TTI that begins next.
+    pub fn tell_plan(&mut self, decision: Decision) {
+        self.asked().0.tell_plan(decision);
+    }
+
+    /// Whom somebody outside wakes in TTI `tti`.
+    pub fn tell_whom(&mut self, tti: Tti, devices: &[DeviceId]) {
+        let (external, view) = self.asked();
+        external.tell_whom(&view.at(tti), devices);
+    }
+
+    fn asked(&mut self) -> (&mut External, &View) {
+        match &mut self.mind {
+            Mind::External(external) => (external, &self.view),
+            Mind::Policy(_) | Mind::Genie(_) => panic!("a policy that decides itself is told nothing"),
+        }
+    }
+
+    /// A copy that goes on from here, where somebody outside decides: no policy can be copied.
+    pub fn branch(&self) -> Option<Self> {
+        let external = self.mind.external()?;
+        Some(Self {
+            view: self.view.clone(),
+            mind: Mind::External(Box::new(external.clone())),
+            next_decision: self.next_decision,
+            has_heard: self.has_heard,
+        })
     }
 
     /// The plan in force, and the genie, which is told of events.
@@ -179,8 +242,10 @@ impl Station {
         for report in reports {
             view.fuse(report);
         }
-        if let (Mind::Policy(policy), true) = (mind, *has_heard) {
-            policy.reported(&view.at(tti), reports);
+        match mind {
+            Mind::Policy(policy) if *has_heard => policy.reported(&view.at(tti), reports),
+            Mind::External(external) if *has_heard => external.reported(&view.at(tti), reports),
+            Mind::Policy(_) | Mind::Genie(_) | Mind::External(_) => {}
         }
     }
 
@@ -190,6 +255,7 @@ impl Station {
             Mind::Policy(policy) if self.has_heard => policy.next_wake_up(&self.view.at(tti)),
             Mind::Policy(_) => None,
             Mind::Genie(genie) => genie.next_wake_up(),
+            Mind::External(external) => external.next_wake_up(),
         }
     }
 
@@ -208,6 +274,7 @@ impl Station {
         match &mut self.mind {
             Mind::Policy(policy) => policy.answered(&view.at(tti), report),
             Mind::Genie(genie) => genie.answered(report),
+            Mind::External(external) => external.answered(report),
         }
     }
 }

@@ -2,6 +2,7 @@
 //! training and tuning.
 
 mod coming;
+pub mod gym;
 pub mod inputs;
 pub mod io;
 pub mod mark;
@@ -11,6 +12,7 @@ pub mod run;
 pub mod series;
 pub mod shadow;
 pub mod stats;
+pub mod stepping;
 pub mod sweep;
 pub mod table;
 pub mod training;

@@ -1,11 +1,13 @@
 //! One run in memory: the same device and BS machines as in the emulator, driven by a loop.
 
 use reveille_bs::boundaries::Boundaries;
-use reveille_bs::cycle::{Cycle, Step};
+use reveille_bs::cycle::{Asking, Cycle, Step};
 use reveille_bs::observe::{Happening, Observer};
 use reveille_bs::outcome::Outcome;
+use reveille_bs::policy::external::Decision;
 use reveille_bs::prepared::Prepared;
 use reveille_bs::taken::{Start, Taken};
+use reveille_common::event::Stimulus;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Checkpoint, Failure, Outage, Report};
 use reveille_common::radio::Air;
@@ -51,6 +53,28 @@ pub struct Run {
     reached: Tti,
     reports: Vec<Report>,
     failures: Vec<Failure>,
+    open: Open,
+}
+
+/// The TTI that was granted last, as far as its wake-ups go by it.
+#[derive(Clone, Copy, Debug, Default)]
+struct Open {
+    tti: Tti,
+    stimulus: Option<Stimulus>,
+    /// Wake-ups that were sent.
+    woken: u32,
+    wants_states: bool,
+}
+
+/// Where a run stands whose decisions come from outside.
+#[derive(Clone, Debug)]
+pub(crate) enum Stand {
+    /// A plan is asked for.
+    Plan,
+    /// It is asked whom to wake.
+    Wake(Asking),
+    /// It has come to its end, or the observer has said stop.
+    Ended,
 }
 
 impl Run {
@@ -96,6 +120,7 @@ impl Run {
             reached: Tti::ZERO,
             reports: Vec::new(),
             failures: Vec::new(),
+            open: Open::default(),
         }
     }
 
@@ -208,6 +233,27 @@ impl Run {
 
     /// As [`Self::grant`], of TTIs before `limit` alone.
     fn grant_before(&mut self, limit: Tti, observer: &mut impl Observer) {
+        self.brief(observer);
+        let step = self.open(limit, observer);
+        let asks = self.wake(step, observer);
+        assert!(asks.is_none(), "somebody outside decides: the run has to be stepped");
+    }
+
+    /// Tells the true batteries, where they are wanted.
+    fn brief(&mut self, observer: &mut impl Observer) {
+        let Self { cycle, machines, .. } = self;
+        let k = cycle.next_tti();
+        if cycle.wants_batteries() {
+            let batteries = machines.iter_mut().map(|machine| {
+                machine.settle(k);
+                machine.battery()
+            });
+            cycle.tell_batteries(batteries, observer);
+        }
+    }
+
+    /// Grants TTIs before `limit` and has their reports gathered.
+    fn open(&mut self, limit: Tti, observer: &mut impl Observer) -> Step {
         let Self {
             cycle,
             machines,
@@ -217,17 +263,11 @@ impl Run {
             failures,
             coming,
             plan_from,
+            open,
             ..
         } = self;
         let k = cycle.next_tti();
         let limit = limit.min(coming.next_tti().saturating_add(1)).max(k + 1);
-        if cycle.wants_batteries() {
-            let batteries = machines.iter_mut().map(|machine| {
-                machine.settle(k);
-                machine.battery()
-            });
-            cycle.tell_batteries(batteries, observer);
-        }
         let horizon = if self.options.lookahead {
             self.boundaries.next_boundary(k)
         } else {
@@ -243,6 +283,12 @@ impl Run {
             }
         }
         let (last, stimulus) = (granted.grant.last, granted.grant.stimulus);
+        *open = Open {
+            tti: last,
+            stimulus,
+            woken: 0,
+            wants_states,
+        };
         reports.clear();
         failures.clear();
         while let Some(outage) = coming.due(last, None) {
@@ -257,25 +303,103 @@ impl Run {
                 }
             }
         }
-        let mut step = cycle.gathered(granted, reports, failures, observer);
-        let mut woken = 0;
-        while let Step::WakeUp(waking) = step {
-            while let Some(outage) = coming.due(last, Some(woken)) {
-                go(&outage, machines, cycle, observer);
+        cycle.gathered(granted, reports, failures, observer)
+    }
+
+    /// Does the wake-ups from `step` on. Gives what somebody outside is asked before the TTI can be closed.
+    fn wake(&mut self, mut step: Step, observer: &mut impl Observer) -> Option<Asking> {
+        let Self {
+            cycle,
+            machines,
+            physics,
+            coming,
+            open:
+                Open {
+                    tti,
+                    stimulus,
+                    woken,
+                    wants_states,
+                },
+            ..
+        } = self;
+        let tti = *tti;
+        loop {
+            match step {
+                Step::WakeUp(waking) => {
+                    while let Some(outage) = coming.due(tti, Some(*woken)) {
+                        go(&outage, machines, cycle, observer);
+                    }
+                    *woken += 1;
+                    let stimulus = stimulus.as_ref().filter(|_| !waking.is_late());
+                    let outcome = machines[waking.device().index()].wake(tti, stimulus, physics);
+                    step = cycle.woken(waking, &outcome, observer);
+                }
+                Step::Asks(asking) => return Some(asking),
+                Step::Closed => break,
             }
-            woken += 1;
-            let stimulus = stimulus.as_ref().filter(|_| !waking.is_late());
-            let outcome = machines[waking.device().index()].wake(last, stimulus, physics);
-            step = cycle.woken(waking, &outcome, observer);
         }
-        if wants_states {
+        if *wants_states {
             let view = |machine: &mut Machine| {
-                machine.begin(last);
+                machine.begin(tti);
                 machine.view()
             };
             let states: Vec<DeviceView> = machines.iter_mut().map(view).collect();
             observer.see(&Happening::States(&states));
         }
+        None
+    }
+
+    /// Goes on from between two TTIs to where somebody outside has to decide.
+    pub(crate) fn seek_question(&mut self, observer: &mut impl Observer) -> Stand {
+        while self.reach(observer) {
+            self.brief(observer);
+            if self.cycle.next_tti() >= self.boundaries.end() {
+                break;
+            }
+            if self.cycle.question().is_some() {
+                return Stand::Plan;
+            }
+            let step = self.open(Tti::NEVER, observer);
+            if let Some(asking) = self.wake(step, observer) {
+                return Stand::Wake(asking);
+            }
+        }
+        Stand::Ended
+    }
+
+    /// Goes on from [`Stand::Plan`] with this answer.
+    pub(crate) fn decide(&mut self, decision: Decision, observer: &mut impl Observer) -> Stand {
+        self.cycle.decide(decision);
+        let step = self.open(Tti::NEVER, observer);
+        self.go_on(step, observer)
+    }
+
+    /// Goes on from [`Stand::Wake`] with this answer.
+    pub(crate) fn call(&mut self, asking: Asking, devices: &[DeviceId], observer: &mut impl Observer) -> Stand {
+        let step = self.cycle.wake(asking, devices, observer);
+        self.go_on(step, observer)
+    }
+
+    fn go_on(&mut self, step: Step, observer: &mut impl Observer) -> Stand {
+        match self.wake(step, observer) {
+            Some(asking) => Stand::Wake(asking),
+            None => self.seek_question(observer),
+        }
+    }
+
+    /// A copy that goes on from here, where somebody outside decides.
+    pub(crate) fn branch(&self) -> Option<Self> {
+        Some(Self {
+            cycle: self.cycle.branch()?,
+            machines: self.machines.clone(),
+            physics: self.physics.clone(),
+            air: self.air.clone(),
+            accounts: self.accounts.clone(),
+            coming: self.coming.clone(),
+            reports: Vec::new(),
+            failures: Vec::new(),
+            ..*self
+        })
     }
 
     /// Takes the sums at the next TTI, if it is a boundary whose sums were not taken. False if `observer` says stop.

@@ -13,7 +13,7 @@ use circles::Graph;
 use tree::{CRATES, Crate, Mention, Module, root, sources};
 
 /// Which crates of the workspace each may use in its code.
-const MAY_USE: [(&str, &[&str]); 8] = [
+const MAY_USE: [(&str, &[&str]); 9] = [
     ("common", &[]),
     ("device", &["common"]),
     ("bs", &["common"]),
@@ -22,6 +22,7 @@ const MAY_USE: [(&str, &[&str]); 8] = [
     ("view", &["common", "device", "bs"]),
     ("deploy", &["common", "device", "bs", "lab", "study", "view"]),
     ("tests", &["common", "device", "bs", "lab", "study", "view"]),
+    ("python", &["common", "bs", "lab"]),
 ];
 
 /// The layers of `common`: a module may use those of its own line and of the lines above it. A file or folder right in
@@ -44,7 +45,7 @@ const LAYERS_OF_COMMON: [&[&str]; 13] = [
 
 /// What may do input and output, know the time and hold global state. All other code is pure: what it does depends on
 /// what it is given alone, which makes one scenario and seed one digest.
-const SHELLS: [&str; 18] = [
+const SHELLS: [&str; 19] = [
     "common/src/bus/",
     "common/src/io.rs",
     "common/src/logging.rs",
@@ -63,6 +64,7 @@ const SHELLS: [&str; 18] = [
     "view/src/batches.rs",
     "view/src/recording/recorder.rs",
     "deploy/",
+    "python/",
 ];
 
 /// Paths that pure code may not name, with all that is below them.

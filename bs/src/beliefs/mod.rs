@@ -10,3 +10,4 @@ mod neighbours;
 pub mod posterior;
 pub mod ranking;
 pub(crate) mod raster;
+pub mod reward;

@@ -274,6 +274,10 @@ impl Loop<'_> {
             }
             step = self.cycle.woken(waking, &outcome, observer);
         }
+        assert!(
+            matches!(step, Step::Closed),
+            "the policies that run on the bus decide themselves"
+        );
         Ok(())
     }
 

@@ -1,4 +1,4 @@
-//! Who decides for a base station: a policy, or the genie.
+//! Who decides for a base station: a policy, the genie, or somebody outside.
 
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Report;
@@ -6,6 +6,7 @@ use reveille_common::plan::Plan;
 use reveille_common::world::Oracle;
 
 use super::contract::{Opaque, Policy};
+use super::external::External;
 use crate::observation::Observation;
 
 /// What no base station could run, since it is told where events are: a bound on what policies reach.
@@ -26,6 +27,8 @@ pub enum Mind {
     Policy(Box<dyn Policy>),
     /// An upper bound.
     Genie(Box<dyn Bound>),
+    /// Somebody outside, who is asked.
+    External(Box<External>),
 }
 
 impl Mind {
@@ -37,8 +40,16 @@ impl Mind {
     /// The genie, if it is one.
     pub fn genie(&mut self) -> Option<&mut dyn Bound> {
         match self {
-            Self::Policy(_) => None,
+            Self::Policy(_) | Self::External(_) => None,
             Self::Genie(genie) => Some(&mut **genie),
+        }
+    }
+
+    /// Somebody outside, if it is one.
+    pub const fn external(&self) -> Option<&External> {
+        match self {
+            Self::External(external) => Some(external),
+            Self::Policy(_) | Self::Genie(_) => None,
         }
     }
 
@@ -47,6 +58,7 @@ impl Mind {
         match self {
             Self::Policy(policy) => policy.decide(seen),
             Self::Genie(genie) => genie.plan(),
+            Self::External(external) => external.decide(seen),
         }
     }
 
@@ -54,7 +66,7 @@ impl Mind {
     pub fn facts(&self) -> Vec<(&'static str, f64)> {
         match self {
             Self::Policy(policy) => policy.facts(),
-            Self::Genie(_) => Vec::new(),
+            Self::Genie(_) | Self::External(_) => Vec::new(),
         }
     }
 
@@ -63,6 +75,7 @@ impl Mind {
         match self {
             Self::Policy(policy) => policy.looks_at_batteries(),
             Self::Genie(_) => false,
+            Self::External(_) => true,
         }
     }
 
@@ -71,6 +84,7 @@ impl Mind {
         match self {
             Self::Policy(policy) => policy.wakes(),
             Self::Genie(_) => false,
+            Self::External(_) => true,
         }
     }
 
@@ -78,7 +92,7 @@ impl Mind {
     pub fn learned(&self) -> Option<Opaque> {
         match self {
             Self::Policy(policy) => policy.learned(),
-            Self::Genie(_) => None,
+            Self::Genie(_) | Self::External(_) => None,
         }
     }
 
@@ -86,7 +100,7 @@ impl Mind {
     pub fn groups(&self) -> Option<&[u32]> {
         match self {
             Self::Policy(policy) => policy.groups(),
-            Self::Genie(_) => None,
+            Self::Genie(_) | Self::External(_) => None,
         }
     }
 
@@ -95,6 +109,7 @@ impl Mind {
         match self {
             Self::Policy(policy) => policy.next_decision(now),
             Self::Genie(_) => Tti::NEVER,
+            Self::External(external) => external.next_decision(),
         }
     }
 }

@@ -207,7 +207,7 @@ fn watched<T: Default + Send + 'static>(
     let known = prepared.knowledge();
     let mind = match prepared.mind(&known) {
         Mind::Policy(policy) => Mind::of(Recorded::new(policy, &known, manner, sink)),
-        Mind::Genie(_) => return Some((None, T::default())),
+        Mind::Genie(_) | Mind::External(_) => return Some((None, T::default())),
     };
     let world = World::new(&prepared.scenario, &prepared.deployment);
     let cycle = Cycle::with_station(prepared, world, Station::new(known, mind));

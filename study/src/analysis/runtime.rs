@@ -136,6 +136,7 @@ impl Decisions {
                     wake_ups += u64::from(genie.told(stimulus));
                     continue;
                 }
+                Mind::External(_) => continue,
                 Mind::Policy(_) if reports.is_empty() => continue,
                 Mind::Policy(policy) => policy,
             };

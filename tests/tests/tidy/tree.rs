@@ -9,7 +9,9 @@ use syn::punctuated::Punctuated;
 use syn::visit::{self, Visit};
 
 /// The crates, each after all that it may use.
-pub const CRATES: [&str; 8] = ["common", "device", "bs", "lab", "study", "view", "deploy", "tests"];
+pub const CRATES: [&str; 9] = [
+    "common", "device", "bs", "lab", "study", "view", "deploy", "tests", "python",
+];
 
 /// One file.
 pub struct Source {

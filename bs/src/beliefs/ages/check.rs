@@ -12,13 +12,7 @@ use crate::beliefs::raster::MOST_CELLS;
 /// # Errors
 /// An area of too many cells.
 pub fn check(policy: &str, price: Option<f64>, reader: &Reader<'_>, site: &Site<'_>) -> Result<(), ScenarioError> {
-    let cells = cells(site.area, site.sensing.d_max);
-    if cells > MOST_CELLS {
-        let allowed = format!(
-            "is so small against the area that {policy} would keep the ages of {cells:.0} cells, more than {MOST_CELLS}"
-        );
-        return Err(reader.refuse("sensing.d_max", site.sensing.d_max, allowed));
-    }
+    check_cells(policy, reader, site)?;
     if let Some(price) = price.filter(|price| *price >= MOST) {
         reader.warn(format!(
             "policy.{policy}.price is {price}, and what a device looks at is worth at most {MOST}: hardly a device is \
@@ -27,6 +21,21 @@ pub fn check(policy: &str, price: Option<f64>, reader: &Reader<'_>, site: &Site<
     }
     let never = site.classes.iter().filter_map(|class| never_senses(policy, class));
     never.for_each(|sentence| reader.warn(sentence));
+    Ok(())
+}
+
+/// Looks at the ground on which the policy called `policy` keeps ages.
+///
+/// # Errors
+/// An area of too many cells.
+pub fn check_cells(policy: &str, reader: &Reader<'_>, site: &Site<'_>) -> Result<(), ScenarioError> {
+    let cells = cells(site.area, site.sensing.d_max);
+    if cells > MOST_CELLS {
+        let allowed = format!(
+            "is so small against the area that {policy} would keep the ages of {cells:.0} cells, more than {MOST_CELLS}"
+        );
+        return Err(reader.refuse("sensing.d_max", site.sensing.d_max, allowed));
+    }
     Ok(())
 }
 

@@ -23,7 +23,7 @@ use reveille_common::sensing::{DetectionKind, Sensing};
 
 use self::cells::Cells;
 use self::chance::Chance;
-pub use self::check::check;
+pub use self::check::{check, check_cells};
 use self::sure::Sure;
 pub use self::worths::{FREE, MOST, OLDEST, Worths, reach, worths};
 

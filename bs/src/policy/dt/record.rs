@@ -10,14 +10,12 @@ use crate::beliefs::ages::price::needed;
 use crate::beliefs::candidates::Candidates;
 use crate::beliefs::coverage::Coverage;
 use crate::beliefs::posterior::Belief;
+use crate::beliefs::reward::{self, Looked, MU1, MU2};
 use crate::knowledge::Knowledge;
 use crate::levels::Levels;
 use crate::observation::Observation;
 use crate::policy::contract::{Opaque, Policy};
 use reveille_common::scenario::WakeUpRanking;
-
-/// The weight μ1 of misdetections in the reward that is recorded (paper Sec. V-B).
-pub const MU1: f64 = 14.0;
 
 /// What happened to one device in a TTI.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -132,7 +130,7 @@ impl<S: Sink> Recorded<S> {
             policy,
             own,
             senses: Senses::new(known, |j| needed(&known.devices[j].energy)),
-            coverage: Coverage::new(&known.positions(), known.area, &known.sensing),
+            coverage: reward::coverage(known),
             candidates: Candidates::by(WakeUpRanking::Posterior, known),
             explores: manner.explores,
             sink,
@@ -174,23 +172,17 @@ impl<S: Sink> Policy for Recorded<S> {
             self.own.keep(|levels| levels.pass(seen.now, seen.plan));
         }
         let on = self.explored(seen, self.plan.as_ref().expect("decided in TTI 0"));
-        self.coverage.clear();
-        let (mut looks, mut sensing) = (vec![Look::default(); on.len()], 0_u32);
+        let looked = Looked::of(&mut self.coverage, &on);
+        let mut looks = vec![Look::default(); on.len()];
         for (j, (look, &on)) in looks.iter_mut().zip(&on).enumerate() {
             (look.expected, look.on) = (self.senses.expected(j), on);
-            if on {
-                self.coverage.add(j);
-                sensing += 1;
-            }
         }
-        let uncovered = self.coverage.uncovered();
-        let asleep = 1.0 - f64::from(sensing) / on.len() as f64;
         self.open = Some(Step {
             tti: seen.now,
             tokens: self.senses.tokens().to_vec(),
             looks,
-            share: (1.0 - uncovered) as f32,
-            reward: (asleep - seen.known.alpha * MU1 * uncovered) as f32,
+            share: (1.0 - looked.uncovered) as f32,
+            reward: looked.reward(seen.known.alpha, MU1) as f32,
             wake_reward: 0.0,
         });
         let plan = if self.explores > 0.0 {
@@ -246,7 +238,8 @@ impl<S: Sink> Policy for Recorded<S> {
         if let (Some((device, gain, before)), Some(step)) = (woken, &mut self.open) {
             let brought = (seen.information - before) / psi;
             step.looks[device.index()].wake_up = Some(((gain / psi) as f32, brought as f32));
-            step.wake_reward += (brought - 1.0 / seen.known.n() as f64) as f32;
+            let [worth, cost] = reward::of_wake_ups(MU2, brought, 1, seen.known.n());
+            step.wake_reward += (worth + cost) as f32;
         }
         if let Some(report) = report {
             self.senses.hear(seen, report);

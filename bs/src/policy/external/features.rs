@@ -1,0 +1,216 @@
+//! What a question says, as numbers from 0 to 1: a row for each device, and a row for all. What was trained on them in
+//! memory can be asked on the bus.
+//!
+//! Nothing is in them that a base station could not know, and nothing grows with N, with the area or with the length of
+//! the run.
+
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::units::Energy;
+
+use super::question::{Question, Stage};
+
+/// A number that says something of a device, or of all.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Feature {
+    /// Its name.
+    pub name: &'static str,
+    /// What it says, one sentence without its stop.
+    pub about: &'static str,
+}
+
+const fn of(name: &'static str, about: &'static str) -> Feature {
+    Feature { name, about }
+}
+
+/// Of each device, in this order; all in `[0, 1]`.
+pub const DEVICE: [Feature; 15] = [
+    of("x", "position along the width of the area, a share of it"),
+    of("y", "position along its height, a share of it"),
+    of(
+        "battery",
+        "B / E_max at the end of the last TTI, as far as `bs.battery_knowledge` goes",
+    ),
+    of(
+        "can_report",
+        "1 if it can pay for a report in this TTI, as far as is known",
+    ),
+    of("sensing", "δ: of this TTI at stage 1, of the last at stage 0"),
+    of(
+        "may_wake",
+        "1 if a wake-up can be answered with: stage 1, told to sleep, not woken yet",
+    ),
+    of("woken", "1 if it was woken in this TTI; 0 at stage 0"),
+    of(
+        "information",
+        "I / Ψ of its report in this TTI; 0 without, and at stage 0",
+    ),
+    of(
+        "nearness",
+        "p(d) of the distance to the nearest reporter of this TTI; 0 at stage 0",
+    ),
+    of(
+        "since_sensing",
+        "t / (t + 8), t the TTIs since it was last told to sense; 1 if never",
+    ),
+    of(
+        "since_report",
+        "t / (t + 64), t the TTIs since its last report; 1 if never",
+    ),
+    of(
+        "stale",
+        "1 - 1 / √w, w the mean of a(a + 1)/2 over what it covers, a the TTIs since a look",
+    ),
+    of("neighbours", "ln(1 + n) / ln(N), n the other devices within d_max"),
+    of("harvest", "h / (h + E_idle), h the mean harvest in a TTI"),
+    of("harvest_now", "the same of the harvest that is expected in this TTI"),
+];
+
+/// Of all, in this order; all in `[0, 1]`.
+pub const GLOBAL: [Feature; 10] = [
+    of(
+        "information",
+        "Î / Ψ: what is known about the event of this TTI; 0 at stage 0",
+    ),
+    of("i_min", "I_min / Ψ: the information at which `knn` stops"),
+    of("alpha", "α: the probability that an event starts in a TTI"),
+    of("devices", "ln(N) / 10"),
+    of(
+        "sensing",
+        "share of the devices with δ = 1: of this TTI at stage 1, of the last at stage 0",
+    ),
+    of("reports", "n / (n + 1), n the reports of this TTI so far; 0 at stage 0"),
+    of(
+        "woken",
+        "share of the devices that were woken in this TTI; 0 at stage 0",
+    ),
+    of("battery", "mean of B / E_max over the devices, as far as is known"),
+    of(
+        "since_report",
+        "t / (t + 8), t the TTIs since anybody's last report; 1 if never",
+    ),
+    of("stale", "1 - 1 / √w, w the mean over the whole area"),
+];
+
+/// TTIs after which half of a device's silence is reached.
+const HALF_REPORT: f64 = 64.0;
+/// The same of looks, and of reports of anybody.
+const HALF: f64 = 8.0;
+
+fn bounded(ttis: Option<u64>, half: f64) -> f64 {
+    ttis.map_or(1.0, |t| t as f64 / (t as f64 + half))
+}
+
+fn stale(worth: f64) -> f64 {
+    1.0 - 1.0 / worth.max(1.0).sqrt()
+}
+
+fn harvest(comes: Energy, e_idle: Energy) -> f64 {
+    let (comes, e_idle) = (comes.units(), e_idle.units());
+    if comes > 0.0 { comes / (comes + e_idle) } else { 0.0 }
+}
+
+fn flag(is_so: bool) -> f64 {
+    f64::from(u8::from(is_so))
+}
+
+impl Question<'_> {
+    /// Whether `device` was told to sense: in this TTI at [`Stage::Wake`], in the last at [`Stage::Plan`].
+    fn is_sensing(&self, device: DeviceId) -> bool {
+        let cycle = self.seen.plan.duty_cycle(device);
+        match (self.stage, self.seen.now) {
+            (Stage::Wake, now) => cycle.is_on(now),
+            (Stage::Plan, Tti(0)) => false,
+            (Stage::Plan, Tti(now)) => cycle.is_on(Tti(now - 1)),
+        }
+    }
+
+    fn battery(&self, device: usize) -> f64 {
+        let e_max = self.seen.known.devices[device].energy.e_max;
+        (self.seen.batteries[device].units() / e_max.units()).min(1.0)
+    }
+
+    /// Writes [`DEVICE`] of each device, in the order of ids, into `rows`.
+    ///
+    /// # Panics
+    /// If `rows` is not as long as N times the features.
+    pub fn write_devices(&self, rows: &mut [f32]) {
+        let (seen, memory, known) = (&self.seen, self.memory, self.seen.known);
+        assert_eq!(rows.len(), known.n() * DEVICE.len(), "a row for each device");
+        let is_open = self.stage == Stage::Wake;
+        let of_this_tti = |value: f64| if is_open { value } else { 0.0 };
+        for (j, row) in rows.chunks_exact_mut(DEVICE.len()).enumerate() {
+            let (device, own) = (DeviceId(j as u32), &known.devices[j]);
+            let comes = known.expected_harvest(device, seen.now, seen.now + 1);
+            let values: [f64; DEVICE.len()] = [
+                own.position.x / known.area.width,
+                own.position.y / known.area.height,
+                self.battery(j),
+                flag(seen.can_report(device)),
+                flag(self.is_sensing(device)),
+                flag(self.may_wake(device)),
+                flag(is_open && self.woken[j]),
+                of_this_tti(memory.information(j) / known.sensing.psi),
+                of_this_tti(memory.nearness(j)),
+                bounded(memory.since_sensing(j, seen.now), HALF),
+                bounded(memory.since_report(j, seen.now), HALF_REPORT),
+                stale(memory.staleness(j)),
+                memory.crowd(j),
+                harvest(own.mean_harvest, own.energy.e_idle),
+                harvest(comes, own.energy.e_idle),
+            ];
+            for (place, value) in row.iter_mut().zip(values) {
+                *place = value as f32;
+            }
+        }
+    }
+
+    /// Writes [`GLOBAL`] into `row`.
+    ///
+    /// # Panics
+    /// If `row` has another length.
+    pub fn write_global(&self, row: &mut [f32]) {
+        let (seen, memory, known) = (&self.seen, self.memory, self.seen.known);
+        assert_eq!(row.len(), GLOBAL.len(), "a place for each feature");
+        let (n, psi) = (known.n() as f64, known.sensing.psi);
+        let devices = || (0..known.n() as u32).map(DeviceId);
+        let share = |count: usize| count as f64 / n;
+        let (reports, woken) = match self.stage {
+            Stage::Plan => (0.0, 0),
+            Stage::Wake => (
+                self.heard.len() as f64,
+                self.woken.iter().filter(|woken| **woken).count(),
+            ),
+        };
+        let values: [f64; GLOBAL.len()] = [
+            seen.information / psi,
+            memory.i_min() / psi,
+            known.alpha,
+            (libm::log(n) / 10.0).min(1.0),
+            share(devices().filter(|j| self.is_sensing(*j)).count()),
+            reports / (reports + 1.0),
+            share(woken),
+            (0..known.n()).map(|j| self.battery(j)).sum::<f64>() / n,
+            bounded(memory.since_any_report(seen.now), HALF),
+            stale(memory.staleness_of_all()),
+        ];
+        for (place, value) in row.iter_mut().zip(values) {
+            *place = value as f32;
+        }
+    }
+
+    /// Writes into `mask` what can be answered for each device, in the order of ids: 2 for either, 0 for what would be
+    /// dropped.
+    ///
+    /// # Panics
+    /// If `mask` is not as long as N.
+    pub fn write_mask(&self, mask: &mut [i8]) {
+        assert_eq!(mask.len(), self.woken.len(), "a place for each device");
+        for (j, place) in (0..).zip(mask) {
+            let is_free = match self.stage {
+                Stage::Plan => true,
+                Stage::Wake => self.may_wake(DeviceId(j)),
+            };
+            *place = if is_free { 2 } else { 0 };
+        }
+    }
+}

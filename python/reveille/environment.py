@@ -1,0 +1,175 @@
+"""One environment, for Gymnasium."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from . import _native
+from .scenario import DEVICE_FEATURES, GLOBAL_FEATURES, Setting, overrides
+
+#: The parts of a reward, in the order of the compiled module.
+PARTS = ("asleep", "missed", "information", "woken")
+#: Seeds are drawn below this.
+SEEDS = 2**31 - 1
+
+Observation = dict[str, Any]
+
+
+def observation_space(n: int) -> spaces.Dict:
+    """What is seen of ``n`` devices."""
+    return spaces.Dict(
+        {
+            "device": spaces.Box(0.0, 1.0, (n, len(DEVICE_FEATURES)), np.float32),
+            "globals": spaces.Box(0.0, 1.0, (len(GLOBAL_FEATURES),), np.float32),
+            "stage": spaces.Discrete(2),
+            "action_mask": spaces.Box(0, 2, (n,), np.int8),
+        }
+    )
+
+
+def parts(batch: _native.Batch, at: int) -> dict[str, Any]:
+    """What the last step of environment ``at`` has brought, for ``info``."""
+    row = batch.parts[at]
+    told: dict[str, Any] = {name: float(value) for name, value in zip(PARTS, row, strict=True)}
+    told["tti"] = int(batch.ttis[at])
+    return told
+
+
+class Snapshot:
+    """An environment as it stood. See :meth:`ReveilleEnv.snapshot`."""
+
+    __slots__ = ("_native",)
+
+    def __init__(self, native: _native.Snapshot) -> None:
+        self._native = native
+
+
+class ReveilleEnv(gym.Env[Observation, NDArray[np.int8]]):
+    """The base station's decisions in a run, one step each.
+
+    At **stage 0** the action is δ(k): bit j tells device j to sense in TTI k. At **stage 1**, after a report has come
+    in TTI k, it is whom to wake; the devices are woken in the order of ids, and the stage comes again until the action
+    is all zeros, or nobody is left to wake. Devices that were told to sense, or were woken in this TTI, are not woken:
+    such bits are dropped, never an error.
+
+    An episode is a run of ``ttis`` TTIs. It is truncated at its end, never terminated.
+
+    Observation: a dictionary.
+
+    ==============  ==================  ==========================================================================
+    key             shape and type      meaning
+    ==============  ==================  ==========================================================================
+    ``device``      (N, F) float32      :data:`reveille.DEVICE_FEATURES` of each device, in [0, 1]
+    ``globals``     (G,) float32        :data:`reveille.GLOBAL_FEATURES`, in [0, 1]
+    ``stage``       int64               0 or 1
+    ``action_mask`` (N,) int8           2: either bit; 0: a 1 would be dropped. ``action_space.sample`` takes it
+    ==============  ==================  ==========================================================================
+
+    Nothing is in it that a base station could not know; with ``battery_knowledge="reported"`` not even batteries.
+
+    Reward: at stage 0 the paper's r(k), the share of devices that sleep minus α μ1 times the share of the area that
+    nobody looks at, which is the chance that an event that starts in TTI k is missed in it; at stage 1 the share of
+    r*(k) that this action has brought: μ2 times what Î has gained, as a share of Ψ, minus 1/N for each device that was
+    woken.
+
+    ``info``: the parts of the reward (``asleep``, ``missed``, ``information``, ``woken``, which add up to it), and
+    ``tti``, the TTIs that are closed. That of the last step holds ``digest``, ``metrics``, ``policy_facts``,
+    ``ttis_done`` and ``complete`` of the run as well.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+
+    def __init__(
+        self,
+        scenario: str = "paper",
+        *,
+        devices: int | None = None,
+        ttis: int | None = None,
+        battery_knowledge: str | None = None,
+        mu1: float = 14.0,
+        mu2: float = 1.0,
+        set: Mapping[str, Setting] | None = None,  # noqa: A002
+        render_mode: str | None = None,
+    ) -> None:
+        """Makes an environment.
+
+        :param scenario: a preset, such as ``"paper"``, or a scenario file.
+        :param devices: number of devices N.
+        :param ttis: length of an episode K, TTIs.
+        :param battery_knowledge: ``"reported"`` or ``"oracle"``.
+        :param mu1: weight μ1 of misdetections in the reward, ≥ 0.
+        :param mu2: weight μ2 of information in the reward, ≥ 0.
+        :param set: fields of the scenario by their paths, such as ``{"harvest.lambda": 0.2}``.
+        :param render_mode: nothing is drawn: ``None``.
+        :raises ValueError: the scenario is refused; it says which field, and what is allowed.
+        """
+        if render_mode is not None:
+            raise ValueError(f"render_mode {render_mode!r}: nothing is drawn, it must be None")
+        changes = overrides(set, devices=devices, ttis=ttis, battery_knowledge=battery_knowledge)
+        self.render_mode = None
+        self._batch = _native.Batch(scenario, changes, [0], 1, mu1, mu2)
+        self._is_begun = False
+        self._rests = np.zeros(1, dtype=bool)
+        self.observation_space = observation_space(self._batch.n)
+        self.action_space = spaces.MultiBinary(self._batch.n)
+
+    def _observation(self) -> Observation:
+        batch = self._batch
+        return {
+            "device": batch.devices[0].copy(),
+            "globals": batch.globals[0].copy(),
+            "stage": np.int64(batch.stage[0]),
+            "action_mask": batch.mask[0].copy(),
+        }
+
+    def reset(
+        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begins a run.
+
+        :param seed: the scenario's seed, and that of later ones that are drawn. Without, one is drawn.
+        :param options: ``{"set": {...}}`` sets fields in this episode, on top of those of the environment. The number
+            of devices cannot change.
+        """
+        super().reset(seed=seed)
+        extra = set(options or {}) - {"set"}
+        if extra:
+            raise ValueError(f"options: {sorted(extra)} not known; there is `set`")
+        drawn = int(self.np_random.integers(SEEDS)) if seed is None else seed
+        changes = overrides((options or {}).get("set"))
+        self._batch.reset([0], [drawn], changes)
+        self._is_begun = True
+        return self._observation(), {"seed": drawn, "tti": 0}
+
+    def step(self, action: NDArray[np.int8]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Takes a decision.
+
+        :param action: N zeros and ones.
+        :raises ValueError: it has another shape.
+        """
+        if not self._is_begun:
+            raise gym.error.ResetNeeded("reset the environment before its first step")
+        row = np.ascontiguousarray(action).astype(bool).astype(np.int8).reshape(1, -1)
+        self._batch.step(row, self._rests)
+        ended = bool(self._batch.ended[0])
+        info = parts(self._batch, 0)
+        if ended:
+            info.update(self._batch.outcome(0))
+        return self._observation(), float(self._batch.reward[0]), False, ended, info
+
+    def snapshot(self) -> Snapshot:
+        """The run as it stands, to come back to with :meth:`restore`. Generators of random numbers are not in it."""
+        return Snapshot(self._batch.snapshot(0))
+
+    def restore(self, snapshot: Snapshot) -> Observation:
+        """Goes back to where ``snapshot`` was taken, in this environment or in another of as many devices; any number
+        of times."""
+        self._batch.restore(0, snapshot._native)
+        self._is_begun = True
+        return self._observation()

@@ -1,0 +1,64 @@
+"""How scenarios are named and changed, and what is seen in them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, TypeAlias
+
+from . import _native
+
+#: The value of a scenario's field: as in TOML.
+Setting: TypeAlias = "bool | int | float | str | Sequence[Setting]"
+
+
+class Feature(NamedTuple):
+    """A number in [0, 1] that an observation holds."""
+
+    name: str
+    about: str
+
+
+#: What ``observation["device"][j]`` holds of device j, in this order.
+DEVICE_FEATURES: tuple[Feature, ...] = tuple(Feature(*pair) for pair in _native.features()[0])
+#: What ``observation["globals"]`` holds, in this order.
+GLOBAL_FEATURES: tuple[Feature, ...] = tuple(Feature(*pair) for pair in _native.features()[1])
+
+
+def toml(value: Setting) -> str:
+    """``value`` as TOML writes it."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (int, float)):
+        return repr(value)
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, Sequence):
+        return "[" + ", ".join(toml(part) for part in value) + "]"
+    if hasattr(value, "item"):  # a NumPy number
+        return toml(value.item())
+    raise TypeError(f"{value!r} is no value of a field: a number, a string, a truth value or a list of them")
+
+
+def overrides(
+    changes: Mapping[str, Setting] | None,
+    *,
+    devices: int | None = None,
+    ttis: int | None = None,
+    battery_knowledge: str | None = None,
+    policy: str | None = None,
+    seed: int | None = None,
+) -> list[str]:
+    """Fields to set, as ``path=value``; those with a name of their own after the others."""
+    named: dict[str, Setting | None] = {
+        "devices": devices,
+        "ttis": ttis,
+        "bs.battery_knowledge": battery_knowledge,
+        "policy.name": policy,
+        "seed": seed,
+    }
+    if not isinstance(changes, (Mapping, type(None))):
+        raise TypeError(f"set: {changes!r} is no mapping from paths of fields to values")
+    given = dict(changes or {})
+    given.update({path: value for path, value in named.items() if value is not None})
+    return [f"{path}={toml(value)}" for path, value in given.items()]

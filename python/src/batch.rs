@@ -1,0 +1,283 @@
+//! Environments that step together, and the arrays that they write into.
+
+#![expect(
+    clippy::needless_pass_by_value,
+    reason = "what Python hands over is converted for the call"
+)]
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
+use pyo3::exceptions::{PyIndexError, PyRuntimeError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use reveille_bs::policy::external::{DEVICE, GLOBAL};
+use reveille_common::scenario::Scenario;
+use reveille_lab::gym::{self, Environment, PARTS, Views, Weights};
+
+use crate::runs::told;
+use crate::scenarios::read_external;
+
+/// Environments of equally many devices. Its arrays are written anew by each step.
+#[pyclass(module = "reveille._native", frozen)]
+pub struct Batch {
+    inner: Mutex<gym::Batch>,
+    source: String,
+    set: Vec<String>,
+    weights: Weights,
+    arrays: Arrays,
+}
+
+/// See [`Views`].
+struct Arrays {
+    devices: Py<PyArray3<f32>>,
+    global: Py<PyArray2<f32>>,
+    stage: Py<PyArray1<i64>>,
+    mask: Py<PyArray2<i8>>,
+    reward: Py<PyArray1<f64>>,
+    parts: Py<PyArray2<f64>>,
+    ttis: Py<PyArray1<i64>>,
+    ended: Py<PyArray1<bool>>,
+}
+
+impl Arrays {
+    fn new(py: Python<'_>, k: usize, n: usize) -> Self {
+        Self {
+            devices: PyArray3::zeros(py, [k, n, DEVICE.len()], false).unbind(),
+            global: PyArray2::zeros(py, [k, GLOBAL.len()], false).unbind(),
+            stage: PyArray1::zeros(py, [k], false).unbind(),
+            mask: PyArray2::zeros(py, [k, n], false).unbind(),
+            reward: PyArray1::zeros(py, [k], false).unbind(),
+            parts: PyArray2::zeros(py, [k, PARTS], false).unbind(),
+            ttis: PyArray1::zeros(py, [k], false).unbind(),
+            ended: PyArray1::zeros(py, [k], false).unbind(),
+        }
+    }
+
+    /// Does `work` with the memory of the arrays, while other Python threads may run.
+    fn written(&self, py: Python<'_>, work: impl FnOnce(Views<'_>) + Send) -> PyResult<()> {
+        let mut devices = self.devices.bind(py).try_readwrite()?;
+        let mut global = self.global.bind(py).try_readwrite()?;
+        let mut stage = self.stage.bind(py).try_readwrite()?;
+        let mut mask = self.mask.bind(py).try_readwrite()?;
+        let mut reward = self.reward.bind(py).try_readwrite()?;
+        let mut parts = self.parts.bind(py).try_readwrite()?;
+        let mut ttis = self.ttis.bind(py).try_readwrite()?;
+        let mut ended = self.ended.bind(py).try_readwrite()?;
+        let views = Views {
+            devices: devices.as_slice_mut()?,
+            global: global.as_slice_mut()?,
+            stage: stage.as_slice_mut()?,
+            mask: mask.as_slice_mut()?,
+            reward: reward.as_slice_mut()?,
+            parts: parts.as_slice_mut()?,
+            ttis: ttis.as_slice_mut()?,
+            ended: ended.as_slice_mut()?,
+        };
+        py.detach(|| work(views));
+        Ok(())
+    }
+}
+
+/// An environment as it stood.
+#[pyclass(module = "reveille._native", frozen)]
+pub struct Snapshot {
+    environment: Mutex<Environment>,
+}
+
+fn with_seed(scenario: &Scenario, seed: u64) -> Scenario {
+    Scenario {
+        seed,
+        ..scenario.clone()
+    }
+}
+
+impl Batch {
+    fn lock(&self) -> MutexGuard<'_, gym::Batch> {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn check(at: usize, all: usize) -> PyResult<()> {
+        if at < all {
+            return Ok(());
+        }
+        Err(PyIndexError::new_err(format!("no environment {at}: there are {all}")))
+    }
+
+    fn show(&self, py: Python<'_>) -> PyResult<()> {
+        self.arrays.written(py, |views| self.lock().show(views))
+    }
+}
+
+#[pymethods]
+impl Batch {
+    /// Environments of the scenario `source` with `set` on top, one for each of `seeds`.
+    #[new]
+    #[pyo3(signature = (source, set, seeds, threads, mu1, mu2))]
+    fn new(
+        py: Python<'_>,
+        source: String,
+        set: Vec<String>,
+        seeds: Vec<u64>,
+        threads: usize,
+        mu1: f64,
+        mu2: f64,
+    ) -> PyResult<Self> {
+        if seeds.is_empty() || threads == 0 {
+            return Err(PyValueError::new_err("at least one environment and one thread"));
+        }
+        let scenario = read_external(&source, &set)?;
+        let weights = Weights { mu1, mu2 };
+        let scenarios: Vec<Scenario> = seeds.iter().map(|seed| with_seed(&scenario, *seed)).collect();
+        let inner = py.detach(|| gym::Batch::new(&scenarios, weights, threads));
+        let inner = inner.map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
+        let batch = Self {
+            arrays: Arrays::new(py, seeds.len(), inner.devices()),
+            inner: Mutex::new(inner),
+            source,
+            set,
+            weights,
+        };
+        batch.show(py)?;
+        Ok(batch)
+    }
+
+    /// Begins the environments `which` again, with these seeds and with `set` on top of what was set before.
+    fn reset(&self, py: Python<'_>, which: Vec<usize>, seeds: Vec<u64>, set: Vec<String>) -> PyResult<()> {
+        let set: Vec<String> = self.set.iter().cloned().chain(set).collect();
+        let scenario = read_external(&self.source, &set)?;
+        let (all, devices) = {
+            let inner = self.lock();
+            (inner.len(), inner.devices())
+        };
+        if scenario.devices as usize != devices {
+            let was = format!("the environment was made for {devices} devices, and spaces cannot change");
+            return Err(PyValueError::new_err(format!("devices = {}: {was}", scenario.devices)));
+        }
+        let mut scenarios = vec![None; all];
+        for (at, seed) in which.into_iter().zip(seeds) {
+            Self::check(at, all)?;
+            scenarios[at] = Some(with_seed(&scenario, seed));
+        }
+        py.detach(|| self.lock().reset(scenarios));
+        self.show(py)
+    }
+
+    /// A step of each environment that does not rest.
+    fn step(
+        &self,
+        py: Python<'_>,
+        actions: PyReadonlyArray2<'_, i8>,
+        rests: PyReadonlyArray1<'_, bool>,
+    ) -> PyResult<()> {
+        let shape = [actions.shape()[0], actions.shape()[1], rests.shape()[0]];
+        let expected = {
+            let inner = self.lock();
+            [inner.len(), inner.devices(), inner.len()]
+        };
+        if shape != expected {
+            let [k, n, _] = expected;
+            return Err(PyValueError::new_err(format!(
+                "actions of shape ({}, {}): must be ({k}, {n})",
+                shape[0], shape[1]
+            )));
+        }
+        let (actions, rests) = (actions.as_slice()?, rests.as_slice()?);
+        self.arrays.written(py, |views| self.lock().step(actions, rests, views))
+    }
+
+    /// What the run of environment `at` has come to so far.
+    fn outcome<'py>(&self, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyDict>> {
+        let outcome = {
+            let inner = self.lock();
+            Self::check(at, inner.len())?;
+            inner.environments()[at].outcome()
+        };
+        told(py, &outcome)
+    }
+
+    /// Environment `at` as it stands.
+    fn snapshot(&self, at: usize) -> PyResult<Snapshot> {
+        let inner = self.lock();
+        Self::check(at, inner.len())?;
+        Ok(Snapshot {
+            environment: Mutex::new(inner.environments()[at].branch()),
+        })
+    }
+
+    /// Puts environment `at` where a snapshot was taken.
+    fn restore(&self, py: Python<'_>, at: usize, snapshot: &Snapshot) -> PyResult<()> {
+        let environment = snapshot
+            .environment
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .branch();
+        {
+            let mut inner = self.lock();
+            Self::check(at, inner.len())?;
+            if environment.ground().scenario().devices as usize != inner.devices() {
+                return Err(PyValueError::new_err("the snapshot is of another number of devices"));
+            }
+            inner.put(at, environment);
+        }
+        self.show(py)
+    }
+
+    /// Whether both have the same scenario and weights.
+    fn is_like(&self, other: &Self) -> bool {
+        let sources = (&self.source, &self.set) == (&other.source, &other.set);
+        sources && self.weights == other.weights
+    }
+
+    /// Number of devices N.
+    #[getter]
+    fn n(&self) -> usize {
+        self.lock().devices()
+    }
+
+    /// TTIs of a run K.
+    #[getter]
+    fn length(&self) -> u64 {
+        self.lock().environments()[0].ground().scenario().ttis
+    }
+
+    #[getter]
+    fn devices(&self, py: Python<'_>) -> Py<PyArray3<f32>> {
+        self.arrays.devices.clone_ref(py)
+    }
+
+    #[getter]
+    fn globals(&self, py: Python<'_>) -> Py<PyArray2<f32>> {
+        self.arrays.global.clone_ref(py)
+    }
+
+    #[getter]
+    fn stage(&self, py: Python<'_>) -> Py<PyArray1<i64>> {
+        self.arrays.stage.clone_ref(py)
+    }
+
+    #[getter]
+    fn mask(&self, py: Python<'_>) -> Py<PyArray2<i8>> {
+        self.arrays.mask.clone_ref(py)
+    }
+
+    #[getter]
+    fn reward(&self, py: Python<'_>) -> Py<PyArray1<f64>> {
+        self.arrays.reward.clone_ref(py)
+    }
+
+    #[getter]
+    fn parts(&self, py: Python<'_>) -> Py<PyArray2<f64>> {
+        self.arrays.parts.clone_ref(py)
+    }
+
+    #[getter]
+    fn ttis(&self, py: Python<'_>) -> Py<PyArray1<i64>> {
+        self.arrays.ttis.clone_ref(py)
+    }
+
+    #[getter]
+    fn ended(&self, py: Python<'_>) -> Py<PyArray1<bool>> {
+        self.arrays.ended.clone_ref(py)
+    }
+}

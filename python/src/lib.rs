@@ -1,0 +1,17 @@
+//! The module `reveille._native`: environments, runs and sweeps of `reveille-lab` for Python.
+//!
+//! What is documented for users, with shapes and units, is the package around it, in `python/reveille/`.
+
+mod batch;
+mod runs;
+mod scenarios;
+
+use pyo3::prelude::*;
+
+#[pymodule]
+mod _native {
+    #[pymodule_export]
+    use super::batch::{Batch, Snapshot};
+    #[pymodule_export]
+    use super::runs::{features, policies, run, sweep, watched};
+}

@@ -1,0 +1,150 @@
+//! Runs and sweeps of the policies of the program.
+
+#![expect(
+    clippy::needless_pass_by_value,
+    reason = "what Python hands over is converted for the call"
+)]
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::time::Duration;
+
+use numpy::{PyArray1, PyArrayMethods};
+use pyo3::exceptions::PyRuntimeError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use reveille_bs::outcome::Outcome;
+use reveille_bs::policy::external::{DEVICE, GLOBAL};
+use reveille_bs::policy::registry;
+use reveille_common::io::Disk;
+use reveille_lab::gym::record;
+use reveille_lab::preparation::prepare;
+use reveille_lab::run::{Options, Run};
+use reveille_lab::sweep::{Draft, Grid, Shard, Sweep, SweepError, SweepProgress};
+use reveille_lab::table::Format;
+
+use crate::scenarios::{read, read_external, refused};
+
+/// Time between two looks for Ctrl-C.
+const LOOK: Duration = Duration::from_millis(100);
+
+/// `outcome` as a dictionary.
+pub fn told<'py>(py: Python<'py>, outcome: &Outcome) -> PyResult<Bound<'py, PyDict>> {
+    let metrics = PyDict::new(py);
+    for (name, value, _) in outcome.metrics.rows() {
+        metrics.set_item(name, value)?;
+    }
+    let facts = PyDict::new(py);
+    for (name, value) in &outcome.facts {
+        facts.set_item(name, value)?;
+    }
+    let told = PyDict::new(py);
+    told.set_item("digest", outcome.digest.to_string())?;
+    told.set_item("metrics", metrics)?;
+    told.set_item("policy_facts", facts)?;
+    told.set_item("ttis_done", outcome.ttis_done)?;
+    told.set_item("complete", outcome.complete)?;
+    Ok(told)
+}
+
+/// The names of the policies that decide by themselves.
+#[pyfunction]
+pub fn policies() -> Vec<&'static str> {
+    registry::names().collect()
+}
+
+/// Name and meaning of the features of devices, and of those of all.
+#[pyfunction]
+pub fn features() -> [Vec<(&'static str, &'static str)>; 2] {
+    let pairs = |features: &[reveille_bs::policy::external::Feature]| {
+        features.iter().map(|feature| (feature.name, feature.about)).collect()
+    };
+    [pairs(&DEVICE), pairs(&GLOBAL)]
+}
+
+/// The run of a scenario.
+#[pyfunction]
+pub fn run<'py>(py: Python<'py>, source: &str, set: Vec<String>) -> PyResult<Bound<'py, PyDict>> {
+    let scenario = read(source, &set)?;
+    if registry::named(scenario.policy.name()).is_none() {
+        return Err(refused(
+            "policy external: decisions come from an environment, not from a run",
+        ));
+    }
+    let outcome = py.detach(|| Run::new(&prepare(&scenario), Options::default()).finish(&mut ()));
+    told(py, &outcome)
+}
+
+/// The run of a scenario, with the actions of an environment that does the same.
+#[pyfunction]
+pub fn watched<'py>(py: Python<'py>, source: &str, set: Vec<String>) -> PyResult<Bound<'py, PyDict>> {
+    let (scenario, outside) = (read(source, &set)?, read_external(source, &set)?);
+    if registry::named(scenario.policy.name()).is_none() {
+        return Err(refused(
+            "policy external: decisions come from an environment, not from a run",
+        ));
+    }
+    let actions = py.detach(|| record(&scenario, &outside));
+    let actions = actions.ok_or_else(|| refused("genie: it wakes devices before anything is heard"))?;
+    let all = told(py, &actions.own)?;
+    let n = scenario.devices as usize;
+    let rows = PyArray1::from_vec(py, actions.rows).reshape([actions.stages.len(), n])?;
+    all.set_item("actions", rows)?;
+    all.set_item("stages", PyArray1::from_vec(py, actions.stages))?;
+    all.set_item("stepped", told(py, &actions.stepped)?)?;
+    Ok(all)
+}
+
+/// A sweep that Ctrl-C stops.
+struct Progress<'a>(&'a AtomicBool);
+
+impl SweepProgress for Progress<'_> {
+    fn planned(&self, _: usize, _: u64) {}
+    fn started(&self, _: usize) {}
+    fn finished(&self, _: usize) {}
+
+    fn stop(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+/// Makes the runs of the experiment `text`, which is TOML, in `folder`. Gives the path of its table.
+#[pyfunction]
+pub fn sweep(py: Python<'_>, text: &str, folder: PathBuf, threads: usize) -> PyResult<PathBuf> {
+    let draft = Draft::parse(text, "the experiment", Path::new("")).map_err(refused)?;
+    let grid = Grid::new(draft.finish().map_err(refused)?, &Disk).map_err(refused)?;
+    let stop = AtomicBool::new(false);
+    let work = || -> Result<Option<PathBuf>, SweepError> {
+        let mut sweep = Sweep::open(&grid, Shard::WHOLE, &folder)?;
+        let finished = sweep.run(threads.max(1), Format::Parquet, &Progress(&stop))?;
+        Ok(finished.map(|finished| finished.path))
+    };
+    let done = std::thread::scope(|scope| -> PyResult<Result<Option<PathBuf>, SweepError>> {
+        let (tell, mut told) = channel();
+        scope.spawn(move || {
+            // Nobody is told where Ctrl-C has ended the wait.
+            let _ = tell.send(work());
+        });
+        let mut interrupted = None;
+        loop {
+            let answer;
+            (told, answer) = py.detach(move || {
+                let answer = told.recv_timeout(LOOK);
+                (told, answer)
+            });
+            match answer {
+                Ok(done) => return interrupted.map_or(Ok(done), Err),
+                Err(RecvTimeoutError::Timeout) => {
+                    if let Err(error) = py.check_signals() {
+                        stop.store(true, Ordering::Relaxed);
+                        interrupted = Some(error);
+                    }
+                }
+                Err(RecvTimeoutError::Disconnected) => return Err(PyRuntimeError::new_err("the sweep has failed")),
+            }
+        }
+    })?;
+    done.map_err(refused)?
+        .ok_or_else(|| PyRuntimeError::new_err("the sweep was stopped"))
+}
