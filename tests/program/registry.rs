@@ -38,6 +38,7 @@ fn entries_are_for_their_owner_alone() {
     assert_eq!(mode(&folder, REGISTRY), 0o700);
     assert_eq!(mode(&folder, &format!("{REGISTRY}/{entry}")), 0o600);
     // What was there before under this name is not written into.
+    bs.wait_for_handlers();
     bs.signal(Signal::INT);
     assert_eq!(bs.finish().code(), Some(130));
 }
