@@ -33,6 +33,25 @@ def observation_space(n: int) -> spaces.Dict:
     )
 
 
+def make_batch(
+    scenario: str,
+    set: Mapping[str, Setting] | None,  # noqa: A002
+    fields: Mapping[str, Setting | None],
+    weights: tuple[float, float],
+    render_mode: str | None,
+    num_envs: int = 1,
+    threads: int = 1,
+) -> _native.Batch:
+    """The environments in Rust, with the arguments that all classes of environments share; what ``fields`` say
+    goes before what ``set`` says of the same field.
+
+    :raises ValueError: the scenario is refused, or something is to be drawn.
+    """
+    if render_mode is not None:
+        raise ValueError(f"render_mode {render_mode!r}: nothing is drawn, it must be None")
+    return _native.Batch(scenario, overrides(set, **fields), list(range(num_envs)), threads, *weights)
+
+
 def parts(batch: _native.Batch, at: int) -> dict[str, Any]:
     """What the last step of environment ``at`` has brought, for ``info``."""
     row = batch.parts[at]
@@ -109,11 +128,9 @@ class ReveilleEnv(gym.Env[Observation, NDArray[np.int8]]):
         :param render_mode: nothing is drawn: ``None``.
         :raises ValueError: the scenario is refused; it says which field, and what is allowed.
         """
-        if render_mode is not None:
-            raise ValueError(f"render_mode {render_mode!r}: nothing is drawn, it must be None")
-        changes = overrides(set, devices=devices, ttis=ttis, battery_knowledge=battery_knowledge)
+        fields = {"devices": devices, "ttis": ttis, "battery_knowledge": battery_knowledge}
+        self._batch = make_batch(scenario, set, fields, (mu1, mu2), render_mode)
         self.render_mode = None
-        self._batch = _native.Batch(scenario, changes, [0], 1, mu1, mu2)
         self._is_begun = False
         self._rests = np.zeros(1, dtype=bool)
         self.observation_space = observation_space(self._batch.n)

@@ -10,8 +10,7 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
-from . import _native
-from .environment import SEEDS, Observation, parts
+from .environment import SEEDS, Observation, make_batch, parts
 from .scenario import DEVICE_FEATURES, GLOBAL_FEATURES, Setting, overrides
 
 
@@ -40,11 +39,9 @@ class ReveilleParallelEnv(ParallelEnv[str, Observation, int]):
         render_mode: str | None = None,
     ) -> None:
         """As :class:`reveille.environment.ReveilleEnv`."""
-        if render_mode is not None:
-            raise ValueError(f"render_mode {render_mode!r}: nothing is drawn, it must be None")
-        changes = overrides(set, devices=devices, ttis=ttis, battery_knowledge=battery_knowledge)
+        fields = {"devices": devices, "ttis": ttis, "battery_knowledge": battery_knowledge}
+        self._batch = make_batch(scenario, set, fields, (mu1, mu2), render_mode)
         self.render_mode = None
-        self._batch = _native.Batch(scenario, changes, [0], 1, mu1, mu2)
         self._rests = np.zeros(1, dtype=bool)
         self._random, _ = seeding.np_random()
         self.possible_agents = [f"device_{j}" for j in range(self._batch.n)]

@@ -12,8 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from . import _native
-from .environment import PARTS, SEEDS, Observation, observation_space
+from .environment import PARTS, SEEDS, Observation, make_batch, observation_space
 from .scenario import Setting, overrides
 
 
@@ -54,8 +53,6 @@ class ReveilleVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
 
         The others are those of :class:`reveille.environment.ReveilleEnv`.
         """
-        if render_mode is not None:
-            raise ValueError(f"render_mode {render_mode!r}: nothing is drawn, it must be None")
         modes = {"next_step": AutoresetMode.NEXT_STEP, "disabled": AutoresetMode.DISABLED}
         if autoreset not in modes:
             raise ValueError(f"autoreset {autoreset!r}: must be one of {sorted(modes)}")
@@ -66,9 +63,9 @@ class ReveilleVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         self.num_envs = num_envs
         self.copy = copy
         self._autoresets = autoreset == "next_step"
-        changes = overrides(set, devices=devices, ttis=ttis, battery_knowledge=battery_knowledge)
+        fields = {"devices": devices, "ttis": ttis, "battery_knowledge": battery_knowledge}
         threads = threads or min(num_envs, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1)
-        self._batch = _native.Batch(scenario, changes, list(range(num_envs)), threads, mu1, mu2)
+        self._batch = make_batch(scenario, set, fields, (mu1, mu2), render_mode, num_envs, threads)
         self._ended = np.zeros(num_envs, dtype=bool)
         self._changes: list[str] = []
         self._randoms = [np.random.default_rng() for _ in range(num_envs)]
