@@ -10,7 +10,8 @@ use crate::grids::Grids;
 use crate::knowledge::Knowledge;
 use crate::policy::contract::Opaque;
 use crate::policy::mind::Mind;
-use crate::policy::registry::{self, POLICIES, Registry};
+use crate::policy::outside;
+use crate::policy::registry::{self, Registry};
 
 /// A scenario put on the ground, with what its policy asked to be found out before.
 #[derive(Clone, Debug)]
@@ -32,9 +33,9 @@ pub struct Prepared {
 }
 
 impl Prepared {
-    /// `scenario` on its ground, for a policy of this program that needs no pilot runs.
+    /// `scenario` on its ground, for a policy of this program that needs no pilot runs, or for `external`.
     pub fn without_pilots(scenario: &Scenario) -> Self {
-        Self::with_policies(scenario, POLICIES)
+        Self::with_policies(scenario, outside::registry_of(&scenario.policy))
     }
 
     /// `scenario` on its ground, for one of `policies` that needs no pilot runs.

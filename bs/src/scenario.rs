@@ -9,7 +9,7 @@ mod disk;
 #[cfg(test)]
 mod tests;
 
-pub use disk::{load, parse};
+pub use disk::{load, load_outside, parse};
 
 /// Loads the scenario `source`, a preset's name or the path of a scenario file, with `overrides` on top; `files` opens
 /// what it names.

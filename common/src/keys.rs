@@ -9,6 +9,7 @@
 //! | `…/{plane}/{kind}/{host}/{token}` | what a host sends: reports and answers |
 //! | `…/emu/alive/{host}/{token}` | liveliness tokens of hosts |
 //! | `reveille/{run}/emu/bs` | the liveliness token of the BS |
+//! | `reveille/{run}/policy/v1` | what a program outside is asked to decide, BS → policy process |
 //! | `reveille/{run}/tap` | [`TapBatch`](crate::message::TapBatch), BS → observers |
 //!
 //! The secret is told to hosts with their places, the token to one host alone. No wildcard of zenoh matches a part of a
@@ -143,6 +144,11 @@ impl Keys {
     /// The liveliness tokens of the BSs of all runs.
     pub fn any_bs() -> &'static str {
         "reveille/*/emu/bs"
+    }
+
+    /// The policy port. It ends with the version of what is spoken there, of which all that follow can be told apart.
+    pub fn policy(&self) -> String {
+        format!("reveille/{}/policy/v1", self.run)
     }
 
     /// The copies of all traffic for observers.

@@ -12,6 +12,7 @@ pub mod declare;
 pub mod deployment;
 pub mod energy;
 pub mod event;
+pub mod forms;
 pub mod geometry;
 pub mod harvest;
 pub mod ids;

@@ -1,19 +1,24 @@
-//! The inputs of a run in its folder: `inputs.log`. A line is on the disk before the run goes on from what it says, so
-//! that a replay of the run comes to the same.
+//! The inputs of a run in its folder: `inputs.log`. A line is written before the run goes on from what it says, so that
+//! a replay of the run comes to the same, whatever is killed. An outage is on the disk then; of decisions, of which there
+//! may be thousands in a second, a power cut can take the last second.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use reveille_common::message::Outage;
 use reveille_common::scenario::Scenario;
-use reveille_lab::inputs;
+use reveille_lab::inputs::{self, Input, Inputs};
+
+use crate::wall::now;
 
 /// The file in a run folder.
 pub const INPUTS: &str = "inputs.log";
 /// What is said of a log of which not all comes to pass.
-pub const MISFIT: &str = "inputs.log names an outage that does not come in this run: was it changed?";
+pub const MISFIT: &str = "inputs.log names an outage or a decision that does not come in this run: was it changed?";
+/// Time between two moments at which decisions are on the disk.
+const SYNC: Duration = Duration::from_secs(1);
 
 /// The log of a run.
 #[derive(Debug)]
@@ -22,6 +27,7 @@ pub struct InputLog {
     first_line: String,
     /// Once there is something in it.
     file: Option<File>,
+    synced: Instant,
 }
 
 impl InputLog {
@@ -31,23 +37,39 @@ impl InputLog {
             path: folder.join(INPUTS),
             first_line: inputs::first_line(scenario),
             file: None,
+            synced: now(),
         }
     }
 
-    /// Adds an outage.
+    /// Adds an input.
     ///
     /// # Errors
     /// It cannot be written.
-    pub fn add(&mut self, outage: &Outage) -> anyhow::Result<()> {
-        let written = self.write(outage);
+    pub fn add(&mut self, input: &Input) -> anyhow::Result<()> {
+        let written = self.write(input);
         written.with_context(|| format!("cannot write {}", self.path.display()))
     }
 
-    fn write(&mut self, outage: &Outage) -> io::Result<()> {
+    /// Adds each of these.
+    ///
+    /// # Errors
+    /// They cannot be written.
+    pub fn add_all(&mut self, inputs: &Inputs) -> anyhow::Result<()> {
+        inputs.iter().try_for_each(|input| self.add(&input))
+    }
+
+    fn write(&mut self, input: &Input) -> io::Result<()> {
         let opened = self.file.take();
         let mut file = opened.map_or_else(|| self.open(), Ok)?;
-        file.write_all(inputs::line(outage).as_bytes())?;
-        file.sync_data()?;
+        file.write_all(inputs::line(input).as_bytes())?;
+        let is_due = match input {
+            Input::Outage(_) => true,
+            Input::Decision(_) => self.synced.elapsed() >= SYNC,
+        };
+        if is_due {
+            file.sync_data()?;
+            self.synced = now();
+        }
         self.file = Some(file);
         Ok(())
     }
@@ -79,10 +101,10 @@ impl InputLog {
 ///
 /// # Errors
 /// As of [`read`].
-pub fn of_folder(folder: &Path, scenario: &Scenario) -> anyhow::Result<Vec<Outage>> {
+pub fn of_folder(folder: &Path, scenario: &Scenario) -> anyhow::Result<Inputs> {
     let path = folder.join(INPUTS);
     match std::fs::symlink_metadata(&path) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Vec::new()),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Inputs::default()),
         Ok(_) | Err(_) => read(&path, scenario),
     }
 }
@@ -91,7 +113,7 @@ pub fn of_folder(folder: &Path, scenario: &Scenario) -> anyhow::Result<Vec<Outag
 ///
 /// # Errors
 /// It cannot be read, is no log, or is that of a run of another scenario.
-pub fn read(path: &Path, scenario: &Scenario) -> anyhow::Result<Vec<Outage>> {
+pub fn read(path: &Path, scenario: &Scenario) -> anyhow::Result<Inputs> {
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
     inputs::parse(&text, scenario).with_context(|| path.display().to_string())
 }

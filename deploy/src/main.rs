@@ -10,6 +10,7 @@ mod claim;
 mod cli;
 mod commands;
 mod dashboard;
+mod decider;
 mod display;
 mod ending;
 mod exit;

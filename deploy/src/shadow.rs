@@ -13,11 +13,13 @@ use std::time::{Duration, Instant};
 use reveille_bs::host::{Progress, Replay};
 use reveille_bs::observe::{Happening, Observer};
 use reveille_bs::outcome::Outcome;
+use reveille_bs::policy::external::Answered;
 use reveille_bs::prepared::Prepared;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Checkpoint, Frame, Outage};
 use reveille_common::totals::Ledger;
 use reveille_common::units::Energy;
+use reveille_lab::inputs::{Input, Inputs};
 use reveille_lab::shadow::{Difference, Noting, Shadow};
 
 use crate::cli::AuditArg;
@@ -64,11 +66,24 @@ type Batch = (Tti, Vec<Frame>);
 pub struct Shared {
     shadow: Arc<Mutex<Shadow>>,
     log: Arc<Mutex<InputLog>>,
+    /// Decisions that the shadow has not been told: the run does not wait for it.
+    decided: Arc<Mutex<Vec<Answered>>>,
 }
 
 impl Shared {
+    /// The shadow, which knows all that has been decided.
     fn lock(&self) -> MutexGuard<'_, Shadow> {
-        self.shadow.lock().unwrap_or_else(PoisonError::into_inner)
+        let mut shadow = self.shadow.lock().unwrap_or_else(PoisonError::into_inner);
+        let decided = std::mem::take(&mut *self.decided.lock().unwrap_or_else(PoisonError::into_inner));
+        decided
+            .into_iter()
+            .for_each(|decision| shadow.hear(Input::Decision(decision)));
+        shadow
+    }
+
+    fn log(&self, input: &Input) -> Result<(), String> {
+        let mut log = self.log.lock().unwrap_or_else(PoisonError::into_inner);
+        log.add(input).map_err(|error| format!("{error:#}"))
     }
 }
 
@@ -86,9 +101,21 @@ impl Replay for Shared {
     }
 
     fn lose(&self, outage: &Outage) -> Result<(), String> {
-        let mut log = self.log.lock().unwrap_or_else(PoisonError::into_inner);
-        log.add(outage).map_err(|error| format!("{error:#}"))?;
-        self.lock().lose(*outage);
+        let input = Input::Outage(*outage);
+        self.log(&input)?;
+        self.lock().hear(input);
+        Ok(())
+    }
+
+    fn decided(&self, decision: Answered) -> Result<(), String> {
+        let input = Input::Decision(decision);
+        self.log(&input)?;
+        if let Input::Decision(decision) = input {
+            self.decided
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .push(decision);
+        }
         Ok(())
     }
 }
@@ -97,8 +124,8 @@ impl Replay for Shared {
 pub struct Beginning<'a> {
     /// Its first TTI there.
     pub from: Tti,
-    /// Outages that it has had before.
-    pub outages: &'a [Outage],
+    /// What it has had of inputs before.
+    pub inputs: &'a Inputs,
     /// Where those that come are kept.
     pub log: InputLog,
 }
@@ -131,8 +158,9 @@ impl Auditor {
         let is_audited = how != AuditArg::Off;
         let from = if is_audited { start.from } else { Tti::NEVER };
         let shadow = Shared {
-            shadow: Arc::new(Mutex::new(Shadow::new(prepared, start.outages, from))),
+            shadow: Arc::new(Mutex::new(Shadow::new(prepared, start.inputs, from))),
             log: Arc::new(Mutex::new(start.log)),
+            decided: Arc::default(),
         };
         let flow = Arc::new(Flow::default());
         let begun = now();

@@ -112,6 +112,12 @@ pub struct Timing {
     pub malformed: u64,
     /// Messages on the bus that nobody waited for, or that could not be true, and were dropped.
     pub strays: u64,
+    /// Decisions of a policy process, under `external`.
+    pub decisions: u64,
+    /// Its answers that decided nothing, or came after the one that counted.
+    pub decisions_refused: u64,
+    /// Decisions that nobody made in time: the plan in force held, or nobody was woken.
+    pub decisions_held: u64,
     /// Times that a device process was lost and its devices were carried again.
     pub losses: usize,
     /// The longest of those, seconds.

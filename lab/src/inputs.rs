@@ -1,14 +1,17 @@
 //! What a run depends on beside scenario and seed, as text: a line for each such input, in the order in which they
 //! came.
 //!
-//! So far these are outages, of devices whose process was lost under `--on-loss continue`.
+//! These are outages, of devices whose process was lost under `--on-loss continue`, and decisions from outside.
 
+use reveille_bs::policy::external::{Answer, Answered, Decision};
+use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Outage;
+use reveille_common::plan::{DutyCycle, Plan};
 use reveille_common::scenario::Scenario;
 use serde::{Deserialize, Serialize};
 
 /// The form of the text.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 /// Why a text is no log of inputs.
 #[derive(Debug, thiserror::Error)]
@@ -33,6 +36,51 @@ pub enum InputsError {
     /// There can have been no such outage.
     #[error("line {0} is an outage that cannot have come then")]
     Outage(usize),
+    /// There can have been no such decision.
+    #[error("line {0} is a decision that nobody can have made then")]
+    Decision(usize),
+}
+
+/// An input.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Input {
+    /// Devices went.
+    Outage(Outage),
+    /// Somebody outside decided.
+    Decision(Answered),
+}
+
+/// All inputs of a run, each kind in the order in which they came.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Inputs {
+    /// Outages.
+    pub outages: Vec<Outage>,
+    /// Decisions.
+    pub decisions: Vec<Answered>,
+}
+
+impl Inputs {
+    /// Outages alone.
+    pub fn of_outages(outages: &[Outage]) -> Self {
+        Self {
+            outages: outages.to_vec(),
+            decisions: Vec::new(),
+        }
+    }
+
+    /// One more, the last of its kind.
+    pub fn add(&mut self, input: Input) {
+        match input {
+            Input::Outage(outage) => self.outages.push(outage),
+            Input::Decision(decision) => self.decisions.push(decision),
+        }
+    }
+
+    /// Each of them.
+    pub fn iter(&self) -> impl Iterator<Item = Input> {
+        let outages = self.outages.iter().copied().map(Input::Outage);
+        outages.chain(self.decisions.iter().cloned().map(Input::Decision))
+    }
 }
 
 /// A line.
@@ -45,11 +93,54 @@ enum Entry {
         scenario_hash: String,
     },
     Outage(Outage),
+    /// Who senses from TTI `tti` on; what is asked next for a plan is TTI `next`.
+    Sense {
+        tti: u64,
+        devices: Vec<u32>,
+        next: u64,
+    },
+    /// The same, as `t_on`, `t_drx` and offset of each device.
+    Cycles {
+        tti: u64,
+        devices: Vec<[u32; 3]>,
+        next: u64,
+    },
+    /// Who is woken in TTI `tti`, in this order.
+    Wake {
+        tti: u64,
+        devices: Vec<u32>,
+    },
 }
 
 impl Entry {
     fn line(&self) -> String {
         serde_json::to_string(self).expect("an entry is JSON") + "\n"
+    }
+}
+
+impl From<&Answered> for Entry {
+    fn from(Answered { tti: Tti(tti), answer }: &Answered) -> Self {
+        let tti = *tti;
+        match answer {
+            Answer::Wake(devices) => Self::Wake {
+                tti,
+                devices: devices.iter().map(|device| device.0).collect(),
+            },
+            Answer::Plan(Decision { plan, next }) => match plan {
+                Plan::Bits { bits } => Self::Sense {
+                    tti,
+                    devices: (0..bits.len() as u32 * 8)
+                        .filter(|j| bits[*j as usize / 8] >> (j % 8) & 1 == 1)
+                        .collect(),
+                    next: next.0,
+                },
+                Plan::Periodic(cycles) => Self::Cycles {
+                    tti,
+                    devices: cycles.iter().map(|c| [c.t_on, c.t_drx, c.offset]).collect(),
+                    next: next.0,
+                },
+            },
+        }
     }
 }
 
@@ -62,9 +153,12 @@ pub fn first_line(scenario: &Scenario) -> String {
     first.line()
 }
 
-/// The line of an outage.
-pub fn line(outage: &Outage) -> String {
-    Entry::Outage(*outage).line()
+/// The line of an input.
+pub fn line(input: &Input) -> String {
+    match input {
+        Input::Outage(outage) => Entry::Outage(*outage).line(),
+        Input::Decision(decision) => Entry::from(decision).line(),
+    }
 }
 
 /// The whole lines of a log. The last one of a run that was killed may not be whole; nothing depends on that.
@@ -76,27 +170,58 @@ pub fn whole(text: &str) -> &str {
 ///
 /// # Errors
 /// It is no log, that of a run of another scenario, or says what cannot have come.
-pub fn parse(text: &str, scenario: &Scenario) -> Result<Vec<Outage>, InputsError> {
-    let mut outages: Vec<Outage> = Vec::new();
+pub fn parse(text: &str, scenario: &Scenario) -> Result<Inputs, InputsError> {
+    let mut inputs = Inputs::default();
     let mut has_begun = false;
     for (number, text) in (1..).zip(whole(text).lines()) {
         let entry = serde_json::from_str(text).map_err(|source| InputsError::Line { line: number, source })?;
-        match entry {
-            Entry::Inputs { version, .. } if version != VERSION => return Err(InputsError::Version),
+        let decision = match entry {
+            Entry::Inputs { version, .. } if !(1..=VERSION).contains(&version) => return Err(InputsError::Version),
             Entry::Inputs { scenario_hash, .. } if scenario_hash != scenario.hash_hex() => {
                 return Err(InputsError::Scenario);
             }
-            Entry::Inputs { .. } => has_begun = true,
-            Entry::Outage(_) if !has_begun => return Err(InputsError::Headless(number)),
+            Entry::Inputs { .. } => {
+                has_begun = true;
+                continue;
+            }
+            _ if !has_begun => return Err(InputsError::Headless(number)),
             Entry::Outage(outage) => {
-                if !may_come(&outage, &outages, scenario) {
+                if !may_come(&outage, &inputs.outages, scenario) {
                     return Err(InputsError::Outage(number));
                 }
-                outages.push(outage);
+                inputs.outages.push(outage);
+                continue;
             }
-        }
+            Entry::Sense { tti, devices, next } => chosen(&devices, scenario).map(|devices| {
+                let plan = Plan::from_chosen(scenario.devices as usize, &devices);
+                (tti, Answer::Plan(Decision { plan, next: Tti(next) }))
+            }),
+            Entry::Cycles { tti, devices, next } => cycles(&devices, scenario).map(|cycles| {
+                let plan = Plan::Periodic(cycles);
+                (tti, Answer::Plan(Decision { plan, next: Tti(next) }))
+            }),
+            Entry::Wake { tti, devices } => chosen(&devices, scenario).map(|devices| (tti, Answer::Wake(devices))),
+        };
+        let decision = decision.map(|(tti, answer)| Answered { tti: Tti(tti), answer });
+        let decision = decision.filter(|decision| may_be_made(decision, inputs.decisions.last(), scenario));
+        inputs.decisions.push(decision.ok_or(InputsError::Decision(number))?);
     }
-    Ok(outages)
+    Ok(inputs)
+}
+
+/// These devices, if all are there.
+fn chosen(devices: &[u32], scenario: &Scenario) -> Option<Vec<DeviceId>> {
+    let is_there = devices.iter().all(|device| *device < scenario.devices);
+    is_there.then(|| devices.iter().copied().map(DeviceId).collect())
+}
+
+/// These cycles, if there is one for each device.
+fn cycles(devices: &[[u32; 3]], scenario: &Scenario) -> Option<Vec<DutyCycle>> {
+    let cycles = devices
+        .iter()
+        .map(|&[t_on, t_drx, offset]| DutyCycle { t_on, t_drx, offset });
+    let cycles: Vec<DutyCycle> = cycles.filter(|cycle| cycle.is_valid()).collect();
+    (cycles.len() == devices.len() && devices.len() == scenario.devices as usize).then_some(cycles)
 }
 
 /// Whether `outage` may come after those `before`.
@@ -105,6 +230,18 @@ fn may_come(outage: &Outage, before: &[Outage], scenario: &Scenario) -> bool {
     let is_next = before.last().is_none_or(|last| order(last) <= order(outage));
     let is_apart = |other: &Outage| other.last() < outage.first || outage.last() < other.first;
     outage.is_sound(scenario.devices) && outage.tti.0 < scenario.ttis && is_next && before.iter().all(is_apart)
+}
+
+/// Whether `decision` may be made after the one `before`: a run begins with a plan, and there is one in a TTI.
+fn may_be_made(decision: &Answered, before: Option<&Answered>, scenario: &Scenario) -> bool {
+    let Some(before) = before else {
+        return decision.tti == Tti::ZERO && matches!(decision.answer, Answer::Plan(_));
+    };
+    let is_later = match decision.answer {
+        Answer::Plan(Decision { next, .. }) => decision.tti > before.tti && next > decision.tti,
+        Answer::Wake(_) => decision.tti >= before.tti,
+    };
+    is_later && decision.tti.0 < scenario.ttis
 }
 
 #[cfg(test)]
@@ -123,18 +260,46 @@ mod tests {
         }
     }
 
-    /// What is read of a log of these outages, whose last line is torn.
-    fn written_and_read(outages: &[Outage]) -> Result<Vec<Outage>, InputsError> {
+    /// What is read of a log of these inputs, whose last line is torn.
+    fn written_and_read(inputs: &[Input]) -> Result<Inputs, InputsError> {
         let scenario = load("quick", &[]).expect("a preset");
-        let lines: String = outages.iter().map(line).collect();
+        let lines: String = inputs.iter().map(line).collect();
         parse(&format!("{}{lines}{{\"outage\":", first_line(&scenario)), &scenario)
+    }
+
+    fn plan(tti: u64, plan: Plan, next: u64) -> Answered {
+        let next = Tti(next);
+        let answer = Answer::Plan(Decision { plan, next });
+        Answered { tti: Tti(tti), answer }
+    }
+
+    fn wake(tti: u64, devices: &[u32]) -> Answered {
+        let answer = Answer::Wake(devices.iter().copied().map(DeviceId).collect());
+        Answered { tti: Tti(tti), answer }
+    }
+
+    /// A plan of the right size, in which device `j` senses.
+    fn bits(j: u32) -> Plan {
+        let devices = load("quick", &[]).expect("a preset").devices;
+        Plan::from_chosen(devices as usize, &[DeviceId(j)])
     }
 
     #[test]
     fn a_log_is_read_up_to_its_last_whole_line() {
-        let outages = [outage(3, 2, 5), outage(0, 3, 5), outage(9, 1, 80)];
-        assert_eq!(written_and_read(&outages).expect("a log"), outages);
-        assert!(written_and_read(&[]).expect("a log").is_empty());
+        let devices = load("quick", &[]).expect("a preset").devices as usize;
+        let inputs = Inputs {
+            outages: vec![outage(3, 2, 5), outage(0, 3, 5), outage(9, 1, 80)],
+            decisions: vec![
+                plan(0, bits(3), 1),
+                wake(0, &[7, 2]),
+                wake(0, &[]),
+                plan(1, Plan::Periodic(vec![DutyCycle::SENSING; devices]), u64::MAX),
+                wake(60, &[1]),
+            ],
+        };
+        let all: Vec<Input> = inputs.iter().collect();
+        assert_eq!(written_and_read(&all).expect("a log"), inputs);
+        assert_eq!(written_and_read(&[]).expect("a log"), Inputs::default());
     }
 
     #[test]
@@ -148,15 +313,35 @@ mod tests {
             vec![outage(3, 2, 5), outage(0, 1, 4)],
         ];
         for outages in impossible {
+            let outages: Vec<Input> = outages.into_iter().map(Input::Outage).collect();
             let refused = written_and_read(&outages).expect_err("impossible");
             assert!(matches!(refused, InputsError::Outage(_)), "{refused}");
+        }
+        let first = || plan(0, bits(3), 1);
+        let impossible = [
+            vec![plan(1, bits(3), 2)],
+            vec![wake(0, &[1])],
+            vec![first(), plan(0, bits(3), 1)],
+            vec![first(), plan(1, bits(3), 1)],
+            vec![first(), wake(1, &[1]), plan(1, bits(3), 2)],
+            vec![first(), wake(0, &[u32::MAX])],
+            vec![first(), plan(1, Plan::Periodic(vec![DutyCycle::SENSING]), 2)],
+            vec![first(), plan(u64::MAX, bits(3), 2)],
+        ];
+        for decisions in impossible {
+            let decisions: Vec<Input> = decisions.into_iter().map(Input::Decision).collect();
+            let refused = written_and_read(&decisions).expect_err("impossible");
+            assert!(matches!(refused, InputsError::Decision(_)), "{refused}");
         }
         let scenario = load("quick", &[]).expect("a preset");
         let of = |text: &str| parse(text, &scenario).expect_err("no log of this run");
         assert!(matches!(of("{}\n"), InputsError::Line { line: 1, .. }));
-        assert!(matches!(of(&line(&outage(0, 1, 1))), InputsError::Headless(1)));
+        assert!(matches!(
+            of(&line(&Input::Outage(outage(0, 1, 1)))),
+            InputsError::Headless(1)
+        ));
         let other = |version| format!("{{\"inputs\":{{\"version\":{version},\"scenario_hash\":\"00\"}}}}\n");
-        assert!(matches!(of(&other(1)), InputsError::Scenario));
-        assert!(matches!(of(&other(2)), InputsError::Version));
+        assert!(matches!(of(&other(VERSION)), InputsError::Scenario));
+        assert!(matches!(of(&other(VERSION + 1)), InputsError::Version));
     }
 }

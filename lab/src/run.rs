@@ -4,7 +4,7 @@ use reveille_bs::boundaries::Boundaries;
 use reveille_bs::cycle::{Asking, Cycle, Step};
 use reveille_bs::observe::{Happening, Observer};
 use reveille_bs::outcome::Outcome;
-use reveille_bs::policy::external::Decision;
+use reveille_bs::policy::external::{Answered, Decision};
 use reveille_bs::prepared::Prepared;
 use reveille_bs::taken::{Start, Taken};
 use reveille_common::event::Stimulus;
@@ -18,6 +18,7 @@ use reveille_common::world::World;
 use reveille_device::machine::{Machine, Physics, Sensed};
 
 use crate::coming::Coming;
+use crate::inputs::{Input, Inputs};
 
 /// How to run; none of it changes the outcome.
 #[derive(Clone, Copy, Debug)]
@@ -47,6 +48,9 @@ pub struct Run {
     accounts: Accounts,
     options: Options,
     coming: Coming,
+    is_undecided: bool,
+    /// Decisions from outside that were asked for.
+    decisions: u64,
     /// The TTI from which the plan in force holds.
     plan_from: Option<Tti>,
     /// The last boundary whose sums were taken.
@@ -116,6 +120,8 @@ impl Run {
             boundaries,
             options,
             coming: Coming::default(),
+            is_undecided: false,
+            decisions: 0,
             plan_from: None,
             reached: Tti::ZERO,
             reports: Vec::new(),
@@ -124,21 +130,35 @@ impl Run {
         }
     }
 
-    /// Devices go, in a TTI that has not been granted. What comes of that is as if their process had been lost.
-    pub fn lose(&mut self, outage: Outage) {
-        self.coming.add(outage);
+    /// What comes in a TTI that has not been granted: devices go, as if their process had been lost, or somebody
+    /// outside decides.
+    pub fn expect(&mut self, input: Input) {
+        self.coming.add(input);
     }
 
-    /// As [`Self::lose`], in the order in which they come.
-    pub fn lose_all(&mut self, outages: &[Outage]) {
-        for outage in outages {
-            self.lose(*outage);
-        }
+    /// As [`Self::expect`], each kind in the order in which they come.
+    pub fn expect_all(&mut self, inputs: &Inputs) {
+        self.coming.add_all(inputs);
     }
 
     /// Whether there are outages that have not come.
     pub fn awaits_outages(&self) -> bool {
-        !self.coming.is_empty()
+        !self.coming.has_no_outage()
+    }
+
+    /// Whether the run stands at a question that no decision is there for.
+    pub const fn is_undecided(&self) -> bool {
+        self.is_undecided
+    }
+
+    /// How many decisions from outside were asked for.
+    pub const fn decisions(&self) -> u64 {
+        self.decisions
+    }
+
+    /// The decisions that nobody has asked for so far.
+    pub fn take_decisions(&mut self) -> Vec<Answered> {
+        self.coming.take_decisions()
     }
 
     /// The devices, in the order of ids.
@@ -181,7 +201,8 @@ impl Run {
             .collect()
     }
 
-    /// Runs to TTI `to`, which is then the next, or until `observer` says stop; false if it does. The sums of a window
+    /// Runs to TTI `to`, which is then the next, or until `observer` says stop or a decision is missing; false if so.
+    /// The sums of a window
     /// that ends with `to` are taken when the run goes on from there.
     pub fn advance(&mut self, to: Tti, observer: &mut impl Observer) -> bool {
         while self.cycle.next_tti() < to {
@@ -189,6 +210,9 @@ impl Run {
                 return false;
             }
             self.grant_before(to, observer);
+            if self.is_undecided {
+                return false;
+            }
         }
         true
     }
@@ -234,9 +258,22 @@ impl Run {
     /// As [`Self::grant`], of TTIs before `limit` alone.
     fn grant_before(&mut self, limit: Tti, observer: &mut impl Observer) {
         self.brief(observer);
-        let step = self.open(limit, observer);
-        let asks = self.wake(step, observer);
-        assert!(asks.is_none(), "somebody outside decides: the run has to be stepped");
+        if self.cycle.question().is_some() {
+            let Some(decision) = self.coming.plan(self.cycle.next_tti()) else {
+                self.is_undecided = true;
+                return;
+            };
+            self.cycle.decide(decision);
+            self.is_undecided = false;
+            self.decisions += 1;
+        }
+        let mut step = self.open(limit, observer);
+        while let Some(asking) = self.wake(step, observer) {
+            // A log that ends within a TTI wakes nobody else, and there is no plan for the next.
+            let devices = self.coming.whom(self.open.tti).unwrap_or_default();
+            self.decisions += 1;
+            step = self.cycle.wake(asking, &devices, observer);
+        }
     }
 
     /// Tells the true batteries, where they are wanted.
@@ -267,7 +304,7 @@ impl Run {
             ..
         } = self;
         let k = cycle.next_tti();
-        let limit = limit.min(coming.next_tti().saturating_add(1)).max(k + 1);
+        let limit = limit.min(coming.next_outage().saturating_add(1)).max(k + 1);
         let horizon = if self.options.lookahead {
             self.boundaries.next_boundary(k)
         } else {
@@ -291,7 +328,7 @@ impl Run {
         };
         reports.clear();
         failures.clear();
-        while let Some(outage) = coming.due(last, None) {
+        while let Some(outage) = coming.outage(last, None) {
             go(&outage, machines, cycle, observer);
         }
         if let Some(stimulus) = &stimulus {
@@ -326,7 +363,7 @@ impl Run {
         loop {
             match step {
                 Step::WakeUp(waking) => {
-                    while let Some(outage) = coming.due(tti, Some(*woken)) {
+                    while let Some(outage) = coming.outage(tti, Some(*woken)) {
                         go(&outage, machines, cycle, observer);
                     }
                     *woken += 1;

@@ -9,11 +9,12 @@ use reveille_bs::observe::{Happening, Observer};
 use reveille_bs::outcome::Outcome;
 use reveille_bs::prepared::Prepared;
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{Checkpoint, Frame, Message, Outage, States};
+use reveille_common::message::{Checkpoint, Frame, Message, States};
 use reveille_common::state::{DeviceState, DeviceView};
 use reveille_common::totals::Ledger;
 use reveille_common::units::Energy;
 
+use crate::inputs::{Input, Inputs};
 use crate::run::{Options, Run};
 
 /// Makes frames of what a digest covers: what is sent on the air, and what comes of it.
@@ -74,7 +75,7 @@ pub struct Shadow {
     /// The TTI from which on the run is compared.
     from: Tti,
     compared: Tti,
-    outages: Vec<Outage>,
+    inputs: Inputs,
     ahead: Ahead,
 }
 
@@ -113,26 +114,30 @@ impl Observer for Ahead {
 }
 
 impl Shadow {
-    /// The shadow, before TTI 0, of the run that is `prepared`, has had these `outages`, and is compared from TTI
+    /// The shadow, before TTI 0, of the run that is `prepared`, has had these `inputs`, and is compared from TTI
     /// `from` on.
-    pub fn new(prepared: &Prepared, outages: &[Outage], from: Tti) -> Self {
+    pub fn new(prepared: &Prepared, inputs: &Inputs, from: Tti) -> Self {
         Self {
-            run: begin(prepared, outages),
+            run: begin(prepared, inputs),
             prepared: prepared.clone(),
             from,
             compared: from,
-            outages: outages.to_vec(),
+            inputs: inputs.clone(),
             ahead: Ahead::default(),
         }
     }
 
-    /// Devices have gone from the run, in a TTI of which it has told nothing yet.
-    pub fn lose(&mut self, outage: Outage) {
-        self.outages.push(outage);
-        if self.next_tti() > outage.tti {
+    /// What the run depends on besides has come, in a TTI of which it has told nothing yet.
+    pub fn hear(&mut self, input: Input) {
+        let tti = match &input {
+            Input::Outage(outage) => outage.tti,
+            Input::Decision(decision) => decision.tti,
+        };
+        self.inputs.add(input.clone());
+        if self.next_tti() > tti {
             self.begin_anew();
         } else {
-            self.run.lose(outage);
+            self.run.expect(input);
         }
     }
 
@@ -148,12 +153,16 @@ impl Shadow {
         }
         self.run.advance(k.min(self.from), &mut ());
         self.run.advance(k, &mut self.ahead);
+        assert!(
+            !self.run.is_undecided(),
+            "a decision is told before the run goes on from it"
+        );
     }
 
     fn begin_anew(&mut self) -> Run {
         self.ahead.frames.clear();
         self.ahead.again = self.ahead.same;
-        std::mem::replace(&mut self.run, begin(&self.prepared, &self.outages))
+        std::mem::replace(&mut self.run, begin(&self.prepared, &self.inputs))
     }
 
     /// The run is not compared any more.
@@ -215,9 +224,9 @@ impl Shadow {
 }
 
 /// A run before TTI 0.
-fn begin(prepared: &Prepared, outages: &[Outage]) -> Run {
+fn begin(prepared: &Prepared, inputs: &Inputs) -> Run {
     let mut run = Run::new(prepared, Options::default());
-    run.lose_all(outages);
+    run.expect_all(inputs);
     run
 }
 

@@ -6,15 +6,17 @@ What is seen and rewarded here is what a base station could know and what the pa
 - :class:`~reveille.environment.ReveilleEnv` for Gymnasium, registered as ``Reveille-v0``;
 - :func:`make_vec`: many of them, stepped on threads of their own;
 - :func:`parallel_env` for PettingZoo: each device an agent;
-- :func:`run` and :func:`sweep`: the policies of the program.
+- :func:`run` and :func:`sweep`: the policies of the program;
+- :class:`PolicyClient` and :func:`decide`: what was trained decides for a run of the emulator.
 
-Gymnasium, PettingZoo and PyArrow are needed by the parts that use them alone.
+Gymnasium, PettingZoo, PyArrow and eclipse-zenoh are needed by the parts that use them alone.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from .port import PolicyClient, PortError, decide
 from .runs import policies, run, sweep
 from .scenario import DEVICE_FEATURES, GLOBAL_FEATURES, Feature, Setting
 
@@ -27,7 +29,10 @@ __all__ = [
     "DEVICE_FEATURES",
     "GLOBAL_FEATURES",
     "Feature",
+    "PolicyClient",
+    "PortError",
     "Setting",
+    "decide",
     "make",
     "make_vec",
     "parallel_env",

@@ -3,8 +3,8 @@
 //! [`mod@reference`] is a second implementation of the model, written from its description and not from the emulator's
 //! code; [`scenarios`] makes random scenarios for property tests; [`compare`] sets the emulator beside the reference;
 //! [`laws`] holds what was drawn against its law; [`process`] starts the real program and watches it; [`terminal`]
-//! starts it in a window that can be closed; [`disk`] lets it run out of room, [`network`] of ports; [`found`] checks
-//! that no file of tests is left out.
+//! starts it in a window that can be closed; [`disk`] lets it run out of room, [`network`] of ports; [`transcript`]
+//! keeps what a policy commands; [`found`] checks that no file of tests is left out.
 
 pub mod compare;
 pub mod disk;
@@ -15,3 +15,4 @@ pub mod process;
 pub mod reference;
 pub mod scenarios;
 pub mod terminal;
+pub mod transcript;

@@ -7,6 +7,7 @@ use reveille_bs::scenario::{Override, load};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Frame, Message, MessageKind, Report, States};
 use reveille_common::units::Energy;
+use reveille_lab::inputs::Inputs;
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Options, Run};
 use reveille_lab::shadow::{Difference, Noting, Shadow};
@@ -49,7 +50,7 @@ fn noted(prepared: &Prepared) -> Vec<Frame> {
 
 /// What a shadow finds that follows these notes, `step` TTIs at a time.
 fn audited(prepared: &Prepared, frames: &[Frame], step: u64) -> Result<(), Difference> {
-    let mut shadow = Shadow::new(prepared, &[], Tti::ZERO);
+    let mut shadow = Shadow::new(prepared, &Inputs::default(), Tti::ZERO);
     let mut rest = frames;
     for k in (step..=TTIS).step_by(step as usize) {
         let before = rest.iter().take_while(|frame| frame.tti < Tti(k)).count();

@@ -1,15 +1,12 @@
 //! Decisions from outside: runs that stand at a question, answered with what a policy of this program decided, and with
 //! nonsense.
 
-use std::collections::BTreeMap;
-
-use reveille_bs::observe::{Happening, Observer};
 use reveille_bs::policy::external::{DEVICE, Decision, GLOBAL, Question, Stage};
 use reveille_bs::policy::outside::{self, EXTERNAL};
 use reveille_bs::policy::registry;
 use reveille_bs::prepared::Prepared;
 use reveille_bs::scenario::{Override, Scenario, load};
-use reveille_common::event::{EventProcess, EventRecord, ScriptedEvent};
+use reveille_common::event::{EventProcess, ScriptedEvent};
 use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::io::Disk;
@@ -17,39 +14,9 @@ use reveille_common::plan::{DutyCycle, Plan};
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::score::Digest;
 use reveille_common::world::World;
-use reveille_lab::preparation::prepare;
-use reveille_lab::run::{Options, Run};
+use reveille_lab::run::Options;
 use reveille_lab::stepping::Stepping;
-
-/// What a base station commands in a run, and the events of it.
-#[derive(Clone, Debug, Default, PartialEq)]
-struct Transcript {
-    plans: BTreeMap<u64, Plan>,
-    wake_ups: BTreeMap<u64, Vec<DeviceId>>,
-    events: Vec<EventRecord>,
-}
-
-impl Observer for Transcript {
-    fn see(&mut self, happening: &Happening<'_>) {
-        match happening {
-            Happening::Plan { update, .. } => {
-                self.plans.insert(update.from.0, update.plan.clone());
-            }
-            Happening::WakeUp { tti, device, .. } => self.wake_ups.entry(tti.0).or_default().push(*device),
-            Happening::EventEnded(event) => self.events.push(**event),
-            Happening::Granted(_)
-            | Happening::EventStarted(_)
-            | Happening::Reported(_)
-            | Happening::Lost(_)
-            | Happening::Gone(_)
-            | Happening::Failed { .. }
-            | Happening::Woken { .. }
-            | Happening::Believed { .. }
-            | Happening::Closed(_)
-            | Happening::States(_) => {}
-        }
-    }
-}
+use reveille_tests::transcript::Transcript;
 
 fn overrides(policy: &str, set: &[&str]) -> Vec<Override> {
     let policy = format!("policy.name={policy}");
@@ -74,12 +41,6 @@ fn own_world(scenario: &Scenario) -> World {
     World::new(scenario, &prepared.deployment)
 }
 
-/// The plan that was in force in TTI `k`.
-fn plan_at(transcript: &Transcript, k: Tti) -> Plan {
-    let (_, plan) = transcript.plans.range(..=k.0).next_back().expect("a plan in TTI 0");
-    plan.clone()
-}
-
 /// The digest of a run that is answered with what `first` did; wake-ups all at once, or `at_a_time` after another.
 fn replayed(scenario: &Scenario, first: &Transcript, options: Options, at_a_time: usize) -> Digest {
     let mut stepping = stepping(scenario, own_world(scenario), options);
@@ -90,7 +51,7 @@ fn replayed(scenario: &Scenario, first: &Transcript, options: Options, at_a_time
             Stage::Plan => {
                 given = 0;
                 stepping.decide(Decision {
-                    plan: plan_at(first, k),
+                    plan: first.plan_at(k),
                     next: k + 1,
                 });
             }
@@ -135,8 +96,7 @@ fn what_a_policy_decides_gives_its_digest_when_it_comes_from_outside() {
             _ => set.to_vec(),
         };
         let own = load("paper", &overrides(policy, &set)).expect("a scenario");
-        let mut first = Transcript::default();
-        let outcome = Run::new(&prepare(&own), Options::default()).finish(&mut first);
+        let (first, own_digest) = Transcript::of(&own);
         wake_ups += first.wake_ups.len();
         let set: Vec<&str> = set.into_iter().filter(|set| !set.starts_with("policy.")).collect();
         let scenario = external(&set);
@@ -150,7 +110,7 @@ fn what_a_policy_decides_gives_its_digest_when_it_comes_from_outside() {
             (Options::default(), 2),
         ] {
             let digest = replayed(&scenario, &first, options, at_a_time);
-            assert_eq!(digest, outcome.digest, "{policy} {set:?} {options:?} {at_a_time}");
+            assert_eq!(digest, own_digest, "{policy} {set:?} {options:?} {at_a_time}");
         }
     }
     assert!(wake_ups > 200, "{wake_ups} TTIs with wake-ups");
@@ -161,8 +121,7 @@ fn what_a_policy_decides_gives_its_digest_when_it_comes_from_outside() {
 fn a_plan_that_holds_is_asked_for_no_more() {
     let scenario = external(&[]);
     let own = load("paper", &overrides("knn", &[])).expect("a scenario");
-    let mut first = Transcript::default();
-    let digest = Run::new(&prepare(&own), Options::default()).finish(&mut first).digest;
+    let (first, digest) = Transcript::of(&own);
     let mut stepping = stepping(&scenario, own_world(&scenario), Options::default());
     let mut plans = 0;
     while let Some(question) = stepping.question() {
@@ -170,7 +129,7 @@ fn a_plan_that_holds_is_asked_for_no_more() {
         match question.stage {
             Stage::Plan => {
                 plans += 1;
-                let (plan, next) = (plan_at(&first, k), Tti::NEVER);
+                let (plan, next) = (first.plan_at(k), Tti::NEVER);
                 stepping.decide(Decision { plan, next });
             }
             Stage::Wake => {
@@ -354,7 +313,7 @@ fn where_an_event_is_that_nobody_reports_changes_nothing_that_is_asked() {
             let near: Vec<DeviceId> = near.map(|j| j.id).collect();
             let mut ttis = (event.start.0..event.start.0 + event.duration).map(Tti);
             ttis.all(|k| {
-                let plan = plan_at(&transcript, k);
+                let plan = transcript.plan_at(k);
                 !near.iter().any(|j| plan.duty_cycle(*j).is_on(k))
             })
         };

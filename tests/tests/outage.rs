@@ -9,6 +9,7 @@ use reveille_bs::scenario::{Override, load};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Frame, Message, Outage, WakeOutcome};
 use reveille_common::totals::Ledger;
+use reveille_lab::inputs::{Input, Inputs};
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Options, Run};
 use reveille_lab::shadow::Shadow;
@@ -32,7 +33,7 @@ fn prepared(policy: &str) -> Prepared {
 fn run(prepared: &Prepared, outages: &[Outage], options: Options) -> (Outcome, Vec<Frame>) {
     let frames = RefCell::new(Vec::new());
     let mut run = Run::new(prepared, options);
-    run.lose_all(outages);
+    run.expect_all(&Inputs::of_outages(outages));
     let outcome = run.finish(&mut Framed::new(0, |frame| frames.borrow_mut().push(frame)));
     (outcome, frames.into_inner())
 }
@@ -211,9 +212,9 @@ fn a_shadow_that_is_told_late_goes_back() {
     let lost = outage(3, 9, 600, None);
     let (outcome, _) = run(&prepared, &[lost], Options::default());
     for reached in [10, 601, 900] {
-        let mut shadow = Shadow::new(&prepared, &[], Tti::ZERO);
+        let mut shadow = Shadow::new(&prepared, &Inputs::default(), Tti::ZERO);
         shadow.devices(Tti(reached), DeviceId(0), 1);
-        shadow.lose(lost);
+        shadow.hear(Input::Outage(lost));
         assert_eq!(shadow.outcome(Tti(TTIS)), outcome, "from TTI {reached}");
     }
 }

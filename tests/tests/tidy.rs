@@ -28,7 +28,7 @@ const MAY_USE: [(&str, &[&str]); 9] = [
 /// The layers of `common`: a module may use those of its own line and of the lines above it. A file or folder right in
 /// `common/src` is a module here.
 const LAYERS_OF_COMMON: [&[&str]; 13] = [
-    &["codec", "units"],
+    &["codec", "forms", "units"],
     &["ids", "totals"],
     &["phases", "plan", "rng", "secret", "state"],
     &["columns", "declare", "io"],

@@ -11,6 +11,7 @@ use reveille_common::secret::Secret;
 use super::admission::Places;
 use super::clock::Lateness;
 use crate::outcome::Outcome;
+use crate::policy::external::Answered;
 
 /// What to do when a host is lost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,6 +22,47 @@ pub enum OnLoss {
     Continue,
     /// Hold the clock until the host is back, or another one carries its devices from where they were.
     Wait,
+}
+
+/// Where the decisions of a run come from whose policy makes none itself. Others have no need of it.
+#[derive(Clone, Debug, Default)]
+pub struct Decisions {
+    /// Those that were made before, in order. Nobody is asked for them.
+    pub kept: Vec<Answered>,
+    /// How many were made before those.
+    pub before: u64,
+    /// How long somebody is waited for at the policy port; `None` where nobody is asked.
+    pub port: Option<Patience>,
+}
+
+/// How long a decision is waited for, and what then.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Patience {
+    /// Until then; `None` for as long as it takes.
+    pub limit: Option<Duration>,
+    /// What then.
+    pub then: Undecided,
+}
+
+/// What to do when nobody decides in time, or only what cannot be understood.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Undecided {
+    /// End the run with an error.
+    #[default]
+    End,
+    /// Let the plan in force hold on, and wake nobody.
+    Hold,
+}
+
+/// How often it was decided from outside, and how often not.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DecisionCounts {
+    /// Decisions of policy processes.
+    pub decided: u64,
+    /// Answers that decided nothing, or came after the one that counted.
+    pub refused: u64,
+    /// Questions that nobody answered: the plan in force held, or nobody was woken.
+    pub held: u64,
 }
 
 /// How the BS runs. None of it changes the outcome, except that a run that goes on without lost devices
@@ -109,4 +151,6 @@ pub struct Served {
     pub strays: u64,
     /// How long each loss of a host lasted.
     pub losses: Vec<Duration>,
+    /// What came from outside of a policy that makes no decision itself.
+    pub decisions: DecisionCounts,
 }

@@ -42,6 +42,20 @@ pub enum BsError {
         /// The hosts that did not answer.
         hosts: Vec<HostId>,
     },
+    /// Nobody has decided, and the run is to end then.
+    #[error(
+        "no decision for TTI {tti}: {why}. --decision-timeout says how long is waited, and --on-undecided what then; \
+            --resume goes on with the run"
+    )]
+    Undecided {
+        /// The TTI.
+        tti: Tti,
+        /// Why not.
+        why: String,
+    },
+    /// Stopped from outside while a decision was waited for.
+    #[error("interrupted at TTI {0}, while a decision was waited for")]
+    InterruptedDeciding(Tti),
     /// Something that a lost host would be replaced by cannot be had.
     #[error("{0}")]
     CannotGoOn(String),
@@ -66,8 +80,15 @@ impl BsError {
     /// Whether the run ended because somebody asked for it.
     pub const fn is_interruption(&self) -> bool {
         match self {
-            Self::Interrupted | Self::InterruptedWaiting { .. } | Self::NoAnswer { .. } => true,
-            Self::Bus(_) | Self::TooFew { .. } | Self::HostLost { .. } | Self::CannotGoOn(_) => false,
+            Self::Interrupted
+            | Self::InterruptedWaiting { .. }
+            | Self::InterruptedDeciding(_)
+            | Self::NoAnswer { .. } => true,
+            Self::Bus(_)
+            | Self::TooFew { .. }
+            | Self::HostLost { .. }
+            | Self::Undecided { .. }
+            | Self::CannotGoOn(_) => false,
         }
     }
 }

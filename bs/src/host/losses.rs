@@ -9,6 +9,7 @@ use reveille_common::totals::Ledger;
 
 use super::admission::Places;
 use crate::outcome::Outcome;
+use crate::policy::external::Answered;
 
 /// A replay of the run, which knows the devices at any TTI: all that they do follows from the scenario and the seed.
 pub trait Replay: Send + Sync {
@@ -37,6 +38,12 @@ pub trait Replay: Send + Sync {
     /// # Errors
     /// Why it cannot be kept, in words.
     fn lose(&self, outage: &Outage) -> Result<(), String>;
+
+    /// Somebody outside has decided. When this returns, that is kept for whoever replays the run.
+    ///
+    /// # Errors
+    /// Why it cannot be kept, in words.
+    fn decided(&self, decision: Answered) -> Result<(), String>;
 }
 
 /// Where newcomers take up the devices of a lost host.

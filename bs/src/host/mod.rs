@@ -16,6 +16,8 @@ pub mod losses;
 mod missing;
 #[cfg(feature = "host")]
 mod outages;
+#[cfg(feature = "host")]
+pub mod port;
 pub mod roster;
 #[cfg(feature = "host")]
 mod running;
@@ -30,7 +32,7 @@ mod voice;
 #[cfg(feature = "host")]
 mod wall;
 
-pub use self::drive::{OnLoss, Progress, Served, Settings};
+pub use self::drive::{DecisionCounts, Decisions, OnLoss, Patience, Progress, Served, Settings, Undecided};
 #[cfg(feature = "host")]
 pub use self::error::BsError;
 pub use self::losses::Replay;

@@ -16,6 +16,7 @@ use super::drive::{Progress, Served, Settings};
 use super::error::BsError;
 use super::losses::{Point, Replay};
 use super::outages::Outages;
+use super::port::{Port, Posed};
 use super::shared::Shared;
 use super::voice::Voice;
 use super::wall::now;
@@ -24,6 +25,7 @@ use crate::cycle::{Cycle, Step};
 use crate::host::barrier::{Asked, UNKNOWN};
 use crate::host::clock::Lateness;
 use crate::observe::{Happening, Observer};
+use crate::policy::external::{Answer, Answered};
 use crate::prepared::Prepared;
 use crate::taken::Taken;
 
@@ -45,6 +47,7 @@ pub(super) struct Crew<'a> {
     pub(super) progress: &'a Progress,
     pub(super) shared: &'a Arc<Shared>,
     pub(super) replay: Option<Arc<dyn Replay>>,
+    pub(super) port: Port<'a>,
 }
 
 /// The loop over TTIs.
@@ -129,6 +132,7 @@ pub(super) async fn run(
         malformed: this.crew.bus.malformed(),
         strays: state.barrier.strays(),
         losses: state.losses.mended().to_vec(),
+        decisions: this.crew.port.counts,
     })
 }
 
@@ -188,6 +192,14 @@ impl Loop<'_> {
         if self.cycle.wants_batteries() {
             let batteries = self.views.iter().map(|view| view.battery);
             self.cycle.tell_batteries(batteries, observer);
+        }
+        if let Some(question) = self.cycle.question() {
+            let posed = self.crew.port.pose(&question)?;
+            match self.decided(first, posed).await? {
+                Some(Answer::Plan(decision)) => self.cycle.decide(decision),
+                // It was told to stop while it waited.
+                Some(Answer::Wake(_)) | None => return Ok(true),
+            }
         }
         let account = self.boundaries.is_boundary(first);
         let events = *self.cycle.event_totals();
@@ -254,7 +266,19 @@ impl Loop<'_> {
     /// The wake-ups of TTI `tti`, one after the other.
     async fn wake(&mut self, tti: Tti, mut step: Step, observer: &mut impl Observer) -> Result<(), BsError> {
         let mut wake_ups = 0;
-        while let Step::WakeUp(waking) = step {
+        loop {
+            let waking = match step {
+                Step::WakeUp(waking) => waking,
+                Step::Asks(asking) => {
+                    let posed = self.crew.port.pose(&self.cycle.question_of(&asking))?;
+                    let Some(Answer::Wake(devices)) = self.decided(tti, posed).await? else {
+                        return Err(BsError::InterruptedDeciding(tti));
+                    };
+                    step = self.cycle.wake(asking, &devices, observer);
+                    continue;
+                }
+                Step::Closed => return Ok(()),
+            };
             let device = waking.device();
             let host = {
                 let mut state = self.crew.shared.lock();
@@ -274,11 +298,21 @@ impl Loop<'_> {
             }
             step = self.cycle.woken(waking, &outcome, observer);
         }
-        assert!(
-            matches!(step, Step::Closed),
-            "the policies that run on the bus decide themselves"
-        );
-        Ok(())
+    }
+
+    /// What somebody outside decides for TTI `tti`; when this returns, it is kept. Nothing if the run is to stop.
+    async fn decided(&mut self, tti: Tti, posed: Posed) -> Result<Option<Answer>, BsError> {
+        let pending = match posed {
+            Posed::Kept(answer) => return Ok(Some(answer)),
+            Posed::Open(pending) => pending,
+        };
+        let Crew { port, progress, .. } = &mut self.crew;
+        let answer = port.settle(*pending, progress).await?;
+        if let (Some(answer), Some(replay)) = (&answer, &self.crew.replay) {
+            let answer = answer.clone();
+            replay.decided(Answered { tti, answer }).map_err(BsError::CannotGoOn)?;
+        }
+        Ok(answer)
     }
 
     /// Devices that the run goes on without are gone from here on, those that are not gone already.

@@ -6,9 +6,10 @@ use reveille_common::bus::Bus;
 use reveille_common::ids::Tti;
 use reveille_common::message::Clock;
 
-use super::drive::{Progress, Served, Settings};
+use super::drive::{Decisions, Progress, Served, Settings};
 use super::error::BsError;
 use super::losses::Replay;
+use super::port::Port;
 use super::running::Crew;
 use super::shared::Shared;
 use super::told::Told;
@@ -23,8 +24,11 @@ pub struct Course<'a> {
     pub prepared: &'a Prepared,
     /// Where it is taken up, if not before TTI 0.
     pub taken: Option<Taken>,
-    /// What knows the devices of lost hosts; without it they are lost for good.
+    /// What knows the devices of lost hosts, and keeps what was decided from outside; without it hosts are lost for
+    /// good.
     pub replay: Option<Arc<dyn Replay>>,
+    /// Who decides, where the policy does not.
+    pub decisions: Decisions,
 }
 
 /// Runs `course` over `bus`: waits for hosts to carry all devices, plays every TTI, collects the ledgers.
@@ -42,6 +46,7 @@ pub async fn serve(
         prepared,
         taken,
         replay,
+        decisions,
     } = course;
     let Prepared {
         scenario, deployment, ..
@@ -60,6 +65,7 @@ pub async fn serve(
         progress,
         shared: &shared,
         replay,
+        port: Port::new(bus, settings.key, decisions),
     };
     running::run(crew, prepared, taken, &mut observers, joining).await
 }

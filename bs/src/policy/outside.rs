@@ -14,8 +14,25 @@ use super::registry::{self, Registry};
 use crate::beliefs::ages;
 use crate::knowledge::Knowledge;
 
+/// Its name in a scenario.
+pub const NAME: &str = "external";
+
 /// The registry of those who can answer.
 pub const EXTERNAL: Registry = &[&ExternalKind];
+
+/// Whether `choice` is `external`.
+pub fn is_external(choice: &PolicyChoice) -> bool {
+    choice.name() == NAME
+}
+
+/// The registry with the policy that `choice` names.
+pub fn registry_of(choice: &PolicyChoice) -> Registry {
+    if is_external(choice) {
+        EXTERNAL
+    } else {
+        registry::POLICIES
+    }
+}
 
 /// The policies of this program and `external`, as a scenario names them.
 pub fn kinds() -> Vec<&'static dyn PolicyKind> {
@@ -30,7 +47,7 @@ pub struct ExternalKind;
 
 impl PolicyKind for ExternalKind {
     fn name(&self) -> &'static str {
-        "external"
+        NAME
     }
 
     fn about(&self) -> &'static str {

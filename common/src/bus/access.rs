@@ -3,7 +3,8 @@
 //! The BS is a router, and all that others send passes through it. Who connects may ask for places, ask the clock and
 //! have the run described, and follow the tap. A host, which was told the run's secret with its places, may besides
 //! hear the clock, plans and wake-ups, and send on keys of hosts; that it sends on its own the BS sees by its token.
-//! Nobody but the BS may speak for the clock, tell plans, wake devices, answer questions or feed the tap. See
+//! Nobody but the BS may speak for the clock, tell plans, wake devices, answer the BS's kinds of questions or feed the
+//! tap. At the policy port the BS asks and anybody may answer: it believes who shows the run's key. See
 //! [`crate::keys`] for why a wildcard does not help a stranger.
 
 use crate::keys::Keys;
@@ -40,6 +41,7 @@ pub(super) fn rules(keys: &Keys) -> String {
     let queries: Vec<String> = QUERIES.iter().map(|&kind| keys.of(kind)).collect();
     let heard = [&down[..], &[wake, keys.tap()]].concat();
     let (hosts, bs) = (vec![keys.all_alive()], vec![keys.bs_alive()]);
+    let policy = vec![keys.policy()];
     let any_bs = vec![Keys::any_bs().to_owned(), keys.bs_alive()];
     let rules = [
         rule("send", "ingress", &["put"], &up),
@@ -52,6 +54,8 @@ pub(super) fn rules(keys: &Keys) -> String {
             &any_bs,
         ),
         rule("ask", "ingress", &["query"], &queries),
+        rule("decide", "ingress", &["declare_queryable", "reply"], &policy),
+        rule("decision", "egress", &["query"], &policy),
         rule("told", "egress", &["put"], &heard),
         rule("wanted", "egress", &["declare_subscriber"], &up),
         rule("answered", "egress", &["declare_queryable", "reply"], &queries),

@@ -8,6 +8,7 @@
 mod access;
 mod alive;
 mod error;
+mod port;
 mod query;
 mod raw;
 mod session;
@@ -33,6 +34,7 @@ use crate::message::{Frame, MessageKind, Payload, Plane, TapBatch, WakeUp};
 use crate::secret::{HostPass, Secret};
 
 pub use error::BusError;
+pub use port::{Heard, PolicyQuestion, PolicyQuestions, Replies};
 pub use raw::RawTopic;
 pub use session::{allowed, draw_nonce, draw_secret, free_to_listen};
 pub use tap::{Sink, Tap};

@@ -24,7 +24,10 @@ pub use inspect::{
     VerifyArgs,
 };
 pub use report::{ReportArgs, ReportCommand, SearchArgs};
-pub use run::{AuditArg, BsArgs, DeviceArgs, DriveArgs, OnLossArg, OutputArgs, RunArgs, ScenarioArgs, UpArgs};
+pub use run::{
+    AuditArg, BsArgs, DeviceArgs, DriveArgs, OnLossArg, OnUndecidedArg, OutputArgs, OutsideArgs, RunArgs, ScenarioArgs,
+    UpArgs,
+};
 pub use sweep::{GridArgs, MergeArgs, SweepArgs};
 pub use tools::{
     BenchCommand, BusBenchArgs, ClockArgs, MemoryBenchArgs, ScaleBenchArgs, ScenarioCommand, TargetArgs, WatchBenchArgs,

@@ -13,6 +13,15 @@ pub(super) fn one_policy() -> String {
     format!("Policy: {}.", each.collect::<Vec<_>>().join(", "))
 }
 
+/// Help for an option that names one of a run, which somebody outside may decide for.
+pub(super) fn one_policy_or_outside() -> String {
+    format!(
+        "{} Of a run it can also be external: another program decides, over the bus; and replay=FILE: what one has \
+         decided before, as the inputs.log of its run has it.",
+        one_policy()
+    )
+}
+
 /// Help for an option that names several.
 pub(super) fn several_policies() -> String {
     let each = registry::POLICIES.iter().map(|policy| policy.name());

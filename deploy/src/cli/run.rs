@@ -4,11 +4,11 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
-use reveille_bs::host::OnLoss;
+use reveille_bs::host::{OnLoss, Patience, Undecided};
 use reveille_common::keys::RunName;
 use reveille_common::message::Pace;
 
-use super::parse::{one_policy, parse_duration, parse_pace};
+use super::parse::{one_policy, one_policy_or_outside, parse_duration, parse_pace};
 
 /// The scenario where none is named.
 const DEFAULT_SCENARIO: &str = "paper";
@@ -28,8 +28,8 @@ pub struct ScenarioArgs {
     #[arg(long, short = 'n', allow_negative_numbers = true)]
     pub devices: Option<String>,
 
-    /// One of the registered policies.
-    #[arg(long, short, help = one_policy())]
+    /// One of the registered policies, or somebody outside.
+    #[arg(long, short, help = one_policy(), long_help = one_policy_or_outside())]
     pub policy: Option<String>,
 
     /// Let a policy that learns go on learning in the run; the run folder keeps what it has learned.
@@ -119,7 +119,7 @@ pub struct RunArgs {
     #[arg(long)]
     pub no_lookahead: bool,
     /// What a run over the bus depended on beside scenario and seed, the inputs.log of its folder: devices that were
-    /// lost under --on-loss continue. This run then comes to the same digest.
+    /// lost under --on-loss continue. This run then comes to the same digest. Of decisions: --policy replay=FILE.
     #[arg(long, value_name = "FILE", conflicts_with = "resume")]
     pub inputs: Option<PathBuf>,
 }
@@ -158,6 +158,50 @@ pub struct DriveArgs {
     /// Start with the clock paused; see `reveille clock`.
     #[arg(long)]
     pub paused: bool,
+
+    /// Decisions of another program, under --policy external.
+    #[command(flatten)]
+    pub outside: OutsideArgs,
+}
+
+/// How a program outside decides.
+#[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Decisions of another program (--policy external)")]
+pub struct OutsideArgs {
+    /// Start this shell command to decide for the run, and end it with the run. It is told where to answer by
+    /// REVEILLE_CONNECT, REVEILLE_RUN and REVEILLE_KEY; without it, start one by hand.
+    #[arg(long, value_name = "COMMAND")]
+    pub policy_command: Option<String>,
+
+    /// How long a decision may take, for example 30s, a program that has to be started anew included [default: as long
+    /// as it takes; after 5 s it is said who is waited for].
+    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+    pub decision_timeout: Option<Duration>,
+
+    /// What to do when a decision takes longer, or three answers to a question were none.
+    #[arg(long, value_enum, value_name = "WHAT", default_value = "end")]
+    pub on_undecided: OnUndecidedArg,
+}
+
+/// When nobody decides.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum OnUndecidedArg {
+    /// End the run with an error; --resume goes on with it.
+    End,
+    /// Let the plan in force hold on, and wake nobody.
+    Hold,
+}
+
+impl From<&OutsideArgs> for Patience {
+    fn from(args: &OutsideArgs) -> Self {
+        Self {
+            limit: args.decision_timeout,
+            then: match args.on_undecided {
+                OnUndecidedArg::End => Undecided::End,
+                OnUndecidedArg::Hold => Undecided::Hold,
+            },
+        }
+    }
 }
 
 /// `reveille up`.

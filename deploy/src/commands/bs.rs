@@ -7,15 +7,17 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, anyhow, bail, ensure};
-use reveille_bs::host::{self, BsError, Course, OnLoss, Progress, Served, Settings};
+use reveille_bs::host::{self, BsError, Course, Decisions, OnLoss, Progress, Served, Settings};
 use reveille_bs::observe::Observer;
+use reveille_bs::policy::outside;
 use reveille_bs::prepared::Prepared;
 use reveille_bs::taken::Taken;
 use reveille_common::bus::{Bus, Declared, draw_secret};
 use reveille_common::ids::Tti;
 use reveille_common::keys::RunName;
-use reveille_common::message::{Describe, Description, Outage, Pace};
+use reveille_common::message::{Describe, Description, Pace};
 use reveille_common::scenario::Scenario;
+use reveille_lab::inputs::Inputs;
 use reveille_lab::preparation::prepare as prepare_run;
 use reveille_lab::run::{Options, Run, StopWhen};
 use reveille_view::metrics::Process;
@@ -25,8 +27,9 @@ use super::conclusion::{conclude, window};
 use super::inspect::source::groups;
 use super::resolution::resolve_run;
 use super::run::Interrupted;
-use crate::cli::{AuditArg, BsArgs, DriveArgs, OutputArgs};
+use crate::cli::{AuditArg, BsArgs, DriveArgs, OnUndecidedArg, OutputArgs, OutsideArgs};
 use crate::dashboard::feed::{Feed, Hose};
+use crate::decider::PolicyProcess;
 use crate::display::{Bar, note};
 use crate::input_log::{self, INPUTS, InputLog};
 use crate::marks::{self, Marker};
@@ -48,8 +51,9 @@ const DRAIN: Duration = Duration::from_secs(1);
 /// Serves a run to devices that come from elsewhere.
 pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     let started = crate::wall::now();
-    let scenario = resolve_run(&args.scenario, &args.output)?;
+    let (scenario, given) = resolve_run(&args.scenario, &args.output)?;
     check(&args.output, &args.drive)?;
+    let decisions = decisions(&scenario, given, &args.drive)?;
     limits::for_any_station(scenario.devices)?;
     let bus = Bus::listen(&args.listen, args.run.clone()).await?;
     let folder = RunFolder::create(&args.output, &scenario)?;
@@ -82,6 +86,8 @@ pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
             output: &args.output,
             dashboard: args.drive.dashboard.as_deref(),
             audit: args.drive.audit,
+            decisions,
+            policy_command: args.drive.outside.policy_command.as_deref(),
             progress,
             started,
         },
@@ -114,6 +120,10 @@ pub struct Service<'a> {
     pub dashboard: Option<&'a str>,
     /// Whether it is compared with a replay.
     pub audit: AuditArg,
+    /// Who decides, where the policy does not.
+    pub decisions: Decisions,
+    /// What is started to do so.
+    pub policy_command: Option<&'a str>,
     /// How far the run has come.
     pub progress: Arc<Progress>,
     /// When the command was given.
@@ -130,6 +140,36 @@ pub fn check(output: &OutputArgs, drive: &DriveArgs) -> anyhow::Result<()> {
         Some(address) => crate::web::can_listen("--dashboard", address),
         None => Ok(()),
     }
+}
+
+/// Who decides in a run of `scenario`: nobody outside, what was `given` of an earlier run, or who answers at the policy
+/// port.
+///
+/// # Errors
+/// The options mean nothing here, or what was given cannot be gone through on the bus.
+pub fn decisions(scenario: &Scenario, given: Option<Inputs>, drive: &DriveArgs) -> anyhow::Result<Decisions> {
+    let OutsideArgs {
+        policy_command,
+        decision_timeout,
+        on_undecided,
+    } = &drive.outside;
+    let is_asked = outside::is_external(&scenario.policy) && given.is_none();
+    let is_tuned = decision_timeout.is_some() || *on_undecided != OnUndecidedArg::End;
+    ensure!(
+        is_asked || (policy_command.is_none() && !is_tuned),
+        "--policy-command, --decision-timeout and --on-undecided are for a run whose policy asks another program: add \
+         --policy external"
+    );
+    let Inputs { outages, decisions } = given.unwrap_or_default();
+    ensure!(
+        outages.is_empty(),
+        "the log names devices that were lost, which does not happen again on the bus; replay it with `reveille run`"
+    );
+    Ok(Decisions {
+        kept: decisions,
+        before: 0,
+        port: is_asked.then(|| (&drive.outside).into()),
+    })
 }
 
 /// The settings that the command line means.
@@ -177,6 +217,24 @@ pub async fn serve(
             return Err(error);
         }
     };
+    let deciding = match service.policy_command {
+        Some(command) => PolicyProcess::start(command, bus, service.settings.key, progress).map(Some),
+        None => Ok(None),
+    };
+    let deciding = match deciding {
+        Ok(deciding) => deciding,
+        Err(error) => {
+            folder.fail(&error);
+            return Err(error);
+        }
+    };
+    if service.decisions.port.is_some() && deciding.is_none() && !output.quiet {
+        note!(
+            "asking for decisions at {} of {}",
+            bus.keys().policy(),
+            reachable(bus.endpoint())
+        );
+    }
     let path = folder.path().to_owned();
     let mut observer = (&mut folder, (watch.gauged(), StopWhen(watch.is_broken())));
     let (watched, seen) = (Arc::clone(&stop), Arc::clone(progress));
@@ -198,6 +256,8 @@ pub async fn serve(
     };
     relay.abort();
     drop(bar);
+    // Nobody is asked any more; it may have children that the run's own shell waits for.
+    drop(deciding);
     let ended = match served {
         Ok((served, audited)) => {
             let mut timing = timing(&served, preparing);
@@ -254,32 +314,44 @@ async fn play(
     };
     let window = mark.as_ref().map_or(settings.window, |mark| mark.window);
     let settings = Settings { window, ..*settings };
-    let outages = match &output.resume {
-        Some(_) => input_log::of_folder(folder, scenario)?,
-        None => Vec::new(),
-    };
+    let log = InputLog::new(folder, scenario);
+    let (inputs, log) = inputs(service, folder, log)?;
     // What a mark knows nothing of, the run may have gone on from.
-    let known = outages.last().map(|outage| outage.tti + 1);
+    let known = inputs.outages.last().map(|outage| outage.tti + 1);
     let from = mark.as_ref().map(|mark| Tti(mark.tti)).max(known);
     let mut marker = Marker::new(folder, scenario, window, mark);
-    let taken = match from {
-        Some(from) => Some(tokio::task::block_in_place(|| {
-            let mut observers = (&mut *observer, &mut marker);
-            replay(prepared, &outages, from, window, progress, &mut observers)
-        })?),
-        None => None,
+    let (taken, decisions) = match from {
+        Some(from) => {
+            let (taken, decisions) = tokio::task::block_in_place(|| {
+                let mut observers = (&mut *observer, &mut marker);
+                replay(prepared, &inputs, from, window, progress, &mut observers)
+            })?;
+            (Some(taken), decisions)
+        }
+        None => (
+            None,
+            Decisions {
+                kept: inputs.decisions.clone(),
+                ..Decisions::default()
+            },
+        ),
     };
     marker.check()?;
     let beginning = Beginning {
         from: from.unwrap_or_default(),
-        outages: &outages,
-        log: InputLog::new(folder, scenario),
+        inputs: &inputs,
+        log,
     };
     let auditor = Auditor::start(prepared, beginning, *audit, progress);
+    let is_kept = settings.on_loss != OnLoss::End || outside::is_external(&scenario.policy);
     let course = Course {
         prepared,
         taken,
-        replay: (settings.on_loss != OnLoss::End).then(|| auditor.replay()),
+        replay: is_kept.then(|| auditor.replay()),
+        decisions: Decisions {
+            port: service.decisions.port,
+            ..decisions
+        },
     };
     let mut observers = (observer, (&mut marker, auditor.ear()));
     let served = host::serve(bus, course, &settings, progress, &mut observers).await;
@@ -305,22 +377,36 @@ async fn play(
     }
 }
 
-/// Brings a run that is taken up to TTI `to`, in memory.
+/// What the run depends on besides, as far as it is known: what is in the folder of one that is taken up, or the decisions
+/// that it was given, which are copied there.
+fn inputs(service: &Service<'_>, folder: &Path, mut log: InputLog) -> anyhow::Result<(Inputs, InputLog)> {
+    if service.output.resume.is_some() {
+        return Ok((input_log::of_folder(folder, service.scenario)?, log));
+    }
+    let given = Inputs {
+        outages: Vec::new(),
+        decisions: service.decisions.kept.clone(),
+    };
+    log.add_all(&given)?;
+    Ok((given, log))
+}
+
+/// Brings a run that is taken up to TTI `to`, in memory. Also gives the decisions that were made after that.
 fn replay(
     prepared: &Prepared,
-    outages: &[Outage],
+    inputs: &Inputs,
     to: Tti,
     window: u64,
     progress: &Progress,
     observer: &mut impl Observer,
-) -> anyhow::Result<Taken> {
+) -> anyhow::Result<(Taken, Decisions)> {
     note!("replaying the run up to TTI {to}");
     let options = Options {
         lookahead: true,
         window,
     };
     let mut run = Run::new(prepared, options);
-    run.lose_all(outages);
+    run.expect_all(inputs);
     while run.cycle().next_tti() < to {
         if progress.stop.load(Ordering::Relaxed) {
             bail!(Interrupted);
@@ -331,8 +417,19 @@ fn replay(
         }
         progress.tti.store(run.cycle().next_tti().0, Ordering::Relaxed);
     }
+    ensure!(
+        !run.is_undecided(),
+        "{INPUTS} ends with a decision before TTI {}, and {} says that the run had come to TTI {to}: was it changed?",
+        run.cycle().next_tti(),
+        marks::MARK
+    );
     ensure!(!run.awaits_outages() || run.cycle().next_tti() < to, input_log::MISFIT);
-    Ok(run.hand_over())
+    let decisions = Decisions {
+        before: run.decisions(),
+        kept: run.take_decisions(),
+        port: None,
+    };
+    Ok((run.hand_over(), decisions))
 }
 
 /// Why the run was stopped, if that is known: the connection of a process is gone a moment before it is.
@@ -473,6 +570,9 @@ fn timing(served: &Served, preparing: Duration) -> Timing {
         max_late_ms: served.lateness.max.as_secs_f64() * 1e3,
         malformed: served.malformed,
         strays: served.strays,
+        decisions: served.decisions.decided,
+        decisions_refused: served.decisions.refused,
+        decisions_held: served.decisions.held,
         losses: served.losses.len(),
         longest_loss_s: served.losses.iter().max().map_or(0.0, Duration::as_secs_f64),
         host_rss_mb: 0.0,

@@ -1,15 +1,24 @@
 //! From the command line to the scenario that it means.
 
-use reveille_bs::policy::registry;
-use reveille_bs::scenario::{Override, Scenario, load};
+use std::path::Path;
+
+use anyhow::Context;
+use reveille_bs::policy::{outside, registry};
+use reveille_bs::scenario::{Override, Scenario, ScenarioError, load, load_outside};
+use reveille_lab::inputs::Inputs;
 
 use crate::cli::{OutputArgs, ScenarioArgs};
+use crate::input_log;
 use crate::results::SCENARIO;
 
-/// The scenario of a run: that of the folder in which it is taken up, or what the command line means.
-pub fn resolve_run(args: &ScenarioArgs, output: &OutputArgs) -> anyhow::Result<Scenario> {
+/// What `--policy` begins with where decisions come from a log.
+const REPLAY: &str = "replay=";
+
+/// The scenario of a run: that of the folder in which it is taken up, or what the command line means. With it come the
+/// decisions that `--policy replay=FILE` names, where it does.
+pub fn resolve_run(args: &ScenarioArgs, output: &OutputArgs) -> anyhow::Result<(Scenario, Option<Inputs>)> {
     let Some(folder) = &output.resume else {
-        return resolve(args);
+        return resolve_new(args);
     };
     if args.is_given() {
         anyhow::bail!(
@@ -21,11 +30,38 @@ pub fn resolve_run(args: &ScenarioArgs, output: &OutputArgs) -> anyhow::Result<S
     if !path.is_file() {
         anyhow::bail!("--resume {}: there is no run in this folder", folder.display());
     }
-    Ok(load(&path.to_string_lossy(), &[])?)
+    Ok((load_outside(&path.to_string_lossy(), &[])?, None))
 }
 
-/// The scenario that the command line means.
+fn resolve_new(args: &ScenarioArgs) -> anyhow::Result<(Scenario, Option<Inputs>)> {
+    let log = args.policy.as_ref().and_then(|policy| policy.strip_prefix(REPLAY));
+    let Some(log) = log.map(Path::new) else {
+        return Ok((resolve_by(args, load_outside)?, None));
+    };
+    let mut args = ScenarioArgs {
+        policy: None,
+        ..args.clone()
+    };
+    // What the run folder of the log says, where nobody says otherwise.
+    let beside = log.with_file_name(SCENARIO);
+    if !args.is_given() && beside.is_file() {
+        args.scenario = beside.to_string_lossy().into_owned();
+    }
+    args.policy = Some(outside::NAME.to_owned());
+    let scenario = resolve_by(&args, load_outside)?;
+    let inputs = input_log::read(log, &scenario).with_context(|| format!("--policy {REPLAY}{}", log.display()))?;
+    Ok((scenario, Some(inputs)))
+}
+
+/// The scenario that the command line means, with a policy of this program.
 pub fn resolve(args: &ScenarioArgs) -> anyhow::Result<Scenario> {
+    resolve_by(args, load)
+}
+
+fn resolve_by(
+    args: &ScenarioArgs,
+    load: impl Fn(&str, &[Override]) -> Result<Scenario, ScenarioError>,
+) -> anyhow::Result<Scenario> {
     let mut overrides = args
         .set
         .iter()

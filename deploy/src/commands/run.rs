@@ -10,9 +10,12 @@ use anyhow::{Context, bail, ensure};
 use reveille_bs::host::Progress;
 use reveille_bs::observe::frames::Framed;
 use reveille_bs::observe::{Happening, Observer};
-use reveille_common::message::{Frame, Outage};
+use reveille_bs::policy::outside;
+use reveille_common::ids::Tti;
+use reveille_common::message::Frame;
 use reveille_common::scenario::Scenario;
 use reveille_common::score::WindowRecord;
+use reveille_lab::inputs::Inputs;
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Options, Run, StopWhen};
 use reveille_view::metrics::Process;
@@ -32,11 +35,10 @@ const LOOK: Duration = Duration::from_millis(50);
 
 /// Runs a scenario in memory.
 pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
-    let scenario = resolve_run(&args.scenario, &args.output)?;
+    let (scenario, given) = resolve_run(&args.scenario, &args.output)?;
     crate::watch::check(&args.output)?;
     // Before there is a folder: a log that does not fit leaves none.
-    let named = args.inputs.as_ref().map(|path| input_log::read(path, &scenario));
-    let named = named.transpose().context("--inputs")?;
+    let named = named(args, &scenario, given)?;
     let folder = RunFolder::create(&args.output, &scenario)?;
     let mark = match &args.output.resume {
         Some(_) => marks::read(folder.path(), &scenario)?,
@@ -48,7 +50,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
             .as_ref()
             .map_or_else(|| window(&args.output, &scenario), |mark| mark.window),
     };
-    let outages = inputs(named, &folder, &scenario)?;
+    let inputs = inputs(named, &folder, &scenario)?;
     let mut marker = Marker::new(folder.path(), &scenario, options.window, mark);
     let progress = Arc::new(Progress::default());
     let runtime = crate::wall::runtime(1)?;
@@ -64,12 +66,12 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     };
     let bar = Bar::start(&progress, &scenario, args.output.quiet);
     let started = crate::wall::now();
-    let run = match set_up(&scenario, options, &stop) {
+    let mut run = match set_up(&scenario, options, &stop) {
         Ok((mut run, warnings)) => {
             for warning in warnings {
                 tracing::warn!("{warning}");
             }
-            run.lose_all(&outages);
+            run.expect_all(&inputs);
             run
         }
         Err(error) => {
@@ -88,9 +90,20 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         devices: u64::from(scenario.devices),
         outages: 0,
     };
-    let outcome = run.finish(&mut (&mut shown, &mut marker));
+    let goes_on = run.advance(Tti(scenario.ttis), &mut (&mut shown, &mut marker));
+    let (left, undecided) = (run.take_decisions(), run.is_undecided());
+    if undecided {
+        let tti = run.cycle().next_tti();
+        tracing::warn!("nobody has decided for TTI {tti}: the run ends there, as the one that decided did");
+    }
+    let outcome = if goes_on {
+        run.finish(&mut (&mut shown, &mut marker))
+    } else {
+        run.cut_short()
+    };
     marker.check()?;
-    ensure!(!outcome.complete || shown.outages == outages.len(), input_log::MISFIT);
+    let has_all = left.is_empty() && shown.outages == inputs.outages.len();
+    ensure!(!(outcome.complete || undecided) || has_all, input_log::MISFIT);
     let marked = marker.finish(outcome.complete);
     let run_s = started.elapsed().as_secs_f64();
     drop(bar);
@@ -109,14 +122,37 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     conclude(&args.output, &summary, &path)
 }
 
+/// What the command names of inputs: a log, or decisions that were `given` for a policy.
+fn named(args: &RunArgs, scenario: &Scenario, given: Option<Inputs>) -> anyhow::Result<Option<Inputs>> {
+    let Some(path) = &args.inputs else {
+        ensure!(
+            given.is_some() || args.output.resume.is_some() || !outside::is_external(&scenario.policy),
+            "--policy external: another program decides, and is asked over the bus: `reveille up` and `reveille bs` do \
+             that. In memory, --policy replay=FILE takes what it has decided, the inputs.log of such a run; and from \
+             Python a run can be stepped"
+        );
+        return Ok(given);
+    };
+    ensure!(
+        !outside::is_external(&scenario.policy),
+        "--inputs is for a policy of this program; decisions, and all else in the log, come with --policy replay=FILE"
+    );
+    let inputs = input_log::read(path, scenario).context("--inputs")?;
+    ensure!(
+        inputs.decisions.is_empty(),
+        "--inputs: decisions are in it: {}",
+        input_log::MISFIT
+    );
+    Ok(Some(inputs))
+}
+
 /// What the run depends on besides: what its folder holds, or what the command has `named`, which is copied there.
-fn inputs(named: Option<Vec<Outage>>, folder: &RunFolder, scenario: &Scenario) -> anyhow::Result<Vec<Outage>> {
-    let Some(outages) = named else {
+fn inputs(named: Option<Inputs>, folder: &RunFolder, scenario: &Scenario) -> anyhow::Result<Inputs> {
+    let Some(inputs) = named else {
         return input_log::of_folder(folder.path(), scenario);
     };
-    let mut log = InputLog::new(folder.path(), scenario);
-    outages.iter().try_for_each(|outage| log.add(outage))?;
-    Ok(outages)
+    InputLog::new(folder.path(), scenario).add_all(&inputs)?;
+    Ok(inputs)
 }
 
 /// Sets a run up on another thread, which takes a while with a million devices or a search before the run; at a signal

@@ -104,11 +104,11 @@ fn mark(text: &str) {
 /// Inputs that are read are written as the same, and a run can have them.
 fn log(text: &str) {
     match inputs::parse(text, scenario()) {
-        Ok(outages) => {
-            let lines: String = outages.iter().map(inputs::line).collect();
+        Ok(all) => {
+            let lines: String = all.iter().map(|input| inputs::line(&input)).collect();
             let again = inputs::parse(&(inputs::first_line(scenario()) + &lines), scenario());
-            assert_eq!(again.expect("what was written"), outages);
-            for outage in outages {
+            assert_eq!(again.expect("what was written"), all);
+            for outage in all.outages {
                 assert!(outage.is_sound(scenario().devices) && outage.tti.0 < scenario().ttis);
             }
         }

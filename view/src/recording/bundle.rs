@@ -3,7 +3,7 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use reveille_bs::policy::registry;
+use reveille_bs::policy::outside;
 use reveille_common::declare::{FileError, Files};
 use reveille_common::message::Description;
 use reveille_common::scenario::{self, Scenario, ScenarioError};
@@ -40,7 +40,7 @@ impl Bundle {
     /// # Errors
     /// If it cannot be used, or a file is missing.
     pub fn load(&self) -> Result<Scenario, ScenarioError> {
-        scenario::parse(&self.scenario, SCENARIO, Path::new(""), &[], &registry::kinds(), self)
+        scenario::parse(&self.scenario, SCENARIO, Path::new(""), &[], &outside::kinds(), self)
     }
 
     fn find(&self, path: &Path) -> Option<&[u8]> {

@@ -9,6 +9,9 @@
 //!     └───────────────────────────┴───────────────┼────────────┘                        │
 //!                                                 └─────────────────────────────────────┘
 //! ```
+//! On the bus, the host of the base station asks ([`wire`] is what is said there); in memory, whoever steps the run; and
+//! where decisions were kept, nobody needs to be asked.
+//!
 //! An answer cannot break a run: it is projected on what can be done. A δ plan is fitted to the devices
 //! ([`Decision::plan`]). Of the wake-ups, those of devices that were not told to sleep, that were woken in this TTI
 //! before, or that do not exist are dropped ([`Question::may_wake`]); an answer of which nothing is left ends the
@@ -17,6 +20,7 @@
 mod features;
 mod memory;
 mod question;
+pub mod wire;
 
 use std::collections::VecDeque;
 
@@ -26,7 +30,7 @@ use reveille_common::plan::{DutyCycle, Plan};
 
 pub use self::features::{DEVICE, Feature, GLOBAL};
 pub use self::memory::Memory;
-pub use self::question::{Decision, Question, Stage};
+pub use self::question::{Answer, Answered, Decision, Question, Stage};
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
 

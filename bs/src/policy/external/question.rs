@@ -57,3 +57,31 @@ pub struct Decision {
     /// The first TTI in which to be asked again; one that has passed stands for the next.
     pub next: Tti,
 }
+
+/// What somebody outside has answered.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Answer {
+    /// At [`Stage::Plan`].
+    Plan(Decision),
+    /// At [`Stage::Wake`]: whom to wake, one after the other in this order; nobody ends the wake-ups of the TTI.
+    Wake(Vec<DeviceId>),
+}
+
+impl Answer {
+    /// What it answers.
+    pub const fn stage(&self) -> Stage {
+        match self {
+            Self::Plan(_) => Stage::Plan,
+            Self::Wake(_) => Stage::Wake,
+        }
+    }
+}
+
+/// A decision that somebody outside has made in a run.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Answered {
+    /// The TTI of the question.
+    pub tti: Tti,
+    /// What was answered.
+    pub answer: Answer,
+}

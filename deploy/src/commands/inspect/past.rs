@@ -6,9 +6,9 @@
 use anyhow::Context;
 use reveille_bs::observe::frames::Framed;
 use reveille_common::ids::Tti;
-use reveille_common::message::{Frame, Message, Outage};
+use reveille_common::message::{Frame, Message};
 use reveille_common::scenario::Scenario;
-use reveille_lab::inputs;
+use reveille_lab::inputs::{self, Inputs};
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Options, Run};
 use reveille_view::recording::Bundle;
@@ -18,7 +18,7 @@ use crate::input_log::INPUTS;
 /// Puts what has happened before in front of what is heard.
 pub(super) struct Past {
     scenario: Scenario,
-    outages: Vec<Outage>,
+    inputs: Inputs,
     /// The run in memory, once it is needed.
     run: Option<Run>,
     /// The TTIs before this one have been told.
@@ -29,11 +29,11 @@ pub(super) struct Past {
 }
 
 impl Past {
-    /// The past of a run of `scenario` that has had these `outages`, of which nothing is told yet.
-    const fn new(scenario: Scenario, outages: Vec<Outage>) -> Self {
+    /// The past of a run of `scenario` that has had these `inputs`, of which nothing is told yet.
+    const fn new(scenario: Scenario, inputs: Inputs) -> Self {
         Self {
             scenario,
-            outages,
+            inputs,
             run: None,
             told: Tti::ZERO,
             is_within: false,
@@ -48,10 +48,10 @@ impl Past {
     pub fn of(bundle: &Bundle) -> anyhow::Result<Self> {
         let scenario = bundle.load()?;
         let log = bundle.files.iter().find(|(name, _)| name == INPUTS);
-        let outages = log.map_or(Ok(Vec::new()), |(_, bytes)| {
+        let inputs = log.map_or(Ok(Inputs::default()), |(_, bytes)| {
             inputs::parse(&String::from_utf8_lossy(bytes), &scenario)
         });
-        Ok(Self::new(scenario, outages.context("what the run depends on")?))
+        Ok(Self::new(scenario, inputs.context("what the run depends on")?))
     }
 
     /// The TTIs before this one have been told, until what is heard is handed on.
@@ -70,11 +70,11 @@ impl Past {
                 ..Options::default()
             };
             let mut run = Run::new(&prepare(&self.scenario), options);
-            run.lose_all(&self.outages);
+            run.expect_all(&self.inputs);
             run
         });
         let mut framed = Framed::new(0, &mut take);
-        while run.cycle().next_tti() < end {
+        while run.cycle().next_tti() < end && !run.is_undecided() {
             run.grant(&mut framed);
         }
         self.told = end;
@@ -152,7 +152,7 @@ mod tests {
                     // The clock says of late joiners where it stands, or stood a moment before.
                     for before in [0, 3] {
                         let mut told = Vec::new();
-                        let mut past = Past::new(scenario.clone(), Vec::new());
+                        let mut past = Past::new(scenario.clone(), Inputs::default());
                         let closed = Tti(frames[at].tti.0.saturating_sub(before));
                         past.tell(closed, |frame| told.push(frame));
                         for frame in &frames[at..] {

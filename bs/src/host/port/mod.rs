@@ -1,0 +1,409 @@
+//! Decisions from outside over the bus ([`wire`] is what is said): those that were kept come first, then a policy
+//! process is asked. Virtual time stands until it has answered.
+//!
+//! ```text
+//!            hello answered with the run's key
+//!   nobody ───────────────────────────────────► a process ──► answers: the run goes on
+//!      ▲                                            │
+//!      └────────────────────────────────────────────┘ is gone, or says nothing for a while: the question comes again
+//! ```
+//! Who has not answered in time, or has answered what decides nothing three times over, has not decided: the run ends, or
+//! the plan in force holds on and nobody is woken, as it was told.
+
+pub mod client;
+
+use std::collections::VecDeque;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use reveille_common::bus::{Bus, Heard, Replies};
+use reveille_common::forms::Form;
+use reveille_common::ids::Tti;
+use reveille_common::secret::Secret;
+
+use super::drive::{DecisionCounts, Decisions, Patience, Progress, Undecided};
+use super::error::BsError;
+use super::wall::now;
+use crate::policy::external::wire::{Asked, Head, Hello, OLDEST, PROTOCOL, Reply, Welcome};
+use crate::policy::external::{Answer, Answered, Decision, Question, Stage};
+
+/// How often a wait looks at what else may have happened.
+const LOOK: Duration = Duration::from_millis(100);
+/// How long a greeting may take to be answered before it is said again.
+const GREETING: Duration = Duration::from_secs(2);
+/// How long an answer may take before the question is asked again: it can get lost with a link.
+const AGAIN: Duration = Duration::from_secs(10);
+/// The pause between two tries where nobody is there.
+const BETWEEN: Duration = Duration::from_millis(200);
+/// How long nobody may decide before it is said.
+const SILENT: Duration = Duration::from_secs(5);
+/// Answers to one question that decide nothing.
+const STRIKES: u32 = 3;
+/// Characters of a name that are shown.
+const NAME: usize = 64;
+
+/// Who decides.
+struct Partner {
+    id: String,
+    name: String,
+    form: Form,
+}
+
+/// A question of which nothing is borrowed.
+pub(super) struct Pending {
+    stage: Stage,
+    tti: Tti,
+    devices: u32,
+    asked: Asked,
+    hello: Hello,
+    /// What stands for an answer where there comes none.
+    hold: Answer,
+}
+
+/// Where a question is, once it is posed.
+pub(super) enum Posed {
+    /// It was answered before.
+    Kept(Answer),
+    /// A policy process is to be asked.
+    Open(Box<Pending>),
+}
+
+/// What has come of waiting.
+enum Waited {
+    Heard(Heard),
+    /// No more comes of this try.
+    Over,
+    /// The run is to stop.
+    Stop,
+    /// Nobody decides in time.
+    TimeUp,
+}
+
+/// What has come of a try.
+enum Tried {
+    Answer(Answer),
+    /// What is wrong with the answer.
+    Refused(String),
+    /// No answer.
+    Nothing,
+    Stop,
+    TimeUp,
+}
+
+/// Where decisions come from.
+pub(super) struct Port<'a> {
+    bus: &'a Bus,
+    key: Option<Secret>,
+    run: String,
+    kept: VecDeque<Answered>,
+    patience: Option<Patience>,
+    partner: Option<Partner>,
+    /// The number of the next decision.
+    seq: u64,
+    /// The replies to the last question, of which the first counted.
+    spare: Option<Replies>,
+    /// What was said of answers that nobody takes.
+    complaint: String,
+    /// What has come so far.
+    pub(super) counts: DecisionCounts,
+}
+
+impl<'a> Port<'a> {
+    pub(super) fn new(bus: &'a Bus, key: Option<Secret>, decisions: Decisions) -> Self {
+        Self {
+            bus,
+            key,
+            run: bus.keys().run().to_string(),
+            kept: decisions.kept.into(),
+            patience: decisions.port,
+            partner: None,
+            seq: decisions.before,
+            spare: None,
+            complaint: String::new(),
+            counts: DecisionCounts::default(),
+        }
+    }
+
+    /// Takes in a question.
+    ///
+    /// # Errors
+    /// Of a log that is all that decides, it has no answer.
+    pub(super) fn pose(&mut self, question: &Question<'_>) -> Result<Posed, BsError> {
+        let (stage, tti) = (question.stage, question.seen.now);
+        let seq = self.seq;
+        self.seq += 1;
+        if let Some(kept) = self.kept.pop_front() {
+            if kept.tti == tti && kept.answer.stage() == stage {
+                return Ok(Posed::Kept(kept.answer));
+            }
+            return Err(BsError::CannotGoOn(format!(
+                "a decision was kept for TTI {}, and TTI {tti} asks for another: is it a log of this run?",
+                kept.tti
+            )));
+        }
+        if self.patience.is_none() {
+            return Err(BsError::CannotGoOn(format!(
+                "no decision was kept for TTI {tti}: the run that the log is of ended there"
+            )));
+        }
+        let to = self.partner.as_ref().map_or("", |partner| &partner.id);
+        let plan = question.seen.plan.clone();
+        Ok(Posed::Open(Box::new(Pending {
+            stage,
+            tti,
+            devices: question.woken.len() as u32,
+            asked: Asked::new(question, seq, to),
+            hello: Hello::new(self.run.clone(), seq, tti, question.seen.known),
+            hold: match stage {
+                Stage::Plan => Answer::Plan(Decision { plan, next: tti + 1 }),
+                Stage::Wake => Answer::Wake(Vec::new()),
+            },
+        })))
+    }
+
+    /// Asks until somebody has decided; nothing if the run is to stop.
+    ///
+    /// # Errors
+    /// The bus fails, or nobody decides and the run is to end then.
+    pub(super) async fn settle(&mut self, pending: Pending, progress: &Progress) -> Result<Option<Answer>, BsError> {
+        let Pending {
+            stage,
+            tti,
+            devices,
+            mut asked,
+            hello,
+            hold,
+        } = pending;
+        self.count_spare();
+        let patience = self.patience.unwrap_or_default();
+        let mut wait = Wait::new(progress, patience.limit, tti);
+        let mut strikes = 0;
+        let why = loop {
+            wait.whom = self.whom();
+            if self.partner.is_none() {
+                match self.greet(&hello, &mut wait).await? {
+                    Tried::Stop => return Ok(None),
+                    Tried::TimeUp => break self.whom(),
+                    Tried::Answer(_) | Tried::Refused(_) | Tried::Nothing => {}
+                }
+            }
+            let Some(partner) = &self.partner else { continue };
+            asked.to.clone_from(&partner.id);
+            match self.ask(&asked, (stage, tti, devices), &mut wait).await? {
+                Tried::Answer(answer) => {
+                    self.counts.decided += 1;
+                    return Ok(Some(answer));
+                }
+                Tried::Stop => return Ok(None),
+                Tried::TimeUp => break self.whom(),
+                Tried::Nothing => {
+                    let name = self.partner.take().map(|partner| partner.name).unwrap_or_default();
+                    tracing::warn!(%tti, "{name} has not answered; the clock is held until it, or another, does");
+                }
+                Tried::Refused(why) => {
+                    self.counts.refused += 1;
+                    strikes += 1;
+                    tracing::warn!(%tti, "an answer that decides nothing: {why}");
+                    if strikes >= STRIKES {
+                        break format!("{strikes} answers decided nothing, the last because: {why}");
+                    }
+                    asked.refused = Some(why);
+                }
+            }
+        };
+        match patience.then {
+            Undecided::End => Err(BsError::Undecided { tti, why }),
+            Undecided::Hold => {
+                if self.counts.held == 0 {
+                    tracing::warn!(%tti, "{why}; the plan in force holds, and nobody is woken. Further ones are only counted");
+                }
+                self.counts.held += 1;
+                Ok(Some(hold))
+            }
+        }
+    }
+
+    /// What is said of a decision that did not come in time.
+    fn whom(&self) -> String {
+        match &self.partner {
+            Some(partner) => format!("{} has not decided", partner.name),
+            None => format!("nobody decides at {}", self.bus.keys().policy()),
+        }
+    }
+
+    /// Looks for somebody who decides.
+    async fn greet(&mut self, hello: &Hello, wait: &mut Wait<'_>) -> Result<Tried, BsError> {
+        let payload = Form::Json.encode(hello);
+        let replies = self.bus.ask_policy(payload, Form::Json, GREETING).await?;
+        loop {
+            let problem = match wait.next(&replies).await {
+                Waited::Stop => return Ok(Tried::Stop),
+                Waited::TimeUp => return Ok(Tried::TimeUp),
+                Waited::Over => break,
+                Waited::Heard(Heard::Refusal(why)) => why,
+                Waited::Heard(Heard::Answer(bytes, form)) => match self.welcomed(hello, &bytes, form) {
+                    Ok(partner) => {
+                        tracing::info!(tti = %hello.head.tti, "{} decides", partner.name);
+                        self.partner = Some(partner);
+                        return Ok(Tried::Nothing);
+                    }
+                    Err(why) => why,
+                },
+            };
+            self.complain(format!("a process at the policy port cannot decide: {problem}"));
+        }
+        wait.name();
+        tokio::time::sleep(BETWEEN).await;
+        Ok(Tried::Nothing)
+    }
+
+    fn welcomed(&self, hello: &Hello, bytes: &[u8], form: Form) -> Result<Partner, String> {
+        let welcome: Welcome = form.decode(bytes)?;
+        let Head { protocol, .. } = welcome.head;
+        if !(OLDEST..=PROTOCOL).contains(&protocol) {
+            return Err(format!(
+                "it speaks protocol {protocol}, this base station {OLDEST} to {PROTOCOL}"
+            ));
+        }
+        if (welcome.head.seq, welcome.head.stage) != (hello.head.seq, hello.head.stage) {
+            return Err("it answers another greeting".to_owned());
+        }
+        if !self.is_ours(&welcome.key) {
+            return Err("it does not show the run's key, which whoever started the run has".to_owned());
+        }
+        if welcome.id.is_empty() || welcome.id.len() > NAME {
+            return Err(format!("its id is to be 1 to {NAME} characters"));
+        }
+        let name: String = welcome.name.chars().filter(|c| !c.is_control()).take(NAME).collect();
+        let name = if name.is_empty() {
+            format!("process {}", welcome.id)
+        } else {
+            name
+        };
+        Ok(Partner {
+            id: welcome.id,
+            name,
+            form: welcome.form,
+        })
+    }
+
+    fn is_ours(&self, shown: &str) -> bool {
+        self.key.is_none_or(|key| shown.parse() == Ok(key))
+    }
+
+    /// Asks once.
+    async fn ask(
+        &mut self,
+        asked: &Asked,
+        (stage, tti, devices): (Stage, Tti, u32),
+        wait: &mut Wait<'_>,
+    ) -> Result<Tried, BsError> {
+        let form = self.partner.as_ref().map_or(Form::Json, |partner| partner.form);
+        let replies = self.bus.ask_policy(form.encode(asked), form, AGAIN).await?;
+        loop {
+            match wait.next(&replies).await {
+                Waited::Stop => return Ok(Tried::Stop),
+                Waited::TimeUp => return Ok(Tried::TimeUp),
+                Waited::Over => return Ok(Tried::Nothing),
+                Waited::Heard(Heard::Refusal(why)) => return Ok(Tried::Refused(why)),
+                Waited::Heard(Heard::Answer(bytes, form)) => {
+                    let reply: Result<Reply, String> = form.decode(&bytes);
+                    if reply
+                        .as_ref()
+                        .is_ok_and(|reply| !self.is_ours(&reply.key) || reply.id != asked.to)
+                    {
+                        self.complain(
+                            "an answer came that does not show the run's key, or not the id that was asked".into(),
+                        );
+                        continue;
+                    }
+                    let answer = reply.and_then(|reply| {
+                        let echo = (reply.seq, reply.tti, reply.stage);
+                        let own = (asked.head.seq, asked.head.tti, Some(asked.head.stage));
+                        if echo != own {
+                            return Err(format!("it is for {echo:?}, and {own:?} was asked (seq, tti, stage)"));
+                        }
+                        reply.answer(stage, tti, devices)
+                    });
+                    return Ok(match answer {
+                        Ok(answer) => {
+                            self.spare = Some(replies);
+                            Tried::Answer(answer)
+                        }
+                        Err(why) => Tried::Refused(why),
+                    });
+                }
+            }
+        }
+    }
+
+    /// Counts what came of the last question after its answer.
+    fn count_spare(&mut self) {
+        let Some(replies) = self.spare.take() else { return };
+        let more = replies.rest().count() as u64;
+        if more > 0 {
+            self.counts.refused += more;
+            self.complain("a question was answered twice; the first answer counts".to_owned());
+        }
+    }
+
+    /// Says what is wrong, where it was not the last that was said.
+    fn complain(&mut self, what: String) {
+        if self.complaint != what {
+            tracing::warn!("{what}");
+            self.complaint = what;
+        }
+    }
+}
+
+/// The wait for one decision.
+struct Wait<'a> {
+    progress: &'a Progress,
+    begun: Instant,
+    limit: Option<Duration>,
+    tti: Tti,
+    /// Whom the run waits for, in words.
+    whom: String,
+    is_named: bool,
+}
+
+impl<'a> Wait<'a> {
+    fn new(progress: &'a Progress, limit: Option<Duration>, tti: Tti) -> Self {
+        Self {
+            progress,
+            begun: now(),
+            limit,
+            tti,
+            whom: String::new(),
+            is_named: false,
+        }
+    }
+
+    /// What comes next of `replies`.
+    async fn next(&mut self, replies: &Replies) -> Waited {
+        loop {
+            if self.progress.stop.load(Ordering::Relaxed) {
+                return Waited::Stop;
+            }
+            let waited = self.begun.elapsed();
+            if self.limit.is_some_and(|limit| waited >= limit) {
+                return Waited::TimeUp;
+            }
+            let look = self.limit.map_or(LOOK, |limit| LOOK.min(limit.saturating_sub(waited)));
+            match tokio::time::timeout(look, replies.next()).await {
+                Ok(Some(heard)) => return Waited::Heard(heard),
+                Ok(None) => return Waited::Over,
+                Err(_) => self.name(),
+            }
+        }
+    }
+
+    /// Says once whom the run waits for.
+    fn name(&mut self) {
+        if self.begun.elapsed() >= SILENT && !self.is_named {
+            self.is_named = true;
+            let (tti, whom) = (self.tti, &self.whom);
+            tracing::warn!(%tti, "no decision for {} s: {whom}; the clock is held", SILENT.as_secs());
+        }
+    }
+}

@@ -1,0 +1,99 @@
+//! The policy process that a run starts by `--policy-command`, and ends with itself.
+
+use std::os::unix::process::CommandExt;
+use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use anyhow::Context;
+use reveille_bs::host::Progress;
+use reveille_common::bus::Bus;
+use reveille_common::secret::Secret;
+use rustix::process::{Pid, Signal, kill_process_group};
+
+use crate::key;
+use crate::wall::now;
+
+/// The variable that says where the base station listens.
+const CONNECT: &str = "REVEILLE_CONNECT";
+/// The variable that names the run.
+const RUN: &str = "REVEILLE_RUN";
+/// Time between two looks at the process.
+const LOOK: Duration = Duration::from_millis(20);
+/// How long it may take to end when it is told to.
+const LEAVE: Duration = Duration::from_secs(2);
+
+/// A policy process, looked after until this is dropped.
+pub struct PolicyProcess {
+    is_over: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl PolicyProcess {
+    /// Starts `command` by the shell, to decide for the run on `bus` that has this `key`. If it ends before the run,
+    /// `progress` is told that the run must end, and why.
+    ///
+    /// # Errors
+    /// It cannot be started.
+    pub fn start(command: &str, bus: &Bus, key: Option<Secret>, progress: &Arc<Progress>) -> anyhow::Result<Self> {
+        let mut shell = Command::new("/bin/sh");
+        shell
+            .args(["-c", command])
+            .env(CONNECT, bus.endpoint())
+            .env(RUN, bus.keys().run().to_string())
+            .stdin(Stdio::null())
+            // Its results are on the standard output of the run, and nobody else's.
+            .stdout(std::io::stderr())
+            // A key that ends the run ends the process in its turn.
+            .process_group(0);
+        if let Some(key) = key {
+            shell.env(key::VARIABLE, key.to_string());
+        }
+        let child = shell.spawn().context("cannot start a shell for --policy-command")?;
+        let is_over = Arc::new(AtomicBool::new(false));
+        let (over, progress) = (Arc::clone(&is_over), Arc::clone(progress));
+        let named = command.to_owned();
+        let thread = std::thread::Builder::new()
+            .name("policy".to_owned())
+            .spawn(move || look_after(child, &named, &over, &progress))?;
+        Ok(Self {
+            is_over,
+            thread: Some(thread),
+        })
+    }
+}
+
+impl Drop for PolicyProcess {
+    fn drop(&mut self) {
+        self.is_over.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let _panicked = thread.join().is_err();
+        }
+    }
+}
+
+fn look_after(mut child: Child, command: &str, is_over: &AtomicBool, progress: &Progress) {
+    while !is_over.load(Ordering::Relaxed) {
+        if let Ok(Some(status)) = child.try_wait() {
+            let why = format!("the policy process `{command}` ended with {status}");
+            // The first cause is the one that counts.
+            let _told_before = progress.cause.set(why).is_err();
+            progress.stop.store(true, Ordering::Relaxed);
+            return;
+        }
+        std::thread::sleep(LOOK);
+    }
+    let group = Pid::from_child(&child);
+    for signal in [Signal::TERM, Signal::KILL] {
+        let _gone = kill_process_group(group, signal).is_err();
+        let told = now();
+        while told.elapsed() < LEAVE {
+            if !matches!(child.try_wait(), Ok(None)) {
+                return;
+            }
+            std::thread::sleep(LOOK);
+        }
+    }
+}

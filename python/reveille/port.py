@@ -1,0 +1,353 @@
+"""Decide for a run that goes on: the other side of the policy port.
+
+The base station of ``reveille up --policy external``, or of ``reveille bs``, asks for every decision over zenoh, and
+virtual time stands until it is answered. What is asked has the form of an environment's observations, so what was
+trained in :class:`~reveille.environment.ReveilleEnv` decides here as it is, and the run has the same digest.
+
+Needs ``eclipse-zenoh`` and ``cbor2``, the extra ``port``.
+"""
+
+from __future__ import annotations
+
+import hmac
+import json
+import os
+import queue
+import secrets
+import stat
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: The version that is spoken here, and the oldest that is understood.
+PROTOCOL = 1
+OLDEST = 1
+
+#: Stages by their names on the bus, as environments number them.
+STAGES = {"plan": 0, "wake": 1}
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where a run is."""
+
+    #: Where its base station listens, ``tcp/HOST:PORT``.
+    connect: str
+    #: Its name.
+    run: str
+    #: Its key, 32 hexadecimal digits, which whoever decides must show.
+    key: str = field(repr=False, default="")
+
+
+@dataclass(frozen=True)
+class Question:
+    """A decision that is asked for."""
+
+    #: What an environment of the same scenario would show: ``device``, ``globals``, ``stage``, ``action_mask``.
+    observation: dict[str, Any]
+    #: The TTI of the decision.
+    tti: int
+    #: The number of the decision in the run, from 0.
+    seq: int
+    #: At stage 1, the reports of this TTI in the order in which they came: ``device``, ``information``, ``battery``.
+    heard: list[dict[str, Any]]
+    #: Why the last answer to this question was not taken, if it was not.
+    refused: str | None
+
+
+#: What decides: N zeros and ones, as an environment's action; or a mapping with one of ``action``, ``sense`` (ids),
+#: ``cycles`` (``[t_on, t_drx, offset]`` of each device) or ``wake`` (ids, in order), and with a plan ``next``, the TTI
+#: in which to be asked again.
+Decision = NDArray[Any] | Mapping[str, Any]
+
+
+class PortError(RuntimeError):
+    """The run cannot be decided for; the message says why."""
+
+
+class ProtocolError(ValueError):
+    """What came is no question of this protocol."""
+
+
+def _runs() -> list[Target]:
+    """The runs of this user on this machine."""
+    given = os.environ.get("XDG_RUNTIME_DIR", "")
+    folder = Path(given) / "reveille" if os.path.isabs(given) else Path(tempfile.gettempdir()) / f"reveille-{os.getuid()}"
+    if not os.path.lexists(folder):
+        return []
+    found = folder.lstat()
+    # What is in it is believed.
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
+        raise PortError(f"{folder} is not this user's alone; give connect= and run=, or set XDG_RUNTIME_DIR")
+    targets = []
+    for path in sorted(folder.glob("*.json")):
+        try:
+            entry = json.loads(path.read_text())
+            os.kill(entry["pid"], 0)
+            targets.append(Target(entry["endpoint"], entry["run"], entry.get("key") or ""))
+        except (OSError, ValueError, KeyError, TypeError):
+            # Of a run that is gone, or is being written.
+            continue
+    return targets
+
+
+def find(connect: str | None = None, run: str | None = None, key_file: str | os.PathLike[str] | None = None) -> Target:
+    """The run that is meant: what is given, then what ``--policy-command`` has told this process by its environment
+    (``REVEILLE_CONNECT``, ``REVEILLE_RUN``, ``REVEILLE_KEY``), then the one run of this user on this machine.
+
+    :param connect: where the base station listens, ``tcp/HOST:PORT``.
+    :param run: its name.
+    :param key_file: the file with the run's key, where ``reveille bs --key-file`` has made one.
+    :raises PortError: there is none, or more than one.
+    """
+    key = Path(key_file).read_text().strip() if key_file is not None else None
+    given = os.environ
+    if connect is None and run is None and "REVEILLE_CONNECT" in given and "REVEILLE_RUN" in given:
+        return Target(given["REVEILLE_CONNECT"], given["REVEILLE_RUN"], key or given.get("REVEILLE_KEY", ""))
+    runs = [
+        target
+        for target in _runs()
+        if (run is None or target.run == run) and (connect is None or target.connect == connect)
+    ]
+    if connect is not None and run is not None:
+        known = runs[0].key if runs else given.get("REVEILLE_KEY", "")
+        return Target(connect, run, key or known)
+    if len(runs) == 1:
+        return Target(runs[0].connect, runs[0].run, key or runs[0].key)
+    if not runs:
+        raise PortError(
+            "no such run on this machine: start one with `reveille up --policy external`, or give connect= and run="
+        )
+    names = ", ".join(target.run for target in runs)
+    raise PortError(f"there are {len(runs)} runs on this machine; choose one with run=: {names}")
+
+
+class PolicyClient:
+    """Decides for one run.
+
+    ::
+
+        client = reveille.PolicyClient(lambda observation: my_network(observation))
+        client.serve()  # until the run is over
+
+    The policy is called with an observation and gives a decision. With ``whole=True`` it is called with the
+    :class:`Question`, which says more. A question that comes again, as after a lost link, is answered with what was
+    answered before, and the policy is not called.
+    """
+
+    def __init__(
+        self,
+        policy: Callable[[Any], Decision],
+        *,
+        name: str | None = None,
+        whole: bool = False,
+        form: str = "cbor",
+    ) -> None:
+        """Makes a client.
+
+        :param policy: what decides.
+        :param name: what the run calls this process in what it says; the name of the policy by default.
+        :param whole: call the policy with the whole :class:`Question`.
+        :param form: ``"cbor"``, or ``"json"``, which is longer and can be read by people.
+        """
+        if form not in ("cbor", "json"):
+            raise ValueError(f"form {form!r}: cbor or json is allowed")
+        self.policy = policy
+        self.name = name or getattr(policy, "__name__", type(policy).__name__)
+        self.whole = whole
+        self.form = form
+        #: What the base station said of the run when it greeted: ``run``, ``ttis``, ``known``, the features.
+        self.hello: dict[str, Any] | None = None
+        #: Decisions that were made.
+        self.decided = 0
+        self._id = secrets.token_hex(8)
+        self._last: tuple[tuple[Any, ...], bytes] | None = None
+
+    def serve(
+        self,
+        *,
+        connect: str | None = None,
+        run: str | None = None,
+        key_file: str | os.PathLike[str] | None = None,
+        patience: float = 30.0,
+    ) -> int:
+        """Decides until the run is over, and gives the number of decisions. For the arguments see :func:`find`.
+
+        :param patience: seconds for which the base station is tried to be reached.
+        :raises PortError: there is no such run, or it cannot be reached.
+        """
+        import zenoh
+
+        target = find(connect, run, key_file)
+        config = zenoh.Config()
+        settings = {
+            "mode": '"client"',
+            "connect/endpoints": json.dumps([target.connect]),
+            "connect/timeout_ms": str(int(patience * 1000)),
+            "connect/exit_on_failure": "true",
+            "scouting/multicast/enabled": "false",
+            "scouting/gossip/enabled": "false",
+        }
+        for key, value in settings.items():
+            config.insert_json5(key, value)
+        try:
+            session = zenoh.open(config)
+        except zenoh.ZError as error:
+            raise PortError(f"no base station answers at {target.connect} within {patience:g} s") from error
+        with session:
+            return self._serve(zenoh, session, target)
+
+    def _serve(self, zenoh: Any, session: Any, target: Target) -> int:
+        # Zenoh's threads hand over, this one decides: it can be interrupted, and a slow policy holds nothing up there.
+        questions: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        prefix = f"reveille/{target.run}"
+
+        def changed(sample: Any) -> None:
+            if sample.kind == zenoh.SampleKind.DELETE:
+                questions.put(None)
+
+        watched = session.liveliness().declare_subscriber(f"{prefix}/emu/bs", changed)
+        port = session.declare_queryable(f"{prefix}/policy/v1", questions.put)
+        try:
+            while (query := self._next(session, questions)) is not None:
+                try:
+                    self._answer(zenoh, query, target)
+                finally:
+                    # The base station waits for the end of a query, not only for its answer.
+                    query.drop()
+        finally:
+            port.undeclare()
+            watched.undeclare()
+        return self.decided
+
+    @staticmethod
+    def _next(session: Any, questions: queue.SimpleQueue[Any]) -> Any:
+        while not session.is_closed():
+            try:
+                return questions.get(timeout=0.2)
+            except queue.Empty:
+                continue
+        return None
+
+    def _answer(self, zenoh: Any, query: Any, target: Target) -> None:
+        encoding = zenoh.Encoding.APPLICATION_JSON
+        payload = query.payload.to_bytes() if query.payload is not None else b""
+        is_cbor = query.encoding == zenoh.Encoding.APPLICATION_CBOR
+        if is_cbor:
+            encoding = zenoh.Encoding.APPLICATION_CBOR
+        try:
+            answer = self.answer(payload, "cbor" if is_cbor else "json", target.key)
+        except ProtocolError as error:
+            query.reply_err(str(error), encoding=zenoh.Encoding.TEXT_PLAIN)
+            return
+        if answer is not None:
+            query.reply(query.key_expr, answer, encoding=encoding)
+
+    def answer(self, payload: bytes, form: str, key: str) -> bytes | None:
+        """The answer to a question in its form, for those who bring both by other means; nothing where another process
+        is asked.
+
+        :raises ProtocolError: it is no question.
+        :raises ValueError: the policy gave no decision.
+        """
+        question = _decode(payload, form)
+        try:
+            if question["stage"] == "hello":
+                return _encode(self._welcome(question, key), form)
+            if not hmac.compare_digest(str(question["to"]), self._id):
+                return None
+            echo = {name: question[name] for name in ("seq", "tti", "stage")}
+            asked = self._read(question)
+        except (KeyError, TypeError, ValueError) as error:
+            raise ProtocolError(f"the question cannot be read: {type(error).__name__}: {error}") from error
+        head = tuple(echo.values())
+        if self._last is not None and self._last[0] == head and asked.refused is None:
+            return self._last[1]
+        decision = self.policy(asked if self.whole else asked.observation)
+        reply = {"protocol": PROTOCOL, **echo, "id": self._id, "key": key, **_said(decision)}
+        self.decided += 1
+        answer = _encode(reply, form)
+        self._last = (head, answer)
+        return answer
+
+    def _welcome(self, hello: dict[str, Any], key: str) -> dict[str, Any]:
+        if hello["min"] > PROTOCOL or hello["max"] < OLDEST:
+            raise ValueError(
+                f"this package speaks protocol {OLDEST} to {PROTOCOL}, the base station {hello['min']} to {hello['max']}"
+            )
+        self.hello = hello
+        return {
+            "protocol": min(PROTOCOL, hello["max"]),
+            "seq": hello["seq"],
+            "tti": hello["tti"],
+            "stage": "hello",
+            "id": self._id,
+            "name": self.name,
+            "key": key,
+            "form": self.form,
+        }
+
+    @staticmethod
+    def _read(question: dict[str, Any]) -> Question:
+        mask = np.array(list(question["action_mask"]), np.int8)
+        observation = {
+            "device": _numbers(question["device"]).reshape(len(mask), -1),
+            "globals": _numbers(question["globals"]).reshape(-1),
+            "stage": np.int64(STAGES[question["stage"]]),
+            "action_mask": mask,
+        }
+        heard, refused = question["heard"], question.get("refused")
+        return Question(observation, question["tti"], question["seq"], heard, refused)
+
+
+def _numbers(rows: Any) -> NDArray[np.float32]:
+    if isinstance(rows, bytes):
+        return np.frombuffer(rows, "<f4").astype(np.float32)
+    return np.asarray(rows, np.float32)
+
+
+def _said(decision: Decision) -> dict[str, Any]:
+    if isinstance(decision, Mapping):
+        said = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in decision.items()}
+        unknown = set(said) - {"action", "sense", "cycles", "wake", "next"}
+        if unknown:
+            raise ValueError(f"a decision has no {sorted(unknown)}: there are action, sense, cycles, wake and next")
+        return said
+    return {"action": np.asarray(decision).astype(bool).astype(int).reshape(-1).tolist()}
+
+
+def _encode(message: dict[str, Any], form: str) -> bytes:
+    if form == "json":
+        return json.dumps(message).encode()
+    import cbor2
+
+    return cbor2.dumps(message)
+
+
+def _decode(payload: bytes, form: str) -> dict[str, Any]:
+    loads: Callable[[bytes], Any] = json.loads
+    if form == "cbor":
+        import cbor2
+
+        loads = cbor2.loads
+    try:
+        message = loads(payload)
+    except Exception as error:
+        raise ProtocolError(f"what came is not in {form}: {error}") from error
+    if not isinstance(message, dict):
+        raise ProtocolError("a question is a map")
+    return message
+
+
+def decide(policy: Callable[[dict[str, Any]], Decision], **where: Any) -> int:
+    """Decides for a run until it is over: :class:`PolicyClient` in one call.
+
+    :param policy: gives the decision for an observation.
+    :param where: see :meth:`PolicyClient.serve`.
+    """
+    return PolicyClient(policy).serve(**where)
