@@ -180,7 +180,7 @@ async fn the_decisions_of_a_policy_give_its_digest() {
             "{policy}: {end}"
         );
         assert!(
-            (summary.number("timing.decisions") as u64, decided) >= (400, 400),
+            (summary.number("timing.decisions"), decided) >= (400, 400),
             "{policy}: {decided}"
         );
 
@@ -212,21 +212,16 @@ async fn killed_processes_cost_time_and_no_result() {
         key: Some(key),
         form: Form::Cbor,
     };
-    // The first one dies over a question.
+    // The first one is gone in the middle, wherever that is.
     let (bus, own_name) = (run.bus().await, introduction("the first"));
-    let first = client::decide(&bus, &own_name, &mut |asked: &Asked| {
-        assert!(asked.head.tti < 120, "dies");
-        answer(&transcript, asked)
-    });
-    let died = tokio::select! {
-        () = async { run.folder.wait_for_tti(&run.run, 110); } => true,
-        _ = first => false,
-    };
-    assert!(died, "it was to be asked");
+    let mut first = |asked: &Asked| answer(&transcript, asked);
+    let first = client::decide(&bus, &own_name, &mut first);
+    let gone = tokio::time::timeout(Duration::from_millis(700), first).await;
+    assert!(gone.is_err(), "the run is to be longer than that");
     bus.close().await;
     let victim = hosts_of(&run.run)[1];
     let decider = run.decide(Form::Json, |asked| {
-        if asked.head.tti == 200 {
+        if asked.head.tti == 350 {
             send_signal(victim, Signal::KILL);
         }
         answer(&transcript, asked)
@@ -298,7 +293,7 @@ async fn an_answer_that_comes_twice_counts_once() {
         .await;
     let (_, end) = run.finish();
     assert!(end.is_success() && end.stderr.contains("answered twice"), "{end}");
-    assert!(end.summary().number("timing.decisions_refused") > 0.0, "{end}");
+    assert!(end.summary().number("timing.decisions_refused") > 0, "{end}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -354,7 +349,7 @@ async fn nonsense_is_told_of_and_ends_the_run_or_is_left_out() {
     let (folder, end) = run.finish();
     assert!(end.is_success(), "{end}");
     let summary = end.summary();
-    let counted = |name: &str| summary.number(&format!("timing.{name}")) as u64;
+    let counted = |name: &str| summary.number(&format!("timing.{name}"));
     assert!(
         counted("decisions_held") >= 1 && counted("decisions_refused") >= 3,
         "{end}"
@@ -383,7 +378,7 @@ async fn a_late_answer_is_not_taken_for_another_question() {
     let (folder, end) = run.finish();
     assert!(end.is_success(), "{end}");
     let summary = end.summary();
-    assert!(summary.number("timing.decisions_held") >= 1.0, "{end}");
+    assert!(summary.number("timing.decisions_held") >= 1, "{end}");
     let kept = folder.summary("run --policy replay=out/inputs.log");
     assert_eq!(kept.digest(), summary.digest());
 }
@@ -401,7 +396,9 @@ async fn who_has_not_the_key_decides_nothing() {
     let mut strange = |_: &Asked| Answer::Wake(Vec::new());
     let greeting = client::decide(&bus, &stranger, &mut strange);
     let said = async {
-        run.process.wait_for_stderr("does not show the run's key");
+        while !run.process.stderr().contains("does not show the run's key") {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
     };
     tokio::select! {
         decided = greeting => panic!("{decided:?}"),
@@ -449,7 +446,7 @@ fn nobody_who_decides_is_named_and_waited_for_as_told() {
     let run = Decided::start_in(Folder::new(), two);
     let (_, end) = run.finish();
     assert!(
-        end.is_success() && end.summary().number("timing.decisions_held") >= 2.0,
+        end.is_success() && end.summary().number("timing.decisions_held") >= 2,
         "{end}"
     );
 
