@@ -16,6 +16,9 @@ fi
 "$venv/bin/maturin" build --quiet --release --locked --interpreter "$venv/bin/python" --out "$wheels"
 wheel=("$wheels"/reveille-*.whl)
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check "${wheel[0]}[test]"
+# The emulator that it decides for, if it is built.
+program=$target/release/reveille
+if [ -x "$program" ]; then export REVEILLE=$program; else echo "no $program: deciding for it is not tested"; fi
 # From another folder, so that it is the wheel that is tested and not the sources beside it.
 cd tests
 PYTHONDONTWRITEBYTECODE=1 "$venv/bin/python" -m pytest -q -p no:cacheprovider .

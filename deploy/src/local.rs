@@ -97,6 +97,13 @@ fn check(folder: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// The endpoint for others: a listener on all addresses is reached at one of them.
+pub fn reachable(endpoint: &str) -> String {
+    endpoint
+        .replace("/0.0.0.0:", "/ADDRESS:")
+        .replace("/[::]:", "/ADDRESS:")
+}
+
 /// The run that `target` means.
 ///
 /// # Errors

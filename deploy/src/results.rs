@@ -9,7 +9,7 @@
 //! | `devices.csv` | a row per device |
 //! | `learned.json` | the tables of a policy that has learned in the run |
 //! | `summary.json` | metrics, digest, timing, versions |
-//! | `inputs.log` | what the run depends on besides: outages under `--on-loss continue` |
+//! | `inputs.log` | what the run depends on besides: outages under `--on-loss continue`, decisions of `external` |
 //! | `mark.json` | how far the run has come, for `--resume`; gone once it is complete |
 //! | `RUNNING` | there and locked while the run goes; left behind, the run was killed |
 //! | `FAILED` | why a run ended without a summary |

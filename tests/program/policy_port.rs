@@ -279,6 +279,30 @@ async fn a_killed_base_station_is_taken_up_and_asks_only_for_what_is_new() {
     assert_eq!(kept.digest(), digest);
 }
 
+/// A recording that begins late, and one of the run itself, have all of it.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_run_that_is_joined_late_is_whole() {
+    let (transcript, digest) = own("age-index", &["bs.sync_interval=1000"]);
+    let run = Decided::start("-P 2 --pace 3ms --record whole.mcap --set bs.sync_interval=1000");
+    let mut late = None;
+    run.decide(Form::Json, |asked| {
+        if asked.head.tti == 150 && late.is_none() {
+            late = Some(run.folder.start(&format!("inspect record late.mcap --run {}", run.run)));
+        }
+        answer(&transcript, asked)
+    })
+    .await;
+    let recorded = late.expect("it was asked").finish();
+    assert!(recorded.is_success(), "{recorded}");
+    let (folder, end) = run.finish();
+    assert!(end.is_success(), "{end}");
+    assert_eq!(end.summary().digest(), digest);
+    let same = folder.run("inspect compare whole.mcap late.mcap");
+    assert!(same.is_success(), "{same}");
+    let verified = folder.run("inspect verify whole.mcap");
+    assert!(verified.is_success() && verified.stdout.contains(&digest), "{verified}");
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn an_answer_that_comes_twice_counts_once() {
     let run = Decided::start("-P 2");

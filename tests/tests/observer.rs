@@ -4,7 +4,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use reveille_bs::host::{Course, OnLoss, Progress, Settings, dismiss, serve};
+use reveille_bs::host::{Course, Decisions, OnLoss, Progress, Settings, dismiss, serve};
 use reveille_bs::observe::{Happening, Observer};
 use reveille_bs::policy::kind::Registered;
 use reveille_bs::policy::registry::POLICIES;
@@ -96,6 +96,7 @@ async fn over_the_bus(prepared: &Prepared, lookahead: bool, hosts: u32) -> Vec<S
         prepared,
         taken: None,
         replay: None,
+        decisions: Decisions::default(),
     };
     let mut record = Record::default();
     let progress = Arc::new(Progress::default());

@@ -1,5 +1,5 @@
-//! The policy port: the BS asks, and a program of any language answers. Nothing of it is a message of ours: payloads are
-//! in a [`Form`] that others read, and zenoh's encoding says in which.
+//! The policy port: the BS asks, and a program of any language answers. Nothing of it is a message of ours: payloads
+//! are in a [`Form`] that others read, and zenoh's encoding says in which.
 
 use std::pin::Pin;
 use std::time::Duration;

@@ -6,20 +6,18 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context as _, anyhow, bail, ensure};
+use anyhow::{Context as _, anyhow, bail};
 use reveille_bs::host::{self, BsError, Course, Decisions, OnLoss, Progress, Served, Settings};
 use reveille_bs::observe::Observer;
 use reveille_bs::policy::outside;
 use reveille_bs::prepared::Prepared;
-use reveille_bs::taken::Taken;
 use reveille_common::bus::{Bus, Declared, draw_secret};
 use reveille_common::ids::Tti;
 use reveille_common::keys::RunName;
 use reveille_common::message::{Describe, Description, Pace};
 use reveille_common::scenario::Scenario;
-use reveille_lab::inputs::Inputs;
 use reveille_lab::preparation::prepare as prepare_run;
-use reveille_lab::run::{Options, Run, StopWhen};
+use reveille_lab::run::StopWhen;
 use reveille_view::metrics::Process;
 use tokio::sync::oneshot;
 
@@ -27,11 +25,12 @@ use super::conclusion::{conclude, window};
 use super::inspect::source::groups;
 use super::resolution::resolve_run;
 use super::run::Interrupted;
-use crate::cli::{AuditArg, BsArgs, DriveArgs, OnUndecidedArg, OutputArgs, OutsideArgs};
+use super::taken;
+use crate::cli::{AuditArg, BsArgs, DriveArgs, OutputArgs};
 use crate::dashboard::feed::{Feed, Hose};
-use crate::decider::PolicyProcess;
+use crate::decider::{Deciding, deciding};
 use crate::display::{Bar, note};
-use crate::input_log::{self, INPUTS, InputLog};
+use crate::input_log::{INPUTS, InputLog};
 use crate::marks::{self, Marker};
 use crate::results::RunFolder;
 use crate::shadow::{Auditor, Beginning, whose};
@@ -41,8 +40,6 @@ use crate::{interrupt, key, limits, local, recording};
 
 /// Time between two looks for a signal.
 const LOOK: Duration = Duration::from_millis(20);
-/// TTIs of a replay between two looks for a signal.
-const STRIDE: u64 = 10_000;
 /// How long pages that follow the run have to be told that it has ended.
 const SHOWN: Duration = Duration::from_millis(200);
 /// How long observers on the bus may take for the last messages once a run has ended.
@@ -53,7 +50,7 @@ pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     let started = crate::wall::now();
     let (scenario, given) = resolve_run(&args.scenario, &args.output)?;
     check(&args.output, &args.drive)?;
-    let decisions = decisions(&scenario, given, &args.drive)?;
+    let deciding = deciding(&scenario, given, &args.drive)?;
     limits::for_any_station(scenario.devices)?;
     let bus = Bus::listen(&args.listen, args.run.clone()).await?;
     let folder = RunFolder::create(&args.output, &scenario)?;
@@ -72,7 +69,7 @@ pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
         note!(
             "waiting for {} devices: reveille device --connect {} --run {} --count …",
             scenario.devices,
-            reachable(bus.endpoint()),
+            local::reachable(bus.endpoint()),
             args.run
         );
     }
@@ -86,8 +83,7 @@ pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
             output: &args.output,
             dashboard: args.drive.dashboard.as_deref(),
             audit: args.drive.audit,
-            decisions,
-            policy_command: args.drive.outside.policy_command.as_deref(),
+            deciding,
             progress,
             started,
         },
@@ -95,13 +91,6 @@ pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
         |_| {},
     )
     .await
-}
-
-/// The endpoint for others: a listener on all addresses is reached at one of them.
-fn reachable(endpoint: &str) -> String {
-    endpoint
-        .replace("/0.0.0.0:", "/ADDRESS:")
-        .replace("/[::]:", "/ADDRESS:")
 }
 
 /// A base station about to serve.
@@ -121,9 +110,7 @@ pub struct Service<'a> {
     /// Whether it is compared with a replay.
     pub audit: AuditArg,
     /// Who decides, where the policy does not.
-    pub decisions: Decisions,
-    /// What is started to do so.
-    pub policy_command: Option<&'a str>,
+    pub deciding: Deciding<'a>,
     /// How far the run has come.
     pub progress: Arc<Progress>,
     /// When the command was given.
@@ -140,36 +127,6 @@ pub fn check(output: &OutputArgs, drive: &DriveArgs) -> anyhow::Result<()> {
         Some(address) => crate::web::can_listen("--dashboard", address),
         None => Ok(()),
     }
-}
-
-/// Who decides in a run of `scenario`: nobody outside, what was `given` of an earlier run, or who answers at the policy
-/// port.
-///
-/// # Errors
-/// The options mean nothing here, or what was given cannot be gone through on the bus.
-pub fn decisions(scenario: &Scenario, given: Option<Inputs>, drive: &DriveArgs) -> anyhow::Result<Decisions> {
-    let OutsideArgs {
-        policy_command,
-        decision_timeout,
-        on_undecided,
-    } = &drive.outside;
-    let is_asked = outside::is_external(&scenario.policy) && given.is_none();
-    let is_tuned = decision_timeout.is_some() || *on_undecided != OnUndecidedArg::End;
-    ensure!(
-        is_asked || (policy_command.is_none() && !is_tuned),
-        "--policy-command, --decision-timeout and --on-undecided are for a run whose policy asks another program: add \
-         --policy external"
-    );
-    let Inputs { outages, decisions } = given.unwrap_or_default();
-    ensure!(
-        outages.is_empty(),
-        "the log names devices that were lost, which does not happen again on the bus; replay it with `reveille run`"
-    );
-    Ok(Decisions {
-        kept: decisions,
-        before: 0,
-        port: is_asked.then(|| (&drive.outside).into()),
-    })
 }
 
 /// The settings that the command line means.
@@ -217,24 +174,16 @@ pub async fn serve(
             return Err(error);
         }
     };
-    let deciding = match service.policy_command {
-        Some(command) => PolicyProcess::start(command, bus, service.settings.key, progress).map(Some),
-        None => Ok(None),
-    };
-    let deciding = match deciding {
-        Ok(deciding) => deciding,
+    let decider = match service
+        .deciding
+        .start(bus, service.settings.key, progress, output.quiet)
+    {
+        Ok(decider) => decider,
         Err(error) => {
             folder.fail(&error);
             return Err(error);
         }
     };
-    if service.decisions.port.is_some() && deciding.is_none() && !output.quiet {
-        note!(
-            "asking for decisions at {} of {}",
-            bus.keys().policy(),
-            reachable(bus.endpoint())
-        );
-    }
     let path = folder.path().to_owned();
     let mut observer = (&mut folder, (watch.gauged(), StopWhen(watch.is_broken())));
     let (watched, seen) = (Arc::clone(&stop), Arc::clone(progress));
@@ -257,7 +206,7 @@ pub async fn serve(
     relay.abort();
     drop(bar);
     // Nobody is asked any more; it may have children that the run's own shell waits for.
-    drop(deciding);
+    drop(decider);
     let ended = match served {
         Ok((served, audited)) => {
             let mut timing = timing(&served, preparing);
@@ -315,7 +264,8 @@ async fn play(
     let window = mark.as_ref().map_or(settings.window, |mark| mark.window);
     let settings = Settings { window, ..*settings };
     let log = InputLog::new(folder, scenario);
-    let (inputs, log) = inputs(service, folder, log)?;
+    let kept = &service.deciding.decisions.kept;
+    let (inputs, log) = taken::inputs(output.resume.is_some(), kept, (folder, scenario), log)?;
     // What a mark knows nothing of, the run may have gone on from.
     let known = inputs.outages.last().map(|outage| outage.tti + 1);
     let from = mark.as_ref().map(|mark| Tti(mark.tti)).max(known);
@@ -324,7 +274,7 @@ async fn play(
         Some(from) => {
             let (taken, decisions) = tokio::task::block_in_place(|| {
                 let mut observers = (&mut *observer, &mut marker);
-                replay(prepared, &inputs, from, window, progress, &mut observers)
+                taken::replay(prepared, &inputs, from, window, progress, &mut observers)
             })?;
             (Some(taken), decisions)
         }
@@ -349,7 +299,7 @@ async fn play(
         taken,
         replay: is_kept.then(|| auditor.replay()),
         decisions: Decisions {
-            port: service.decisions.port,
+            port: service.deciding.decisions.port,
             ..decisions
         },
     };
@@ -375,61 +325,6 @@ async fn play(
             whose(progress, &difference)
         ),
     }
-}
-
-/// What the run depends on besides, as far as it is known: what is in the folder of one that is taken up, or the decisions
-/// that it was given, which are copied there.
-fn inputs(service: &Service<'_>, folder: &Path, mut log: InputLog) -> anyhow::Result<(Inputs, InputLog)> {
-    if service.output.resume.is_some() {
-        return Ok((input_log::of_folder(folder, service.scenario)?, log));
-    }
-    let given = Inputs {
-        outages: Vec::new(),
-        decisions: service.decisions.kept.clone(),
-    };
-    log.add_all(&given)?;
-    Ok((given, log))
-}
-
-/// Brings a run that is taken up to TTI `to`, in memory. Also gives the decisions that were made after that.
-fn replay(
-    prepared: &Prepared,
-    inputs: &Inputs,
-    to: Tti,
-    window: u64,
-    progress: &Progress,
-    observer: &mut impl Observer,
-) -> anyhow::Result<(Taken, Decisions)> {
-    note!("replaying the run up to TTI {to}");
-    let options = Options {
-        lookahead: true,
-        window,
-    };
-    let mut run = Run::new(prepared, options);
-    run.expect_all(inputs);
-    while run.cycle().next_tti() < to {
-        if progress.stop.load(Ordering::Relaxed) {
-            bail!(Interrupted);
-        }
-        let next = run.cycle().next_tti();
-        if !run.advance(to.min(next + STRIDE), observer) {
-            break;
-        }
-        progress.tti.store(run.cycle().next_tti().0, Ordering::Relaxed);
-    }
-    ensure!(
-        !run.is_undecided(),
-        "{INPUTS} ends with a decision before TTI {}, and {} says that the run had come to TTI {to}: was it changed?",
-        run.cycle().next_tti(),
-        marks::MARK
-    );
-    ensure!(!run.awaits_outages() || run.cycle().next_tti() < to, input_log::MISFIT);
-    let decisions = Decisions {
-        before: run.decisions(),
-        kept: run.take_decisions(),
-        port: None,
-    };
-    Ok((run.hand_over(), decisions))
 }
 
 /// Why the run was stopped, if that is known: the connection of a process is gone a moment before it is.

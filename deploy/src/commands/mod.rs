@@ -1,5 +1,5 @@
 //! One file for each subcommand, and those with what several of them do: `resolution` at the start, `conclusion` at the
-//! end, `pictures` for the files of tables and pictures.
+//! end, `taken` for a run that is taken up, `pictures` for the files of tables and pictures.
 
 pub mod analyse;
 pub mod bs;
@@ -17,6 +17,7 @@ mod resolution;
 pub mod run;
 pub mod scenario;
 pub mod sweep;
+mod taken;
 pub mod train;
 #[cfg(feature = "tune")]
 pub mod tune;

@@ -10,11 +10,12 @@ use reveille_common::bus::{self, Bus, allowed, draw_secret};
 use reveille_common::keys::RunName;
 use reveille_device::host::{self, HostError, Offer};
 
-use super::bs::{Service, check, decisions, serve, settings};
+use super::bs::{Service, check, serve, settings};
 use super::conclusion::window;
 use super::resolution::resolve_run;
 use super::run::Interrupted;
 use crate::cli::{OnLossArg, UpArgs};
+use crate::decider::deciding;
 use crate::launch::{Fleet, Threads};
 use crate::launcher::{Launcher, Orders};
 use crate::results::RunFolder;
@@ -39,7 +40,7 @@ pub async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
         tracing::warn!("--on-loss has no effect: with --processes 0 there is no device process to lose");
     }
     check(&args.output, &args.drive)?;
-    let decisions = decisions(&scenario, given, &args.drive)?;
+    let deciding = deciding(&scenario, given, &args.drive)?;
     crate::limits::for_station(processes)?;
     // Before there is a folder: one that is to be replaced stays as it is, if this is where it ends.
     let endpoint = bus::free_to_listen(&args.listen)?;
@@ -59,8 +60,7 @@ pub async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
                 output: &args.output,
                 dashboard: args.drive.dashboard.as_deref(),
                 audit: args.drive.audit,
-                decisions,
-                policy_command: args.drive.outside.policy_command.as_deref(),
+                deciding,
                 progress: Arc::default(),
                 started,
             };

@@ -7,8 +7,8 @@
 //!      ▲                                            │
 //!      └────────────────────────────────────────────┘ is gone, or says nothing for a while: the question comes again
 //! ```
-//! Who has not answered in time, or has answered what decides nothing three times over, has not decided: the run ends, or
-//! the plan in force holds on and nobody is woken, as it was told.
+//! Who has not answered in time, or has answered what decides nothing three times over, has not decided: the run ends,
+//! or the plan in force holds on and nobody is woken, as it was told.
 
 pub mod client;
 
@@ -24,7 +24,7 @@ use reveille_common::secret::Secret;
 use super::drive::{DecisionCounts, Decisions, Patience, Progress, Undecided};
 use super::error::BsError;
 use super::wall::now;
-use crate::policy::external::wire::{Asked, Head, Hello, OLDEST, PROTOCOL, Reply, Welcome};
+use crate::policy::external::wire::{Asked, Head, Hello, OLDEST, PROTOCOL, Reply, Said, Welcome};
 use crate::policy::external::{Answer, Answered, Decision, Question, Stage};
 
 /// How often a wait looks at what else may have happened.
@@ -32,7 +32,7 @@ const LOOK: Duration = Duration::from_millis(100);
 /// How long a greeting may take to be answered before it is said again.
 const GREETING: Duration = Duration::from_secs(2);
 /// How long an answer may take before the question is asked again: it can get lost with a link.
-const AGAIN: Duration = Duration::from_secs(10);
+const AGAIN: Duration = Duration::from_secs(30);
 /// The pause between two tries where nobody is there.
 const BETWEEN: Duration = Duration::from_millis(200);
 /// How long nobody may decide before it is said.
@@ -55,7 +55,6 @@ pub(super) struct Pending {
     tti: Tti,
     devices: u32,
     asked: Asked,
-    hello: Hello,
     /// What stands for an answer where there comes none.
     hold: Answer,
 }
@@ -98,6 +97,8 @@ pub(super) struct Port<'a> {
     kept: VecDeque<Answered>,
     patience: Option<Patience>,
     partner: Option<Partner>,
+    /// What is said to who comes, once somebody is asked.
+    hello: Option<Hello>,
     /// The number of the next decision.
     seq: u64,
     /// The replies to the last question, of which the first counted.
@@ -117,6 +118,7 @@ impl<'a> Port<'a> {
             kept: decisions.kept.into(),
             patience: decisions.port,
             partner: None,
+            hello: None,
             seq: decisions.before,
             spare: None,
             complaint: String::new(),
@@ -146,6 +148,9 @@ impl<'a> Port<'a> {
                 "no decision was kept for TTI {tti}: the run that the log is of ended there"
             )));
         }
+        let run = &self.run;
+        self.hello
+            .get_or_insert_with(|| Hello::new(run.clone(), question.seen.known));
         let to = self.partner.as_ref().map_or("", |partner| &partner.id);
         let plan = question.seen.plan.clone();
         Ok(Posed::Open(Box::new(Pending {
@@ -153,7 +158,6 @@ impl<'a> Port<'a> {
             tti,
             devices: question.woken.len() as u32,
             asked: Asked::new(question, seq, to),
-            hello: Hello::new(self.run.clone(), seq, tti, question.seen.known),
             hold: match stage {
                 Stage::Plan => Answer::Plan(Decision { plan, next: tti + 1 }),
                 Stage::Wake => Answer::Wake(Vec::new()),
@@ -171,7 +175,6 @@ impl<'a> Port<'a> {
             tti,
             devices,
             mut asked,
-            hello,
             hold,
         } = pending;
         self.count_spare();
@@ -181,7 +184,7 @@ impl<'a> Port<'a> {
         let why = loop {
             wait.whom = self.whom();
             if self.partner.is_none() {
-                match self.greet(&hello, &mut wait).await? {
+                match self.greet(asked.head, &mut wait).await? {
                     Tried::Stop => return Ok(None),
                     Tried::TimeUp => break self.whom(),
                     Tried::Answer(_) | Tried::Refused(_) | Tried::Nothing => {}
@@ -215,7 +218,8 @@ impl<'a> Port<'a> {
             Undecided::End => Err(BsError::Undecided { tti, why }),
             Undecided::Hold => {
                 if self.counts.held == 0 {
-                    tracing::warn!(%tti, "{why}; the plan in force holds, and nobody is woken. Further ones are only counted");
+                    let held = "the plan in force holds, and nobody is woken";
+                    tracing::warn!(%tti, "{why}; {held}. Further ones are only counted");
                 }
                 self.counts.held += 1;
                 Ok(Some(hold))
@@ -232,8 +236,15 @@ impl<'a> Port<'a> {
     }
 
     /// Looks for somebody who decides.
-    async fn greet(&mut self, hello: &Hello, wait: &mut Wait<'_>) -> Result<Tried, BsError> {
-        let payload = Form::Json.encode(hello);
+    async fn greet(&mut self, asked: Head, wait: &mut Wait<'_>) -> Result<Tried, BsError> {
+        let Some(hello) = &mut self.hello else {
+            return Ok(Tried::Nothing);
+        };
+        hello.head = Head {
+            stage: Said::Hello,
+            ..asked
+        };
+        let (head, payload) = (hello.head, Form::Json.encode(hello));
         let replies = self.bus.ask_policy(payload, Form::Json, GREETING).await?;
         loop {
             let problem = match wait.next(&replies).await {
@@ -241,9 +252,9 @@ impl<'a> Port<'a> {
                 Waited::TimeUp => return Ok(Tried::TimeUp),
                 Waited::Over => break,
                 Waited::Heard(Heard::Refusal(why)) => why,
-                Waited::Heard(Heard::Answer(bytes, form)) => match self.welcomed(hello, &bytes, form) {
+                Waited::Heard(Heard::Answer(bytes, form)) => match self.welcomed(&head, &bytes, form) {
                     Ok(partner) => {
-                        tracing::info!(tti = %hello.head.tti, "{} decides", partner.name);
+                        tracing::info!(tti = %head.tti, "{} decides", partner.name);
                         self.partner = Some(partner);
                         return Ok(Tried::Nothing);
                     }
@@ -257,7 +268,7 @@ impl<'a> Port<'a> {
         Ok(Tried::Nothing)
     }
 
-    fn welcomed(&self, hello: &Hello, bytes: &[u8], form: Form) -> Result<Partner, String> {
+    fn welcomed(&self, greeting: &Head, bytes: &[u8], form: Form) -> Result<Partner, String> {
         let welcome: Welcome = form.decode(bytes)?;
         let Head { protocol, .. } = welcome.head;
         if !(OLDEST..=PROTOCOL).contains(&protocol) {
@@ -265,7 +276,7 @@ impl<'a> Port<'a> {
                 "it speaks protocol {protocol}, this base station {OLDEST} to {PROTOCOL}"
             ));
         }
-        if (welcome.head.seq, welcome.head.stage) != (hello.head.seq, hello.head.stage) {
+        if (welcome.head.seq, welcome.head.stage) != (greeting.seq, greeting.stage) {
             return Err("it answers another greeting".to_owned());
         }
         if !self.is_ours(&welcome.key) {

@@ -9,8 +9,8 @@
 //!     └───────────────────────────┴───────────────┼────────────┘                        │
 //!                                                 └─────────────────────────────────────┘
 //! ```
-//! On the bus, the host of the base station asks ([`wire`] is what is said there); in memory, whoever steps the run; and
-//! where decisions were kept, nobody needs to be asked.
+//! On the bus, the host of the base station asks ([`wire`] is what is said there); in memory, whoever steps the run;
+//! and where decisions were kept, nobody needs to be asked.
 //!
 //! An answer cannot break a run: it is projected on what can be done. A δ plan is fitted to the devices
 //! ([`Decision::plan`]). Of the wake-ups, those of devices that were not told to sleep, that were woken in this TTI

@@ -11,9 +11,9 @@
 //!    │         the same seq, tti and stage; id, key; the decision │
 //!    │◄───────────────────────────────────────────────────────────┤
 //! ```
-//! Virtual time stands from a question to its answer. The same question may come again, as after a lost link: `seq` says
-//! so, and who decides by more than the question answers what he answered before. An answer that echoes another question
-//! is not taken for this one. Fields that are not known are an error in an answer, and are to be left alone in a
+//! Virtual time stands from a question to its answer. The same question may come again, as after a lost link: `seq`
+//! says so, and who decides by more than the question answers as before. An answer that echoes another question is not
+//! taken for this one. Fields that are not known are an error in an answer, and are to be left alone in a
 //! question: later versions add some.
 
 use reveille_common::forms::{Octets, Rows};
@@ -165,13 +165,13 @@ pub struct Hello {
 }
 
 impl Hello {
-    /// The greeting of the BS of `run` before decision `seq` in `tti`.
-    pub fn new(run: String, seq: u64, tti: Tti, known: &Knowledge) -> Self {
+    /// The greeting of the BS of `run`, before the first decision.
+    pub fn new(run: String, known: &Knowledge) -> Self {
         Self {
             head: Head {
                 protocol: PROTOCOL,
-                seq,
-                tti: tti.0,
+                seq: 0,
+                tti: 0,
                 stage: Said::Hello,
             },
             min: OLDEST,

@@ -171,6 +171,10 @@ impl Live {
         // Nobody else has a say in this process: what has to be worked out may take its time.
         tokio::task::block_in_place(|| past.tell(self.status.tti, |frame| goes_on &= take(frame)));
         while goes_on && let Some((frames, _)) = self.next().await {
+            if past.depends_on_more() {
+                // What is heard was decided before, and after `bundle` was handed out.
+                past.learn(&self.bundle().await?)?;
+            }
             tokio::task::block_in_place(|| {
                 for frame in frames {
                     past.hear(frame, |frame| goes_on &= take(frame));

@@ -5,10 +5,11 @@
 
 use anyhow::Context;
 use reveille_bs::observe::frames::Framed;
+use reveille_bs::policy::outside;
 use reveille_common::ids::Tti;
 use reveille_common::message::{Frame, Message};
 use reveille_common::scenario::Scenario;
-use reveille_lab::inputs::{self, Inputs};
+use reveille_lab::inputs::{self, Input, Inputs};
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Options, Run};
 use reveille_view::recording::Bundle;
@@ -47,11 +48,29 @@ impl Past {
     /// It cannot be read.
     pub fn of(bundle: &Bundle) -> anyhow::Result<Self> {
         let scenario = bundle.load()?;
-        let log = bundle.files.iter().find(|(name, _)| name == INPUTS);
-        let inputs = log.map_or(Ok(Inputs::default()), |(_, bytes)| {
-            inputs::parse(&String::from_utf8_lossy(bytes), &scenario)
-        });
-        Ok(Self::new(scenario, inputs.context("what the run depends on")?))
+        let inputs = log(bundle, &scenario)?;
+        Ok(Self::new(scenario, inputs))
+    }
+
+    /// Whether what is told goes by decisions from outside, which come as the run goes on.
+    pub fn depends_on_more(&self) -> bool {
+        !self.is_over && outside::is_external(&self.scenario.policy)
+    }
+
+    /// Takes in what the run that `bundle` describes has come to depend on besides.
+    ///
+    /// # Errors
+    /// It cannot be read.
+    pub fn learn(&mut self, bundle: &Bundle) -> anyhow::Result<()> {
+        let inputs = log(bundle, &self.scenario)?;
+        for decision in inputs.decisions.into_iter().skip(self.inputs.decisions.len()) {
+            let decision = Input::Decision(decision);
+            if let Some(run) = &mut self.run {
+                run.expect(decision.clone());
+            }
+            self.inputs.add(decision);
+        }
+        Ok(())
     }
 
     /// The TTIs before this one have been told, until what is heard is handed on.
@@ -102,6 +121,15 @@ impl Past {
             self.is_within = true;
         }
     }
+}
+
+/// What a run depends on besides, as `bundle` has it.
+fn log(bundle: &Bundle, scenario: &Scenario) -> anyhow::Result<Inputs> {
+    let log = bundle.files.iter().find(|(name, _)| name == INPUTS);
+    let inputs = log.map_or(Ok(Inputs::default()), |(_, bytes)| {
+        inputs::parse(&String::from_utf8_lossy(bytes), scenario)
+    });
+    inputs.context("what the run depends on")
 }
 
 #[cfg(test)]
