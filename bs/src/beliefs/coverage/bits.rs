@@ -6,7 +6,7 @@ use crate::beliefs::raster::Raster;
 
 /// The most rows, and columns, of cells that a device covers. With c = ⌈15 w/d_max⌉ cells along a width w, either c ≤
 /// 30, or 2·d_max is at most 30·c/(c − 1) ≤ 31 cells long and holds no more whole ones.
-const SIDE: usize = 32;
+pub(super) const SIDE: usize = 32;
 
 /// Which cells are covered by somebody, and which by several.
 ///
@@ -26,16 +26,16 @@ pub(super) struct Bits {
 
 /// The cells that a device covers: those of `rows[i]` are `first.1 + bit` in row `first.0 + i`.
 #[derive(Clone, Debug)]
-struct Disc {
-    first: (u32, u32),
+pub(super) struct Disc {
+    pub(super) first: (u32, u32),
     /// The word of the first row, and where in it the first column is, less than 32.
     word: u32,
     shift: u32,
-    rows: [u32; SIDE],
+    pub(super) rows: [u32; SIDE],
 }
 
 impl Disc {
-    fn new(raster: &Raster, stride: usize, p: Point, d_max: f64) -> Self {
+    pub(super) fn new(raster: &Raster, stride: usize, p: Point, d_max: f64) -> Self {
         let [south_to_north, west_to_east] = raster.around(p, d_max);
         let inside = |row: usize, column: usize| raster.distances(row, column, p).0 <= d_max;
         let cells: Vec<(usize, usize)> = south_to_north
