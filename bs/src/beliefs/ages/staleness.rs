@@ -180,8 +180,7 @@ impl Sure {
         if is_found {
             self.ages.fill(0);
         }
-        // At most 255 each: those of all cells that there can be fit.
-        let mut sum = 0_u32;
+        let mut sum = 0_u64;
         for (ages, before) in self.ages.chunks_mut(LANES).zip(self.before[1..].chunks_mut(LANES)) {
             // First what can be done side by side.
             let mut worths = [0_u8; LANES];
@@ -190,11 +189,11 @@ impl Sure {
                 *worth = worths::of(*age);
             }
             for (before, worth) in before.iter_mut().zip(worths) {
-                sum += u32::from(worth);
+                sum += u64::from(worth);
                 *before = sum as u16;
             }
         }
-        self.all = u64::from(sum) - self.beyond();
+        self.all = sum - self.beyond();
     }
 
     /// The sum of the worths of the cells beyond the last of the area, mostly none.
