@@ -124,7 +124,9 @@ mod tests {
                 for share in [0.0, 0.02, 0.1, 0.5, 1.0] {
                     let devices: Vec<usize> = (0..60).filter(|_| stream.unit() < share).collect();
                     coverage.clear();
-                    devices.iter().for_each(|&j| coverage.add(j));
+                    for &j in &devices {
+                        coverage.add(j);
+                    }
                     let found = union.uncovered(devices.into_iter());
                     assert_eq!(
                         found.to_bits(),
