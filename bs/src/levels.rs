@@ -180,8 +180,11 @@ impl Account {
             e_tx,
             ..
         } = self.energy;
-        // A run has fewer than 2³⁰ TTIs.
-        let (on, _, _) = cycle.span(cycle.phase(from), ttis as u32);
+        let (on, _, _) = match ttis {
+            1 => (u64::from(cycle.is_on(from)), 0, 0),
+            // A run has fewer than 2³⁰ TTIs.
+            _ => cycle.span(cycle.phase(from), ttis as u32),
+        };
         let income = class.income(self.harvest, from, end);
         let cost = e_idle.micro() * on + e_wur.micro() * (ttis - on);
         let level = if income > cost {
@@ -216,9 +219,10 @@ impl Levels {
             ..Self::reckoned(known)
         };
         if !is_told {
+            let around = around();
             for (account, device) in levels.devices.iter_mut().zip(&known.devices) {
                 let heard = 1.0 - known.radio.silence();
-                account.rate = known.alpha * heard * share_in_reach(known, device.position);
+                account.rate = known.alpha * heard * share_in_reach(known, device.position, &around);
             }
         }
         levels
@@ -280,7 +284,7 @@ impl Levels {
             let (account, level) = (&self.devices[device.index()], self.of[device.index()]);
             return account.is_well(level, k + 1) || self.carried(device, plan, k + 1).0 >= e_tx;
         }
-        let is_on = plan.duty_cycle(device).is_on(k);
+        let is_on = plan.is_on(device, k);
         self.of[device.index()] >= e_tx + if is_on { e_idle } else { e_wur }
     }
 
@@ -356,7 +360,7 @@ impl Levels {
             buckets.within(positions[report.device.index()], reach, |j, _| {
                 let device = DeviceId(j as u32);
                 let has_reported = || reports.binary_search_by_key(&device, |report| report.device).is_ok();
-                if plan.duty_cycle(device).is_on(k) && !has_reported() {
+                if plan.is_on(device, k) && !has_reported() {
                     empty.push(device);
                 }
             });
@@ -395,9 +399,18 @@ impl Levels {
     }
 }
 
+/// The places on a circle of radius 1 around the origin.
+fn around() -> Vec<Point> {
+    let place = |place: u32| {
+        let phi = TAU * f64::from(place) / f64::from(PLACES);
+        Point::new(libm::cos(phi), libm::sin(phi))
+    };
+    (0..PLACES).map(place).collect()
+}
+
 /// The probability that an event at a place that is drawn at random from the area is detected by a device at
-/// `position` in S1.
-fn share_in_reach(known: &Knowledge, position: Point) -> f64 {
+/// `position` in S1. The places on each circle are in the directions `around`.
+fn share_in_reach(known: &Knowledge, position: Point, around: &[Point]) -> f64 {
     let Sensing { d_max, kind, .. } = known.sensing;
     let mut sum = 0.0;
     for circle in 0..CIRCLES {
@@ -406,12 +419,11 @@ fn share_in_reach(known: &Knowledge, position: Point) -> f64 {
             DetectionKind::Range => 1.0,
             DetectionKind::Probabilistic => known.sensing.p(d),
         };
-        let is_inside = |place: &u32| {
-            let phi = TAU * f64::from(*place) / f64::from(PLACES);
-            let at = Point::new(position.x + d * libm::cos(phi), position.y + d * libm::sin(phi));
+        let is_inside = |direction: &&Point| {
+            let at = Point::new(position.x + d * direction.x, position.y + d * direction.y);
             known.area.contains(at)
         };
-        let inside = (0..PLACES).filter(is_inside).count() as f64 / f64::from(PLACES);
+        let inside = around.iter().filter(is_inside).count() as f64 / f64::from(PLACES);
         // The area between this circle and the next.
         sum += detected * inside * TAU * d * d_max / f64::from(CIRCLES);
     }

@@ -29,7 +29,7 @@ pub struct Observation<'a> {
 impl Observation<'_> {
     /// Whether `device` was told to sleep in this TTI (S4, δ = 0).
     pub fn is_asleep(&self, device: DeviceId) -> bool {
-        !self.plan.duty_cycle(device).is_on(self.now)
+        !self.plan.is_on(device, self.now)
     }
 
     /// Whether `device` can pay for a report in this TTI, as far as the BS knows: the Pr(B ≥ E_Tx) that a wake-up

@@ -38,6 +38,7 @@ impl DutyCycle {
     }
 
     /// δ_j(k).
+    #[inline]
     pub const fn is_on(self, k: Tti) -> bool {
         self.phase(k) < self.t_on
     }
@@ -77,6 +78,7 @@ impl DutyCycle {
     }
 
     /// How many TTIs into its cycle the device is in TTI `k`, `0 .. t_drx`.
+    #[inline]
     pub const fn phase(self, k: Tti) -> u32 {
         let into = k.0 + self.offset as u64;
         // Dividing 32 bits takes less time, and few runs are longer.
@@ -86,6 +88,11 @@ impl DutyCycle {
             (into % self.t_drx as u64) as u32
         }
     }
+}
+
+#[inline]
+fn is_set(bits: &[u8], j: usize) -> bool {
+    bits.get(j / 8).is_some_and(|byte| byte >> (j % 8) & 1 == 1)
 }
 
 const fn least(a: u32, b: u32) -> u32 {
@@ -113,8 +120,9 @@ pub enum Plan {
 impl Plan {
     /// A plan of bits from δ_j for each device.
     pub fn from_bits(delta: impl IntoIterator<Item = bool>) -> Self {
-        let mut bits = Vec::new();
-        for (j, on) in delta.into_iter().enumerate() {
+        let delta = delta.into_iter();
+        let mut bits = Vec::with_capacity(delta.size_hint().0.div_ceil(8));
+        for (j, on) in delta.enumerate() {
             if j % 8 == 0 {
                 bits.push(0);
             }
@@ -132,14 +140,22 @@ impl Plan {
         Self::Bits { bits }
     }
 
+    /// δ_j(k) of `device` in TTI `k`, which a bit says without its duty cycle.
+    #[inline]
+    pub fn is_on(&self, device: DeviceId, k: Tti) -> bool {
+        match self {
+            Self::Bits { bits } => is_set(bits, device.index()),
+            Self::Periodic(_) => self.duty_cycle(device).is_on(k),
+        }
+    }
+
     /// The duty cycle of `device`; asleep where the plan does not reach it.
+    #[inline]
     pub fn duty_cycle(&self, device: DeviceId) -> DutyCycle {
         let j = device.index();
         match self {
-            Self::Bits { bits } => match bits.get(j / 8) {
-                Some(byte) if byte >> (j % 8) & 1 == 1 => DutyCycle::SENSING,
-                Some(_) | None => DutyCycle::ASLEEP,
-            },
+            Self::Bits { bits } if is_set(bits, j) => DutyCycle::SENSING,
+            Self::Bits { .. } => DutyCycle::ASLEEP,
             Self::Periodic(cycles) => cycles
                 .get(j)
                 .copied()

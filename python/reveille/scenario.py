@@ -27,6 +27,8 @@ GLOBAL_FEATURES: tuple[Feature, ...] = tuple(Feature(*pair) for pair in _native.
 
 def toml(value: Setting) -> str:
     """``value`` as TOML writes it."""
+    if hasattr(value, "item"):  # a NumPy number
+        return toml(value.item())
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, (int, float)):
@@ -35,8 +37,6 @@ def toml(value: Setting) -> str:
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, Sequence):
         return "[" + ", ".join(toml(part) for part in value) + "]"
-    if hasattr(value, "item"):  # a NumPy number
-        return toml(value.item())
     raise TypeError(f"{value!r} is no value of a field: a number, a string, a truth value or a list of them")
 
 

@@ -229,6 +229,12 @@ impl Batch {
         sources && self.weights == other.weights
     }
 
+    /// The scenario, all fields, as TOML.
+    #[getter]
+    fn scenario(&self) -> String {
+        self.lock().environments()[0].ground().scenario().to_toml()
+    }
+
     /// Number of devices N.
     #[getter]
     fn n(&self) -> usize {

@@ -1,8 +1,10 @@
-//! The module `reveille._native`: environments, runs and sweeps of `reveille-lab` for Python.
+//! The module `reveille._native`: environments, runs and sweeps of `reveille-lab` for Python, and figures of
+//! `reveille-study`.
 //!
 //! What is documented for users, with shapes and units, is the package around it, in `python/reveille/`.
 
 mod batch;
+mod figures;
 mod runs;
 mod scenarios;
 
@@ -12,6 +14,8 @@ use pyo3::prelude::*;
 mod _native {
     #[pymodule_export]
     use super::batch::{Batch, Snapshot};
+    #[pymodule_export]
+    use super::figures::{Picture, deployment_picture, sweep_pictures, timeline_picture};
     #[pymodule_export]
     use super::runs::{features, policies, run, sweep, watched};
 }

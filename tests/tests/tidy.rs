@@ -22,7 +22,7 @@ const MAY_USE: [(&str, &[&str]); 9] = [
     ("view", &["common", "device", "bs"]),
     ("deploy", &["common", "device", "bs", "lab", "study", "view"]),
     ("tests", &["common", "device", "bs", "lab", "study", "view"]),
-    ("python", &["common", "bs", "lab"]),
+    ("python", &["common", "bs", "lab", "study"]),
 ];
 
 /// The layers of `common`: a module may use those of its own line and of the lines above it. A file or folder right in

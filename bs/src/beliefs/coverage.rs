@@ -3,6 +3,7 @@
 mod bits;
 mod places;
 mod shares;
+mod union;
 
 use reveille_common::geometry::{Area, Point};
 use reveille_common::sensing::{DetectionKind, Sensing};
@@ -11,6 +12,7 @@ use self::bits::Bits;
 pub use self::places::Spot;
 use self::places::{Block, Places};
 use self::shares::{CELL, Shares};
+pub use self::union::Union;
 use super::raster::{self, Raster};
 
 /// Cells of the raster along d_max. A cell counts as covered by a device that has all of it in range, so the larger the

@@ -3,7 +3,7 @@
 //! Whether an event was missed is not known in its TTI, and hangs on chance; so r(k) is taken with the expectation over
 //! the place of an event that starts in TTI k: the part of the area that nobody looks at.
 
-use super::coverage::Coverage;
+use super::coverage::Union;
 use crate::knowledge::Knowledge;
 
 /// The weight μ1 of misdetections, where nothing else is asked for.
@@ -22,17 +22,12 @@ pub struct Looked {
 }
 
 impl Looked {
-    /// Of devices that are in S1 where `on` says so, in the order of ids. `coverage` is used up.
-    pub fn of(coverage: &mut Coverage, on: &[bool]) -> Self {
-        coverage.clear();
-        let mut sensing = 0_u32;
-        for (j, _) in on.iter().enumerate().filter(|(_, on)| **on) {
-            coverage.add(j);
-            sensing += 1;
-        }
+    /// Of devices that are in S1 where `on` says so, in the order of ids; `union` is that of all.
+    pub fn of(union: &mut Union, on: &[bool]) -> Self {
+        let sensing = || on.iter().enumerate().filter(|(_, on)| **on).map(|(j, _)| j);
         Self {
-            asleep: 1.0 - f64::from(sensing) / on.len() as f64,
-            uncovered: coverage.uncovered(),
+            asleep: 1.0 - sensing().count() as f64 / on.len() as f64,
+            uncovered: union.uncovered(sensing()),
         }
     }
 
@@ -43,8 +38,8 @@ impl Looked {
 }
 
 /// What is covered by whom, for [`Looked`].
-pub fn coverage(known: &Knowledge) -> Coverage {
-    Coverage::new(&known.positions(), known.area, &known.sensing)
+pub fn union(known: &Knowledge) -> Union {
+    Union::new(&known.positions(), known.area, &known.sensing)
 }
 
 /// The share of r*(k) of wake-ups of `woken` out of `n` devices that have brought `brought` more of Î, a share of Ψ:

@@ -13,11 +13,12 @@ use reveille_common::ids::Tti;
 use reveille_common::io::Disk;
 use reveille_common::scenario::WakeUpRanking;
 use reveille_study::figures::attention::{self, Attention};
+use reveille_study::figures::name::as_file;
 use reveille_study::figures::results::{Condition, Results};
 use reveille_study::figures::timeline::Timeline;
 use reveille_study::figures::{deployment, energy, front, learning, pareto, q_table, robustness, study, timeline};
 
-use super::pictures::{as_file, read, save, write};
+use super::pictures::{read, save, write};
 use super::resolution::resolve;
 use crate::cli::{
     AttentionArgs, DeploymentArgs, FiguresArgs, FiguresCommand, LearningArgs, QTableArgs, RankingArg, RobustnessArgs,
@@ -179,13 +180,7 @@ fn draw_energy(args: &FiguresArgs, label: &str, condition: &Condition) -> anyhow
 fn draw_deployment(args: &DeploymentArgs) -> anyhow::Result<ExitCode> {
     let scenario = resolve(&args.scenario)?;
     let moment = deployment::Moment::of(&scenario, args.event)?;
-    let name = format!(
-        "deployment-{}-n{}-s{}-e{}",
-        scenario.policy.name(),
-        scenario.devices,
-        scenario.seed,
-        moment.event.event.0
-    );
+    let name = deployment::name(&scenario, &moment);
     write(&args.pictures, &name, &deployment::scene(&scenario, &moment))?;
     Ok(ExitCode::SUCCESS)
 }
@@ -243,12 +238,7 @@ fn draw_timeline(args: &TimelineArgs) -> anyhow::Result<ExitCode> {
     let scenario = resolve(&args.scenario)?;
     let from = args.from.unwrap_or(scenario.warm_up_end().0);
     let shown = Timeline::of(&scenario, &args.show, from, args.length)?;
-    let name = format!(
-        "timeline-{}-n{}-s{}-k{from}",
-        scenario.policy.name(),
-        scenario.devices,
-        scenario.seed
-    );
+    let name = timeline::name(&scenario, &shown);
     write(&args.pictures, &name, &timeline::scene(&scenario, &shown))?;
     Ok(ExitCode::SUCCESS)
 }

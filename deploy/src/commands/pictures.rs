@@ -25,18 +25,6 @@ pub fn read(paths: &[PathBuf]) -> anyhow::Result<Results> {
     Ok(Results::new(&tables, &Disk)?)
 }
 
-/// `name` as a part of a file's name.
-pub fn as_file(name: &str) -> String {
-    let keep = |c: char| {
-        if c.is_ascii_alphanumeric() || matches!(c, '.' | '-' | '_') {
-            c
-        } else {
-            '_'
-        }
-    };
-    name.chars().map(keep).collect()
-}
-
 /// Writes a picture in all formats asked for, and says where.
 pub fn write(args: &PictureArgs, name: &str, scene: &Scene) -> anyhow::Result<()> {
     for format in &args.format {

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use reveille_bs::beliefs::coverage::Coverage;
+use reveille_bs::beliefs::coverage::Union;
 use reveille_bs::beliefs::reward::{self, Looked, MU1, MU2};
 use reveille_bs::observe::{Happening, Observer};
 use reveille_bs::outcome::Outcome;
@@ -38,18 +38,17 @@ impl Default for Weights {
 #[derive(Clone, Debug)]
 pub struct Ground {
     prepared: Arc<Prepared>,
-    /// Nobody is added.
-    coverage: Coverage,
+    union: Union,
 }
 
 impl Ground {
     /// The ground of `scenario`, whose policy is `external`.
     pub fn new(scenario: &Scenario) -> Self {
         let prepared = Prepared::with_policies(scenario, EXTERNAL);
-        let coverage = reward::coverage(&prepared.knowledge());
+        let union = reward::union(&prepared.knowledge());
         Self {
             prepared: Arc::new(prepared),
-            coverage,
+            union,
         }
     }
 
@@ -180,7 +179,7 @@ impl Environment {
     fn sense(&mut self, is_set: impl Fn(usize) -> bool) -> Step {
         self.on.clear();
         self.on.extend((0..self.devices).map(is_set));
-        let looked = Looked::of(&mut self.ground.coverage, &self.on);
+        let looked = Looked::of(&mut self.ground.union, &self.on);
         self.stepping.decide(Decision {
             plan: Plan::from_bits(self.on.iter().copied()),
             next: self.stepping.now() + 1,

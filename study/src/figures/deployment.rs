@@ -136,6 +136,12 @@ fn role(device: DeviceId, happened: &Happened, state: DeviceState) -> Role {
     }
 }
 
+/// What the picture of `moment` is called.
+pub fn name(scenario: &Scenario, moment: &Moment) -> String {
+    let (policy, event) = (scenario.policy.name(), moment.event.event.0);
+    format!("deployment-{policy}-n{}-s{}-e{event}", scenario.devices, scenario.seed)
+}
+
 /// The picture of `moment`.
 pub fn scene(scenario: &Scenario, moment: &Moment) -> Scene {
     let mut scene = Scene::new(COLUMN, 0.0);

@@ -27,6 +27,7 @@ pub mod heat;
 pub mod layout;
 pub mod learning;
 mod map;
+pub mod name;
 pub mod note;
 pub mod pareto;
 pub mod path;

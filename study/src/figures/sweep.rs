@@ -12,6 +12,7 @@ use reveille_common::score::Metrics;
 use self::points::{Point, points};
 use super::chart::{Chart, Interval, Sample, Series};
 use super::error::FigureError;
+use super::name::as_file;
 use super::results::Results;
 use super::scale::Scale;
 use super::study::{csv_cell, csv_half, runs_in_words};
@@ -92,6 +93,18 @@ impl Wish {
             return Err(FigureError::Undefined { metric: self.y.clone() });
         }
         Ok(pictures)
+    }
+
+    /// What the picture that `facet` sets apart is called, as the name of a file.
+    pub fn name(&self, facet: &[(String, String)]) -> String {
+        let mut name = format!("sweep-{}-{}", self.y, self.x);
+        if self.by != POLICY {
+            let _ = write!(name, "-by-{}", self.by);
+        }
+        for (field, value) in facet {
+            let _ = write!(name, "-{field}-{value}");
+        }
+        as_file(&name)
     }
 
     fn too_many(&self, facets: &[String]) -> FigureError {
@@ -319,6 +332,17 @@ impl Wish {
         }
         out
     }
+}
+
+/// That there are several `pictures`, and why; nothing if there is one.
+pub fn several(pictures: &[Picture]) -> Option<String> {
+    let [first, _, ..] = pictures else { return None };
+    let fields: Vec<&str> = first.facet.iter().map(|(field, _)| field.as_str()).collect();
+    Some(format!(
+        "the runs differ in {} as well: {} pictures, one for each of the values",
+        fields.join(", "),
+        pictures.len()
+    ))
 }
 
 /// The name of a field as it is known here: `n` and `policy.name` are called otherwise in tables and scenarios.

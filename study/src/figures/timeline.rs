@@ -152,6 +152,12 @@ fn follow(scenario: &Scenario, shown: &[DeviceId], from: Tti, end: Tti) -> Vec<(
     devices
 }
 
+/// What the picture of `timeline` is called.
+pub fn name(scenario: &Scenario, timeline: &Timeline) -> String {
+    let (policy, from) = (scenario.policy.name(), timeline.from);
+    format!("timeline-{policy}-n{}-s{}-k{from}", scenario.devices, scenario.seed)
+}
+
 /// The picture of `timeline`.
 pub fn scene(scenario: &Scenario, timeline: &Timeline) -> Scene {
     let mut scene = Scene::new(WIDE, 0.0);

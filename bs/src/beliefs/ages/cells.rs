@@ -44,6 +44,11 @@ impl Cells {
         self.raster.width * self.raster.height
     }
 
+    /// Rows and columns of the area.
+    pub(super) const fn shape(&self) -> [usize; 2] {
+        [self.raster.rows, self.raster.columns]
+    }
+
     /// From a cell to that above it.
     pub(super) const fn stride(&self) -> usize {
         self.raster.columns + SIDE

@@ -15,6 +15,7 @@ mod check;
 pub mod choice;
 pub mod foresight;
 pub mod price;
+pub mod staleness;
 mod sure;
 mod worths;
 

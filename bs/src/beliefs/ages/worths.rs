@@ -12,10 +12,10 @@ pub type Worths = [u8; OLDEST + 1];
 
 /// The age from which on a place is worth no more, TTIs. It is the last whose worth a byte holds; few events are still
 /// on after that long, and a place that no device reaches counts for nobody anyhow.
-const LEVEL: usize = 22;
+const LEVEL: u8 = 22;
 
 /// The worth of a reach whose places are all of age `LEVEL` or more: what a look can be worth.
-pub const MOST: f64 = (LEVEL * (LEVEL + 1) / 2) as f64;
+pub const MOST: f64 = of(LEVEL) as f64;
 
 /// A price that stands for none, so that ratios to it are numbers.
 pub const FREE: f64 = 1e-30;
@@ -23,9 +23,14 @@ pub const FREE: f64 = 1e-30;
 /// The worth of each age a: a(a + 1)/2, Whittle's index of a place if an event costs the same in each TTI in which it
 /// is not found.
 pub fn worths() -> Worths {
-    let of = |age: usize| age.min(LEVEL) * (age.min(LEVEL) + 1) / 2;
-    let worths: [usize; OLDEST + 1] = std::array::from_fn(of);
-    worths.map(|worth| worth as u8)
+    std::array::from_fn(|age| of(age as u8))
+}
+
+/// The worth of one of [`worths`].
+#[inline]
+pub(super) const fn of(age: u8) -> u8 {
+    let age = if age < LEVEL { age } else { LEVEL } as u16;
+    (age * (age + 1) / 2) as u8
 }
 
 /// The area that one device looks at, m²: the integral of the probability that it detects an event over the places

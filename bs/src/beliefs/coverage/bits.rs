@@ -6,7 +6,7 @@ use crate::beliefs::raster::Raster;
 
 /// The most rows, and columns, of cells that a device covers. With c = ⌈15 w/d_max⌉ cells along a width w, either c ≤
 /// 30, or 2·d_max is at most 30·c/(c − 1) ≤ 31 cells long and holds no more whole ones.
-const SIDE: usize = 32;
+pub(super) const SIDE: usize = 32;
 
 /// Which cells are covered by somebody, and which by several.
 ///
@@ -26,27 +26,30 @@ pub(super) struct Bits {
 
 /// The cells that a device covers: those of `rows[i]` are `first.1 + bit` in row `first.0 + i`.
 #[derive(Clone, Debug)]
-struct Disc {
-    first: (u32, u32),
+pub(super) struct Disc {
+    pub(super) first: (u32, u32),
     /// The word of the first row, and where in it the first column is, less than 32.
     word: u32,
     shift: u32,
-    rows: [u32; SIDE],
+    pub(super) rows: [u32; SIDE],
 }
 
 impl Disc {
-    fn new(raster: &Raster, stride: usize, p: Point, d_max: f64) -> Self {
+    pub(super) fn new(raster: &Raster, stride: usize, p: Point, d_max: f64) -> Self {
         let [south_to_north, west_to_east] = raster.around(p, d_max);
-        let inside = |row: usize, column: usize| raster.distances(row, column, p).0 <= d_max;
-        let cells: Vec<(usize, usize)> = south_to_north
-            .flat_map(|row| west_to_east.clone().map(move |column| (row, column)))
-            .filter(|&(row, column)| inside(row, column))
-            .collect();
-        let row = cells.iter().map(|cell| cell.0).min().unwrap_or(0);
-        let column = cells.iter().map(|cell| cell.1).min().unwrap_or(0);
+        // The cells of a row are neighbours: distances fall towards `p` and rise beyond, whatever rounding does to them.
+        let stretch = |row: usize| {
+            let is_inside = |column: &usize| raster.distances(row, *column, p).0 <= d_max;
+            let first = west_to_east.clone().find(is_inside)?;
+            let last = west_to_east.clone().rfind(is_inside)?;
+            Some((row, first, last))
+        };
+        let stretches: Vec<(usize, usize, usize)> = south_to_north.filter_map(stretch).collect();
+        let row = stretches.first().map_or(0, |stretch| stretch.0);
+        let column = stretches.iter().map(|stretch| stretch.1).min().unwrap_or(0);
         let mut rows = [0; SIDE];
-        for cell in &cells {
-            rows[cell.0 - row] |= 1 << (cell.1 - column);
+        for (at, first, last) in stretches {
+            rows[at - row] = u32::MAX >> (31 - (last - first)) << (first - column);
         }
         Self {
             first: (row as u32, column as u32),

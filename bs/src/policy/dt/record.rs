@@ -8,7 +8,7 @@ use reveille_common::rng::PolicyPurpose;
 use super::senses::Senses;
 use crate::beliefs::ages::price::needed;
 use crate::beliefs::candidates::Candidates;
-use crate::beliefs::coverage::Coverage;
+use crate::beliefs::coverage::Union;
 use crate::beliefs::posterior::Belief;
 use crate::beliefs::reward::{self, Looked, MU1, MU2};
 use crate::knowledge::Knowledge;
@@ -106,7 +106,7 @@ pub struct Recorded<S> {
     policy: Box<dyn Policy>,
     own: Own,
     senses: Senses,
-    coverage: Coverage,
+    union: Union,
     /// Tell what was to be expected of a wake-up.
     candidates: Candidates,
     explores: f64,
@@ -130,7 +130,7 @@ impl<S: Sink> Recorded<S> {
             policy,
             own,
             senses: Senses::new(known, |j| needed(&known.devices[j].energy)),
-            coverage: reward::coverage(known),
+            union: reward::union(known),
             candidates: Candidates::by(WakeUpRanking::Posterior, known),
             explores: manner.explores,
             sink,
@@ -172,7 +172,7 @@ impl<S: Sink> Policy for Recorded<S> {
             self.own.keep(|levels| levels.pass(seen.now, seen.plan));
         }
         let on = self.explored(seen, self.plan.as_ref().expect("decided in TTI 0"));
-        let looked = Looked::of(&mut self.coverage, &on);
+        let looked = Looked::of(&mut self.union, &on);
         let mut looks = vec![Look::default(); on.len()];
         for (j, (look, &on)) in looks.iter_mut().zip(&on).enumerate() {
             (look.expected, look.on) = (self.senses.expected(j), on);

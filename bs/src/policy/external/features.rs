@@ -5,8 +5,8 @@
 //! the run.
 
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::units::Energy;
 
+use super::memory::{Fixed, harvest};
 use super::question::{Question, Stage};
 
 /// A number that says something of a device, or of all.
@@ -104,29 +104,36 @@ fn stale(worth: f64) -> f64 {
     1.0 - 1.0 / worth.max(1.0).sqrt()
 }
 
-fn harvest(comes: Energy, e_idle: Energy) -> f64 {
-    let (comes, e_idle) = (comes.units(), e_idle.units());
-    if comes > 0.0 { comes / (comes + e_idle) } else { 0.0 }
-}
-
-fn flag(is_so: bool) -> f64 {
-    f64::from(u8::from(is_so))
+fn flag(is_so: bool) -> f32 {
+    f32::from(u8::from(is_so))
 }
 
 impl Question<'_> {
     /// Whether `device` was told to sense: in this TTI at [`Stage::Wake`], in the last at [`Stage::Plan`].
+    #[inline]
     fn is_sensing(&self, device: DeviceId) -> bool {
-        let cycle = self.seen.plan.duty_cycle(device);
+        let plan = self.seen.plan;
         match (self.stage, self.seen.now) {
-            (Stage::Wake, now) => cycle.is_on(now),
+            (Stage::Wake, now) => plan.is_on(device, now),
             (Stage::Plan, Tti(0)) => false,
-            (Stage::Plan, Tti(now)) => cycle.is_on(Tti(now - 1)),
+            (Stage::Plan, Tti(now)) => plan.is_on(device, Tti(now - 1)),
         }
     }
 
+    #[inline]
     fn battery(&self, device: usize) -> f64 {
-        let e_max = self.seen.known.devices[device].energy.e_max;
-        (self.seen.batteries[device].units() / e_max.units()).min(1.0)
+        (self.seen.batteries[device].units() / self.memory.fixed(device).e_max).min(1.0)
+    }
+
+    /// What `device` is expected to harvest in this TTI, as [`Fixed::harvest`].
+    #[inline]
+    fn harvest_now(&self, device: usize, fixed: &Fixed) -> f32 {
+        if fixed.is_steady {
+            return fixed.harvest;
+        }
+        let (known, now) = (self.seen.known, self.seen.now);
+        let comes = known.expected_harvest(DeviceId(device as u32), now, now + 1);
+        harvest(comes, known.devices[device].energy.e_idle) as f32
     }
 
     /// Writes [`DEVICE`] of each device, in the order of ids, into `rows`.
@@ -134,33 +141,35 @@ impl Question<'_> {
     /// # Panics
     /// If `rows` is not as long as N times the features.
     pub fn write_devices(&self, rows: &mut [f32]) {
-        let (seen, memory, known) = (&self.seen, self.memory, self.seen.known);
-        assert_eq!(rows.len(), known.n() * DEVICE.len(), "a row for each device");
+        let (seen, memory) = (&self.seen, self.memory);
+        let (n, psi) = (seen.known.n(), seen.known.sensing.psi);
+        assert_eq!(rows.len(), n * DEVICE.len(), "a row for each device");
         let is_open = self.stage == Stage::Wake;
-        let of_this_tti = |value: f64| if is_open { value } else { 0.0 };
         for (j, row) in rows.chunks_exact_mut(DEVICE.len()).enumerate() {
-            let (device, own) = (DeviceId(j as u32), &known.devices[j]);
-            let comes = known.expected_harvest(device, seen.now, seen.now + 1);
-            let values: [f64; DEVICE.len()] = [
-                own.position.x / known.area.width,
-                own.position.y / known.area.height,
-                self.battery(j),
+            let (device, fixed) = (DeviceId(j as u32), memory.fixed(j));
+            let [information, nearness] = if is_open {
+                [memory.information(j) / psi, memory.nearness(j)].map(|value| value as f32)
+            } else {
+                [0.0; 2]
+            };
+            let values: [f32; DEVICE.len()] = [
+                fixed.place[0],
+                fixed.place[1],
+                self.battery(j) as f32,
                 flag(seen.can_report(device)),
                 flag(self.is_sensing(device)),
                 flag(self.may_wake(device)),
                 flag(is_open && self.woken[j]),
-                of_this_tti(memory.information(j) / known.sensing.psi),
-                of_this_tti(memory.nearness(j)),
-                bounded(memory.since_sensing(j, seen.now), HALF),
-                bounded(memory.since_report(j, seen.now), HALF_REPORT),
-                stale(memory.staleness(j)),
-                memory.crowd(j),
-                harvest(own.mean_harvest, own.energy.e_idle),
-                harvest(comes, own.energy.e_idle),
+                information,
+                nearness,
+                bounded(memory.since_sensing(j, seen.now), HALF) as f32,
+                bounded(memory.since_report(j, seen.now), HALF_REPORT) as f32,
+                stale(memory.staleness(j)) as f32,
+                fixed.crowd,
+                fixed.harvest,
+                self.harvest_now(j, fixed),
             ];
-            for (place, value) in row.iter_mut().zip(values) {
-                *place = value as f32;
-            }
+            row.copy_from_slice(&values);
         }
     }
 

@@ -5,18 +5,16 @@ use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Report;
 use reveille_common::plan::Plan;
 use reveille_common::sensing::Sensing;
+use reveille_common::units::Energy;
 
-use crate::beliefs::ages::{self, Ages};
+use crate::beliefs::ages::staleness::Staleness;
 use crate::beliefs::ranking::i_min;
-use crate::knowledge::Knowledge;
+use crate::knowledge::{DeviceKnowledge, Knowledge};
 
 /// What has been noticed so far, device by device.
 #[derive(Clone, Debug)]
 pub struct Memory {
-    ages: Ages,
-    /// By device, what [`Ages::worth`] is where every place was looked at in the last TTI.
-    fresh: Vec<f64>,
-    all_fresh: f64,
+    staleness: Staleness,
     /// The first TTI that has not passed.
     next: Tti,
     /// Whether something was heard in it.
@@ -25,12 +23,27 @@ pub struct Memory {
     looked: Vec<u64>,
     /// By device, the TTI of the last report, counted from 1; 0 for none.
     reported: Vec<u64>,
-    /// Ln(1 + other devices within d_max) / ln(N), by device.
-    crowds: Vec<f64>,
+    /// By device.
+    fixed: Vec<Fixed>,
     positions: Vec<Point>,
     sensing: Sensing,
     near: Near,
     i_min: f64,
+}
+
+/// What stays of a device, as it is asked for: few bytes, one after the other.
+#[derive(Clone, Copy, Debug)]
+pub struct Fixed {
+    /// Where it stands, shares of the width and height of the area, `[0, 1]`.
+    pub place: [f32; 2],
+    /// Ln(1 + n) / ln(N), n the other devices within d_max, `[0, 1]`.
+    pub crowd: f32,
+    /// H / (h + E_idle), h its mean harvest in a TTI, `[0, 1]`.
+    pub harvest: f32,
+    /// E_max, units.
+    pub e_max: f64,
+    /// Whether [`Self::harvest`] is that of every TTI.
+    pub is_steady: bool,
 }
 
 /// The reports of the TTI in which something was heard last, by device.
@@ -49,29 +62,33 @@ impl Memory {
     pub fn new(known: &Knowledge) -> Self {
         let positions = known.positions();
         let lost = known.radio.silence();
-        let ages = Ages::losing(lost, &positions, known.area, &known.sensing, ages::worths());
         let buckets = Buckets::new(&positions, known.area, known.sensing.d_max);
         let ln_n = libm::log(known.n() as f64).max(f64::MIN_POSITIVE);
-        let crowd = |j: usize| {
+        let fixed = |(j, device): (usize, &DeviceKnowledge)| {
             let mut others = 0_u32;
-            buckets.within(positions[j], known.sensing.d_max, |i, _| others += u32::from(i != j));
-            libm::log(f64::from(1 + others)) / ln_n
+            buckets.within(device.position, known.sensing.d_max, |i, _| others += u32::from(i != j));
+            let Point { x, y } = device.position;
+            Fixed {
+                place: [x / known.area.width, y / known.area.height].map(|share| share as f32),
+                crowd: (libm::log(f64::from(1 + others)) / ln_n) as f32,
+                harvest: harvest(device.mean_harvest, device.energy.e_idle) as f32,
+                e_max: device.energy.e_max.units(),
+                is_steady: known.courses[usize::from(device.class)].is_none(),
+            }
         };
         Self {
-            fresh: (0..known.n()).map(|j| ages.worth(j)).collect(),
-            all_fresh: ages.all(),
+            staleness: Staleness::losing(lost, &positions, known.area, &known.sensing),
             next: Tti::ZERO,
             is_found: false,
             looked: vec![0; known.n()],
             reported: vec![0; known.n()],
-            crowds: (0..known.n()).map(crowd).collect(),
+            fixed: known.devices.iter().enumerate().map(fixed).collect(),
             near: Near {
                 information: vec![0.0; known.n()],
                 distance: vec![f64::INFINITY; known.n()],
                 p: vec![0.0; known.n()],
             },
             i_min: i_min(&positions, known.area, &known.sensing),
-            ages,
             positions,
             sensing: known.sensing.clone(),
         }
@@ -81,12 +98,12 @@ impl Memory {
     pub fn pass(&mut self, end: Tti, plan: &Plan) {
         while self.next < end {
             for (j, looked) in self.looked.iter_mut().enumerate() {
-                if plan.duty_cycle(DeviceId(j as u32)).is_on(self.next) {
-                    self.ages.add(j);
+                if plan.is_on(DeviceId(j as u32), self.next) {
+                    self.staleness.look(j);
                     *looked = self.next.0 + 1;
                 }
             }
-            self.ages.pass(std::mem::take(&mut self.is_found));
+            self.staleness.pass(std::mem::take(&mut self.is_found));
             self.next = self.next + 1;
         }
     }
@@ -147,30 +164,33 @@ impl Memory {
     }
 
     /// How many times as much as right after a look it is worth to look at what `device` covers, ≥ 1: the mean of
-    /// a(a + 1)/2 over the ages a of its places ([`ages`]).
+    /// a(a + 1)/2 over the ages a of its places ([`ages`](crate::beliefs::ages)).
+    #[inline]
     pub fn staleness(&self, device: usize) -> f64 {
-        let fresh = self.fresh[device];
-        if fresh > 0.0 {
-            self.ages.worth(device) / fresh
-        } else {
-            1.0
-        }
+        self.staleness.of(device)
     }
 
     /// The same of the whole area.
     pub fn staleness_of_all(&self) -> f64 {
-        self.ages.all() / self.all_fresh
+        self.staleness.of_all()
     }
 
-    /// Ln(1 + n) / ln(N), n the other devices within d_max of `device`, `[0, 1]`.
-    pub fn crowd(&self, device: usize) -> f64 {
-        self.crowds[device]
+    /// What stays of `device`.
+    #[inline]
+    pub fn fixed(&self, device: usize) -> &Fixed {
+        &self.fixed[device]
     }
 
     /// I_min (Sec. V-A), `[0, Ψ]`.
     pub const fn i_min(&self) -> f64 {
         self.i_min
     }
+}
+
+/// H / (h + E_idle) of a harvest h in a TTI.
+pub(super) fn harvest(comes: Energy, e_idle: Energy) -> f64 {
+    let (comes, e_idle) = (comes.units(), e_idle.units());
+    if comes > 0.0 { comes / (comes + e_idle) } else { 0.0 }
 }
 
 /// From a TTI that is counted from 1 to `now`.

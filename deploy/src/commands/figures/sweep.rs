@@ -2,9 +2,9 @@
 
 use std::process::ExitCode;
 
-use reveille_study::figures::sweep::{Wish, named};
+use reveille_study::figures::sweep::{Wish, named, several};
 
-use super::super::pictures::{as_file, read, save, write};
+use super::super::pictures::{read, save, write};
 use crate::cli::{AxisArg, SweepFigureArgs};
 use crate::display::note;
 
@@ -23,23 +23,11 @@ pub fn run(args: &SweepFigureArgs) -> anyhow::Result<ExitCode> {
         is_log_y: args.log.contains(&AxisArg::Y),
     };
     let pictures = wish.draw(&results)?;
-    if let [first, _, ..] = &pictures[..] {
-        let fields: Vec<&str> = first.facet.iter().map(|(field, _)| field.as_str()).collect();
-        note!(
-            "the runs differ in {} as well: {} pictures, one for each of the values; --where FIELD=VALUE chooses",
-            fields.join(", "),
-            pictures.len()
-        );
+    if let Some(words) = several(&pictures) {
+        note!("{words}; --where FIELD=VALUE chooses");
     }
     for picture in &pictures {
-        let mut name = format!("sweep-{}-{}", wish.y, wish.x);
-        if args.by != "policy" {
-            name = format!("{name}-by-{}", wish.by);
-        }
-        for (field, value) in &picture.facet {
-            name = format!("{name}-{field}-{value}");
-        }
-        let name = as_file(&name);
+        let name = wish.name(&picture.facet);
         for line in &picture.undefined {
             note!("{name}: without {line}, none of whose runs has a value of {}", wish.y);
         }

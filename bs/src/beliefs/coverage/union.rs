@@ -1,0 +1,140 @@
+//! How much of the area devices cover together, and nothing else: what rewards need, in less memory than
+//! [`Coverage`](super::Coverage), which is there for those who choose.
+
+use reveille_common::geometry::{Area, Point};
+use reveille_common::sensing::{DetectionKind, Sensing};
+
+use super::bits::{Disc, SIDE};
+use super::shares::{CELL, Shares};
+use super::{Raster, per_range};
+
+/// What devices cover together, by cells as [`Coverage`](super::Coverage) counts them.
+#[derive(Clone, Debug)]
+pub struct Union {
+    /// Cells of the area.
+    cells: f64,
+    cover: Cover,
+}
+
+#[derive(Clone, Debug)]
+enum Cover {
+    Range(Tiles),
+    Chance(Shares),
+}
+
+impl Union {
+    /// Of devices at `positions`.
+    pub fn new(positions: &[Point], area: Area, sensing: &Sensing) -> Self {
+        let raster = Raster::new(area, sensing.d_max, per_range(sensing.kind));
+        let cover = match sensing.kind {
+            DetectionKind::Range => Cover::Range(Tiles::new(&raster, positions, sensing.d_max)),
+            DetectionKind::Probabilistic => Cover::Chance(Shares::new(&raster, positions, sensing)),
+        };
+        Self {
+            cells: raster.cells() as f64,
+            cover,
+        }
+    }
+
+    /// The share of the area, `[0, 1]`, that none of `devices` covers, each of them named once.
+    pub fn uncovered(&mut self, devices: impl Iterator<Item = usize>) -> f64 {
+        match &mut self.cover {
+            Cover::Range(tiles) => {
+                tiles.covered.fill(0);
+                let covered: u32 = devices.map(|j| tiles.add(j)).sum();
+                (self.cells - f64::from(covered)) / self.cells
+            }
+            Cover::Chance(shares) => {
+                shares.clear();
+                devices.for_each(|j| shares.add(j));
+                shares.uncovered() as f64 / f64::from(CELL) / self.cells
+            }
+        }
+    }
+}
+
+/// A bit for each cell. Columns lie in tiles of 64, and a tile has a word for each row, with [`SIDE`] empty ones above;
+/// there is a tile too many in the east. So nothing has to be tested for its end.
+#[derive(Clone, Debug)]
+struct Tiles {
+    /// Words of a tile.
+    stride: usize,
+    covered: Vec<u64>,
+    discs: Vec<Disc>,
+}
+
+impl Tiles {
+    fn new(raster: &Raster, positions: &[Point], d_max: f64) -> Self {
+        let stride = raster.rows + SIDE;
+        Self {
+            stride,
+            covered: vec![0; (raster.columns.div_ceil(64) + 1) * stride],
+            discs: positions.iter().map(|&p| Disc::new(raster, 0, p, d_max)).collect(),
+        }
+    }
+
+    /// How many cells the `j`-th device covers that were not covered before.
+    fn add(&mut self, j: usize) -> u32 {
+        let Disc { first, rows, .. } = &self.discs[j];
+        let (row, column) = (first.0 as usize, first.1 as usize);
+        let (begin, shift) = (column / 64 * self.stride + row, column % 64);
+        let (west, east) = self.covered.split_at_mut(begin + self.stride);
+        let west = west[begin..].first_chunk_mut::<SIDE>().expect(ROOM);
+        let east = east.first_chunk_mut::<SIDE>().expect(ROOM);
+        let mut new = 0;
+        for i in 0..SIDE {
+            let cells = u64::from(rows[i]);
+            // A shift by 64 is one by 1 and one by 63.
+            let known = west[i] >> shift | east[i] << 1 << (63 - shift);
+            new += (cells & !known).count_ones();
+            west[i] |= cells << shift;
+            east[i] |= cells >> 1 >> (63 - shift);
+        }
+        new
+    }
+}
+
+const ROOM: &str = "there are empty rows above, and a tile in the east";
+
+#[cfg(test)]
+mod tests {
+    use reveille_common::geometry::{Layout, place};
+    use reveille_common::rng::{Purpose, Stream};
+    use reveille_common::sensing::Fusion;
+
+    use super::super::Coverage;
+    use super::*;
+
+    #[test]
+    fn it_is_what_coverage_says() {
+        for kind in [DetectionKind::Range, DetectionKind::Probabilistic] {
+            for (width, height) in [(20.0, 20.0), (31.0, 7.3), (3.0, 1.0), (70.0, 12.0), (5.0, 60.0)] {
+                let sensing = Sensing {
+                    kind,
+                    d_max: 4.0,
+                    eta: 1.0,
+                    psi: 1.0,
+                    g: Fusion::Max,
+                };
+                let area = Area { width, height };
+                let positions = place(&Layout::Uniform, area, 60, 11);
+                let mut stream = Stream::new(2, Purpose::Epicentre, 0);
+                let mut union = Union::new(&positions, area, &sensing);
+                let mut coverage = Coverage::new(&positions, area, &sensing);
+                for share in [0.0, 0.02, 0.1, 0.5, 1.0] {
+                    let devices: Vec<usize> = (0..60).filter(|_| stream.unit() < share).collect();
+                    coverage.clear();
+                    for &j in &devices {
+                        coverage.add(j);
+                    }
+                    let found = union.uncovered(devices.into_iter());
+                    assert_eq!(
+                        found.to_bits(),
+                        coverage.uncovered().to_bits(),
+                        "{kind:?} {width} {share}"
+                    );
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,100 @@
+"""Figures of sweeps and runs."""
+
+import xml.etree.ElementTree as ElementTree
+
+import pytest
+from pyarrow import parquet
+
+import reveille
+
+
+@pytest.fixture(scope="module")
+def table():
+    return reveille.sweep(
+        "quick",
+        policies=["random", "knn"],
+        devices=[10, 20, 30],
+        ttis=[300],
+        seeds=2,
+        threads=2,
+        grid={"harvest.lambda": [0.1, 0.3]},
+    )
+
+
+def texts(figure):
+    """What a picture says to those who do not see it; its letters are drawn."""
+    return [element.text for element in ElementTree.fromstring(figure.svg).iter() if element.text]
+
+
+def test_a_sweep_is_drawn(table, tmp_path):
+    figure = reveille.figure(table, x="devices", y="info_p1", where={"harvest.lambda": 0.1})
+    assert figure.name == "sweep-info_p1-devices" and figure.facet == {}
+    assert figure._repr_svg_() == figure.svg and figure.png.startswith(b"\x89PNG")
+    lines = figure.csv.splitlines()
+    assert lines[0] == "policy,devices,metric,mean,half_width_95,runs" and len(lines) == 7
+    rows = [row for row in table.to_pylist() if (row["policy"], row["n"], row["harvest.lambda"]) == ("knn", 20, 0.1)]
+    mean = sum(row["info_p1"] for row in rows) / len(rows)
+    drawn = next(line.split(",") for line in lines if line.startswith("knn,20,"))
+    assert float(drawn[3]) == pytest.approx(mean) and drawn[5] == "2"
+    words = " ".join(texts(figure))
+    assert "info_p1 against devices" in words and "2 runs a point" in words and "harvest.lambda = 0.1" in words
+    assert figure.save(tmp_path) == tmp_path / "sweep-info_p1-devices.svg"
+    for ending in ("svg", "png", "csv"):
+        assert figure.save(tmp_path / f"a.{ending}").stat().st_size > 100
+    with pytest.raises(ValueError, match=r"\.svg, \.png, \.csv"):
+        figure.save(tmp_path / "a.pdf")
+
+
+def test_a_file_and_a_folder_of_a_sweep_are_drawn_as_its_table(table, tmp_path):
+    settings = {"policies": ["random"], "devices": [10, 20], "ttis": [200], "threads": 2}
+    own = reveille.sweep("quick", folder=tmp_path / "sweep", **settings)
+    asked = {"x": "devices", "y": "energy_per_device_tti"}
+    drawn = reveille.figure(own, **asked)
+    assert reveille.figure(tmp_path / "sweep", **asked).svg == drawn.svg
+    parquet.write_table(own, tmp_path / "own.parquet")
+    assert reveille.figure(str(tmp_path / "own.parquet"), **asked).csv == drawn.csv
+    assert len(reveille.figures([own, table], **asked)) == 3
+
+
+def test_what_the_runs_differ_in_beside_is_a_picture_each(table):
+    drawn = reveille.figures(table, x="devices", y="info_p1", log="x")
+    assert [figure.facet for figure in drawn] == [{"harvest.lambda": "0.1"}, {"harvest.lambda": "0.3"}]
+    assert drawn[1].name == "sweep-info_p1-devices-harvest.lambda-0.3"
+    with pytest.raises(ValueError, match=r"the runs differ in harvest\.lambda as well: 2 pictures.*`where`"):
+        reveille.figure(table, x="devices", y="info_p1")
+    by = reveille.figure(table, x="harvest.lambda", y="info_p1", by="devices", where={"policy": "knn"})
+    assert by.name == "sweep-info_p1-harvest.lambda-by-devices"
+
+
+@pytest.mark.parametrize(
+    ("asked", "says"),
+    [
+        ({"y": "info_p9"}, "metric `info_p9`: there is none of that name; there are "),
+        ({"x": "device"}, "field `device`: the runs have none of that name; they have preset, policy, devices"),
+        ({"by": "nothing"}, "field `nothing`: the runs have none of that name"),
+        ({"x": "policy", "by": "devices"}, "is no number, so that it has no place on an axis"),
+        ({"by": "devices"}, "a line would be a point"),
+        ({"where": {"devices": 11}}, "devices = 11: no run has that; the values are 10, 20, 30"),
+        ({"log": "z"}, "the axes are `x` and `y`"),
+    ],
+)
+def test_errors_are_those_of_the_command_line(table, asked, says):
+    with pytest.raises(ValueError) as refused:
+        reveille.figure(table, **{"x": "devices", "y": "info_p1", **asked})
+    assert says in str(refused.value)
+
+
+def test_deployments_and_timelines_are_drawn():
+    run = {"policy": "knn", "devices": 30, "ttis": 600, "seed": 2}
+    deployment = reveille.deployment_figure("paper", **run)
+    assert deployment.name.startswith("deployment-knn-n30-s2-e") and texts(deployment)
+    assert reveille.deployment_figure("paper", event=3, **run).name == "deployment-knn-n30-s2-e3"
+    timeline = reveille.timeline_figure("paper", show=[1, 4], first=100, length=150, **run)
+    assert timeline.name == "timeline-knn-n30-s2-k100" and texts(timeline)
+    assert timeline.csv is None and timeline.png.startswith(b"\x89PNG")
+    with pytest.raises(ValueError, match="event 999: the run of 600 TTIs has "):
+        reveille.deployment_figure("paper", event=999, **run)
+    with pytest.raises(ValueError, match="device 30: the scenario has 30 devices, numbered 0 to 29"):
+        reveille.timeline_figure("paper", show=[30], **run)
+    with pytest.raises(ValueError, match="external"):
+        reveille.timeline_figure("paper", policy="external")
