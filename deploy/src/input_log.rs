@@ -1,6 +1,6 @@
 //! The inputs of a run in its folder: `inputs.log`. A line is written before the run goes on from what it says, so that
-//! a replay of the run comes to the same, whatever is killed. An outage is on the disk then; of decisions, of which there
-//! may be thousands in a second, a power cut can take the last second.
+//! a replay of the run comes to the same, whatever is killed. An outage is on the disk then; of decisions, of which
+//! there may be thousands in a second, a power cut can take the last second.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Seek, SeekFrom, Write};

@@ -12,7 +12,7 @@
 
 pub mod client;
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
@@ -24,7 +24,7 @@ use reveille_common::secret::Secret;
 use super::drive::{DecisionCounts, Decisions, Patience, Progress, Undecided};
 use super::error::BsError;
 use super::wall::now;
-use crate::policy::external::wire::{Asked, Head, Hello, OLDEST, PROTOCOL, Reply, Said, Welcome};
+use crate::policy::external::wire::{Asked, Head, Hello, OLDEST, PROTOCOL, Reply, Said, Shown, Welcome};
 use crate::policy::external::{Answer, Answered, Decision, Question, Stage};
 
 /// How often a wait looks at what else may have happened.
@@ -101,10 +101,10 @@ pub(super) struct Port<'a> {
     hello: Option<Hello>,
     /// The number of the next decision.
     seq: u64,
-    /// The replies to the last question, of which the first counted.
-    spare: Option<Replies>,
-    /// What was said of answers that nobody takes.
-    complaint: String,
+    /// The replies to the last question, of which the first counted, and the id of who was asked.
+    spare: Option<(Replies, String)>,
+    /// What is wrong and was said already.
+    complaints: BTreeSet<String>,
     /// What has come so far.
     pub(super) counts: DecisionCounts,
 }
@@ -121,7 +121,7 @@ impl<'a> Port<'a> {
             hello: None,
             seq: decisions.before,
             spare: None,
-            complaint: String::new(),
+            complaints: BTreeSet::new(),
             counts: DecisionCounts::default(),
         }
     }
@@ -201,7 +201,9 @@ impl<'a> Port<'a> {
                 Tried::TimeUp => break self.whom(),
                 Tried::Nothing => {
                     let name = self.partner.take().map(|partner| partner.name).unwrap_or_default();
-                    tracing::warn!(%tti, "{name} has not answered; the clock is held until it, or another, does");
+                    let held = "the clock is held until it, or another, does";
+                    self.complain(format!("{name} has not answered for TTI {tti}; {held}"));
+                    tokio::time::sleep(BETWEEN).await;
                 }
                 Tried::Refused(why) => {
                     self.counts.refused += 1;
@@ -302,6 +304,12 @@ impl<'a> Port<'a> {
         self.key.is_none_or(|key| shown.parse() == Ok(key))
     }
 
+    /// Whether an answer is of the process with this id, and of one that has the run's key.
+    fn is_from(&self, id: &str, bytes: &[u8], form: Form) -> bool {
+        form.decode(bytes)
+            .is_ok_and(|shown: Shown| shown.id == id && self.is_ours(&shown.key))
+    }
+
     /// Asks once.
     async fn ask(
         &mut self,
@@ -316,18 +324,16 @@ impl<'a> Port<'a> {
                 Waited::Stop => return Ok(Tried::Stop),
                 Waited::TimeUp => return Ok(Tried::TimeUp),
                 Waited::Over => return Ok(Tried::Nothing),
-                Waited::Heard(Heard::Refusal(why)) => return Ok(Tried::Refused(why)),
+                Waited::Heard(Heard::Refusal(why)) => {
+                    self.complain(format!("a process at the policy port does not answer: {why}"));
+                }
+                // What cannot be told from a stranger's answer is not held against anybody.
+                Waited::Heard(Heard::Answer(bytes, form)) if !self.is_from(&asked.to, &bytes, form) => {
+                    let what = "that cannot be read, or does not show the run's key and the id that was asked";
+                    self.complain(format!("an answer was dropped {what}"));
+                }
                 Waited::Heard(Heard::Answer(bytes, form)) => {
                     let reply: Result<Reply, String> = form.decode(&bytes);
-                    if reply
-                        .as_ref()
-                        .is_ok_and(|reply| !self.is_ours(&reply.key) || reply.id != asked.to)
-                    {
-                        self.complain(
-                            "an answer came that does not show the run's key, or not the id that was asked".into(),
-                        );
-                        continue;
-                    }
                     let answer = reply.and_then(|reply| {
                         let echo = (reply.seq, reply.tti, reply.stage);
                         let own = (asked.head.seq, asked.head.tti, Some(asked.head.stage));
@@ -338,7 +344,7 @@ impl<'a> Port<'a> {
                     });
                     return Ok(match answer {
                         Ok(answer) => {
-                            self.spare = Some(replies);
+                            self.spare = Some((replies, asked.to.clone()));
                             Tried::Answer(answer)
                         }
                         Err(why) => Tried::Refused(why),
@@ -350,19 +356,22 @@ impl<'a> Port<'a> {
 
     /// Counts what came of the last question after its answer.
     fn count_spare(&mut self) {
-        let Some(replies) = self.spare.take() else { return };
-        let more = replies.rest().count() as u64;
+        let Some((replies, id)) = self.spare.take() else { return };
+        let is_own = |heard: &Heard| match heard {
+            Heard::Answer(bytes, form) => self.is_from(&id, bytes, *form),
+            Heard::Refusal(_) => false,
+        };
+        let more = replies.rest().filter(is_own).count() as u64;
         if more > 0 {
             self.counts.refused += more;
             self.complain("a question was answered twice; the first answer counts".to_owned());
         }
     }
 
-    /// Says what is wrong, where it was not the last that was said.
+    /// Says what is wrong, where that was not said since somebody has decided.
     fn complain(&mut self, what: String) {
-        if self.complaint != what {
+        if self.complaints.insert(what.clone()) {
             tracing::warn!("{what}");
-            self.complaint = what;
         }
     }
 }

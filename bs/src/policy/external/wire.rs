@@ -280,6 +280,16 @@ impl Asked {
     }
 }
 
+/// What an answer shows of who gave it; looked at before the rest.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+pub struct Shown {
+    /// The id of the process.
+    pub id: String,
+    /// The run's key.
+    #[serde(default)]
+    pub key: String,
+}
+
 /// An answer. Exactly one of `action`, `sense`, `cycles` and `wake` says what is decided.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
