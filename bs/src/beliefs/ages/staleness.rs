@@ -1,7 +1,7 @@
 //! Ages where looks are told once they are made: nobody is chosen ahead, and nothing is taken back.
 //!
-//! An environment keeps them for each of its runs and looks at all devices in each step, so there is little of it: three
-//! bytes a cell and 36 a device.
+//! An environment keeps them for each of its runs and looks at all devices in each step, so there is little of it:
+//! three bytes a cell and 36 a device.
 
 use reveille_common::geometry::{Area, Point};
 use reveille_common::sensing::{DetectionKind, Sensing};

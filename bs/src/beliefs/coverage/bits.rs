@@ -37,7 +37,7 @@ pub(super) struct Disc {
 impl Disc {
     pub(super) fn new(raster: &Raster, stride: usize, p: Point, d_max: f64) -> Self {
         let [south_to_north, west_to_east] = raster.around(p, d_max);
-        // The cells of a row are neighbours: distances fall towards `p` and rise beyond, whatever rounding does to them.
+        // The cells of a row are neighbours: distances fall towards `p` and rise beyond, however they are rounded.
         let stretch = |row: usize| {
             let is_inside = |column: &usize| raster.distances(row, *column, p).0 <= d_max;
             let first = west_to_east.clone().find(is_inside)?;
