@@ -75,9 +75,9 @@ impl Shared {
     fn lock(&self) -> MutexGuard<'_, Shadow> {
         let mut shadow = self.shadow.lock().unwrap_or_else(PoisonError::into_inner);
         let decided = std::mem::take(&mut *self.decided.lock().unwrap_or_else(PoisonError::into_inner));
-        decided
-            .into_iter()
-            .for_each(|decision| shadow.hear(Input::Decision(decision)));
+        for decision in decided {
+            shadow.hear(Input::Decision(decision));
+        }
         shadow
     }
 

@@ -102,6 +102,11 @@ impl Decided {
     }
 }
 
+/// Makes nonsense of an answer.
+type Spoil = fn(&mut Value);
+/// Answers a question otherwise than by this answer.
+type Act = fn(&PolicyQuestion, Value);
+
 /// A program at the port that does as it likes.
 struct Rogue {
     bus: Bus,
@@ -168,7 +173,8 @@ async fn the_decisions_of_a_policy_give_its_digest() {
     ];
     for (policy, set, form, way) in cases {
         let (transcript, digest) = own(policy, set);
-        let set: String = set.iter().map(|set| format!(" --set {set}")).collect();
+        let set: Vec<String> = set.iter().map(|set| format!(" --set {set}")).collect();
+        let set = set.concat();
         let run = Decided::start(&format!("{way} --audit on{set}"));
         let decided = run.decide(form, |asked| answer(&transcript, asked)).await;
         let (folder, end) = run.finish();
@@ -322,7 +328,7 @@ async fn an_answer_that_comes_twice_counts_once() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn nonsense_is_told_of_and_ends_the_run_or_is_left_out() {
-    let nonsense: [(&str, fn(&mut Value)); 6] = [
+    let nonsense: [(&str, Spoil); 6] = [
         ("no device 30", |answer| answer["sense"] = json!([30])),
         ("one of", |answer| answer["action"] = json!([0])),
         ("unknown field", |answer| answer["senses"] = json!([1])),
@@ -352,7 +358,7 @@ async fn nonsense_is_told_of_and_ends_the_run_or_is_left_out() {
         assert_eq!(told, 2, "it is told what was wrong");
     }
     // Whose these are nobody can tell: a stranger could end the run with them.
-    let strange: [(&str, fn(&PolicyQuestion, Value)); 3] = [
+    let strange: [(&str, Act); 3] = [
         ("an answer was dropped", |question, _| {
             question.answer(b"{".to_vec(), Form::Json).expect("answered");
         }),

@@ -307,7 +307,8 @@ impl Loop<'_> {
             Posed::Open(pending) => pending,
         };
         let Crew { port, progress, .. } = &mut self.crew;
-        let answer = port.settle(*pending, progress).await?;
+        // Boxed, since few runs have need of so large a future.
+        let answer = Box::pin(port.settle(*pending, progress)).await?;
         if let (Some(answer), Some(replay)) = (&answer, &self.crew.replay) {
             let answer = answer.clone();
             replay.decided(Answered { tti, answer }).map_err(BsError::CannotGoOn)?;

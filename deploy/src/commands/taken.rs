@@ -22,8 +22,8 @@ use crate::marks;
 /// TTIs of a replay between two looks for a signal.
 const STRIDE: u64 = 10_000;
 
-/// What the run depends on besides, as far as it is known: what is in the folder of one that is taken up, or the decisions
-/// that it was given, which are copied there.
+/// What the run depends on besides, as far as it is known: what is in the folder of one that is taken up, or the
+/// decisions that it was given, which are copied there.
 pub fn inputs(
     is_resumed: bool,
     kept: &[Answered],

@@ -39,6 +39,10 @@ const BETWEEN: Duration = Duration::from_millis(200);
 const SILENT: Duration = Duration::from_secs(5);
 /// Answers to one question that decide nothing.
 const STRIKES: u32 = 3;
+/// Different things that are said of answers, in a run.
+const COMPLAINTS: usize = 100;
+/// Characters of one that are shown.
+const COMPLAINT: usize = 300;
 /// Characters of a name that are shown.
 const NAME: usize = 64;
 
@@ -202,7 +206,7 @@ impl<'a> Port<'a> {
                 Tried::Nothing => {
                     let name = self.partner.take().map(|partner| partner.name).unwrap_or_default();
                     let held = "the clock is held until it, or another, does";
-                    self.complain(format!("{name} has not answered for TTI {tti}; {held}"));
+                    self.complain(&format!("{name} has not answered for TTI {tti}; {held}"));
                     tokio::time::sleep(BETWEEN).await;
                 }
                 Tried::Refused(why) => {
@@ -263,7 +267,7 @@ impl<'a> Port<'a> {
                     Err(why) => why,
                 },
             };
-            self.complain(format!("a process at the policy port cannot decide: {problem}"));
+            self.complain(&format!("a process at the policy port cannot decide: {problem}"));
         }
         wait.name();
         tokio::time::sleep(BETWEEN).await;
@@ -325,12 +329,12 @@ impl<'a> Port<'a> {
                 Waited::TimeUp => return Ok(Tried::TimeUp),
                 Waited::Over => return Ok(Tried::Nothing),
                 Waited::Heard(Heard::Refusal(why)) => {
-                    self.complain(format!("a process at the policy port does not answer: {why}"));
+                    self.complain(&format!("a process at the policy port does not answer: {why}"));
                 }
                 // What cannot be told from a stranger's answer is not held against anybody.
                 Waited::Heard(Heard::Answer(bytes, form)) if !self.is_from(&asked.to, &bytes, form) => {
                     let what = "that cannot be read, or does not show the run's key and the id that was asked";
-                    self.complain(format!("an answer was dropped {what}"));
+                    self.complain(&format!("an answer was dropped {what}"));
                 }
                 Waited::Heard(Heard::Answer(bytes, form)) => {
                     let reply: Result<Reply, String> = form.decode(&bytes);
@@ -364,14 +368,20 @@ impl<'a> Port<'a> {
         let more = replies.rest().filter(is_own).count() as u64;
         if more > 0 {
             self.counts.refused += more;
-            self.complain("a question was answered twice; the first answer counts".to_owned());
+            self.complain("a question was answered twice; the first answer counts");
         }
     }
 
-    /// Says what is wrong, where that was not said since somebody has decided.
-    fn complain(&mut self, what: String) {
-        if self.complaints.insert(what.clone()) {
-            tracing::warn!("{what}");
+    /// Says what is wrong, where that was not said before. A stranger can neither fill the log nor the memory.
+    fn complain(&mut self, what: &str) {
+        let what: String = what.chars().filter(|c| !c.is_control()).take(COMPLAINT).collect();
+        if self.complaints.len() == COMPLAINTS || self.complaints.contains(&what) {
+            return;
+        }
+        tracing::warn!("{what}");
+        self.complaints.insert(what);
+        if self.complaints.len() == COMPLAINTS {
+            tracing::warn!("more of what comes at the policy port is not told");
         }
     }
 }
