@@ -269,7 +269,7 @@ class PolicyClient:
         if self._last is not None and self._last[0] == head and asked.refused is None:
             return self._last[1]
         decision = self.policy(asked if self.whole else asked.observation)
-        reply = {"protocol": PROTOCOL, **echo, "id": self._id, "key": key, **_said(decision)}
+        reply = {"protocol": PROTOCOL, **echo, "id": self._id, "key": key, **_said(decision, form)}
         self.decided += 1
         answer = _encode(reply, form)
         self._last = (head, answer)
@@ -294,7 +294,8 @@ class PolicyClient:
 
     @staticmethod
     def _read(question: dict[str, Any]) -> Question:
-        mask = np.array(list(question["action_mask"]), np.int8)
+        mask = question["action_mask"]
+        mask = np.frombuffer(mask, np.int8).copy() if isinstance(mask, bytes) else np.asarray(mask, np.int8)
         observation = {
             "device": _numbers(question["device"]).reshape(len(mask), -1),
             "globals": _numbers(question["globals"]).reshape(-1),
@@ -311,14 +312,15 @@ def _numbers(rows: Any) -> NDArray[np.float32]:
     return np.asarray(rows, np.float32)
 
 
-def _said(decision: Decision) -> dict[str, Any]:
+def _said(decision: Decision, form: str) -> dict[str, Any]:
     if isinstance(decision, Mapping):
         said = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in decision.items()}
         unknown = set(said) - {"action", "sense", "cycles", "wake", "next"}
         if unknown:
             raise ValueError(f"a decision has no {sorted(unknown)}: there are action, sense, cycles, wake and next")
         return said
-    return {"action": np.asarray(decision).astype(bool).astype(int).reshape(-1).tolist()}
+    bits = np.asarray(decision).astype(bool).astype(np.uint8).reshape(-1)
+    return {"action": bits.tobytes() if form == "cbor" else bits.tolist()}
 
 
 def _encode(message: dict[str, Any], form: str) -> bytes:

@@ -1,5 +1,5 @@
-//! Decisions from outside over the bus ([`wire`] is what is said): those that were kept come first, then a policy
-//! process is asked. Virtual time stands until it has answered.
+//! Decisions from outside over the bus, said as in [`wire`](crate::policy::external::wire): those that were kept come
+//! first, then a policy process is asked. Virtual time stands until it has answered.
 //!
 //! ```text
 //!            hello answered with the run's key
