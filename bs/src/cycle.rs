@@ -144,6 +144,11 @@ impl Cycle {
         self.next
     }
 
+    /// Whether a grant is out, or a TTI not closed.
+    pub const fn is_open(&self) -> bool {
+        self.is_open
+    }
+
     /// The plan in force.
     pub const fn plan(&self) -> &Plan {
         self.station.plan()

@@ -98,7 +98,10 @@ impl Deciding<'_> {
 
 /// A policy process, looked after until this is dropped.
 pub struct PolicyProcess {
+    /// The run is over.
     is_over: Arc<AtomicBool>,
+    /// It is to be ended.
+    is_left: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -124,47 +127,88 @@ impl PolicyProcess {
         }
         let child = shell.spawn().context("cannot start a shell for --policy-command")?;
         let is_over = Arc::new(AtomicBool::new(false));
-        let (over, progress) = (Arc::clone(&is_over), Arc::clone(progress));
-        let named = command.to_owned();
+        let is_left = Arc::new(AtomicBool::new(false));
+        let charge = Charge {
+            child,
+            command: command.to_owned(),
+            is_over: Arc::clone(&is_over),
+            is_left: Arc::clone(&is_left),
+        };
+        let progress = Arc::clone(progress);
         let thread = std::thread::Builder::new()
             .name("policy".to_owned())
-            .spawn(move || look_after(child, &named, &over, &progress))?;
+            .spawn(move || charge.look_after(&progress))?;
         Ok(Self {
             is_over,
+            is_left,
             thread: Some(thread),
         })
+    }
+}
+
+impl PolicyProcess {
+    /// The run is over: it may end, and is ended when this is dropped.
+    #[must_use]
+    pub fn dismissed(self) -> Self {
+        self.is_over.store(true, Ordering::Relaxed);
+        self
     }
 }
 
 impl Drop for PolicyProcess {
     fn drop(&mut self) {
         self.is_over.store(true, Ordering::Relaxed);
+        self.is_left.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
             let _panicked = thread.join().is_err();
         }
     }
 }
 
-fn look_after(mut child: Child, command: &str, is_over: &AtomicBool, progress: &Progress) {
-    while !is_over.load(Ordering::Relaxed) {
-        if let Ok(Some(status)) = child.try_wait() {
-            let why = format!("the policy process `{command}` ended with {status}");
-            // The first cause is the one that counts.
-            let _told_before = progress.cause.set(why).is_err();
-            progress.stop.store(true, Ordering::Relaxed);
-            return;
-        }
-        std::thread::sleep(LOOK);
+/// A policy process, and those that it has started.
+struct Charge {
+    child: Child,
+    command: String,
+    is_over: Arc<AtomicBool>,
+    is_left: Arc<AtomicBool>,
+}
+
+impl Charge {
+    fn look_after(mut self, progress: &Progress) {
+        self.watch(progress);
+        // What it has started and left behind.
+        let _gone = kill_process_group(Pid::from_child(&self.child), Signal::KILL).is_err();
+        let _reaped = self.child.wait().is_err();
     }
-    let group = Pid::from_child(&child);
-    for signal in [Signal::TERM, Signal::KILL] {
-        let _gone = kill_process_group(group, signal).is_err();
-        let told = now();
-        while told.elapsed() < LEAVE {
-            if !matches!(child.try_wait(), Ok(None)) {
+
+    /// Until it has ended, or has been told to and does not.
+    fn watch(&mut self, progress: &Progress) {
+        while !self.is_left.load(Ordering::Relaxed) {
+            if let Ok(Some(status)) = self.child.try_wait() {
+                if !self.is_over.load(Ordering::Relaxed) {
+                    let why = format!("the policy process `{}` ended with {status}", self.command);
+                    // The first cause is the one that counts.
+                    let _told_before = progress.cause.set(why).is_err();
+                    progress.stop.store(true, Ordering::Relaxed);
+                }
                 return;
             }
             std::thread::sleep(LOOK);
         }
+        if !self.has_ended_within(LEAVE) {
+            let _gone = kill_process_group(Pid::from_child(&self.child), Signal::TERM).is_err();
+            self.has_ended_within(LEAVE);
+        }
+    }
+
+    fn has_ended_within(&mut self, patience: Duration) -> bool {
+        let begun = now();
+        while begun.elapsed() < patience {
+            if !matches!(self.child.try_wait(), Ok(None)) {
+                return true;
+            }
+            std::thread::sleep(LOOK);
+        }
+        false
     }
 }

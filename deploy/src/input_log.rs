@@ -58,6 +58,18 @@ impl InputLog {
         inputs.iter().try_for_each(|input| self.add(&input))
     }
 
+    /// Has no more in it than these.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn replace(&mut self, inputs: &Inputs) -> anyhow::Result<()> {
+        self.file = None;
+        let lines = inputs.iter().map(|input| inputs::line(&input));
+        let text: String = std::iter::once(self.first_line.clone()).chain(lines).collect();
+        reveille_lab::io::replace(&self.path, text.as_bytes())
+            .with_context(|| format!("cannot write {}", self.path.display()))
+    }
+
     fn write(&mut self, input: &Input) -> io::Result<()> {
         let opened = self.file.take();
         let mut file = opened.map_or_else(|| self.open(), Ok)?;
@@ -116,4 +128,14 @@ pub fn of_folder(folder: &Path, scenario: &Scenario) -> anyhow::Result<Inputs> {
 pub fn read(path: &Path, scenario: &Scenario) -> anyhow::Result<Inputs> {
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
     inputs::parse(&text, scenario).with_context(|| path.display().to_string())
+}
+
+/// As [`read`], of a log that somebody has named, which is to hold something.
+///
+/// # Errors
+/// As of [`read`]; it is none.
+pub fn read_named(path: &Path, scenario: &Scenario) -> anyhow::Result<Inputs> {
+    let inputs = read(path, scenario)?;
+    anyhow::ensure!(inputs != Inputs::default(), "{}: nothing is in it", path.display());
+    Ok(inputs)
 }

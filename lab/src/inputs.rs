@@ -76,6 +76,16 @@ impl Inputs {
         }
     }
 
+    /// Those that came before TTI `k`.
+    #[must_use]
+    pub fn before(&self, k: Tti) -> Self {
+        let (outages, decisions) = (self.outages.iter(), self.decisions.iter());
+        Self {
+            outages: outages.copied().filter(|outage| outage.tti < k).collect(),
+            decisions: decisions.filter(|decision| decision.tti < k).cloned().collect(),
+        }
+    }
+
     /// Each of them.
     pub fn iter(&self) -> impl Iterator<Item = Input> {
         let outages = self.outages.iter().copied().map(Input::Outage);

@@ -146,9 +146,12 @@ impl Run {
         !self.coming.has_no_outage()
     }
 
-    /// Whether the run stands at a question that no decision is there for.
-    pub const fn is_undecided(&self) -> bool {
-        self.is_undecided
+    /// The TTI of a question that no decision is there for, if the run stands at one. Nothing goes on from there, and
+    /// where it is asked whom to wake the TTI is open: such a run comes to nothing.
+    pub fn undecided(&self) -> Option<Tti> {
+        let is_open = self.cycle.is_open();
+        let tti = if is_open { self.open.tti } else { self.cycle.next_tti() };
+        self.is_undecided.then_some(tti)
     }
 
     /// How many decisions from outside were asked for.
@@ -269,8 +272,11 @@ impl Run {
         }
         let mut step = self.open(limit, observer);
         while let Some(asking) = self.wake(step, observer) {
-            // A log that ends within a TTI wakes nobody else, and there is no plan for the next.
-            let devices = self.coming.whom(self.open.tti).unwrap_or_default();
+            let Some(devices) = self.coming.whom(self.open.tti) else {
+                // The TTI stays open: what would have been decided nobody knows.
+                self.is_undecided = true;
+                return;
+            };
             self.decisions += 1;
             step = self.cycle.wake(asking, &devices, observer);
         }

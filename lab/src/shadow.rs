@@ -154,7 +154,7 @@ impl Shadow {
         self.run.advance(k.min(self.from), &mut ());
         self.run.advance(k, &mut self.ahead);
         assert!(
-            !self.run.is_undecided(),
+            self.run.undecided().is_none(),
             "a decision is told before the run goes on from it"
         );
     }

@@ -20,7 +20,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from .pictures import Figure, deployment_figure, figure, figures, timeline_figure
-from .port import PolicyClient, PortError, decide
+from .port import PolicyClient, PortError, Question, decide
 from .runs import policies, run, sweep
 from .scenario import DEVICE_FEATURES, GLOBAL_FEATURES, Feature, Setting
 
@@ -37,6 +37,7 @@ __all__ = [
     "Figure",
     "PolicyClient",
     "PortError",
+    "Question",
     "Setting",
     "Trajectories",
     "decide",

@@ -13,9 +13,12 @@ import hmac
 import json
 import os
 import queue
+import re
 import secrets
 import stat
 import tempfile
+import time
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,6 +30,10 @@ from numpy.typing import NDArray
 #: The version that is spoken here, and the oldest that is understood.
 PROTOCOL = 1
 OLDEST = 1
+
+#: Seconds for which a base station that has not said that the run is over may be gone: this process may have been
+#: stopped for a while, or the base station be taken up at the same place.
+GONE = 30.0
 
 #: Stages by their names on the bus, as environments number them.
 STAGES = {"plan": 0, "wake": 1}
@@ -106,6 +113,8 @@ def find(connect: str | None = None, run: str | None = None, key_file: str | os.
     :raises PortError: there is none, or more than one.
     """
     key = Path(key_file).read_text().strip() if key_file is not None else None
+    if key is not None and not re.fullmatch("[0-9a-fA-F]{32}", key):
+        raise PortError(f"{key_file}: a run's key is 32 hexadecimal digits")
     given = os.environ
     if connect is None and run is None and "REVEILLE_CONNECT" in given and "REVEILLE_RUN" in given:
         return Target(given["REVEILLE_CONNECT"], given["REVEILLE_RUN"], key or given.get("REVEILLE_KEY", ""))
@@ -167,6 +176,7 @@ class PolicyClient:
         self.decided = 0
         self._id = secrets.token_hex(8)
         self._last: tuple[tuple[Any, ...], bytes] | None = None
+        self._is_over = False
 
     def serve(
         self,
@@ -179,10 +189,12 @@ class PolicyClient:
         """Decides until the run is over, and gives the number of decisions. For the arguments see :func:`find`.
 
         :param patience: seconds for which the base station is tried to be reached.
-        :raises PortError: there is no such run, or it cannot be reached.
+        :raises PortError: there is no such run, it cannot be reached, or it does not let this process decide.
         """
         import zenoh
 
+        # Another run may ask the same, and is to be answered anew.
+        self._last, self.decided, self.hello, self._is_over = None, 0, None, False
         target = find(connect, run, key_file)
         config = zenoh.Config()
         settings = {
@@ -193,6 +205,8 @@ class PolicyClient:
             "scouting/multicast/enabled": "false",
             "scouting/gossip/enabled": "false",
         }
+        if not re.fullmatch(r"tcp/.+:[0-9]{1,5}", target.connect):
+            raise PortError(f"endpoint {target.connect!r}: it must look like tcp/HOST:PORT, as tcp/127.0.0.1:7447")
         for key, value in settings.items():
             config.insert_json5(key, value)
         try:
@@ -200,21 +214,32 @@ class PolicyClient:
         except zenoh.ZError as error:
             raise PortError(f"no base station answers at {target.connect} within {patience:g} s") from error
         with session:
-            return self._serve(zenoh, session, target)
+            return self._serve(zenoh, session, target, patience)
 
-    def _serve(self, zenoh: Any, session: Any, target: Target) -> int:
+    def _serve(self, zenoh: Any, session: Any, target: Target, patience: float) -> int:
         # Zenoh's threads hand over, this one decides: it can be interrupted, and a slow policy holds nothing up there.
         questions: queue.SimpleQueue[Any] = queue.SimpleQueue()
         prefix = f"reveille/{target.run}"
+        there = {"is_alive": False}
 
         def changed(sample: Any) -> None:
-            if sample.kind == zenoh.SampleKind.DELETE:
-                questions.put(None)
+            there["is_alive"] = sample.kind != zenoh.SampleKind.DELETE
 
-        watched = session.liveliness().declare_subscriber(f"{prefix}/emu/bs", changed)
+        watched = session.liveliness().declare_subscriber(f"{prefix}/emu/bs", changed, history=True)
         port = session.declare_queryable(f"{prefix}/policy/v1", questions.put)
+        seen, limit = time.monotonic(), patience
         try:
-            while (query := self._next(session, questions)) is not None:
+            while not self._is_over and not session.is_closed():
+                if there["is_alive"]:
+                    seen, limit = time.monotonic(), GONE
+                elif time.monotonic() - seen > limit:
+                    if self.hello is None:
+                        raise PortError(f"there is no run {target.run} at {target.connect}")
+                    break
+                try:
+                    query = questions.get(timeout=0.2)
+                except queue.Empty:
+                    continue
                 try:
                     self._answer(zenoh, query, target)
                 finally:
@@ -224,15 +249,6 @@ class PolicyClient:
             port.undeclare()
             watched.undeclare()
         return self.decided
-
-    @staticmethod
-    def _next(session: Any, questions: queue.SimpleQueue[Any]) -> Any:
-        while not session.is_closed():
-            try:
-                return questions.get(timeout=0.2)
-            except queue.Empty:
-                continue
-        return None
 
     def _answer(self, zenoh: Any, query: Any, target: Target) -> None:
         encoding = zenoh.Encoding.APPLICATION_JSON
@@ -257,19 +273,26 @@ class PolicyClient:
         """
         question = _decode(payload, form)
         try:
+            if question["stage"] == "bye":
+                self._is_over = True
+                return None
             if question["stage"] == "hello":
                 return _encode(self._welcome(question, key), form)
             if not hmac.compare_digest(str(question["to"]), self._id):
                 return None
             echo = {name: question[name] for name in ("seq", "tti", "stage")}
             asked = self._read(question)
+        except ProtocolError:
+            raise
         except (KeyError, TypeError, ValueError) as error:
             raise ProtocolError(f"the question cannot be read: {type(error).__name__}: {error}") from error
         head = tuple(echo.values())
         if self._last is not None and self._last[0] == head and asked.refused is None:
             return self._last[1]
+        if asked.refused is not None:
+            warnings.warn(f"the decision for TTI {asked.tti} was refused: {asked.refused}", stacklevel=2)
         decision = self.policy(asked if self.whole else asked.observation)
-        reply = {"protocol": PROTOCOL, **echo, "id": self._id, "key": key, **_said(decision, form)}
+        reply = {"protocol": PROTOCOL, **echo, "id": self._id, "key": key, **_said(decision, form, len(asked.observation["action_mask"]))}
         self.decided += 1
         answer = _encode(reply, form)
         self._last = (head, answer)
@@ -277,9 +300,12 @@ class PolicyClient:
 
     def _welcome(self, hello: dict[str, Any], key: str) -> dict[str, Any]:
         if hello["min"] > PROTOCOL or hello["max"] < OLDEST:
-            raise ValueError(
+            raise ProtocolError(
                 f"this package speaks protocol {OLDEST} to {PROTOCOL}, the base station {hello['min']} to {hello['max']}"
             )
+        refused = hello.get("refused")
+        if refused and refused["id"] == self._id:
+            raise PortError(f"the base station does not let this process decide: {refused['why']}")
         self.hello = hello
         return {
             "protocol": min(PROTOCOL, hello["max"]),
@@ -312,14 +338,23 @@ def _numbers(rows: Any) -> NDArray[np.float32]:
     return np.asarray(rows, np.float32)
 
 
-def _said(decision: Decision, form: str) -> dict[str, Any]:
+def _said(decision: Decision, form: str, devices: int) -> dict[str, Any]:
     if isinstance(decision, Mapping):
-        said = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in decision.items()}
-        unknown = set(said) - {"action", "sense", "cycles", "wake", "next"}
+        unknown = set(decision) - {"action", "sense", "cycles", "wake", "next"}
         if unknown:
             raise ValueError(f"a decision has no {sorted(unknown)}: there are action, sense, cycles, wake and next")
-        return said
-    bits = np.asarray(decision).astype(bool).astype(np.uint8).reshape(-1)
+        said = {name: np.asarray(value).tolist() for name, value in decision.items() if name != "action"}
+        return said | (_bits(decision["action"], form, devices) if "action" in decision else {})
+    return _bits(decision, form, devices)
+
+
+def _bits(action: Any, form: str, devices: int) -> dict[str, Any]:
+    bits = np.asarray(action).reshape(-1)
+    if bits.dtype.kind not in "biuf" or not np.isin(bits, (0, 1)).all():
+        raise ValueError(f"a decision is zeros and ones, one for each device, not {action!r}")
+    if len(bits) != devices:
+        raise ValueError(f"{len(bits)} numbers for {devices} devices")
+    bits = bits.astype(np.uint8)
     return {"action": bits.tobytes() if form == "cbor" else bits.tolist()}
 
 

@@ -179,8 +179,23 @@ class Trajectories:
         )
 
     def environment(self) -> ReveilleEnv:
-        """The environment that the episodes were recorded in."""
-        return ReveilleEnv(**self.settings)
+        """The environment that the episodes were recorded in.
+
+        :raises ValueError: its scenario is a file that is not here, or is not what it was.
+        """
+        return self.checked(ReveilleEnv(**self.settings))
+
+    def checked(self, env: ReveilleEnv) -> ReveilleEnv:
+        """``env``, if its scenario is that of the episodes.
+
+        :raises ValueError: it is another.
+        """
+        if env._batch.scenario != self.scenario:
+            raise ValueError(
+                f"scenario {self.settings['scenario']!r} is not what it was when {self.path} was recorded; "
+                "Trajectories.scenario is its text: write that into a file and make the environment from it"
+            )
+        return env
 
 
 def _values(column: pyarrow.ChunkedArray) -> NDArray[Any]:
@@ -419,6 +434,7 @@ def to_minari(
     if not isinstance(trajectories, Trajectories):
         trajectories = Trajectories(trajectories)
     env = gym.make("Reveille-v0", **trajectories.settings)
+    trajectories.checked(env.unwrapped)
     told.setdefault("algorithm_name", trajectories.policy)
     told.setdefault("eval_env", env.spec)
     told.setdefault("description", f"{trajectories.policy} in Reveille {trajectories.version}:\n\n{trajectories.scenario}")

@@ -214,6 +214,77 @@ def test_the_same_question_is_not_decided_twice():
         ask(seq=1)
 
 
+@pytest.mark.parametrize("decision", [None, [1], [0, 0.1], [float("nan"), 0], [0, 2], "01", [0, 1, 0]])
+def test_what_is_no_decision_is_an_error_of_the_policy(decision):
+    client = PolicyClient(lambda _: decision)
+    hello = {"protocol": 1, "min": 1, "max": 1, "seq": 0, "tti": 0, "stage": "hello"}
+    known = json.loads(client.answer(json.dumps(hello).encode(), "json", ""))["id"]
+    question = {"protocol": 1, "seq": 0, "tti": 0, "stage": "plan", "to": known, "device": [[0.5]] * 2}
+    question |= {"globals": [[0.25]], "action_mask": [2, 2], "heard": []}
+    with pytest.raises(ValueError, match=r"zeros and ones|for 2 devices"):
+        client.answer(json.dumps(question).encode(), "json", "")
+
+
+def test_numpy_numbers_are_numbers():
+    import cbor2
+
+    client = PolicyClient(lambda _: {"sense": list(np.flatnonzero([1, 0, 1])), "next": np.int64(5)})
+    hello = {"protocol": 1, "min": 1, "max": 1, "seq": 0, "tti": 0, "stage": "hello"}
+    known = cbor2.loads(client.answer(cbor2.dumps(hello), "cbor", ""))["id"]
+    numbers = np.array([0.5, 1.0, 0.25], "<f4").tobytes()
+    question = {"protocol": 1, "seq": 0, "tti": 0, "stage": "plan", "to": known, "device": numbers}
+    question |= {"globals": numbers, "action_mask": b"\x02\x02\x02", "heard": []}
+    told = cbor2.loads(client.answer(cbor2.dumps(question), "cbor", ""))
+    assert (told["sense"], told["next"]) == ([0, 2], 5)
+    with pytest.raises(PortError, match="no key"):
+        client.answer(cbor2.dumps(hello | {"refused": {"id": known, "why": "no key"}}), "cbor", "")
+
+
+@needs_program
+def test_one_client_decides_for_one_run_after_another(machine):
+    client = PolicyClient(lambda observation: np.zeros(len(observation["action_mask"])))
+    for name in ("first", "second"):
+        up = Up(machine, "-n", "10", "-k", "1", "--run", name, "--force")
+        assert up.serve(client) == 1
+        assert up.summary()["ttis_done"] == 1
+
+
+@needs_program
+def test_who_cannot_decide_is_told(machine):
+    up = Up(machine, "-n", "10", "-k", "5", "--run", "keyed")
+    client = PolicyClient(lambda observation: np.zeros(len(observation["action_mask"])))
+    wrong = machine / "wrong.key"
+    wrong.write_text("00" * 16)
+    deadline = time.monotonic() + PATIENCE
+    while not list((machine / "runtime").glob("reveille/keyed-*.json")):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    with pytest.raises(PortError, match="key"):
+        client.serve(key_file=wrong)
+    with pytest.raises(PortError, match="no run other"):
+        client.serve(connect=find(run="keyed").connect, run="other", patience=2)
+    assert up.serve(client) >= 5
+    assert up.summary()["ttis_done"] == 5
+
+
+@needs_program
+def test_what_comes_after_the_last_decision_is_done(machine):
+    script = machine / "policy.py"
+    script.write_text(
+        textwrap.dedent(
+            """
+            import time, reveille
+            decided = reveille.decide(lambda obs: obs["action_mask"] * 0)
+            time.sleep(0.5)
+            open("after", "w").write(str(decided))
+            """
+        )
+    )
+    up = Up(machine, "-n", "10", "-k", "20", "--policy-command", f"exec {sys.executable} {script}")
+    assert up.summary()["ttis_done"] == 20
+    assert int((machine / "after").read_text()) >= 20
+
+
 def test_a_run_is_looked_for_where_it_can_be(machine, monkeypatch):
     with pytest.raises(PortError, match="no such run"):
         find()

@@ -180,3 +180,15 @@ def test_minari_gives_the_episodes_in_the_spaces_of_the_environment(tmp_path, mo
         assert last["digest"] == info.digest
     with pytest.raises(ValueError, match="already exists"):
         reveille.to_minari(told.path, "reveille/age-index-v0")
+
+
+def test_a_scenario_file_that_has_changed_is_noticed(tmp_path):
+    scenario = tmp_path / "own.toml"
+    scenario.write_text('preset = "quick"\n[harvest]\nlambda = 0.3\n')
+    recorded = reveille.record_trajectories(
+        tmp_path / "t.parquet", "random", scenario=str(scenario), devices=8, ttis=40, seeds=1
+    )
+    assert recorded.environment().action_space.n == 8
+    scenario.write_text('preset = "quick"\n[harvest]\nlambda = 0.1\n')
+    with pytest.raises(ValueError, match="not what it was"):
+        recorded.environment()

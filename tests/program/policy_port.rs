@@ -309,6 +309,87 @@ async fn a_run_that_is_joined_late_is_whole() {
     assert!(verified.is_success() && verified.stdout.contains(&digest), "{verified}");
 }
 
+/// The base station is killed over a TTI in which devices were lost and whose wake-ups are not all decided.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_run_that_was_killed_within_a_ttis_wake_ups_goes_on_before_it() {
+    let (transcript, _) = own("age-index", &[]);
+    let run = Decided::start("-P 3 --pace 4ms --on-loss continue");
+    run.key();
+    let (bs, mut lost_in) = (run.process.pid(), None);
+    let name = run.run.clone();
+    run.decide(Form::Cbor, |asked| {
+        let (tti, is_wake) = (asked.head.tti, asked.head.stage == Said::Wake);
+        if is_wake && tti > 100 && lost_in.is_none() {
+            lost_in = Some(tti);
+            send_signal(hosts_of(&name)[0], Signal::KILL);
+            wait_until("one process less", PATIENCE, || {
+                (hosts_of(&name).len() == 2).then_some(())
+            });
+            std::thread::sleep(Duration::from_millis(300));
+            // Devices of the others, so that it is asked once more.
+            let own = asked
+                .action_mask
+                .0
+                .iter()
+                .rposition(|bit| *bit == 2)
+                .expect("somebody sleeps");
+            return Answer::Wake(vec![DeviceId(own as u32)]);
+        }
+        if lost_in.is_some() {
+            send_signal(bs, Signal::KILL);
+        }
+        answer(&transcript, asked)
+    })
+    .await;
+    let (folder, _) = run.finish();
+    let again = Decided::start_in(folder, "up --resume out -P 3 --audit on --on-loss continue");
+    again.decide(Form::Cbor, |asked| answer(&transcript, asked)).await;
+    let (folder, end) = again.finish();
+    assert!(end.is_success(), "{end}");
+    let summary = Summary::read(&folder.join("out"));
+    let kept = folder.summary("run --policy replay=out");
+    assert_eq!((summary.digest(), summary.status()), (kept.digest(), "complete"));
+
+    // Logs that end too early: nothing is made up.
+    let log = String::from_utf8(folder.bytes("out/inputs.log")).expect("text");
+    for lines in [2, 60, 101] {
+        let torn: Vec<&str> = log.lines().take(lines).chain([""]).collect();
+        folder.write("torn.log", &torn.join("\n"));
+        for command in ["run", "up -P 1"] {
+            let scenario = "--scenario out/scenario.toml --policy replay=torn.log";
+            let end = folder.run(&format!("{command} {scenario} --out torn --force"));
+            assert!(
+                end.code() == Some(1) && end.stderr.contains("for TTI"),
+                "{command}: {end}"
+            );
+        }
+    }
+}
+
+/// Strangers answer every question with more than anybody can read.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_flood_of_answers_costs_time_and_no_result() {
+    let (transcript, digest) = own("age-index", &[]);
+    let run = Decided::start("-P 2");
+    let flood = run.bus().await;
+    let questions = flood.stand_at_policy_port().expect("a queryable");
+    let flooding = tokio::spawn(async move {
+        let (long, short) = (vec![b'['; 300_000], vec![b'['; 500]);
+        while let Some(question) = questions.next().await {
+            for payload in [&long, &short].into_iter().cycle().take(100) {
+                let _gone = question.answer(payload.clone(), Form::Json).is_err();
+            }
+            let _gone = question.refuse("flooded").is_err();
+        }
+    });
+    let decided = run.decide(Form::Cbor, |asked| answer(&transcript, asked)).await;
+    flooding.abort();
+    let (_, end) = run.finish();
+    assert!(end.is_success() && decided >= 400, "{decided}: {end}");
+    assert_eq!(end.summary().digest(), digest);
+    assert!(end.stderr.lines().count() < 40, "{end}");
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn an_answer_that_comes_twice_counts_once() {
     let run = Decided::start("-P 2");
@@ -453,10 +534,9 @@ async fn who_has_not_the_key_decides_nothing() {
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
     };
-    tokio::select! {
-        decided = greeting => panic!("{decided:?}"),
-        () = said => {}
-    }
+    let (refused, ()) = tokio::join!(greeting, said);
+    let refused = refused.expect_err("he is told").to_string();
+    assert!(refused.contains("does not show the run's key"), "{refused}");
     // He stays, and answers what others are asked.
     let id = std::sync::Mutex::new(String::new());
     let forger = Bus::connect(&run.endpoint, run.run.parse().expect("a name"), PATIENCE)
@@ -552,6 +632,7 @@ fn a_command_that_decides_ends_with_the_run_and_the_run_with_it() {
 #[test]
 fn what_cannot_be_is_refused_before_there_is_a_folder() {
     let folder = Folder::new();
+    folder.write("empty.log", "");
     let refused = [
         (format!("run {SMALL} -p external"), "reveille up"),
         (
@@ -568,6 +649,13 @@ fn what_cannot_be_is_refused_before_there_is_a_folder() {
             "missing.log",
         ),
         ("sweep --policies external --seeds 1".to_owned(), "external"),
+        (
+            format!("figures timeline {SMALL} -p external"),
+            "external decides nothing itself",
+        ),
+        (format!("run {SMALL} --policy replay="), "name the inputs.log of a run"),
+        (format!("run {SMALL} --policy replay=runtime"), "runtime/inputs.log"),
+        (format!("run {SMALL} --policy replay=empty.log"), "nothing is in it"),
     ];
     for (command, why) in refused {
         let end = folder.run(&format!("{command} --out out"));

@@ -1,7 +1,7 @@
 //! Decisions from outside: runs that stand at a question, answered with what a policy of this program decided, and with
 //! nonsense.
 
-use reveille_bs::policy::external::{DEVICE, Decision, GLOBAL, Question, Stage};
+use reveille_bs::policy::external::{Answer, Answered, DEVICE, Decision, GLOBAL, Question, Stage};
 use reveille_bs::policy::outside::{self, EXTERNAL};
 use reveille_bs::policy::registry;
 use reveille_bs::prepared::Prepared;
@@ -14,7 +14,8 @@ use reveille_common::plan::{DutyCycle, Plan};
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::score::Digest;
 use reveille_common::world::World;
-use reveille_lab::run::Options;
+use reveille_lab::inputs::Inputs;
+use reveille_lab::run::{Options, Run};
 use reveille_lab::stepping::Stepping;
 use reveille_tests::transcript::Transcript;
 
@@ -247,6 +248,55 @@ fn wake_ups_that_cannot_be_are_dropped_and_end_nothing_else() {
     for (k, plan) in transcript.plans {
         let on = (0..60).filter(|&j| plan.duty_cycle(DeviceId(j)).is_on(Tti(k))).count();
         assert!((1..=2).contains(&on), "TTI {k}: {on}");
+    }
+}
+
+/// A log that ends too early is noticed at the decision that is missing, be it within a TTI; nothing is made up.
+#[test]
+fn a_run_stands_where_its_log_ends() {
+    for hold in [1, 40] {
+        let scenario = external(&["ttis=300"]);
+        let mut stepping = stepping(&scenario, own_world(&scenario), Options::default());
+        let (mut stream, mut all) = (Stream::new(9, Purpose::Training, 0), Inputs::default());
+        while let Some(question) = stepping.question() {
+            let (tti, n) = (question.seen.now, question.seen.known.n() as u64);
+            let answer = match question.stage {
+                Stage::Plan => Answer::Plan(Decision {
+                    plan: Plan::from_bits((0..n).map(|_| stream.below(9) == 0)),
+                    next: tti + hold,
+                }),
+                Stage::Wake => Answer::Wake((0..stream.below(3)).map(|_| DeviceId(stream.below(n) as u32)).collect()),
+            };
+            match answer.clone() {
+                Answer::Plan(decision) => stepping.decide(decision),
+                Answer::Wake(devices) => stepping.wake(&devices),
+            }
+            all.decisions.push(Answered { tti, answer });
+        }
+        let digest = stepping.finish().0.digest;
+        let prepared = Prepared::with_policies(&scenario, EXTERNAL);
+        let end = Tti(scenario.ttis);
+        let wakes = |at: usize| all.decisions.get(at).map(|next| next.answer.stage()) == Some(Stage::Wake);
+        assert!((0..all.decisions.len()).filter(|at| wakes(*at)).count() > 20);
+        for length in 0..=all.decisions.len() {
+            let mut run = Run::new(&prepared, Options::default());
+            run.expect_all(&Inputs {
+                decisions: all.decisions[..length].to_vec(),
+                ..Inputs::default()
+            });
+            let goes_on = run.advance(end, &mut ());
+            let next = all.decisions.get(length).map(|next| next.tti);
+            assert_eq!(
+                (run.undecided(), goes_on),
+                (next, next.is_none()),
+                "{length} of {}",
+                all.decisions.len()
+            );
+            assert_eq!(run.cycle().is_open(), wakes(length));
+            if next.is_none() {
+                assert_eq!(run.finish(&mut ()).digest, digest);
+            }
+        }
     }
 }
 

@@ -63,6 +63,8 @@ pub struct DecisionCounts {
     pub refused: u64,
     /// Questions that nobody answered: the plan in force held, or nobody was woken.
     pub held: u64,
+    /// Decisions that were kept and nobody has asked for.
+    pub left: u64,
 }
 
 /// How the BS runs. None of it changes the outcome, except that a run that goes on without lost devices

@@ -132,7 +132,7 @@ pub(super) async fn run(
         malformed: this.crew.bus.malformed(),
         strays: state.barrier.strays(),
         losses: state.losses.mended().to_vec(),
-        decisions: this.crew.port.counts,
+        decisions: this.crew.port.counts(),
     })
 }
 

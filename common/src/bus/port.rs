@@ -4,6 +4,7 @@
 use std::pin::Pin;
 use std::time::Duration;
 
+use tokio::sync::mpsc::{Receiver, channel};
 use zenoh::Wait;
 use zenoh::bytes::Encoding;
 use zenoh::handlers::FifoChannelHandler;
@@ -21,35 +22,43 @@ pub enum Heard {
     Refusal(String),
 }
 
+/// Replies to a question that are kept until somebody looks at them. Who floods the port loses what is beyond.
+const KEPT: usize = 64;
+/// Characters of a refusal that are kept.
+const WORDS: usize = 300;
+
 /// Answers to a question on the policy port.
-pub struct Replies(FifoChannelHandler<Reply>);
+pub struct Replies(Receiver<Heard>);
 
 impl Replies {
     /// What comes next; nothing once nobody is there who has not answered, or the time is up.
-    pub async fn next(&self) -> Option<Heard> {
-        loop {
-            if let Some(heard) = read(&self.0.recv_async().await.ok()?) {
-                return Some(heard);
-            }
-        }
+    pub async fn next(&mut self) -> Option<Heard> {
+        self.0.recv().await
     }
 
     /// What has come already and was not taken.
-    pub fn rest(&self) -> impl Iterator<Item = Heard> {
-        std::iter::from_fn(|| self.0.try_recv().ok().flatten()).filter_map(|reply| read(&reply))
+    pub fn rest(mut self) -> impl Iterator<Item = Heard> {
+        self.0.close();
+        std::iter::from_fn(move || self.0.try_recv().ok())
     }
 }
 
-fn read(reply: &Reply) -> Option<Heard> {
+/// What `reply` says, unless it is longer than `most` bytes.
+fn read(reply: &Reply, most: usize) -> Option<Heard> {
     match reply.result() {
+        Ok(sample) if sample.payload().len() > most => {
+            let length = sample.payload().len();
+            let why = format!("an answer of {length} bytes came, and {most} are the most that one can have");
+            Some(Heard::Refusal(why))
+        }
         Ok(sample) => Some(Heard::Answer(
             sample.payload().to_bytes().into_owned(),
             form(sample.encoding()),
         )),
         // What zenoh says by itself, that the time is up, has no text of anybody.
-        Err(error) if *error.encoding() == Encoding::TEXT_PLAIN => {
-            let text = error.payload().try_to_string().unwrap_or_default().into_owned();
-            Some(Heard::Refusal(text))
+        Err(error) if *error.encoding() == Encoding::TEXT_PLAIN && error.payload().len() <= most => {
+            let text = error.payload().try_to_string().unwrap_or_default();
+            Some(Heard::Refusal(text.chars().take(WORDS).collect()))
         }
         Err(_) => None,
     }
@@ -118,19 +127,24 @@ impl PolicyQuestions {
 type Asking<'b> = Pin<Box<dyn Future<Output = Result<Replies, BusError>> + Send + 'b>>;
 
 impl Bus {
-    /// Asks whoever is at the policy port; what comes within `patience` is in the replies.
+    /// Asks whoever is at the policy port; what comes within `patience`, of `most` bytes each, is in the replies.
     ///
     /// # Errors
     /// If zenoh refuses.
-    pub fn ask_policy(&self, payload: Vec<u8>, form: Form, patience: Duration) -> Asking<'_> {
+    pub fn ask_policy(&self, (payload, form): (Vec<u8>, Form), most: usize, patience: Duration) -> Asking<'_> {
         // Boxed so that zenoh's part of it is compiled here and once.
         Box::pin(async move {
+            let (send, replies) = channel(KEPT);
             let question = self.session.get(self.keys.policy()).payload(payload);
-            let replies = question
+            question
                 .encoding(encoding(form))
                 .target(QueryTarget::All)
                 .consolidation(ConsolidationMode::None)
                 .timeout(patience)
+                // zenoh lets go of it, and so of the sender, when no more can come.
+                .callback(move |reply| {
+                    let _no_room = read(&reply, most).is_some_and(|heard| send.try_send(heard).is_err());
+                })
                 .await?;
             Ok(Replies(replies))
         })

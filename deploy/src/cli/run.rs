@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use clap::builder::NonEmptyStringValueParser;
 use clap::{Args, ValueEnum};
 use reveille_bs::host::{OnLoss, Patience, Undecided};
 use reveille_common::keys::RunName;
@@ -170,7 +171,7 @@ pub struct DriveArgs {
 pub struct OutsideArgs {
     /// Start this shell command to decide for the run, and end it with the run. It is told where to answer by
     /// REVEILLE_CONNECT, REVEILLE_RUN and REVEILLE_KEY; without it, start one by hand.
-    #[arg(long, value_name = "COMMAND")]
+    #[arg(long, value_name = "COMMAND", value_parser = NonEmptyStringValueParser::new())]
     pub policy_command: Option<String>,
 
     /// How long a decision may take, for example 30s, a program that has to be started anew included [default: as long

@@ -6,13 +6,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context as _, anyhow, bail};
+use anyhow::{Context as _, anyhow, bail, ensure};
+use reveille_bs::host::port;
 use reveille_bs::host::{self, BsError, Course, Decisions, OnLoss, Progress, Served, Settings};
 use reveille_bs::observe::Observer;
 use reveille_bs::policy::outside;
 use reveille_bs::prepared::Prepared;
 use reveille_common::bus::{Bus, Declared, draw_secret};
-use reveille_common::ids::Tti;
 use reveille_common::keys::RunName;
 use reveille_common::message::{Describe, Description, Pace};
 use reveille_common::scenario::Scenario;
@@ -25,15 +25,15 @@ use super::conclusion::{conclude, window};
 use super::inspect::source::groups;
 use super::resolution::resolve_run;
 use super::run::Interrupted;
-use super::taken;
+use super::taken::{self, Beginning};
 use crate::cli::{AuditArg, BsArgs, DriveArgs, OutputArgs};
 use crate::dashboard::feed::{Feed, Hose};
-use crate::decider::{Deciding, deciding};
+use crate::decider::{Deciding, PolicyProcess, deciding};
 use crate::display::{Bar, note};
-use crate::input_log::{INPUTS, InputLog};
-use crate::marks::{self, Marker};
+use crate::input_log::{self, INPUTS, InputLog};
+use crate::marks::Marker;
 use crate::results::RunFolder;
-use crate::shadow::{Auditor, Beginning, whose};
+use crate::shadow::{self, Auditor, whose};
 use crate::summary::{Summary, Timing};
 use crate::watch::Watch;
 use crate::{interrupt, key, limits, local, recording};
@@ -205,7 +205,11 @@ pub async fn serve(
     };
     relay.abort();
     drop(bar);
-    // Nobody is asked any more; it may have children that the run's own shell waits for.
+    let decider = decider.map(PolicyProcess::dismissed);
+    if service.deciding.decisions.port.is_some() {
+        // Who decides may leave; one that does not hear of it is ended all the same.
+        let _unheard = port::farewell(bus).await.is_err();
+    }
     drop(decider);
     let ended = match served {
         Ok((served, audited)) => {
@@ -257,18 +261,18 @@ async fn play(
         audit,
         ..
     } = service;
-    let mark = match &output.resume {
-        Some(_) => marks::read(folder, scenario)?,
-        None => None,
+    let log = InputLog::new(folder, scenario);
+    let Beginning {
+        inputs,
+        log,
+        mark,
+        from,
+    } = match &output.resume {
+        Some(_) => tokio::task::block_in_place(|| Beginning::of_folder(folder, prepared, log))?,
+        None => Beginning::new(&service.deciding.decisions.kept, log)?,
     };
     let window = mark.as_ref().map_or(settings.window, |mark| mark.window);
     let settings = Settings { window, ..*settings };
-    let log = InputLog::new(folder, scenario);
-    let kept = &service.deciding.decisions.kept;
-    let (inputs, log) = taken::inputs(output.resume.is_some(), kept, (folder, scenario), log)?;
-    // What a mark knows nothing of, the run may have gone on from.
-    let known = inputs.outages.last().map(|outage| outage.tti + 1);
-    let from = mark.as_ref().map(|mark| Tti(mark.tti)).max(known);
     let mut marker = Marker::new(folder, scenario, window, mark);
     let (taken, decisions) = match from {
         Some(from) => {
@@ -287,12 +291,12 @@ async fn play(
         ),
     };
     marker.check()?;
-    let beginning = Beginning {
+    let start = shadow::Beginning {
         from: from.unwrap_or_default(),
         inputs: &inputs,
         log,
     };
-    let auditor = Auditor::start(prepared, beginning, *audit, progress);
+    let auditor = Auditor::start(prepared, start, *audit, progress);
     let is_kept = settings.on_loss != OnLoss::End || outside::is_external(&scenario.policy);
     let course = Course {
         prepared,
@@ -318,6 +322,8 @@ async fn play(
     if let Some(why) = progress.cause.get() {
         bail!("{why}");
     }
+    let has_all = !served.outcome.complete || served.decisions.left == 0;
+    ensure!(has_all, input_log::MISFIT);
     match audited {
         Ok(audited) => Ok((served, audited.to_string())),
         Err(difference) => bail!(

@@ -1,6 +1,6 @@
 //! From the command line to the scenario that it means.
 
-use std::path::Path;
+use std::path::PathBuf;
 
 use anyhow::Context;
 use reveille_bs::policy::{outside, registry};
@@ -8,7 +8,7 @@ use reveille_bs::scenario::{Override, Scenario, ScenarioError, load, load_outsid
 use reveille_lab::inputs::Inputs;
 
 use crate::cli::{OutputArgs, ScenarioArgs};
-use crate::input_log;
+use crate::input_log::{self, INPUTS};
 use crate::results::SCENARIO;
 
 /// What `--policy` begins with where decisions come from a log.
@@ -35,9 +35,14 @@ pub fn resolve_run(args: &ScenarioArgs, output: &OutputArgs) -> anyhow::Result<(
 
 fn resolve_new(args: &ScenarioArgs) -> anyhow::Result<(Scenario, Option<Inputs>)> {
     let log = args.policy.as_ref().and_then(|policy| policy.strip_prefix(REPLAY));
-    let Some(log) = log.map(Path::new) else {
+    let Some(log) = log.map(PathBuf::from) else {
         return Ok((resolve_by(args, load_outside)?, None));
     };
+    anyhow::ensure!(
+        !log.as_os_str().is_empty(),
+        "--policy {REPLAY}FILE: name the {INPUTS} of a run, or its folder"
+    );
+    let log = if log.is_dir() { log.join(INPUTS) } else { log };
     let mut args = ScenarioArgs {
         policy: None,
         ..args.clone()
@@ -49,13 +54,27 @@ fn resolve_new(args: &ScenarioArgs) -> anyhow::Result<(Scenario, Option<Inputs>)
     }
     args.policy = Some(outside::NAME.to_owned());
     let scenario = resolve_by(&args, load_outside)?;
-    let inputs = input_log::read(log, &scenario).with_context(|| format!("--policy {REPLAY}{}", log.display()))?;
+    let inputs = input_log::read_named(&log, &scenario).with_context(|| {
+        let beside = if beside.is_file() {
+            ", which needs no other option: its scenario is beside it"
+        } else {
+            ""
+        };
+        format!("--policy {REPLAY}{}{beside}", log.display())
+    })?;
     Ok((scenario, Some(inputs)))
 }
 
 /// The scenario that the command line means, with a policy of this program.
 pub fn resolve(args: &ScenarioArgs) -> anyhow::Result<Scenario> {
-    resolve_by(args, load)
+    let resolved = resolve_by(args, load);
+    if resolved.is_err() && resolve_by(args, load_outside).is_ok() {
+        anyhow::bail!(
+            "the policy external decides nothing itself: another program does, for `reveille up` and `reveille bs`. \
+             Choose one of this program here with --policy"
+        );
+    }
+    resolved
 }
 
 fn resolve_by(

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::Duration;
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, anyhow, bail, ensure};
 use reveille_bs::host::Progress;
 use reveille_bs::observe::frames::Framed;
 use reveille_bs::observe::{Happening, Observer};
@@ -24,7 +24,7 @@ use super::conclusion::{conclude, window};
 use super::resolution::resolve_run;
 use crate::cli::RunArgs;
 use crate::display::Bar;
-use crate::input_log::{self, InputLog};
+use crate::input_log::{self, INPUTS, InputLog};
 use crate::marks::{self, Marker};
 use crate::results::RunFolder;
 use crate::summary::{Summary, Timing};
@@ -91,11 +91,16 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         outages: 0,
     };
     let goes_on = run.advance(Tti(scenario.ttis), &mut (&mut shown, &mut marker));
-    let (left, undecided) = (run.take_decisions(), run.is_undecided());
-    if undecided {
-        let tti = run.cycle().next_tti();
-        tracing::warn!("nobody has decided for TTI {tti}: the run ends there, as the one that decided did");
+    if let Some(tti) = run.undecided() {
+        let error = anyhow!(
+            "{INPUTS} has no decision for TTI {tti} of {}: the run that it is of has not come further. \
+             `reveille up --resume` in the folder of that run asks for the rest",
+            scenario.ttis
+        );
+        shown.folder.fail(&error);
+        return Err(error);
     }
+    let left = run.take_decisions();
     let outcome = if goes_on {
         run.finish(&mut (&mut shown, &mut marker))
     } else {
@@ -103,7 +108,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     };
     marker.check()?;
     let has_all = left.is_empty() && shown.outages == inputs.outages.len();
-    ensure!(!(outcome.complete || undecided) || has_all, input_log::MISFIT);
+    ensure!(!outcome.complete || has_all, input_log::MISFIT);
     let marked = marker.finish(outcome.complete);
     let run_s = started.elapsed().as_secs_f64();
     drop(bar);

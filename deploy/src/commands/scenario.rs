@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use anyhow::Context as _;
 use reveille_bs::policy::registry;
-use reveille_bs::scenario::{Override, PRESETS, Preset, Scenario, load, reference, schema};
+use reveille_bs::scenario::{Override, PRESETS, Preset, Scenario, load_outside, reference, schema};
 
 use crate::cli::ScenarioCommand;
 use crate::display::{self, note};
@@ -25,7 +25,7 @@ pub fn run(command: &ScenarioCommand) -> anyhow::Result<ExitCode> {
             source: Some(source),
             set,
         } => {
-            let scenario = load(source, &overrides(set)?)?;
+            let scenario = load_outside(source, &overrides(set)?)?;
             warn(source, &scenario);
             display::out(&scenario.to_full_toml(&registry::kinds()))?;
             Ok(ExitCode::SUCCESS)
@@ -39,7 +39,7 @@ pub fn run(command: &ScenarioCommand) -> anyhow::Result<ExitCode> {
 fn check(sources: &[String], overrides: &[Override]) -> anyhow::Result<ExitCode> {
     let mut code = ExitCode::SUCCESS;
     for source in sources {
-        match load(source, overrides) {
+        match load_outside(source, overrides) {
             Ok(scenario) => {
                 warn(source, &scenario);
                 display::out(&format!(

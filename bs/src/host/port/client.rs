@@ -8,11 +8,15 @@ use reveille_common::bus::{Bus, BusError, PolicyQuestion, draw_nonce};
 use reveille_common::forms::Form;
 use reveille_common::secret::Secret;
 
+use crate::host::wall::now;
 use crate::policy::external::Answer;
 use crate::policy::external::wire::{Asked, Head, Hello, OLDEST, PROTOCOL, Reply, Said, Welcome};
 
 /// How often it is looked whether the base station is still there.
 const LOOK: Duration = Duration::from_millis(100);
+/// How long a base station that does not say that the run is over may be gone: this process may have been stopped for a
+/// while, and its link be made anew, or the base station be taken up at the same place.
+const GONE: Duration = Duration::from_secs(30);
 
 /// Who decides.
 pub trait Decider {
@@ -40,15 +44,15 @@ pub struct Introduction {
     pub form: Form,
 }
 
-/// Decides for the run on `bus` until its base station is gone. Gives how often it has decided.
+/// Decides for the run on `bus` until it is over, or its base station gone for good. Gives how often it has decided.
 ///
 /// # Errors
-/// If the bus fails.
+/// If the bus fails, or the base station does not let this process decide.
 pub async fn decide(bus: &Bus, introduction: &Introduction, decider: &mut impl Decider) -> Result<u64, BusError> {
-    let is_gone = Arc::new(AtomicBool::new(false));
-    let gone = Arc::clone(&is_gone);
+    let is_there = Arc::new(AtomicBool::new(false));
+    let there = Arc::clone(&is_there);
     let _watched = bus.watch_alive(bus.keys().bs_alive(), move |_, alive| {
-        gone.store(!alive, Ordering::Relaxed);
+        there.store(alive, Ordering::Relaxed);
     })?;
     let questions = bus.stand_at_policy_port()?;
     let mut desk = Desk {
@@ -56,8 +60,19 @@ pub async fn decide(bus: &Bus, introduction: &Introduction, decider: &mut impl D
         introduction,
         last: None,
         decided: 0,
+        is_over: false,
     };
-    while !is_gone.load(Ordering::Relaxed) {
+    let mut seen = now();
+    while !desk.is_over {
+        if is_there.load(Ordering::Relaxed) {
+            seen = now();
+        } else if seen.elapsed() >= GONE {
+            return if desk.last.is_some() {
+                Ok(desk.decided)
+            } else {
+                Err(bus.no_run().await)
+            };
+        }
         match tokio::time::timeout(LOOK, questions.next()).await {
             Ok(Some(question)) => desk.serve(&question, decider)?,
             Ok(None) => break,
@@ -74,6 +89,8 @@ struct Desk<'a> {
     /// The last question, and its answer in the form in which it was asked.
     last: Option<(Head, Vec<u8>)>,
     decided: u64,
+    /// Whether the run is.
+    is_over: bool,
 }
 
 impl Desk<'_> {
@@ -83,6 +100,10 @@ impl Desk<'_> {
             Ok(head) => head,
             Err(why) => return question.refuse(&format!("the question cannot be read: {why}")),
         };
+        if head.stage == Said::Bye {
+            self.is_over = true;
+            return Ok(());
+        }
         if head.stage == Said::Hello {
             return match form.decode::<Hello>(&question.payload) {
                 Ok(hello) => self.welcome(question, &hello, decider),
@@ -120,6 +141,9 @@ impl Desk<'_> {
             return question.refuse(&format!(
                 "it speaks protocol {OLDEST} to {PROTOCOL}, the base station {min} to {max}"
             ));
+        }
+        if let Some(refused) = hello.refused.as_ref().filter(|refused| refused.id == self.id) {
+            return Err(BusError::Refused(refused.why.clone()));
         }
         decider.greeted(hello);
         let welcome = Welcome {

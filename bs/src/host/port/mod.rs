@@ -16,7 +16,7 @@ use std::collections::{BTreeSet, VecDeque};
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use reveille_common::bus::{Bus, Heard, Replies};
+use reveille_common::bus::{Bus, BusError, Heard, Replies};
 use reveille_common::forms::Form;
 use reveille_common::ids::Tti;
 use reveille_common::secret::Secret;
@@ -24,7 +24,7 @@ use reveille_common::secret::Secret;
 use super::drive::{DecisionCounts, Decisions, Patience, Progress, Undecided};
 use super::error::BsError;
 use super::wall::now;
-use crate::policy::external::wire::{Asked, Head, Hello, OLDEST, PROTOCOL, Reply, Said, Shown, Welcome};
+use crate::policy::external::wire::{Asked, Head, Hello, OLDEST, PROTOCOL, Refused, Reply, Said, Shown, Welcome};
 use crate::policy::external::{Answer, Answered, Decision, Question, Stage};
 
 /// How often a wait looks at what else may have happened.
@@ -39,12 +39,34 @@ const BETWEEN: Duration = Duration::from_millis(200);
 const SILENT: Duration = Duration::from_secs(5);
 /// Answers to one question that decide nothing.
 const STRIKES: u32 = 3;
-/// Different things that are said of answers, in a run.
-const COMPLAINTS: usize = 100;
+/// Different things that are told of strangers, in a run.
+const WONDERS: usize = 20;
 /// Characters of one that are shown.
-const COMPLAINT: usize = 300;
+const WONDER: usize = 300;
+/// Bytes that an answer can have, and so many for each device.
+const ANSWER: (usize, usize) = (4096, 64);
+/// How long policy processes have to hear that the run is over.
+const FAREWELL: Duration = Duration::from_millis(500);
 /// Characters of a name that are shown.
 const NAME: usize = 64;
+
+/// Tells policy processes on `bus` that the run is over, so that they leave. Does not wait for long for one that does not
+/// listen.
+///
+/// # Errors
+/// If the bus fails.
+pub async fn farewell(bus: &Bus) -> Result<(), BusError> {
+    let head = Head {
+        protocol: PROTOCOL,
+        seq: 0,
+        tti: 0,
+        stage: Said::Bye,
+    };
+    let payload = (Form::Json.encode(&head), Form::Json);
+    let mut replies = bus.ask_policy(payload, 0, FAREWELL).await?;
+    while replies.next().await.is_some() {}
+    Ok(())
+}
 
 /// Who decides.
 struct Partner {
@@ -107,10 +129,12 @@ pub(super) struct Port<'a> {
     seq: u64,
     /// The replies to the last question, of which the first counted, and the id of who was asked.
     spare: Option<(Replies, String)>,
-    /// What is wrong and was said already.
-    complaints: BTreeSet<String>,
+    /// What the run has said last of who decides.
+    said: String,
+    /// What was said of what anybody may send.
+    strange: BTreeSet<String>,
     /// What has come so far.
-    pub(super) counts: DecisionCounts,
+    counts: DecisionCounts,
 }
 
 impl<'a> Port<'a> {
@@ -125,8 +149,17 @@ impl<'a> Port<'a> {
             hello: None,
             seq: decisions.before,
             spare: None,
-            complaints: BTreeSet::new(),
+            said: String::new(),
+            strange: BTreeSet::new(),
             counts: DecisionCounts::default(),
+        }
+    }
+
+    /// What came of all questions.
+    pub(super) fn counts(&self) -> DecisionCounts {
+        DecisionCounts {
+            left: self.kept.len() as u64,
+            ..self.counts
         }
     }
 
@@ -206,7 +239,7 @@ impl<'a> Port<'a> {
                 Tried::Nothing => {
                     let name = self.partner.take().map(|partner| partner.name).unwrap_or_default();
                     let held = "the clock is held until it, or another, does";
-                    self.complain(&format!("{name} has not answered for TTI {tti}; {held}"));
+                    self.complain(format!("{name} has not answered for TTI {tti}; {held}"));
                     tokio::time::sleep(BETWEEN).await;
                 }
                 Tried::Refused(why) => {
@@ -251,9 +284,9 @@ impl<'a> Port<'a> {
             ..asked
         };
         let (head, payload) = (hello.head, Form::Json.encode(hello));
-        let replies = self.bus.ask_policy(payload, Form::Json, GREETING).await?;
+        let mut replies = self.bus.ask_policy((payload, Form::Json), ANSWER.0, GREETING).await?;
         loop {
-            let problem = match wait.next(&replies).await {
+            let problem = match wait.next(&mut replies).await {
                 Waited::Stop => return Ok(Tried::Stop),
                 Waited::TimeUp => return Ok(Tried::TimeUp),
                 Waited::Over => break,
@@ -261,13 +294,23 @@ impl<'a> Port<'a> {
                 Waited::Heard(Heard::Answer(bytes, form)) => match self.welcomed(&head, &bytes, form) {
                     Ok(partner) => {
                         tracing::info!(tti = %head.tti, "{} decides", partner.name);
+                        if let Some(hello) = &mut self.hello {
+                            hello.refused = None;
+                        }
                         self.partner = Some(partner);
                         return Ok(Tried::Nothing);
                     }
-                    Err(why) => why,
+                    Err(why) => {
+                        let id = form.decode(&bytes).map(|shown: Shown| shown.id);
+                        if let (Ok(id), Some(hello)) = (id, &mut self.hello) {
+                            let why = why.clone();
+                            hello.refused = Some(Refused { id, why });
+                        }
+                        why
+                    }
                 },
             };
-            self.complain(&format!("a process at the policy port cannot decide: {problem}"));
+            self.wonder(&format!("a process at the policy port cannot decide: {problem}"));
         }
         wait.name();
         tokio::time::sleep(BETWEEN).await;
@@ -282,7 +325,8 @@ impl<'a> Port<'a> {
                 "it speaks protocol {protocol}, this base station {OLDEST} to {PROTOCOL}"
             ));
         }
-        if (welcome.head.seq, welcome.head.stage) != (greeting.seq, greeting.stage) {
+        let echo = |head: &Head| (head.seq, head.tti, head.stage);
+        if echo(&welcome.head) != echo(greeting) {
             return Err("it answers another greeting".to_owned());
         }
         if !self.is_ours(&welcome.key) {
@@ -322,19 +366,20 @@ impl<'a> Port<'a> {
         wait: &mut Wait<'_>,
     ) -> Result<Tried, BsError> {
         let form = self.partner.as_ref().map_or(Form::Json, |partner| partner.form);
-        let replies = self.bus.ask_policy(form.encode(asked), form, AGAIN).await?;
+        let most = ANSWER.0 + ANSWER.1 * devices as usize;
+        let mut replies = self.bus.ask_policy((form.encode(asked), form), most, AGAIN).await?;
         loop {
-            match wait.next(&replies).await {
+            match wait.next(&mut replies).await {
                 Waited::Stop => return Ok(Tried::Stop),
                 Waited::TimeUp => return Ok(Tried::TimeUp),
                 Waited::Over => return Ok(Tried::Nothing),
                 Waited::Heard(Heard::Refusal(why)) => {
-                    self.complain(&format!("a process at the policy port does not answer: {why}"));
+                    self.wonder(&format!("a process at the policy port does not answer: {why}"));
                 }
                 // What cannot be told from a stranger's answer is not held against anybody.
                 Waited::Heard(Heard::Answer(bytes, form)) if !self.is_from(&asked.to, &bytes, form) => {
                     let what = "that cannot be read, or does not show the run's key and the id that was asked";
-                    self.complain(&format!("an answer was dropped {what}"));
+                    self.wonder(&format!("an answer was dropped {what}"));
                 }
                 Waited::Heard(Heard::Answer(bytes, form)) => {
                     let reply: Result<Reply, String> = form.decode(&bytes);
@@ -368,20 +413,29 @@ impl<'a> Port<'a> {
         let more = replies.rest().filter(is_own).count() as u64;
         if more > 0 {
             self.counts.refused += more;
-            self.complain("a question was answered twice; the first answer counts");
+            self.complain("a question was answered twice; the first answer counts".to_owned());
         }
     }
 
-    /// Says what is wrong, where that was not said before. A stranger can neither fill the log nor the memory.
-    fn complain(&mut self, what: &str) {
-        let what: String = what.chars().filter(|c| !c.is_control()).take(COMPLAINT).collect();
-        if self.complaints.len() == COMPLAINTS || self.complaints.contains(&what) {
+    /// Says what is wrong with who decides, if that was not the last that was said.
+    fn complain(&mut self, what: String) {
+        if self.said != what {
+            tracing::warn!("{what}");
+            self.said = what;
+        }
+    }
+
+    /// Says what is wrong with what anybody may send, if that was not said before: nobody can fill the log or the
+    /// memory, or have what the run itself has to say left out.
+    fn wonder(&mut self, what: &str) {
+        let what: String = what.chars().filter(|c| !c.is_control()).take(WONDER).collect();
+        if self.strange.len() == WONDERS || self.strange.contains(&what) {
             return;
         }
         tracing::warn!("{what}");
-        self.complaints.insert(what);
-        if self.complaints.len() == COMPLAINTS {
-            tracing::warn!("more of what comes at the policy port is not told");
+        self.strange.insert(what);
+        if self.strange.len() == WONDERS {
+            tracing::warn!("more of what strangers say at the policy port is not told");
         }
     }
 }
@@ -410,7 +464,7 @@ impl<'a> Wait<'a> {
     }
 
     /// What comes next of `replies`.
-    async fn next(&mut self, replies: &Replies) -> Waited {
+    async fn next(&mut self, replies: &mut Replies) -> Waited {
         loop {
             if self.progress.stop.load(Ordering::Relaxed) {
                 return Waited::Stop;

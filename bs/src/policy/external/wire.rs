@@ -10,6 +10,8 @@
 //!    ├───────────────────────────────────────────────────────────►│
 //!    │         the same seq, tti and stage; id, key; the decision │
 //!    │◄───────────────────────────────────────────────────────────┤
+//!    │ bye: the run is over                                       │
+//!    ├───────────────────────────────────────────────────────────►│
 //! ```
 //! Virtual time stands from a question to its answer. The same question may come again, as after a lost link: `seq`
 //! says so, and who decides by more than the question answers as before. An answer that echoes another question is not
@@ -40,6 +42,8 @@ pub enum Said {
     Plan,
     /// [`Stage::Wake`].
     Wake,
+    /// The run is over; nothing is to be answered.
+    Bye,
 }
 
 impl From<Stage> for Said {
@@ -162,6 +166,18 @@ pub struct Hello {
     pub global_features: Vec<Column>,
     /// What is known before TTI 0.
     pub known: Known,
+    /// Who has answered the last greeting and cannot decide, and why.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub refused: Option<Refused>,
+}
+
+/// A process that cannot decide.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Refused {
+    /// Its id.
+    pub id: String,
+    /// Why not.
+    pub why: String,
 }
 
 impl Hello {
@@ -182,6 +198,7 @@ impl Hello {
             device_features: DEVICE.iter().map(Column::from).collect(),
             global_features: GLOBAL.iter().map(Column::from).collect(),
             known: known.into(),
+            refused: None,
         }
     }
 }
@@ -369,6 +386,12 @@ impl Reply {
     /// # Errors
     /// Why it decides nothing, in words for who wrote the process.
     pub fn answer(&self, stage: Stage, tti: Tti, devices: u32) -> Result<Answer, String> {
+        if !(OLDEST..=PROTOCOL).contains(&self.protocol) {
+            let own = self.protocol;
+            return Err(format!(
+                "it is in protocol {own}, this base station speaks {OLDEST} to {PROTOCOL}"
+            ));
+        }
         let said = [
             ("action", self.action.is_some()),
             ("sense", self.sense.is_some()),

@@ -93,7 +93,7 @@ impl Past {
             run
         });
         let mut framed = Framed::new(0, &mut take);
-        while run.cycle().next_tti() < end && !run.is_undecided() {
+        while run.cycle().next_tti() < end && run.undecided().is_none() {
             run.grant(&mut framed);
         }
         self.told = end;
