@@ -193,8 +193,9 @@ class PolicyClient:
         """
         import zenoh
 
-        # Another run may ask the same, and is to be answered anew.
-        self._last, self.decided, self.hello, self._is_over = None, 0, None, False
+        # Another run may ask the same, and is to be answered anew; and who was refused once is another now.
+        self._id, self._last, self._is_over = secrets.token_hex(8), None, False
+        self.decided, self.hello = 0, None
         target = find(connect, run, key_file)
         config = zenoh.Config()
         settings = {

@@ -207,7 +207,8 @@ def test_the_same_question_is_not_decided_twice():
     question |= {"globals": [[0.25]], "action_mask": [2, 2], "heard": []}
     ask = lambda **more: client.answer(json.dumps(question | more).encode(), "json", "ab")  # noqa: E731
     assert json.loads(ask())["sense"] == [1] and json.loads(ask())["sense"] == [1]
-    assert json.loads(ask(refused="no device 1"))["sense"] == [2]
+    with pytest.warns(UserWarning, match="no device 1"):
+        assert json.loads(ask(refused="no device 1"))["sense"] == [2]
     assert ask(to="somebody else") is None
     assert len(calls) == 2 and calls[0]["device"].shape == (2, 2) and calls[0]["device"].dtype == np.float32
     with pytest.raises(ValueError, match="senses"):

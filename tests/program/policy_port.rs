@@ -36,7 +36,7 @@ fn own(policy: &str, set: &[&str]) -> (Transcript, String) {
 fn answer(transcript: &Transcript, asked: &Asked) -> Answer {
     let stage = match asked.head.stage {
         Said::Wake => Stage::Wake,
-        Said::Plan | Said::Hello => Stage::Plan,
+        Said::Plan | Said::Hello | Said::Bye => Stage::Plan,
     };
     transcript.answer(stage, Tti(asked.head.tti), |DeviceId(j)| {
         asked.action_mask.0[j as usize] == 2

@@ -50,8 +50,8 @@ const FAREWELL: Duration = Duration::from_millis(500);
 /// Characters of a name that are shown.
 const NAME: usize = 64;
 
-/// Tells policy processes on `bus` that the run is over, so that they leave. Does not wait for long for one that does not
-/// listen.
+/// Tells policy processes on `bus` that the run is over, so that they leave. Does not wait for long for one that does
+/// not listen.
 ///
 /// # Errors
 /// If the bus fails.
