@@ -1,12 +1,14 @@
 //! Decisions from outside: runs that stand at a question, answered with what a policy of this program decided, and with
 //! nonsense.
 
+use reveille_bs::policy::external::wire::{Asked, Hello};
 use reveille_bs::policy::external::{Answer, Answered, DEVICE, Decision, GLOBAL, Question, Stage};
 use reveille_bs::policy::outside::{self, EXTERNAL};
 use reveille_bs::policy::registry;
 use reveille_bs::prepared::Prepared;
 use reveille_bs::scenario::{Override, Scenario, load};
 use reveille_common::event::{EventProcess, ScriptedEvent};
+use reveille_common::forms::Form;
 use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::io::Disk;
@@ -159,8 +161,12 @@ fn said(question: &Question<'_>) -> String {
     question.write_global(&mut row);
     question.write_mask(&mut mask);
     let numbers = (rows, row, mask);
+    // What goes over the bus.
+    let known = Hello::new("run".to_owned(), seen.known);
+    let asked = (Asked::new(question, 0, "somebody"), known);
+    let asked = String::from_utf8(Form::Json.encode(&asked)).expect("JSON");
     format!(
-        "{at:?} {:?} {:?} {:?} {devices:?} {numbers:?}",
+        "{asked} {at:?} {:?} {:?} {:?} {devices:?} {numbers:?}",
         seen.batteries, question.heard, question.woken
     )
 }

@@ -1,5 +1,5 @@
-//! Whatever comes at the policy port, in either form: it is an answer or is refused in words, and what an answer decides
-//! is said again as the same.
+//! Whatever comes at the policy port, in either form: it is an answer or is refused in words, and what an answer
+//! decides is said again as the same.
 
 #![no_main]
 
