@@ -14,6 +14,7 @@ import statistics
 import subprocess
 import tempfile
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -81,6 +82,7 @@ def main() -> None:
     parser.add_argument("--ttis", type=int, default=2000)
     parser.add_argument("--rounds", type=int, default=3)
     options = parser.parse_args()
+    program = str(Path(options.program).resolve())
     print("| N | environment | port, CBOR | port, JSON | age-index alone | CBOR / environment | CBOR / age-index |")
     print("|---|---|---|---|---|---|---|")
     for devices in options.devices:
@@ -88,11 +90,11 @@ def main() -> None:
         for _ in range(options.rounds):
             (memory, digest), *bus = (
                 stepped(devices, options.ttis),
-                asked(options.program, devices, options.ttis, "cbor"),
-                asked(options.program, devices, options.ttis, "json"),
+                asked(program, devices, options.ttis, "cbor"),
+                asked(program, devices, options.ttis, "json"),
             )
             assert all(other == digest for _, other in bus), "the same decisions are the same run"
-            rounds.append((memory, *(rate for rate, _ in bus), alone(options.program, devices, options.ttis)))
+            rounds.append((memory, *(rate for rate, _ in bus), alone(program, devices, options.ttis)))
         memory, cbor, plain, own = (statistics.median(column) for column in zip(*rounds, strict=True))
         rates = " | ".join(f"{rate:,.0f}".replace(",", " ") for rate in (memory, cbor, plain, own))
         print(f"| {devices} | {rates} | {cbor / memory:.2f} | {cbor / own:.2f} |")

@@ -7,6 +7,7 @@ import sys
 import textwrap
 import threading
 import time
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -29,17 +30,25 @@ def machine(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(runtime))
     for name in ("REVEILLE_CONNECT", "REVEILLE_RUN", "REVEILLE_KEY"):
         monkeypatch.delenv(name, raising=False)
-    return tmp_path
+    yield tmp_path
+    # Of a test that has failed.
+    for process in Up.started:
+        process.kill()
+        process.wait()
+    Up.started.clear()
 
 
 class Up:
     """``reveille up`` that somebody else decides for."""
+
+    started: ClassVar[list[subprocess.Popen]] = []
 
     def __init__(self, folder, *args):
         command = [PROGRAM, "up", "--policy", "external", "-P", "2", "--json", "--quiet", "--out", "out", *args]
         self.process = subprocess.Popen(
             command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
+        self.started.append(self.process)
 
     def summary(self):
         stdout, stderr = self.process.communicate(timeout=PATIENCE)
