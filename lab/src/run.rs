@@ -49,8 +49,6 @@ pub struct Run {
     options: Options,
     coming: Coming,
     is_undecided: bool,
-    /// Decisions from outside that were asked for.
-    decisions: u64,
     /// The TTI from which the plan in force holds.
     plan_from: Option<Tti>,
     /// The last boundary whose sums were taken.
@@ -121,7 +119,6 @@ impl Run {
             options,
             coming: Coming::default(),
             is_undecided: false,
-            decisions: 0,
             plan_from: None,
             reached: Tti::ZERO,
             reports: Vec::new(),
@@ -152,11 +149,6 @@ impl Run {
         let is_open = self.cycle.is_open();
         let tti = if is_open { self.open.tti } else { self.cycle.next_tti() };
         self.is_undecided.then_some(tti)
-    }
-
-    /// How many decisions from outside were asked for.
-    pub const fn decisions(&self) -> u64 {
-        self.decisions
     }
 
     /// The decisions that nobody has asked for so far.
@@ -268,7 +260,6 @@ impl Run {
             };
             self.cycle.decide(decision);
             self.is_undecided = false;
-            self.decisions += 1;
         }
         let mut step = self.open(limit, observer);
         while let Some(asking) = self.wake(step, observer) {
@@ -277,7 +268,6 @@ impl Run {
                 self.is_undecided = true;
                 return;
             };
-            self.decisions += 1;
             step = self.cycle.wake(asking, &devices, observer);
         }
     }

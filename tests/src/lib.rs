@@ -4,9 +4,11 @@
 //! code; [`scenarios`] makes random scenarios for property tests; [`compare`] sets the emulator beside the reference;
 //! [`laws`] holds what was drawn against its law; [`process`] starts the real program and watches it; [`terminal`]
 //! starts it in a window that can be closed; [`disk`] lets it run out of room, [`network`] of ports; [`transcript`]
-//! keeps what a policy commands; [`found`] checks that no file of tests is left out.
+//! keeps what a policy commands, and [`deciding`] commands it once more; [`found`] checks that no file of tests is left
+//! out.
 
 pub mod compare;
+pub mod deciding;
 pub mod disk;
 pub mod found;
 pub mod laws;

@@ -120,9 +120,10 @@ pub fn replay(
         progress.tti.store(run.cycle().next_tti().0, Ordering::Relaxed);
     }
     ensure!(!run.awaits_outages() || run.cycle().next_tti() < to, input_log::MISFIT);
+    let kept = run.take_decisions();
     let decisions = Decisions {
-        before: run.decisions(),
-        kept: run.take_decisions(),
+        before: (inputs.decisions.len() - kept.len()) as u64,
+        kept,
         port: None,
     };
     Ok((run.hand_over(), decisions))
