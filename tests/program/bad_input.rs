@@ -262,8 +262,9 @@ fn inspecting_nothing_is_said() {
 fn two_runs_on_this_machine_must_be_told_apart() {
     let (folder, runs) = (Folder::new(), [unique_run("one"), unique_run("two")]);
     let _bs = runs.each_ref().map(|run| folder.waiting_bs(run, &free_endpoint(), ""));
-    folder.wait_for_tti(&runs[0], 0);
-    folder.wait_for_tti(&runs[1], 0);
+    for run in &runs {
+        folder.wait_for_clock(run);
+    }
     assert_refused(&folder.run("clock status"), 1, &["2 runs", "--run", &runs[0], &runs[1]]);
 }
 

@@ -121,7 +121,7 @@ impl Folder {
         said.stdout
     }
 
-    /// Waits until `run` is past `tti`, and gives the TTI that it is at.
+    /// Waits until the devices of `run` have joined and it is past `tti`, and gives the TTI that it is at.
     ///
     /// # Panics
     /// If it does not get there.
@@ -130,8 +130,20 @@ impl Folder {
             let said = self.run(&format!("clock --run {run} status")).stdout;
             let words: Vec<&str> = said.split_whitespace().collect();
             let at = words.iter().position(|&word| word == "TTI")? + 1;
-            words.get(at)?.parse().ok().filter(|&now| now >= tti)
+            let has_begun = !said.contains("waiting for devices to join");
+            words.get(at)?.parse().ok().filter(|&now| has_begun && now >= tti)
         })
+    }
+
+    /// Waits until the clock of `run` answers, whether or not its devices have joined.
+    ///
+    /// # Panics
+    /// If it does not.
+    pub fn wait_for_clock(&self, run: &str) {
+        wait_until(&format!("run {run} to have a clock"), PATIENCE, || {
+            let status = self.run(&format!("clock --run {run} status"));
+            status.is_success().then_some(())
+        });
     }
 
     /// Starts a base station that waits for thirty devices.
@@ -487,6 +499,11 @@ pub fn now() -> Instant {
 pub fn send_signal(pid: u32, signal: Signal) {
     let pid = i32::try_from(pid).ok().and_then(Pid::from_raw);
     let _gone = pid.is_some_and(|pid| kill_process(pid, signal).is_err());
+}
+
+/// Whether a process lives. One that has ended and was not waited for does not.
+pub fn lives(pid: u32) -> bool {
+    fs::read(format!("/proc/{pid}/cmdline")).is_ok_and(|line| !line.is_empty())
 }
 
 /// The living `reveille device` processes of a run, by their command lines. Those that have ended and were not waited
