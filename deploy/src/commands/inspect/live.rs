@@ -155,7 +155,7 @@ impl Live {
     /// Messages that were left out on the way are said once, and counted.
     ///
     /// # Errors
-    /// What the run depends on cannot be read from `bundle`.
+    /// What the run depends on cannot be read from `bundle`, or is not known.
     pub async fn follow(&mut self, bundle: &Bundle, mut take: impl FnMut(Frame) -> bool) -> anyhow::Result<()> {
         let mut past = Past::of(bundle)?;
         let mut reached = Tti::ZERO;
@@ -169,17 +169,16 @@ impl Live {
         };
         let (mut goes_on, mut is_told) = (true, false);
         // Nobody else has a say in this process: what has to be worked out may take its time.
-        tokio::task::block_in_place(|| past.tell(self.status.tti, |frame| goes_on &= take(frame)));
+        tokio::task::block_in_place(|| past.catch_up(&self.status, |frame| goes_on &= take(frame)))?;
         while goes_on && let Some((frames, _)) = self.next().await {
             if past.depends_on_more() {
                 // What is heard was decided before, and after `bundle` was handed out.
                 past.learn(&self.bundle().await?)?;
             }
             tokio::task::block_in_place(|| {
-                for frame in frames {
-                    past.hear(frame, |frame| goes_on &= take(frame));
-                }
-            });
+                let mut frames = frames.into_iter();
+                frames.try_for_each(|frame| past.hear(frame, |frame| goes_on &= take(frame)))
+            })?;
             if self.left_out > 0 && !is_told {
                 let (left_out, tti) = (self.left_out, past.told());
                 note!("{left_out} messages after TTI {tti} were left out, because this could not keep up");

@@ -2,12 +2,19 @@
 //!
 //! The same scenario and seed are the same run: what happened before somebody looked is worked out in memory, and what
 //! goes on is heard.
+//!
+//! ```text
+//!   TTI 0 ──── worked out ────► a grant that is heard ──── worked out ────► the next grant ──── heard ────► the end
+//!                               (its plan may not be, so neither is it handed on)
+//! ```
+//! Of a policy that is asked for elsewhere, a TTI is worked out once it is over: what is decided in it is known no
+//! sooner.
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use reveille_bs::observe::frames::Framed;
 use reveille_bs::policy::outside;
 use reveille_common::ids::Tti;
-use reveille_common::message::{Frame, Message};
+use reveille_common::message::{ClockStatus, Frame, Message};
 use reveille_common::scenario::Scenario;
 use reveille_lab::inputs::{self, Input, Inputs};
 use reveille_lab::preparation::prepare;
@@ -24,7 +31,7 @@ pub(super) struct Past {
     run: Option<Run>,
     /// The TTIs before this one have been told.
     told: Tti,
-    /// Whether the grant that was heard first is told already: what is heard of it may not be all.
+    /// Whether the grant that was heard first goes on: what is heard of it may not be all, and is not handed on.
     is_within: bool,
     is_over: bool,
 }
@@ -62,7 +69,12 @@ impl Past {
     /// # Errors
     /// It cannot be read.
     pub fn learn(&mut self, bundle: &Bundle) -> anyhow::Result<()> {
-        let inputs = log(bundle, &self.scenario)?;
+        self.add(log(bundle, &self.scenario)?);
+        Ok(())
+    }
+
+    /// Takes in the decisions of `inputs` that are new.
+    fn add(&mut self, inputs: Inputs) {
         for decision in inputs.decisions.into_iter().skip(self.inputs.decisions.len()) {
             let decision = Input::Decision(decision);
             if let Some(run) = &mut self.run {
@@ -70,7 +82,6 @@ impl Past {
             }
             self.inputs.add(decision);
         }
-        Ok(())
     }
 
     /// The TTIs before this one have been told, until what is heard is handed on.
@@ -78,10 +89,29 @@ impl Past {
         self.told
     }
 
+    /// Tells of what was over when the clock had this `status`.
+    ///
+    /// # Errors
+    /// As of [`Self::tell`].
+    pub fn catch_up(&mut self, status: &ClockStatus, take: impl FnMut(Frame)) -> anyhow::Result<()> {
+        let decided = self.inputs.decisions.last().map_or(Tti::ZERO, |last| last.tti);
+        let is_certain = status.paused || !self.depends_on_more();
+        // The TTI before that of the clock may still be in work; what is before a decision is not.
+        let over = if is_certain {
+            status.tti
+        } else {
+            status.tti.min(decided)
+        };
+        self.tell(over, take)
+    }
+
     /// Tells of all TTIs before `end` that are not told yet.
-    pub fn tell(&mut self, end: Tti, mut take: impl FnMut(Frame)) {
+    ///
+    /// # Errors
+    /// What was decided in one of them is not known.
+    fn tell(&mut self, end: Tti, mut take: impl FnMut(Frame)) -> anyhow::Result<()> {
         if end <= self.told {
-            return;
+            return Ok(());
         }
         let run = self.run.get_or_insert_with(|| {
             let options = Options {
@@ -93,33 +123,41 @@ impl Past {
             run
         });
         let mut framed = Framed::new(0, &mut take);
-        while run.cycle().next_tti() < end && run.undecided().is_none() {
+        while run.cycle().next_tti() < end {
             run.grant(&mut framed);
+            if let Some(tti) = run.undecided() {
+                bail!("the run has not told what was decided in TTI {tti}");
+            }
         }
         self.told = end;
+        Ok(())
     }
 
     /// Takes in a frame that is heard, with all that was before it.
-    pub fn hear(&mut self, frame: Frame, mut take: impl FnMut(Frame)) {
+    ///
+    /// # Errors
+    /// As of [`Self::tell`].
+    pub fn hear(&mut self, frame: Frame, mut take: impl FnMut(Frame)) -> anyhow::Result<()> {
         if self.is_over {
             take(frame);
-            return;
+            return Ok(());
         }
-        let message = frame.message();
-        let (is_whole, next) = match message {
-            // It comes before the grant from which on it holds: nothing of that has been missed.
-            Ok(Message::Plan(update)) => (self.is_within || update.from == self.told, None),
-            Ok(Message::World(world)) => (self.is_within, Some(world.last + 1)),
-            Ok(_) | Err(_) => return,
+        let (first, end) = match frame.message() {
+            Ok(Message::Plan(update)) => (update.from, None),
+            Ok(Message::World(world)) => (world.first, Some(world.last + 1)),
+            Ok(_) | Err(_) => return Ok(()),
         };
-        if is_whole {
+        // A plan comes before the grant from which on it holds: nothing of that has been missed.
+        if self.is_within || (end.is_none() && first == self.told) {
+            self.tell(first, &mut take)?;
             (self.is_over, self.run) = (true, None);
             take(frame);
-        } else if let Some(next) = next.filter(|next| *next > self.told) {
+        } else if let Some(end) = end.filter(|end| *end > self.told) {
             // Its plan may have been sent unheard.
-            self.tell(next, take);
+            self.tell(if self.depends_on_more() { first } else { end }, take)?;
             self.is_within = true;
         }
+        Ok(())
     }
 }
 
@@ -134,7 +172,16 @@ fn log(bundle: &Bundle, scenario: &Scenario) -> anyhow::Result<Inputs> {
 
 #[cfg(test)]
 mod tests {
-    use reveille_bs::scenario::{Override, load};
+    use std::cell::RefCell;
+
+    use reveille_bs::policy::external::{Answer, Answered, Decision, Stage};
+    use reveille_common::ids::DeviceId;
+    use reveille_common::io::Disk;
+    use reveille_common::message::{MessageKind, Pace};
+    use reveille_common::plan::Plan;
+    use reveille_common::rng::{Purpose, Stream};
+    use reveille_common::scenario::{Override, load};
+    use reveille_lab::stepping::Stepping;
     use reveille_view::replay::Replay;
 
     use super::*;
@@ -157,7 +204,7 @@ mod tests {
             &format!("policy.name={policy}"),
         ];
         let set = set.map(|set| Override::parse(set).expect("an override"));
-        load("paper", &set).expect("a scenario")
+        load("paper", &set, &outside::kinds(), &Disk).expect("a scenario")
     }
 
     #[test]
@@ -182,9 +229,10 @@ mod tests {
                         let mut told = Vec::new();
                         let mut past = Past::new(scenario.clone(), Inputs::default());
                         let closed = Tti(frames[at].tti.0.saturating_sub(before));
-                        past.tell(closed, |frame| told.push(frame));
+                        past.tell(closed, |frame| told.push(frame)).expect("all is known");
                         for frame in &frames[at..] {
-                            past.hear(frame.clone(), |frame| told.push(frame));
+                            past.hear(frame.clone(), |frame| told.push(frame))
+                                .expect("all is known");
                         }
                         // Who joins in the last grant hears of no other.
                         if past.is_over {
@@ -192,6 +240,86 @@ mod tests {
                             joined += 1;
                         }
                     }
+                }
+            }
+            assert!(joined > 40, "{joined}");
+        }
+    }
+
+    /// The frames of a run that is decided for, and its decisions with the number of frames before each.
+    fn decided(scenario: &Scenario, hold: u64) -> (Vec<Frame>, Vec<(usize, Answered)>) {
+        let frames = RefCell::new(Vec::new());
+        let mut stepping = Stepping::new(scenario, Framed::new(0, |frame| frames.borrow_mut().push(frame)));
+        let (mut stream, mut all) = (Stream::new(3, Purpose::Training, 0), Vec::new());
+        while let Some(question) = stepping.question() {
+            let (tti, n) = (question.seen.now, question.seen.known.n() as u64);
+            let answer = match question.stage {
+                Stage::Plan => Answer::Plan(Decision {
+                    plan: Plan::from_bits((0..n).map(|_| stream.below(4) == 0)),
+                    next: tti + hold,
+                }),
+                Stage::Wake => Answer::Wake((0..stream.below(2)).map(|_| DeviceId(stream.below(n) as u32)).collect()),
+            };
+            all.push((
+                frames.borrow().len(),
+                Answered {
+                    tti,
+                    answer: answer.clone(),
+                },
+            ));
+            match answer {
+                Answer::Plan(decision) => stepping.decide(decision),
+                Answer::Wake(devices) => stepping.wake(&devices),
+            }
+        }
+        stepping.finish();
+        (frames.into_inner(), all)
+    }
+
+    /// The log of the run never has more than what was decided when what was heard last was sent.
+    #[test]
+    fn a_run_that_is_decided_for_is_whole_from_wherever_it_is_joined() {
+        for hold in [1, 30] {
+            let scenario = scenario("external");
+            let (frames, decisions) = decided(&scenario, hold);
+            let known = |sent: usize| Inputs {
+                decisions: decisions
+                    .iter()
+                    .filter(|(before, _)| *before < sent)
+                    .map(|(_, answered)| answered.clone())
+                    .collect(),
+                ..Inputs::default()
+            };
+            let mut happened = frames.clone();
+            happened.retain(|frame| frame.kind != MessageKind::World);
+            let mut joined = 0;
+            for at in (0..frames.len()).step_by(3) {
+                let granted = frames[..at].iter().rev().find_map(|frame| match frame.message() {
+                    Ok(Message::World(world)) => Some(world.last + 1),
+                    Ok(_) | Err(_) => None,
+                });
+                let status = ClockStatus {
+                    tti: granted.unwrap_or_default(),
+                    ttis: scenario.ttis,
+                    paused: false,
+                    until: Tti(scenario.ttis),
+                    pace: Pace::Max,
+                    begun: true,
+                    devices: scenario.devices,
+                    lost: Vec::new(),
+                };
+                let mut told = Vec::new();
+                let mut past = Past::new(scenario.clone(), known(at));
+                past.catch_up(&status, |frame| told.push(frame)).expect("it is over");
+                for (number, frame) in (at..).zip(&frames[at..]) {
+                    past.add(known(number + 1));
+                    past.hear(frame.clone(), |frame| told.push(frame)).expect("it is over");
+                }
+                if past.is_over {
+                    // How TTIs were granted changes nothing.
+                    told.retain(|frame| frame.kind != MessageKind::World);
+                    assert!(told == happened, "hold {hold}, joined at frame {at}");
+                    joined += 1;
                 }
             }
             assert!(joined > 40, "{joined}");
