@@ -140,6 +140,12 @@ impl Plan {
         Self::Bits { bits }
     }
 
+    /// The devices whose bit is set in the `bits` of a plan, in the order of ids.
+    pub fn chosen(bits: &[u8]) -> impl Iterator<Item = DeviceId> {
+        let all = 0..bits.len() * 8;
+        all.filter(|&j| is_set(bits, j)).map(|j| DeviceId(j as u32))
+    }
+
     /// δ_j(k) of `device` in TTI `k`, which a bit says without its duty cycle.
     #[inline]
     pub fn is_on(&self, device: DeviceId, k: Tti) -> bool {

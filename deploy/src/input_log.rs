@@ -16,7 +16,8 @@ use crate::wall::now;
 /// The file in a run folder.
 pub const INPUTS: &str = "inputs.log";
 /// What is said of a log of which not all comes to pass.
-pub const MISFIT: &str = "inputs.log names an outage or a decision that does not come in this run: was it changed?";
+pub const MISFIT: &str =
+    "the log of inputs names an outage or a decision that does not come in this run: was it changed?";
 /// Time between two moments at which decisions are on the disk.
 const SYNC: Duration = Duration::from_secs(1);
 

@@ -17,12 +17,14 @@ const VERSION: u32 = 2;
 #[derive(Debug, thiserror::Error)]
 pub enum InputsError {
     /// A line has another form.
-    #[error("line {line} is none of a log of inputs")]
+    #[error("line {line}, column {column} is not as in a log of inputs: {what}")]
     Line {
         /// Its number, from 1.
         line: usize,
+        /// Where it is wrong, from 1.
+        column: usize,
         /// What is wrong with it.
-        source: serde_json::Error,
+        what: String,
     },
     /// It has the form of another version.
     #[error("another version of reveille wrote it; use that one")]
@@ -139,9 +141,7 @@ impl From<&Answered> for Entry {
             Answer::Plan(Decision { plan, next }) => match plan {
                 Plan::Bits { bits } => Self::Sense {
                     tti,
-                    devices: (0..bits.len() as u32 * 8)
-                        .filter(|j| bits[*j as usize / 8] >> (j % 8) & 1 == 1)
-                        .collect(),
+                    devices: Plan::chosen(bits).map(|device| device.0).collect(),
                     next: next.0,
                 },
                 Plan::Periodic(cycles) => Self::Cycles {
@@ -184,7 +184,7 @@ pub fn parse(text: &str, scenario: &Scenario) -> Result<Inputs, InputsError> {
     let mut inputs = Inputs::default();
     let mut has_begun = false;
     for (number, text) in (1..).zip(whole(text).lines()) {
-        let entry = serde_json::from_str(text).map_err(|source| InputsError::Line { line: number, source })?;
+        let entry = serde_json::from_str(text).map_err(|error| bad_line(number, &error))?;
         let decision = match entry {
             Entry::Inputs { version, .. } if !(1..=VERSION).contains(&version) => return Err(InputsError::Version),
             Entry::Inputs { scenario_hash, .. } if scenario_hash != scenario.hash_hex() => {
@@ -217,6 +217,14 @@ pub fn parse(text: &str, scenario: &Scenario) -> Result<Inputs, InputsError> {
         inputs.decisions.push(decision.ok_or(InputsError::Decision(number))?);
     }
     Ok(inputs)
+}
+
+/// What is wrong in the line with this number. An error of JSON counts the lines of what it was given, which is one.
+fn bad_line(line: usize, error: &serde_json::Error) -> InputsError {
+    let (column, what) = (error.column(), error.to_string());
+    let place = format!(" at line {} column {column}", error.line());
+    let what = what.strip_suffix(&place).unwrap_or(&what).to_owned();
+    InputsError::Line { line, column, what }
 }
 
 /// These devices, if all are there.
@@ -345,7 +353,10 @@ mod tests {
         }
         let scenario = load("quick", &[]).expect("a preset");
         let of = |text: &str| parse(text, &scenario).expect_err("no log of this run");
-        assert!(matches!(of("{}\n"), InputsError::Line { line: 1, .. }));
+        assert_eq!(
+            of("{\"wake\":{\"tti\":true}}\n").to_string(),
+            "line 1, column 19 is not as in a log of inputs: invalid type: boolean `true`, expected u64"
+        );
         assert!(matches!(
             of(&line(&Input::Outage(outage(0, 1, 1)))),
             InputsError::Headless(1)

@@ -24,7 +24,7 @@ use super::conclusion::{conclude, window};
 use super::resolution::resolve_run;
 use crate::cli::RunArgs;
 use crate::display::Bar;
-use crate::input_log::{self, INPUTS, InputLog};
+use crate::input_log::{self, InputLog};
 use crate::marks::{self, Marker};
 use crate::results::RunFolder;
 use crate::summary::{Summary, Timing};
@@ -93,7 +93,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let goes_on = run.advance(Tti(scenario.ttis), &mut (&mut shown, &mut marker));
     if let Some(tti) = run.undecided() {
         let error = anyhow!(
-            "{INPUTS} has no decision for TTI {tti} of {}: the run that it is of has not come further. \
+            "the log of inputs has no decision for TTI {tti} of {}: the run that it is of has not come further. \
              `reveille up --resume` in the folder of that run asks for the rest",
             scenario.ttis
         );

@@ -13,6 +13,7 @@
 pub mod client;
 
 use std::collections::{BTreeSet, VecDeque};
+use std::ops::ControlFlow;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
@@ -93,26 +94,25 @@ pub(super) enum Posed {
     Open(Box<Pending>),
 }
 
-/// What has come of waiting.
-enum Waited {
-    Heard(Heard),
-    /// No more comes of this try.
-    Over,
+/// Why a decision is not waited for any more.
+enum Cut {
     /// The run is to stop.
     Stop,
     /// Nobody decides in time.
     TimeUp,
 }
 
-/// What has come of a try.
-enum Tried {
+/// What has come of a try, unless it was cut short.
+type Tried<T> = Result<ControlFlow<Cut, T>, BsError>;
+
+/// What has come of asking a policy process.
+enum Told {
+    /// Its answer.
     Answer(Answer),
-    /// What is wrong with the answer.
+    /// An answer, and what is wrong with it.
     Refused(String),
-    /// No answer.
-    Nothing,
-    Stop,
-    TimeUp,
+    /// Nothing.
+    Silence,
 }
 
 /// Where decisions come from.
@@ -220,29 +220,30 @@ impl<'a> Port<'a> {
         let mut strikes = 0;
         let why = loop {
             wait.whom = self.whom();
-            if self.partner.is_none() {
-                match self.greet(asked.head, &mut wait).await? {
-                    Tried::Stop => return Ok(None),
-                    Tried::TimeUp => break self.whom(),
-                    Tried::Answer(_) | Tried::Refused(_) | Tried::Nothing => {}
+            let tried = match &self.partner {
+                None => self.greet(asked.head, &mut wait).await?.map_continue(|()| None),
+                Some(partner) => {
+                    asked.to.clone_from(&partner.id);
+                    self.ask(&asked, (stage, tti, devices), &mut wait)
+                        .await?
+                        .map_continue(Some)
                 }
-            }
-            let Some(partner) = &self.partner else { continue };
-            asked.to.clone_from(&partner.id);
-            match self.ask(&asked, (stage, tti, devices), &mut wait).await? {
-                Tried::Answer(answer) => {
+            };
+            match tried {
+                ControlFlow::Break(Cut::Stop) => return Ok(None),
+                ControlFlow::Break(Cut::TimeUp) => break self.whom(),
+                ControlFlow::Continue(None) => {}
+                ControlFlow::Continue(Some(Told::Answer(answer))) => {
                     self.counts.decided += 1;
                     return Ok(Some(answer));
                 }
-                Tried::Stop => return Ok(None),
-                Tried::TimeUp => break self.whom(),
-                Tried::Nothing => {
+                ControlFlow::Continue(Some(Told::Silence)) => {
                     let name = self.partner.take().map(|partner| partner.name).unwrap_or_default();
                     let held = "the clock is held until it, or another, does";
                     self.complain(format!("{name} has not answered for TTI {tti}; {held}"));
                     tokio::time::sleep(BETWEEN).await;
                 }
-                Tried::Refused(why) => {
+                ControlFlow::Continue(Some(Told::Refused(why))) => {
                     self.counts.refused += 1;
                     strikes += 1;
                     tracing::warn!(%tti, "an answer that decides nothing: {why}");
@@ -275,9 +276,9 @@ impl<'a> Port<'a> {
     }
 
     /// Looks for somebody who decides.
-    async fn greet(&mut self, asked: Head, wait: &mut Wait<'_>) -> Result<Tried, BsError> {
+    async fn greet(&mut self, asked: Head, wait: &mut Wait<'_>) -> Tried<()> {
         let Some(hello) = &mut self.hello else {
-            return Ok(Tried::Nothing);
+            return Ok(ControlFlow::Continue(()));
         };
         hello.head = Head {
             stage: Said::Hello,
@@ -287,18 +288,17 @@ impl<'a> Port<'a> {
         let mut replies = self.bus.ask_policy((payload, Form::Json), ANSWER.0, GREETING).await?;
         loop {
             let problem = match wait.next(&mut replies).await {
-                Waited::Stop => return Ok(Tried::Stop),
-                Waited::TimeUp => return Ok(Tried::TimeUp),
-                Waited::Over => break,
-                Waited::Heard(Heard::Refusal(why)) => why,
-                Waited::Heard(Heard::Answer(bytes, form)) => match self.welcomed(&head, &bytes, form) {
+                ControlFlow::Break(cut) => return Ok(ControlFlow::Break(cut)),
+                ControlFlow::Continue(None) => break,
+                ControlFlow::Continue(Some(Heard::Refusal(why))) => why,
+                ControlFlow::Continue(Some(Heard::Answer(bytes, form))) => match self.welcomed(&head, &bytes, form) {
                     Ok(partner) => {
                         tracing::info!(tti = %head.tti, "{} decides", partner.name);
                         if let Some(hello) = &mut self.hello {
                             hello.refused = None;
                         }
                         self.partner = Some(partner);
-                        return Ok(Tried::Nothing);
+                        return Ok(ControlFlow::Continue(()));
                     }
                     Err(why) => {
                         let id = form.decode(&bytes).map(|shown: Shown| shown.id);
@@ -314,7 +314,7 @@ impl<'a> Port<'a> {
         }
         wait.name();
         tokio::time::sleep(BETWEEN).await;
-        Ok(Tried::Nothing)
+        Ok(ControlFlow::Continue(()))
     }
 
     fn welcomed(&self, greeting: &Head, bytes: &[u8], form: Form) -> Result<Partner, String> {
@@ -364,24 +364,23 @@ impl<'a> Port<'a> {
         asked: &Asked,
         (stage, tti, devices): (Stage, Tti, u32),
         wait: &mut Wait<'_>,
-    ) -> Result<Tried, BsError> {
+    ) -> Tried<Told> {
         let form = self.partner.as_ref().map_or(Form::Json, |partner| partner.form);
         let most = ANSWER.0 + ANSWER.1 * devices as usize;
         let mut replies = self.bus.ask_policy((form.encode(asked), form), most, AGAIN).await?;
         loop {
             match wait.next(&mut replies).await {
-                Waited::Stop => return Ok(Tried::Stop),
-                Waited::TimeUp => return Ok(Tried::TimeUp),
-                Waited::Over => return Ok(Tried::Nothing),
-                Waited::Heard(Heard::Refusal(why)) => {
+                ControlFlow::Break(cut) => return Ok(ControlFlow::Break(cut)),
+                ControlFlow::Continue(None) => return Ok(ControlFlow::Continue(Told::Silence)),
+                ControlFlow::Continue(Some(Heard::Refusal(why))) => {
                     self.wonder(&format!("a process at the policy port does not answer: {why}"));
                 }
                 // What cannot be told from a stranger's answer is not held against anybody.
-                Waited::Heard(Heard::Answer(bytes, form)) if !self.is_from(&asked.to, &bytes, form) => {
+                ControlFlow::Continue(Some(Heard::Answer(bytes, form))) if !self.is_from(&asked.to, &bytes, form) => {
                     let what = "that cannot be read, or does not show the run's key and the id that was asked";
                     self.wonder(&format!("an answer was dropped {what}"));
                 }
-                Waited::Heard(Heard::Answer(bytes, form)) => {
+                ControlFlow::Continue(Some(Heard::Answer(bytes, form))) => {
                     let reply: Result<Reply, String> = form.decode(&bytes);
                     let answer = reply.and_then(|reply| {
                         let echo = (reply.seq, reply.tti, reply.stage);
@@ -391,13 +390,14 @@ impl<'a> Port<'a> {
                         }
                         reply.answer(stage, tti, devices)
                     });
-                    return Ok(match answer {
+                    let told = match answer {
                         Ok(answer) => {
                             self.spare = Some((replies, asked.to.clone()));
-                            Tried::Answer(answer)
+                            Told::Answer(answer)
                         }
-                        Err(why) => Tried::Refused(why),
-                    });
+                        Err(why) => Told::Refused(why),
+                    };
+                    return Ok(ControlFlow::Continue(told));
                 }
             }
         }
@@ -463,20 +463,19 @@ impl<'a> Wait<'a> {
         }
     }
 
-    /// What comes next of `replies`.
-    async fn next(&mut self, replies: &mut Replies) -> Waited {
+    /// What comes next of `replies`; nothing if no more comes.
+    async fn next(&mut self, replies: &mut Replies) -> ControlFlow<Cut, Option<Heard>> {
         loop {
             if self.progress.stop.load(Ordering::Relaxed) {
-                return Waited::Stop;
+                return ControlFlow::Break(Cut::Stop);
             }
             let waited = self.begun.elapsed();
             if self.limit.is_some_and(|limit| waited >= limit) {
-                return Waited::TimeUp;
+                return ControlFlow::Break(Cut::TimeUp);
             }
             let look = self.limit.map_or(LOOK, |limit| LOOK.min(limit.saturating_sub(waited)));
             match tokio::time::timeout(look, replies.next()).await {
-                Ok(Some(heard)) => return Waited::Heard(heard),
-                Ok(None) => return Waited::Over,
+                Ok(heard) => return ControlFlow::Continue(heard),
                 Err(_) => self.name(),
             }
         }

@@ -363,8 +363,7 @@ impl Reply {
                 let next = (next.0 > self.tti + 1).then_some(next.0);
                 match plan {
                     Plan::Bits { bits } => {
-                        let on = |j: &u32| bits[*j as usize / 8] >> (j % 8) & 1 == 1;
-                        let sense = Some((0..bits.len() as u32 * 8).filter(on).collect());
+                        let sense = Some(Plan::chosen(bits).map(|device| device.0).collect());
                         Self { sense, next, ..self }
                     }
                     Plan::Periodic(cycles) => {
