@@ -11,8 +11,7 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 /// # Errors
 /// If the handlers cannot be installed.
 pub async fn told() -> std::io::Result<()> {
-    let mut signals = Signals::install()?;
-    signals.next().await;
+    Signals::install()?.any().await;
     Ok(())
 }
 
@@ -49,8 +48,8 @@ enum Told {
     HungUp,
 }
 
-/// The signals that end a command.
-struct Signals {
+/// The signals that end a command. Once these are there, none ends it by itself.
+pub struct Signals {
     interrupt: Signal,
     terminate: Signal,
     /// None under `nohup`, which has asked to outlive the terminal.
@@ -58,7 +57,11 @@ struct Signals {
 }
 
 impl Signals {
-    fn install() -> std::io::Result<Self> {
+    /// Begins to watch for them.
+    ///
+    /// # Errors
+    /// If the handlers cannot be installed.
+    pub fn install() -> std::io::Result<Self> {
         Ok(Self {
             interrupt: signal(SignalKind::interrupt())?,
             terminate: signal(SignalKind::terminate())?,
@@ -68,6 +71,11 @@ impl Signals {
                 Some(signal(SignalKind::hangup())?)
             },
         })
+    }
+
+    /// Waits for the next of them.
+    pub async fn any(&mut self) {
+        self.next().await;
     }
 
     async fn next(&mut self) -> Told {

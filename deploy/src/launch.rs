@@ -168,13 +168,12 @@ pub fn has_one_ended() -> bool {
     !matches!(waitid(WaitId::All, options), Ok(None))
 }
 
-/// Ties this process to the one that started it: when the `parent` ends, however that is, this one is killed.
+/// Ties this process to the one that started it: when the `parent` ends, however that is, this one is sent `signal`.
 ///
 /// # Errors
 /// If the parent has ended already, or the kernel refuses.
-pub fn die_with(parent: i32) -> anyhow::Result<()> {
-    rustix::process::set_parent_process_death_signal(Some(Signal::KILL))
-        .context("cannot tie this process to its parent")?;
+pub fn die_with(parent: i32, signal: Signal) -> anyhow::Result<()> {
+    rustix::process::set_parent_process_death_signal(Some(signal)).context("cannot tie this process to its parent")?;
     let is_ours = rustix::process::getppid().map(Pid::as_raw_pid) == Some(parent);
     anyhow::ensure!(is_ours, "the process that started this one has ended");
     Ok(())

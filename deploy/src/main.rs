@@ -25,6 +25,7 @@ mod local;
 mod marks;
 mod muster;
 mod paths;
+mod policy_process;
 mod recording;
 mod results;
 mod rows;
@@ -73,6 +74,7 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
             }
             runtime(1)?.block_on(commands::device::run(&args))
         }
+        Command::PolicyProcess(args) => runtime(1)?.block_on(commands::policy_process::run(&args)),
         Command::Inspect(command) => runtime(1)?.block_on(commands::inspect::run(&command)),
         Command::Dashboard(args) => runtime(2)?.block_on(commands::dashboard::run(&args)),
         Command::Clock(args) => runtime(1)?.block_on(commands::clock::run(&args)),

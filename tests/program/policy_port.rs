@@ -9,7 +9,7 @@ use reveille_bs::policy::external::wire::{Asked, Said};
 use reveille_common::forms::Form;
 use reveille_common::ids::DeviceId;
 use reveille_tests::deciding::{Decided, SMALL, answer, own};
-use reveille_tests::process::{Folder, PATIENCE, Process, Summary, hosts_of, send_signal, wait_until};
+use reveille_tests::process::{Folder, PATIENCE, Process, Summary, hosts_of, lives, send_signal, wait_until};
 use rustix::process::Signal;
 
 #[tokio::test(flavor = "multi_thread")]
@@ -268,17 +268,50 @@ fn a_command_that_decides_ends_with_the_run_and_the_run_with_it() {
         "{end}"
     );
     // One that says nothing is ended with the run.
-    let run = command("sleeps", "echo $$ > pid; exec sleep 1000");
-    let pid: u32 = wait_until("the command to run", PATIENCE, || {
-        std::fs::read_to_string(folder.join("pid")).ok()?.trim().parse().ok()
-    });
-    run.wait_for_handlers();
+    let (run, own) = sleeper(&folder, "sleeps", "exec sleep 1000");
     run.signal(Signal::INT);
     assert_eq!(run.finish().code(), Some(130));
-    assert!(
-        !std::path::Path::new(&format!("/proc/{pid}")).exists(),
-        "{pid} lives on"
-    );
+    assert!(!lives(own), "{own} lives on");
+}
+
+/// Neither a command that listens to nobody, nor what it has started, outlives a run that is gone without a word.
+#[test]
+fn a_command_that_decides_does_not_outlive_its_base_station() {
+    let folder = Folder::new();
+    let stubborn = "trap '' TERM INT HUP; sleep 1000 & echo $! > child; wait";
+    for (name, signal) in [("killed", Signal::KILL), ("hurried", Signal::INT)] {
+        let (run, own) = sleeper(&folder, name, stubborn);
+        let child = pid_in(&folder, "child");
+        assert!(lives(own) && lives(child));
+        run.signal(signal);
+        if signal == Signal::INT {
+            run.wait_for_stderr("once more to end at once");
+            run.signal(signal);
+        }
+        assert!(!run.finish().is_success());
+        wait_until("the command and its child to end", PATIENCE, || {
+            (!lives(own) && !lives(child)).then_some(())
+        });
+    }
+}
+
+/// A run of this name in `folder` with a command that decides nothing, and the pid of that.
+fn sleeper(folder: &Folder, name: &str, command: &str) -> (Process, u32) {
+    let _none_before = std::fs::remove_file(folder.join("pid")).is_err();
+    let _none_before = std::fs::remove_file(folder.join("child")).is_err();
+    let mut up = folder.command(&format!("up {SMALL} -p external -P 2 --out {name} --run {name}"));
+    up.args(["--policy-command", &format!("echo $$ > pid; {command}")]);
+    let run = Process::start(&mut up);
+    let own = pid_in(folder, "pid");
+    run.wait_for_handlers();
+    (run, own)
+}
+
+/// The pid that a command has written to a file.
+fn pid_in(folder: &Folder, file: &str) -> u32 {
+    wait_until("the command to run", PATIENCE, || {
+        std::fs::read_to_string(folder.join(file)).ok()?.trim().parse().ok()
+    })
 }
 
 #[test]

@@ -25,8 +25,8 @@ pub use inspect::{
 };
 pub use report::{ReportArgs, ReportCommand, SearchArgs};
 pub use run::{
-    AuditArg, BsArgs, DeviceArgs, DriveArgs, OnLossArg, OnUndecidedArg, OutputArgs, OutsideArgs, RunArgs, ScenarioArgs,
-    UpArgs,
+    AuditArg, BsArgs, DeviceArgs, DriveArgs, OnLossArg, OnUndecidedArg, OutputArgs, OutsideArgs, PolicyProcessArgs,
+    RunArgs, ScenarioArgs, UpArgs,
 };
 pub use sweep::{GridArgs, MergeArgs, SweepArgs};
 pub use tools::{
@@ -112,6 +112,9 @@ pub enum Command {
     Bs(BsArgs),
     /// Start one process of devices, and connect it to a base station.
     Device(DeviceArgs),
+    /// Guard the process of `--policy-command`.
+    #[command(hide = true)]
+    PolicyProcess(PolicyProcessArgs),
     /// Show or check scenarios.
     #[command(subcommand)]
     Scenario(ScenarioCommand),

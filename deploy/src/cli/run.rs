@@ -287,6 +287,16 @@ pub struct DeviceArgs {
     pub untuned: bool,
 }
 
+/// `reveille policy-process`.
+#[derive(Args)]
+pub struct PolicyProcessArgs {
+    /// The process that started this one; when it ends, the command is ended.
+    #[arg(long)]
+    pub parent: i32,
+    /// For the shell.
+    pub command: String,
+}
+
 /// When a host is lost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum OnLossArg {

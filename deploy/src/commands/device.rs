@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use reveille_common::bus::Bus;
 use reveille_device::host::{self, HostError, News, Offer};
+use rustix::process::Signal;
 
 use crate::cli::DeviceArgs;
 use crate::display::note;
@@ -17,7 +18,7 @@ const FOREVER: Duration = Duration::from_hours(24 * 365);
 /// Carries devices to the end of a run.
 pub async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
     if let Some(parent) = args.parent {
-        launch::die_with(parent)?;
+        launch::die_with(parent, Signal::KILL)?;
     }
     limits::for_device()?;
     // Children of `up` leave the talking to it.

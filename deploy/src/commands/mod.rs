@@ -12,6 +12,7 @@ pub mod figures;
 pub mod inspect;
 pub mod merge;
 mod pictures;
+pub mod policy_process;
 pub mod report;
 mod resolution;
 pub mod run;
