@@ -3,11 +3,12 @@
 //! there may be thousands in a second, a power cut can take the last second.
 
 use std::fs::{File, OpenOptions};
-use std::io::{self, Seek, SeekFrom, Write};
+use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
+use reveille_common::message::LogPart;
 use reveille_common::scenario::Scenario;
 use reveille_lab::inputs::{self, Input, Inputs};
 
@@ -129,6 +130,23 @@ pub fn of_folder(folder: &Path, scenario: &Scenario) -> anyhow::Result<Inputs> {
 pub fn read(path: &Path, scenario: &Scenario) -> anyhow::Result<Inputs> {
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
     inputs::parse(&text, scenario).with_context(|| path.display().to_string())
+}
+
+/// The part of the log at `path` from byte `from` on, for an observer; empty if there is none.
+///
+/// # Errors
+/// It cannot be read.
+pub fn part(path: &Path, from: u64) -> io::Result<LogPart> {
+    let mut bytes = Vec::new();
+    match File::open(path) {
+        Ok(mut file) => {
+            file.seek(SeekFrom::Start(from))?;
+            file.take(LogPart::LONGEST).read_to_end(&mut bytes)?;
+        }
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+        Err(error) => return Err(error),
+    }
+    Ok(LogPart { bytes })
 }
 
 /// As [`read`], of a log that somebody has named, which is to hold something.

@@ -17,7 +17,7 @@ const VERSION: u32 = 2;
 #[derive(Debug, thiserror::Error)]
 pub enum InputsError {
     /// A line has another form.
-    #[error("line {line}, column {column} is not as in a log of inputs: {what}")]
+    #[error("line {line} is none of a log of inputs: {what} in column {column}")]
     Line {
         /// Its number, from 1.
         line: usize,
@@ -181,26 +181,63 @@ pub fn whole(text: &str) -> &str {
 /// # Errors
 /// It is no log, that of a run of another scenario, or says what cannot have come.
 pub fn parse(text: &str, scenario: &Scenario) -> Result<Inputs, InputsError> {
-    let mut inputs = Inputs::default();
-    let mut has_begun = false;
-    for (number, text) in (1..).zip(whole(text).lines()) {
-        let entry = serde_json::from_str(text).map_err(|error| bad_line(number, &error))?;
+    let mut parser = Parser::default();
+    parser.read(text, scenario)?;
+    Ok(parser.inputs)
+}
+
+/// Reads a log that comes part by part, as that of a run that goes on does.
+#[derive(Clone, Debug, Default)]
+pub struct Parser {
+    inputs: Inputs,
+    /// Lines that were read.
+    lines: usize,
+    has_begun: bool,
+}
+
+impl Parser {
+    /// The inputs so far.
+    pub const fn inputs(&self) -> &Inputs {
+        &self.inputs
+    }
+
+    /// Takes in the whole lines at the beginning of `text`, which follows the last one that was taken in, and gives
+    /// their length in bytes. All parts are of a run of the same `scenario`.
+    ///
+    /// # Errors
+    /// As of [`parse`].
+    pub fn read(&mut self, text: &str, scenario: &Scenario) -> Result<usize, InputsError> {
+        let text = whole(text);
+        for line in text.lines() {
+            self.lines += 1;
+            self.take(line, scenario)?;
+        }
+        Ok(text.len())
+    }
+
+    fn take(&mut self, text: &str, scenario: &Scenario) -> Result<(), InputsError> {
+        let Self {
+            inputs,
+            lines: line,
+            has_begun,
+        } = self;
+        let entry = serde_json::from_str(text).map_err(|error| bad_line(*line, &error))?;
         let decision = match entry {
             Entry::Inputs { version, .. } if !(1..=VERSION).contains(&version) => return Err(InputsError::Version),
             Entry::Inputs { scenario_hash, .. } if scenario_hash != scenario.hash_hex() => {
                 return Err(InputsError::Scenario);
             }
             Entry::Inputs { .. } => {
-                has_begun = true;
-                continue;
+                *has_begun = true;
+                return Ok(());
             }
-            _ if !has_begun => return Err(InputsError::Headless(number)),
+            _ if !*has_begun => return Err(InputsError::Headless(*line)),
             Entry::Outage(outage) => {
                 if !may_come(&outage, &inputs.outages, scenario) {
-                    return Err(InputsError::Outage(number));
+                    return Err(InputsError::Outage(*line));
                 }
                 inputs.outages.push(outage);
-                continue;
+                return Ok(());
             }
             Entry::Sense { tti, devices, next } => chosen(&devices, scenario).map(|devices| {
                 let plan = Plan::from_chosen(scenario.devices as usize, &devices);
@@ -214,9 +251,9 @@ pub fn parse(text: &str, scenario: &Scenario) -> Result<Inputs, InputsError> {
         };
         let decision = decision.map(|(tti, answer)| Answered { tti: Tti(tti), answer });
         let decision = decision.filter(|decision| may_be_made(decision, inputs.decisions.last(), scenario));
-        inputs.decisions.push(decision.ok_or(InputsError::Decision(number))?);
+        inputs.decisions.push(decision.ok_or(InputsError::Decision(*line))?);
+        Ok(())
     }
-    Ok(inputs)
 }
 
 /// What is wrong in the line with this number. An error of JSON counts the lines of what it was given, which is one.
@@ -317,6 +354,16 @@ mod tests {
         };
         let all: Vec<Input> = inputs.iter().collect();
         assert_eq!(written_and_read(&all).expect("a log"), inputs);
+        let scenario = load("quick", &[]).expect("a preset");
+        let text = first_line(&scenario) + &all.iter().map(line).collect::<String>();
+        for length in [1, 7, 60, 4000] {
+            let (mut parser, mut read, mut end) = (Parser::default(), 0, 0);
+            while read < text.len() {
+                end = text.len().min(end + length);
+                read += parser.read(&text[read..end], &scenario).expect("a log");
+            }
+            assert_eq!(parser.inputs(), &inputs, "{length} bytes at a time");
+        }
         assert_eq!(written_and_read(&[]).expect("a log"), Inputs::default());
     }
 
@@ -355,7 +402,7 @@ mod tests {
         let of = |text: &str| parse(text, &scenario).expect_err("no log of this run");
         assert_eq!(
             of("{\"wake\":{\"tti\":true}}\n").to_string(),
-            "line 1, column 19 is not as in a log of inputs: invalid type: boolean `true`, expected u64"
+            "line 1 is none of a log of inputs: invalid type: boolean `true`, expected u64 in column 19"
         );
         assert!(matches!(
             of(&line(&Input::Outage(outage(0, 1, 1)))),

@@ -4,12 +4,20 @@
 use std::time::Duration;
 
 use reveille_bs::host::port::client::{self, Introduction};
-use reveille_bs::policy::external::Answer;
 use reveille_bs::policy::external::wire::{Asked, Said};
+use reveille_bs::policy::external::{Answer, Answered, Decision};
+use reveille_bs::policy::outside;
 use reveille_common::forms::Form;
-use reveille_common::ids::DeviceId;
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::io::Disk;
+use reveille_common::message::LogPart;
+use reveille_common::plan::{DutyCycle, Plan};
+use reveille_common::scenario::{Override, load};
+use reveille_lab::inputs::{Input, first_line, line};
 use reveille_tests::deciding::{Decided, SMALL, answer, own};
-use reveille_tests::process::{Folder, PATIENCE, Process, Summary, hosts_of, lives, send_signal, wait_until};
+use reveille_tests::process::{
+    Folder, PATIENCE, Process, Summary, hosts_of, lives, send_signal, unique_run, wait_until,
+};
 use rustix::process::Signal;
 
 #[tokio::test(flavor = "multi_thread")]
@@ -159,6 +167,42 @@ async fn a_run_that_is_joined_late_is_whole() {
     assert!(same.is_success(), "{same}");
     let verified = folder.run("inspect verify whole.mcap");
     assert!(verified.is_success() && verified.stdout.contains(&digest), "{verified}");
+}
+
+/// What was decided in it comes to more bytes than are told at a time.
+#[test]
+fn a_run_with_a_long_log_is_joined_late() {
+    let (folder, run) = (Folder::new(), unique_run("long"));
+    let set = ["policy.name=external", "devices=1000", "ttis=240"];
+    let set = set.map(|set| Override::parse(set).expect("an override"));
+    let scenario = load("paper", &set, &outside::kinds(), &Disk).expect("a scenario");
+    let asleep = |offset: u64| DutyCycle {
+        t_on: 0,
+        t_drx: DutyCycle::LONGEST,
+        offset: (offset % u64::from(DutyCycle::LONGEST)) as u32,
+    };
+    let plans = (0..scenario.ttis).map(|k| {
+        let cycles = (0..1000).map(|j| asleep((k * 1000 + j) * 7_919_777)).collect();
+        let (plan, next) = (Plan::Periodic(cycles), Tti(k + 1));
+        let answer = Answer::Plan(Decision { plan, next });
+        line(&Input::Decision(Answered { tti: Tti(k), answer }))
+    });
+    let log = first_line(&scenario) + &plans.collect::<String>();
+    assert!(log.len() as u64 > LogPart::LONGEST, "{} bytes", log.len());
+    folder.write("long.log", &log);
+    let up = folder.start(&format!(
+        "up -n 1000 -k 240 -P 1 -p replay=long.log --paused --record whole.mcap --run {run} --quiet --out out"
+    ));
+    folder.wait_for_tti(&run, 0);
+    folder.clock(&run, "step 200");
+    folder.wait_for_tti(&run, 200);
+    let late = folder.start(&format!("inspect record late.mcap --run {run}"));
+    late.wait_for_stderr("connected to run");
+    folder.clock(&run, "resume");
+    let (up, late) = (up.finish(), late.finish());
+    assert!(up.is_success() && late.is_success(), "{up}\n{late}");
+    let same = folder.run("inspect compare whole.mcap late.mcap");
+    assert!(same.is_success(), "{same}");
 }
 
 /// The base station is killed over a TTI in which devices were lost and whose wake-ups are not all decided.

@@ -215,7 +215,8 @@ impl Mirror {
             | Message::Join(_)
             | Message::Ready(_)
             | Message::Control(_)
-            | Message::Describe(_) => Ok(()),
+            | Message::Describe(_)
+            | Message::Log(_) => Ok(()),
         }
     }
 

@@ -169,7 +169,8 @@ impl Replay {
             | Message::Join(_)
             | Message::Ready(_)
             | Message::Control(_)
-            | Message::Describe(_) => {}
+            | Message::Describe(_)
+            | Message::Log(_) => {}
         }
         Ok(())
     }

@@ -26,11 +26,12 @@ const DOWN: [MessageKind; 2] = [MessageKind::Clock, MessageKind::Plan];
 /// Kinds of messages that hosts send to the BS.
 const UP: [MessageKind; 2] = [MessageKind::Report, MessageKind::Answer];
 /// Queries that the BS answers.
-const QUERIES: [MessageKind; 4] = [
+const QUERIES: [MessageKind; 5] = [
     MessageKind::Join,
     MessageKind::Ready,
     MessageKind::Control,
     MessageKind::Describe,
+    MessageKind::Log,
 ];
 
 /// zenoh's configuration of access to the run with these `keys`.

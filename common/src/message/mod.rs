@@ -35,7 +35,7 @@ pub use answer::Answer;
 pub use belief::{Belief, Likely};
 pub use clock::{Clock, Tick};
 pub use control::{ClockCommand, ClockStatus, LostHost, Pace};
-pub use describe::{Describe, Description};
+pub use describe::{Describe, Description, LogPart, ReadLog};
 pub use frame::{Frame, TapBatch};
 pub use join::{JoinReply, JoinRequest};
 pub use outage::Outage;
@@ -231,6 +231,8 @@ messages! {
         "A query: pause, step, resume, or where the clock is.";
     Describe "describe": Describe => Description, Emu, Anyone, (), "observer → BS",
         "A query: the scenario of the run, with the files that it names.";
+    Log "log": ReadLog => LogPart, Emu, Anyone, (), "observer → BS",
+        "A query: a part of the log of what the run depends on besides, outages and decisions from outside.";
     World "world": World, Truth, Members, (), "world → observers",
         "TTIs that the devices go through, and what the world shows in the last of them.";
     Event "event": EventNews, Truth, Members, (), "world → observers",
@@ -427,6 +429,7 @@ mod tests {
             MessageKind::Ready,
             MessageKind::Control,
             MessageKind::Describe,
+            MessageKind::Log,
         ];
         assert!(with_reply.eq(&queries));
         let reply = Reply::decode(MessageKind::Ready, &yes)

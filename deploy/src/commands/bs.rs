@@ -14,7 +14,7 @@ use reveille_bs::policy::outside;
 use reveille_bs::prepared::Prepared;
 use reveille_common::bus::{Bus, Declared, draw_secret};
 use reveille_common::keys::RunName;
-use reveille_common::message::{Describe, Description, Pace};
+use reveille_common::message::{Describe, Description, Pace, ReadLog};
 use reveille_common::scenario::Scenario;
 use reveille_lab::preparation::prepare as prepare_run;
 use reveille_lab::run::StopWhen;
@@ -383,7 +383,7 @@ async fn set_up(scenario: &Scenario, progress: &Progress) -> anyhow::Result<Prep
 /// What a run needs beside its scenario: to be found, to be described, to be stopped, and to be watched.
 struct Prerequisites {
     registered: Option<local::Registered>,
-    described: Declared,
+    described: [Declared; 2],
     stop: Arc<AtomicBool>,
     watch: Watch,
     /// What the dashboard is fed by, if there is one.
@@ -409,12 +409,12 @@ async fn prepare(service: &Service<'_>, folder: &Path) -> anyhow::Result<Prerequ
     }
     let description = Description::from(recording::bundle(scenario)?);
     let log = folder.join(INPUTS);
-    let described = bus.serve(move |_: Describe| {
-        let mut description = description.clone();
-        let inputs = std::fs::read(&log).ok().map(|bytes| (INPUTS.to_owned(), bytes));
-        description.files.extend(inputs);
-        description
-    })?;
+    let described = [
+        bus.serve(move |_: Describe| description.clone())?,
+        bus.serve_shown(move |asked: ReadLog, _| {
+            input_log::part(&log, asked.from).map_err(|error| format!("{}: {error}", log.display()))
+        })?,
+    ];
     let (progress, tapped) = (Arc::clone(progress), (*bus).clone());
     let process = move || {
         let get = |value: &AtomicU64| value.load(Ordering::Relaxed);

@@ -94,12 +94,13 @@ async fn live(args: &DashboardArgs) -> anyhow::Result<()> {
     let mut live = Live::connect(&args.target).await?;
     let bundle = live.bundle().await?;
     let (scenario, other) = (bundle.load()?, matched(other, &bundle.scenario)?);
+    let past = live.past(&bundle).await?;
     live.greet();
     let feed = Feed::new(&live.run, &scenario, groups(&scenario), true, other);
     let dashboard = serve(&args.listen, Arc::clone(&feed), Some(live.bus())).await?;
     note!("the run is shown at {}; Ctrl-C ends", dashboard.url);
     let hose = feed.open()?;
-    live.follow(&bundle, |frame| hose.take(frame)).await?;
+    live.follow(past, |frame| hose.take(frame)).await?;
     drop(hose);
     if live.has_ended() && !live.is_interrupted {
         let how = live

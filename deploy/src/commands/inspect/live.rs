@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use reveille_common::bus::{Bus, Declared};
 use reveille_common::ids::Tti;
-use reveille_common::message::{ClockCommand, ClockStatus, Describe, Frame, Message, MessageKind, TapBatch};
+use reveille_common::message::{ClockCommand, ClockStatus, Describe, Frame, Message, MessageKind, ReadLog, TapBatch};
 use reveille_view::recording::Bundle;
 use tokio::sync::Notify;
 use tokio::sync::mpsc::Receiver;
@@ -150,14 +150,26 @@ impl Live {
         Ok(())
     }
 
-    /// Hands to `take` every frame of the run that `bundle` describes from TTI 0 on, whenever this has connected, but
-    /// for those of the emulation plane of before; until the run ends, Ctrl-C is pressed, or `take` wants no more.
-    /// Messages that were left out on the way are said once, and counted.
+    /// What happened before this has connected to the run that `bundle` describes.
     ///
     /// # Errors
-    /// What the run depends on cannot be read from `bundle`, or is not known.
-    pub async fn follow(&mut self, bundle: &Bundle, mut take: impl FnMut(Frame) -> bool) -> anyhow::Result<()> {
-        let mut past = Past::of(bundle)?;
+    /// The scenario of `bundle` cannot be used, or the run has ended.
+    pub async fn past(&self, bundle: &Bundle) -> anyhow::Result<Past> {
+        let mut past = Past::new(bundle.load()?);
+        if self.learn(&mut past).await? {
+            Ok(past)
+        } else {
+            Err(self.bus.no_run().await.into())
+        }
+    }
+
+    /// Hands to `take` every frame of the run from TTI 0 on, with those of its `past`, but for those of the emulation
+    /// plane of before; until the run ends, Ctrl-C is pressed, or `take` wants no more. Messages that were left out on
+    /// the way are said once, and counted.
+    ///
+    /// # Errors
+    /// What the run depends on besides is not known.
+    pub async fn follow(&mut self, mut past: Past, mut take: impl FnMut(Frame) -> bool) -> anyhow::Result<()> {
         let mut reached = Tti::ZERO;
         let mut take = |frame: Frame| {
             if frame.kind == MessageKind::World
@@ -172,8 +184,8 @@ impl Live {
         tokio::task::block_in_place(|| past.catch_up(&self.status, |frame| goes_on &= take(frame)))?;
         while goes_on && let Some((frames, _)) = self.next().await {
             if past.depends_on_more() {
-                // What is heard was decided before, and after `bundle` was handed out.
-                past.learn(&self.bundle().await?)?;
+                // What is heard was decided before. Of a run that has ended, all may be known already.
+                let _is_there = self.learn(&mut past).await?;
             }
             tokio::task::block_in_place(|| {
                 let mut frames = frames.into_iter();
@@ -187,6 +199,19 @@ impl Live {
         }
         self.reached = reached;
         Ok(())
+    }
+
+    /// Tells `past` what the run has come to depend on besides; false if the run is not there any more.
+    async fn learn(&self, past: &mut Past) -> anyhow::Result<bool> {
+        loop {
+            let from = past.read();
+            let Some(part) = self.bus.ask(&ReadLog { from }, PATIENCE).await? else {
+                return Ok(false);
+            };
+            if !tokio::task::block_in_place(|| past.learn(&part.bytes))? {
+                return Ok(true);
+            }
+        }
     }
 
     fn take(&mut self, batch: TapBatch) -> (Vec<Frame>, u64) {

@@ -16,17 +16,20 @@ use reveille_bs::policy::outside;
 use reveille_common::ids::Tti;
 use reveille_common::message::{ClockStatus, Frame, Message};
 use reveille_common::scenario::Scenario;
-use reveille_lab::inputs::{self, Input, Inputs};
+use reveille_lab::inputs::{Input, Inputs, Parser};
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Options, Run};
-use reveille_view::recording::Bundle;
 
-use crate::input_log::INPUTS;
+/// What is said of a log that cannot be read.
+const LOG: &str = "the log of what the run depends on";
 
 /// Puts what has happened before in front of what is heard.
-pub(super) struct Past {
+pub struct Past {
     scenario: Scenario,
-    inputs: Inputs,
+    /// The log of what it depends on besides, as far as it was read.
+    log: Parser,
+    /// Bytes of it.
+    read: u64,
     /// The run in memory, once it is needed.
     run: Option<Run>,
     /// The TTIs before this one have been told.
@@ -37,11 +40,12 @@ pub(super) struct Past {
 }
 
 impl Past {
-    /// The past of a run of `scenario` that has had these `inputs`, of which nothing is told yet.
-    const fn new(scenario: Scenario, inputs: Inputs) -> Self {
+    /// The past of a run of `scenario`, of which nothing is told yet.
+    pub fn new(scenario: Scenario) -> Self {
         Self {
             scenario,
-            inputs,
+            log: Parser::default(),
+            read: 0,
             run: None,
             told: Tti::ZERO,
             is_within: false,
@@ -49,39 +53,39 @@ impl Past {
         }
     }
 
-    /// The past of the run that `bundle` describes, of which nothing is told yet.
-    ///
-    /// # Errors
-    /// It cannot be read.
-    pub fn of(bundle: &Bundle) -> anyhow::Result<Self> {
-        let scenario = bundle.load()?;
-        let inputs = log(bundle, &scenario)?;
-        Ok(Self::new(scenario, inputs))
-    }
-
     /// Whether what is told goes by decisions from outside, which come as the run goes on.
     pub fn depends_on_more(&self) -> bool {
         !self.is_over && outside::is_external(&self.scenario.policy)
     }
 
-    /// Takes in what the run that `bundle` describes has come to depend on besides.
-    ///
-    /// # Errors
-    /// It cannot be read.
-    pub fn learn(&mut self, bundle: &Bundle) -> anyhow::Result<()> {
-        self.add(log(bundle, &self.scenario)?);
-        Ok(())
+    /// The first byte of the run's log of inputs that is not known.
+    pub const fn read(&self) -> u64 {
+        self.read
     }
 
-    /// Takes in the decisions of `inputs` that are new.
-    fn add(&mut self, inputs: Inputs) {
-        for decision in inputs.decisions.into_iter().skip(self.inputs.decisions.len()) {
-            let decision = Input::Decision(decision);
-            if let Some(run) = &mut self.run {
-                run.expect(decision.clone());
-            }
-            self.inputs.add(decision);
+    /// Takes in what follows in the log of inputs, up to its last whole line. False if there is none.
+    ///
+    /// # Errors
+    /// It is no log of this run.
+    pub fn learn(&mut self, more: &[u8]) -> anyhow::Result<bool> {
+        let known = self.log.inputs();
+        let (outages, decisions) = (known.outages.len(), known.decisions.len());
+        let whole = more.iter().rposition(|byte| *byte == b'\n').map_or(0, |last| last + 1);
+        let text = std::str::from_utf8(&more[..whole]).context(LOG)?;
+        let length = self.log.read(text, &self.scenario).context(LOG)?;
+        self.read += length as u64;
+        if let Some(run) = &mut self.run {
+            let Inputs {
+                outages: all,
+                decisions: made,
+            } = self.log.inputs();
+            all[outages..]
+                .iter()
+                .for_each(|outage| run.expect(Input::Outage(*outage)));
+            let new = made[decisions..].iter().cloned();
+            new.for_each(|decision| run.expect(Input::Decision(decision)));
         }
+        Ok(length > 0)
     }
 
     /// The TTIs before this one have been told, until what is heard is handed on.
@@ -94,7 +98,7 @@ impl Past {
     /// # Errors
     /// As of [`Self::tell`].
     pub fn catch_up(&mut self, status: &ClockStatus, take: impl FnMut(Frame)) -> anyhow::Result<()> {
-        let decided = self.inputs.decisions.last().map_or(Tti::ZERO, |last| last.tti);
+        let decided = self.log.inputs().decisions.last().map_or(Tti::ZERO, |last| last.tti);
         let is_certain = status.paused || !self.depends_on_more();
         // The TTI before that of the clock may still be in work; what is before a decision is not.
         let over = if is_certain {
@@ -119,7 +123,7 @@ impl Past {
                 ..Options::default()
             };
             let mut run = Run::new(&prepare(&self.scenario), options);
-            run.expect_all(&self.inputs);
+            run.expect_all(self.log.inputs());
             run
         });
         let mut framed = Framed::new(0, &mut take);
@@ -161,15 +165,6 @@ impl Past {
     }
 }
 
-/// What a run depends on besides, as `bundle` has it.
-fn log(bundle: &Bundle, scenario: &Scenario) -> anyhow::Result<Inputs> {
-    let log = bundle.files.iter().find(|(name, _)| name == INPUTS);
-    let inputs = log.map_or(Ok(Inputs::default()), |(_, bytes)| {
-        inputs::parse(&String::from_utf8_lossy(bytes), scenario)
-    });
-    inputs.context("what the run depends on")
-}
-
 #[cfg(test)]
 mod tests {
     use std::cell::RefCell;
@@ -181,6 +176,7 @@ mod tests {
     use reveille_common::plan::Plan;
     use reveille_common::rng::{Purpose, Stream};
     use reveille_common::scenario::{Override, load};
+    use reveille_lab::inputs::{first_line, line};
     use reveille_lab::stepping::Stepping;
     use reveille_view::replay::Replay;
 
@@ -227,7 +223,7 @@ mod tests {
                     // The clock says of late joiners where it stands, or stood a moment before.
                     for before in [0, 3] {
                         let mut told = Vec::new();
-                        let mut past = Past::new(scenario.clone(), Inputs::default());
+                        let mut past = Past::new(scenario.clone());
                         let closed = Tti(frames[at].tti.0.saturating_sub(before));
                         past.tell(closed, |frame| told.push(frame)).expect("all is known");
                         for frame in &frames[at..] {
@@ -282,13 +278,19 @@ mod tests {
         for hold in [1, 30] {
             let scenario = scenario("external");
             let (frames, decisions) = decided(&scenario, hold);
-            let known = |sent: usize| Inputs {
-                decisions: decisions
-                    .iter()
-                    .filter(|(before, _)| *before < sent)
-                    .map(|(_, answered)| answered.clone())
-                    .collect(),
-                ..Inputs::default()
+            let lines = decisions
+                .iter()
+                .map(|(_, answered)| line(&Input::Decision(answered.clone())));
+            let mut ends = vec![first_line(&scenario).len()];
+            let mut log = first_line(&scenario);
+            for line in lines {
+                log += &line;
+                ends.push(log.len());
+            }
+            // With some bytes of a line that is being written.
+            let known = |sent: usize| {
+                let made = decisions.partition_point(|(before, _)| *before < sent);
+                &log.as_bytes()[..log.len().min(ends[made] + 9)]
             };
             let mut happened = frames.clone();
             happened.retain(|frame| frame.kind != MessageKind::World);
@@ -309,10 +311,11 @@ mod tests {
                     lost: Vec::new(),
                 };
                 let mut told = Vec::new();
-                let mut past = Past::new(scenario.clone(), known(at));
+                let mut past = Past::new(scenario.clone());
+                past.learn(known(at)).expect("a log");
                 past.catch_up(&status, |frame| told.push(frame)).expect("it is over");
                 for (number, frame) in (at..).zip(&frames[at..]) {
-                    past.add(known(number + 1));
+                    past.learn(&known(number + 1)[past.read() as usize..]).expect("a log");
                     past.hear(frame.clone(), |frame| told.push(frame)).expect("it is over");
                 }
                 if past.is_over {

@@ -20,6 +20,7 @@ pub async fn run(args: &InspectRecordArgs) -> anyhow::Result<ExitCode> {
     let mut live = Live::connect(&args.target).await?;
     let bundle = live.bundle().await?;
     let failed = |why: String| anyhow!("{}: {why}", path.display());
+    let past = live.past(&bundle).await?;
     let recorder = Recorder::start(path, &live.run, &bundle).map_err(failed)?;
     live.greet();
     let tape = recorder.tape();
@@ -28,7 +29,7 @@ pub async fn run(args: &InspectRecordArgs) -> anyhow::Result<ExitCode> {
         tape.take(frame);
         tape.failure().is_none()
     };
-    live.follow(&bundle, record).await?;
+    live.follow(past, record).await?;
     drop(tape);
     let (left_out, whole) = (live.left_out, live.check_whole());
     let recorded = recorder.finish(None).map_err(failed)?;
