@@ -17,7 +17,7 @@ const VERSION: u32 = 2;
 #[derive(Debug, thiserror::Error)]
 pub enum InputsError {
     /// A line has another form.
-    #[error("line {line} is none of a log of inputs: {what} in column {column}")]
+    #[error("line {line} is none of a log of inputs, at column {column}: {what}")]
     Line {
         /// Its number, from 1.
         line: usize,
@@ -402,7 +402,7 @@ mod tests {
         let of = |text: &str| parse(text, &scenario).expect_err("no log of this run");
         assert_eq!(
             of("{\"wake\":{\"tti\":true}}\n").to_string(),
-            "line 1 is none of a log of inputs: invalid type: boolean `true`, expected u64 in column 19"
+            "line 1 is none of a log of inputs, at column 19: invalid type: boolean `true`, expected u64"
         );
         assert!(matches!(
             of(&line(&Input::Outage(outage(0, 1, 1)))),
