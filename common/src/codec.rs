@@ -6,7 +6,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 /// The version of the wire form. A host and a BS of different versions refuse each other.
-pub const WIRE_VERSION: u8 = 6;
+pub const WIRE_VERSION: u8 = 7;
 
 /// The longest payload that is decoded, in bytes.
 pub const MAX_PAYLOAD: usize = 64 << 20;

@@ -3,7 +3,7 @@
 //! there may be thousands in a second, a power cut can take the last second.
 
 use std::fs::{File, OpenOptions};
-use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -132,7 +132,8 @@ pub fn read(path: &Path, scenario: &Scenario) -> anyhow::Result<Inputs> {
     inputs::parse(&text, scenario).with_context(|| path.display().to_string())
 }
 
-/// The part of the log at `path` from byte `from` on, for an observer; empty if there is none.
+/// The part of the log at `path` from byte `from` on, for an observer, up to the end of a line at least; empty if there
+/// is none.
 ///
 /// # Errors
 /// It cannot be read.
@@ -141,7 +142,11 @@ pub fn part(path: &Path, from: u64) -> io::Result<LogPart> {
     match File::open(path) {
         Ok(mut file) => {
             file.seek(SeekFrom::Start(from))?;
-            file.take(LogPart::LONGEST).read_to_end(&mut bytes)?;
+            let mut file = BufReader::new(file);
+            file.by_ref().take(LogPart::LONGEST).read_to_end(&mut bytes)?;
+            if !bytes.contains(&b'\n') {
+                file.read_until(b'\n', &mut bytes)?;
+            }
         }
         Err(error) if error.kind() == io::ErrorKind::NotFound => {}
         Err(error) => return Err(error),

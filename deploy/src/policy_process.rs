@@ -7,19 +7,25 @@
 //! ```
 //! The kernel sends the guard the same signal when the base station is gone without a word, as by `kill -9`.
 
-use std::os::unix::process::CommandExt;
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::process::{Child, Command, ExitCode, ExitStatus, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use reveille_bs::host::Progress;
 use reveille_common::bus::Bus;
 use reveille_common::secret::Secret;
-use rustix::process::{Pid, Signal, kill_current_process_group, kill_process, kill_process_group};
+use rustix::io::Errno;
+use rustix::process::{
+    Pid, Signal, WaitOptions, getpgrp, getpid, kill_current_process_group, kill_process, kill_process_group,
+    set_child_subreaper, wait,
+};
+use tokio::signal::unix::{SignalKind, signal};
 
+use crate::exit::Exit;
 use crate::interrupt::Signals;
 use crate::wall::now;
 use crate::{key, launch};
@@ -30,6 +36,8 @@ const CONNECT: &str = "REVEILLE_CONNECT";
 const RUN: &str = "REVEILLE_RUN";
 /// The subcommand of a guard.
 const GUARD: &str = "policy-process";
+/// What an exit code is above where a signal has ended a process.
+const SIGNALLED: i32 = 128;
 /// Time between two looks at a process.
 const LOOK: Duration = Duration::from_millis(20);
 /// How long a policy process may take to end: when it hears that the run is over, and when it is told to.
@@ -124,7 +132,7 @@ impl Charge {
         while !self.is_left.load(Ordering::Relaxed) {
             if let Ok(Some(status)) = self.guard.try_wait() {
                 if !self.is_over.load(Ordering::Relaxed) {
-                    let why = format!("the policy process `{}` ended with {status}", self.command);
+                    let why = format!("the policy process `{}` ended with {}", self.command, ending(status));
                     // The first cause is the one that counts.
                     let _told_before = progress.cause.set(why).is_err();
                     progress.stop.store(true, Ordering::Relaxed);
@@ -133,47 +141,78 @@ impl Charge {
             }
             std::thread::sleep(LOOK);
         }
-        if !has_ended_within(LEAVE, &mut self.guard) {
+        if !self.has_ended_within(LEAVE) {
             let _gone = kill_process(Pid::from_child(&self.guard), Signal::TERM).is_err();
-            has_ended_within(2 * LEAVE, &mut self.guard);
+            self.has_ended_within(2 * LEAVE);
         }
+    }
+
+    fn has_ended_within(&mut self, patience: Duration) -> bool {
+        let begun = now();
+        while begun.elapsed() < patience {
+            if !matches!(self.guard.try_wait(), Ok(None)) {
+                return true;
+            }
+            std::thread::sleep(LOOK);
+        }
+        false
     }
 }
 
 /// The guard of `command`: starts it by the shell, in the group of this process, and ends as it does; ends it when it
-/// is told to, and with the process `parent`, which has started this one.
+/// is told to, and with the process `parent`, which has started this one. The exit code is that of the command.
 ///
 /// # Errors
-/// The command cannot be started, or this process cannot be tied to its parent.
-pub async fn guard(command: &str, parent: i32) -> anyhow::Result<ExitStatus> {
+/// The command cannot be started, this process does not lead a group, or cannot be tied to its parent.
+pub async fn guard(command: &str, parent: i32) -> anyhow::Result<ExitCode> {
+    ensure!(
+        getpgrp() == getpid(),
+        "this is for `reveille up` and `reveille bs` to start"
+    );
     launch::die_with(parent, Signal::TERM)?;
+    // Those whose parent has ended come to this process, so that it knows when all have.
+    set_child_subreaper(Some(getpid()))?;
     let mut signals = Signals::install()?;
+    let mut ended = signal(SignalKind::child())?;
     let mut shell = Command::new("/bin/sh")
         .args(["-c", command])
         .spawn()
         .context("cannot start a shell for --policy-command")?;
     loop {
         if let Some(status) = shell.try_wait()? {
-            return Ok(status);
+            return Ok(code(status));
         }
-        if tokio::time::timeout(LOOK, signals.any()).await.is_ok() {
-            break;
+        tokio::select! {
+            _ = ended.recv() => {}
+            () = signals.any() => break,
         }
     }
     kill_current_process_group(Signal::TERM)?;
-    has_ended_within(LEAVE, &mut shell);
+    let begun = now();
+    while begun.elapsed() < LEAVE {
+        match wait(WaitOptions::NOHANG) {
+            Err(Errno::CHILD) => return Ok(Exit::Interrupted.into()),
+            Ok(None) | Err(_) => tokio::time::sleep(LOOK).await,
+            Ok(Some(_)) => {}
+        }
+    }
     // Whatever is left, and this process.
     kill_current_process_group(Signal::KILL)?;
-    Ok(shell.wait()?)
+    Ok(Exit::Interrupted.into())
 }
 
-fn has_ended_within(patience: Duration, child: &mut Child) -> bool {
-    let begun = now();
-    while begun.elapsed() < patience {
-        if !matches!(child.try_wait(), Ok(None)) {
-            return true;
-        }
-        std::thread::sleep(LOOK);
+/// 128 and the number of the signal, as shells have it, where that has ended a process.
+fn code(status: ExitStatus) -> ExitCode {
+    let signal = || SIGNALLED + status.signal().unwrap_or_default();
+    u8::try_from(status.code().unwrap_or_else(signal))
+        .unwrap_or(u8::MAX)
+        .into()
+}
+
+/// How a process has ended, by its exit code.
+fn ending(status: ExitStatus) -> String {
+    match status.code() {
+        Some(code) if code > SIGNALLED => format!("{status}, by signal {}", code - SIGNALLED),
+        _ => status.to_string(),
     }
-    false
 }

@@ -261,6 +261,7 @@ fn bad_line(line: usize, error: &serde_json::Error) -> InputsError {
     let (column, what) = (error.column(), error.to_string());
     let place = format!(" at line {} column {column}", error.line());
     let what = what.strip_suffix(&place).unwrap_or(&what).to_owned();
+    let column = column.max(1);
     InputsError::Line { line, column, what }
 }
 

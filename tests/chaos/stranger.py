@@ -68,7 +68,7 @@ def tokens(endpoint, run, chance):
             held.append(peer.liveliness().declare_token(f"reveille/{run}/emu/{name}"))
         except zenoh.ZError:
             pass
-    for key in ["join", "ready", "control", "describe"]:
+    for key in ["join", "ready", "control", "describe", "log"]:
         answer = lambda query: query.reply(query.key_expr, WELCOME)
         held.append(peer.declare_queryable(f"reveille/{run}/emu/{key}", answer, complete=True))
     yield

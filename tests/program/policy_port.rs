@@ -153,7 +153,10 @@ async fn a_run_that_is_joined_late_is_whole() {
     let mut late = None;
     run.decide(Form::Json, |asked| {
         if asked.head.tti == 150 && late.is_none() {
-            late = Some(run.folder.start(&format!("inspect record late.mcap --run {}", run.run)));
+            let record = run.folder.start(&format!("inspect record late.mcap --run {}", run.run));
+            // Until it is answered, the clock stands.
+            record.wait_for_stderr("connected to run");
+            late = Some(record);
         }
         answer(&transcript, asked)
     })
@@ -337,6 +340,24 @@ fn a_command_that_decides_does_not_outlive_its_base_station() {
             (!lives(own) && !lives(child)).then_some(())
         });
     }
+}
+
+/// What a command has started may do what it does at its end, though the command itself has ended.
+#[test]
+fn what_a_command_has_started_is_told_before_it_is_ended() {
+    let folder = Folder::new();
+    let child = folder.write(
+        "policy.sh",
+        "trap 'sleep 0.4; echo done > saved; exit' TERM\necho $$ > child\nwhile :; do sleep 0.05; done\n",
+    );
+    let (run, own) = sleeper(&folder, "piped", &format!("sh {} | cat", child.display()));
+    let child = pid_in(&folder, "child");
+    run.signal(Signal::KILL);
+    run.finish();
+    wait_until("the command and its child to end", PATIENCE, || {
+        (!lives(own) && !lives(child)).then_some(())
+    });
+    assert!(folder.list("").contains(&"saved".to_owned()));
 }
 
 /// A run of this name in `folder` with a command that decides nothing, and the pid of that.

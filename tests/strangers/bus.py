@@ -5,7 +5,7 @@ import json
 import zenoh
 
 # The first byte of every message: the version of the wire.
-WIRE = 6
+WIRE = 7
 # Commands to the clock as they are encoded: pause, step 1, run to TTI 10, resume, pace max; and what anyone may ask.
 COMMANDS = [bytes([WIRE, *command]) for command in ([0], [1, 1], [2, 10], [3], [4, 0])]
 STATUS = bytes([WIRE, 5])
@@ -27,7 +27,7 @@ def keys_of(run):
     """Keys that a stranger can think of."""
     air = ["plan", "plan/0", "plan/*", "wake/0", "wake/0/0", "report/0", "report/0/0"]
     emu = ["clock", "clock/0", "clock/*", "answer/0", "answer/0/0", "alive/0", "bs"]
-    emu += ["join", "ready", "control", "describe"]
+    emu += ["join", "ready", "control", "describe", "log"]
     prefixes = [f"reveille/{run}", f"reveille/{run}/@", f"reveille/{run}/@{'0' * 32}"]
     own = [f"{prefix}/air/{key}" for prefix in prefixes for key in air]
     own += [f"{prefix}/emu/{key}" for prefix in prefixes for key in emu]

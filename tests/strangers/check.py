@@ -133,7 +133,7 @@ def answers(run):
         query.reply(query.key_expr, WELCOME)
 
     held = []
-    for key in ["join", "ready", "control", "describe"]:
+    for key in ["join", "ready", "control", "describe", "log"]:
         held.append(stranger.declare_queryable(f"reveille/{run.name}/emu/{key}", reply, complete=True))
     held.append(stranger.declare_queryable(f"reveille/{run.name}/**", reply, complete=True))
     for host in range(4):

@@ -23,38 +23,6 @@ impl fmt::Display for Describe {
     }
 }
 
-/// Emulation, observer → BS, a query: a part of the run's log of inputs, which can be longer than a message may be and
-/// grows as the run goes on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct ReadLog {
-    /// Its first byte, counted from 0.
-    pub from: u64,
-}
-
-impl Concerns for ReadLog {
-    fn concerns(&self, _number: Option<u32>, _device: DeviceId) -> bool {
-        false
-    }
-}
-
-impl fmt::Display for ReadLog {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "asks for the log of inputs from byte {} on", self.from)
-    }
-}
-
-/// Emulation, BS → observer: the reply to [`ReadLog`].
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct LogPart {
-    /// What there is, up to [`LogPart::LONGEST`] bytes; nothing at the end of the log, or where there is none.
-    pub bytes: Vec<u8>,
-}
-
-impl LogPart {
-    /// The most bytes of a part.
-    pub const LONGEST: u64 = 4 << 20;
-}
-
 /// Emulation, BS → observer: the reply to [`Describe`].
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Description {

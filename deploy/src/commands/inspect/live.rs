@@ -3,9 +3,12 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use anyhow::anyhow;
 use reveille_common::bus::{Bus, Declared};
 use reveille_common::ids::Tti;
-use reveille_common::message::{ClockCommand, ClockStatus, Describe, Frame, Message, MessageKind, ReadLog, TapBatch};
+use reveille_common::message::{
+    ClockCommand, ClockStatus, Describe, Frame, LogPart, Message, MessageKind, ReadLog, TapBatch,
+};
 use reveille_view::recording::Bundle;
 use tokio::sync::Notify;
 use tokio::sync::mpsc::Receiver;
@@ -179,17 +182,25 @@ impl Live {
             }
             take(frame)
         };
-        let (mut goes_on, mut is_told) = (true, false);
+        let (mut goes_on, mut is_told, mut is_there) = (true, false, true);
         // Nobody else has a say in this process: what has to be worked out may take its time.
         tokio::task::block_in_place(|| past.catch_up(&self.status, |frame| goes_on &= take(frame)))?;
         while goes_on && let Some((frames, _)) = self.next().await {
-            if past.depends_on_more() {
-                // What is heard was decided before. Of a run that has ended, all may be known already.
-                let _is_there = self.learn(&mut past).await?;
+            // Who asks hears of that as well, and does not ask again because of it.
+            let is_due =
+                |frame: &Frame| matches!(frame.kind, MessageKind::Plan | MessageKind::World | MessageKind::Clock);
+            if !past.is_over() && frames.iter().any(is_due) {
+                is_there = self.learn(&mut past).await?;
             }
             tokio::task::block_in_place(|| {
                 let mut frames = frames.into_iter();
                 frames.try_for_each(|frame| past.hear(frame, |frame| goes_on &= take(frame)))
+            })
+            .map_err(|error| {
+                if is_there {
+                    return error;
+                }
+                anyhow!("the run has ended before this was with it; `up --record` records from the beginning")
             })?;
             if self.left_out > 0 && !is_told {
                 let (left_out, tti) = (self.left_out, past.told());
@@ -208,7 +219,9 @@ impl Live {
             let Some(part) = self.bus.ask(&ReadLog { from }, PATIENCE).await? else {
                 return Ok(false);
             };
-            if !tokio::task::block_in_place(|| past.learn(&part.bytes))? {
+            let is_more = tokio::task::block_in_place(|| past.learn(&part.bytes))?;
+            // What is added while this is read is asked for when it is needed.
+            if !is_more || (part.bytes.len() as u64) < LogPart::LONGEST {
                 return Ok(true);
             }
         }

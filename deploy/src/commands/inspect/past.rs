@@ -7,14 +7,13 @@
 //!   TTI 0 ──── worked out ────► a grant that is heard ──── worked out ────► the next grant ──── heard ────► the end
 //!                               (its plan may not be, so neither is it handed on)
 //! ```
-//! Of a policy that is asked for elsewhere, a TTI is worked out once it is over: what is decided in it is known no
-//! sooner.
+//! The last TTI of a grant is worked out once the next begins, or the run is over: devices that go in it, and what is
+//! decided in it elsewhere, are in the log of inputs no sooner.
 
 use anyhow::{Context, bail};
 use reveille_bs::observe::frames::Framed;
-use reveille_bs::policy::outside;
 use reveille_common::ids::Tti;
-use reveille_common::message::{ClockStatus, Frame, Message};
+use reveille_common::message::{Clock, ClockStatus, Frame, Message};
 use reveille_common::scenario::Scenario;
 use reveille_lab::inputs::{Input, Inputs, Parser};
 use reveille_lab::preparation::prepare;
@@ -53,9 +52,9 @@ impl Past {
         }
     }
 
-    /// Whether what is told goes by decisions from outside, which come as the run goes on.
-    pub fn depends_on_more(&self) -> bool {
-        !self.is_over && outside::is_external(&self.scenario.policy)
+    /// Whether it is told, and what is heard handed on.
+    pub const fn is_over(&self) -> bool {
+        self.is_over
     }
 
     /// The first byte of the run's log of inputs that is not known.
@@ -98,15 +97,8 @@ impl Past {
     /// # Errors
     /// As of [`Self::tell`].
     pub fn catch_up(&mut self, status: &ClockStatus, take: impl FnMut(Frame)) -> anyhow::Result<()> {
-        let decided = self.log.inputs().decisions.last().map_or(Tti::ZERO, |last| last.tti);
-        let is_certain = status.paused || !self.depends_on_more();
-        // The TTI before that of the clock may still be in work; what is before a decision is not.
-        let over = if is_certain {
-            status.tti
-        } else {
-            status.tti.min(decided)
-        };
-        self.tell(over, take)
+        let in_work = u64::from(!status.paused);
+        self.tell(Tti(status.tti.0.saturating_sub(in_work)), take)
     }
 
     /// Tells of all TTIs before `end` that are not told yet.
@@ -146,21 +138,24 @@ impl Past {
             take(frame);
             return Ok(());
         }
-        let (first, end) = match frame.message() {
-            Ok(Message::Plan(update)) => (update.from, None),
-            Ok(Message::World(world)) => (world.first, Some(world.last + 1)),
+        // All before this TTI is over, and nothing of it and what follows was missed.
+        let whole_from = match frame.message() {
+            // It comes before the grant from which on it holds.
+            Ok(Message::Plan(update)) if self.is_within || update.from == self.told => update.from,
+            Ok(Message::World(world)) if self.is_within => world.first,
+            Ok(Message::World(world)) => {
+                if world.last >= self.told {
+                    self.tell(world.last, take)?;
+                    self.is_within = true;
+                }
+                return Ok(());
+            }
+            Ok(Message::Clock(Clock::Finish(end))) => end,
             Ok(_) | Err(_) => return Ok(()),
         };
-        // A plan comes before the grant from which on it holds: nothing of that has been missed.
-        if self.is_within || (end.is_none() && first == self.told) {
-            self.tell(first, &mut take)?;
-            (self.is_over, self.run) = (true, None);
-            take(frame);
-        } else if let Some(end) = end.filter(|end| *end > self.told) {
-            // Its plan may have been sent unheard.
-            self.tell(if self.depends_on_more() { first } else { end }, take)?;
-            self.is_within = true;
-        }
+        self.tell(whole_from, &mut take)?;
+        (self.is_over, self.run) = (true, None);
+        take(frame);
         Ok(())
     }
 }
@@ -170,27 +165,17 @@ mod tests {
     use std::cell::RefCell;
 
     use reveille_bs::policy::external::{Answer, Answered, Decision, Stage};
+    use reveille_bs::policy::outside;
     use reveille_common::ids::DeviceId;
     use reveille_common::io::Disk;
-    use reveille_common::message::{MessageKind, Pace};
+    use reveille_common::message::{MessageKind, Outage, Pace};
     use reveille_common::plan::Plan;
     use reveille_common::rng::{Purpose, Stream};
     use reveille_common::scenario::{Override, load};
     use reveille_lab::inputs::{first_line, line};
     use reveille_lab::stepping::Stepping;
-    use reveille_view::replay::Replay;
 
     use super::*;
-
-    fn all(scenario: &Scenario, lookahead: bool) -> Vec<Frame> {
-        let mut frames = Vec::new();
-        let options = Options {
-            lookahead,
-            ..Options::default()
-        };
-        Run::new(&prepare(scenario), options).finish(&mut Framed::new(0, |frame| frames.push(frame)));
-        frames
-    }
 
     fn scenario(policy: &str) -> Scenario {
         let set = [
@@ -203,129 +188,150 @@ mod tests {
         load("paper", &set, &outside::kinds(), &Disk).expect("a scenario")
     }
 
-    #[test]
-    fn a_run_is_whole_from_wherever_it_is_joined() {
-        for policy in ["knn", "age-index"] {
-            let scenario = scenario(policy);
-            let whole = Replay::new(&scenario);
-            let result = |frames: &[Frame]| {
-                let mut replay = whole.clone();
-                for frame in frames {
-                    replay.take(frame).expect("it fits");
-                }
-                replay.finish().digest.to_string()
-            };
-            let mut joined = 0;
-            for lookahead in [true, false] {
-                let frames = all(&scenario, lookahead);
-                let digest = result(&frames);
-                for at in (0..frames.len()).step_by(23).chain(0..12) {
-                    // The clock says of late joiners where it stands, or stood a moment before.
-                    for before in [0, 3] {
-                        let mut told = Vec::new();
-                        let mut past = Past::new(scenario.clone());
-                        let closed = Tti(frames[at].tti.0.saturating_sub(before));
-                        past.tell(closed, |frame| told.push(frame)).expect("all is known");
-                        for frame in &frames[at..] {
-                            past.hear(frame.clone(), |frame| told.push(frame))
-                                .expect("all is known");
-                        }
-                        // Who joins in the last grant hears of no other.
-                        if past.is_over {
-                            assert_eq!(result(&told), digest, "{policy}, joined at frame {at}");
-                            joined += 1;
-                        }
-                    }
-                }
-            }
-            assert!(joined > 40, "{joined}");
-        }
+    /// A run as it is heard, and what it depends on besides with the number of frames before each such input.
+    #[derive(Default)]
+    struct Heard {
+        frames: Vec<Frame>,
+        inputs: Vec<(usize, Input)>,
     }
 
-    /// The frames of a run that is decided for, and its decisions with the number of frames before each.
-    fn decided(scenario: &Scenario, hold: u64) -> (Vec<Frame>, Vec<(usize, Answered)>) {
-        let frames = RefCell::new(Vec::new());
-        let mut stepping = Stepping::new(scenario, Framed::new(0, |frame| frames.borrow_mut().push(frame)));
-        let (mut stream, mut all) = (Stream::new(3, Purpose::Training, 0), Vec::new());
-        while let Some(question) = stepping.question() {
-            let (tti, n) = (question.seen.now, question.seen.known.n() as u64);
-            let answer = match question.stage {
-                Stage::Plan => Answer::Plan(Decision {
-                    plan: Plan::from_bits((0..n).map(|_| stream.below(4) == 0)),
-                    next: tti + hold,
-                }),
-                Stage::Wake => Answer::Wake((0..stream.below(2)).map(|_| DeviceId(stream.below(n) as u32)).collect()),
+    impl Heard {
+        fn of(scenario: &Scenario, outages: &[Outage], lookahead: bool) -> Self {
+            let mut frames = Vec::new();
+            let options = Options {
+                lookahead,
+                ..Options::default()
             };
-            all.push((
-                frames.borrow().len(),
-                Answered {
+            let mut run = Run::new(&prepare(scenario), options);
+            run.expect_all(&Inputs::of_outages(outages));
+            run.finish(&mut Framed::new(0, |frame| frames.push(frame)));
+            let gone = frames.iter().enumerate();
+            let gone = gone.filter(|(_, frame)| frame.kind == MessageKind::Gone);
+            let inputs = gone
+                .map(|(at, _)| at)
+                .zip(outages.iter().copied().map(Input::Outage))
+                .collect();
+            Self { frames, inputs }
+        }
+
+        /// Of a run that is decided for at random, and asks for a plan every `hold` TTIs.
+        fn decided(scenario: &Scenario, hold: u64) -> Self {
+            let frames = RefCell::new(Vec::new());
+            let mut stepping = Stepping::new(scenario, Framed::new(0, |frame| frames.borrow_mut().push(frame)));
+            let (mut stream, mut inputs) = (Stream::new(3, Purpose::Training, 0), Vec::new());
+            while let Some(question) = stepping.question() {
+                let (tti, n) = (question.seen.now, question.seen.known.n() as u64);
+                let mut any = || DeviceId(stream.below(n) as u32);
+                let answer = match question.stage {
+                    Stage::Plan => Answer::Plan(Decision {
+                        plan: Plan::from_chosen(n as usize, &[any(), any(), any(), any()]),
+                        next: tti + hold,
+                    }),
+                    Stage::Wake if any().0 % 2 == 0 => Answer::Wake(vec![any()]),
+                    Stage::Wake => Answer::Wake(Vec::new()),
+                };
+                let decision = Answered {
                     tti,
                     answer: answer.clone(),
-                },
-            ));
-            match answer {
-                Answer::Plan(decision) => stepping.decide(decision),
-                Answer::Wake(devices) => stepping.wake(&devices),
+                };
+                inputs.push((frames.borrow().len(), Input::Decision(decision)));
+                match answer {
+                    Answer::Plan(decision) => stepping.decide(decision),
+                    Answer::Wake(devices) => stepping.wake(&devices),
+                }
             }
+            stepping.finish();
+            let frames = frames.into_inner();
+            Self { frames, inputs }
         }
-        stepping.finish();
-        (frames.into_inner(), all)
-    }
 
-    /// The log of the run never has more than what was decided when what was heard last was sent.
-    #[test]
-    fn a_run_that_is_decided_for_is_whole_from_wherever_it_is_joined() {
-        for hold in [1, 30] {
-            let scenario = scenario("external");
-            let (frames, decisions) = decided(&scenario, hold);
-            let lines = decisions
-                .iter()
-                .map(|(_, answered)| line(&Input::Decision(answered.clone())));
-            let mut ends = vec![first_line(&scenario).len()];
-            let mut log = first_line(&scenario);
-            for line in lines {
-                log += &line;
+        /// Whoever joins, wherever that is, is told of all of it. The log of inputs never has more than was in it when
+        /// what was heard last was sent.
+        fn assert_whole_from_everywhere(mut self, scenario: &Scenario) {
+            let end = Tti(scenario.ttis);
+            self.frames.push(Frame::of(end, (), &Clock::Finish(end)));
+            // How TTIs were granted changes nothing.
+            let happened = |frames: &[Frame]| {
+                let mut frames = frames.to_vec();
+                frames.retain(|frame| frame.kind != MessageKind::World);
+                frames
+            };
+            let (all, mut ends) = (happened(&self.frames), vec![first_line(scenario).len()]);
+            let mut log = first_line(scenario);
+            for (_, input) in &self.inputs {
+                log += &line(input);
                 ends.push(log.len());
             }
             // With some bytes of a line that is being written.
             let known = |sent: usize| {
-                let made = decisions.partition_point(|(before, _)| *before < sent);
+                let made = self.inputs.partition_point(|(before, _)| *before < sent);
                 &log.as_bytes()[..log.len().min(ends[made] + 9)]
             };
-            let mut happened = frames.clone();
-            happened.retain(|frame| frame.kind != MessageKind::World);
-            let mut joined = 0;
-            for at in (0..frames.len()).step_by(3) {
-                let granted = frames[..at].iter().rev().find_map(|frame| match frame.message() {
+            for at in (0..self.frames.len()).step_by(5).chain(0..12) {
+                let granted = self.frames[..at].iter().rev().find_map(|frame| match frame.message() {
                     Ok(Message::World(world)) => Some(world.last + 1),
                     Ok(_) | Err(_) => None,
                 });
-                let status = ClockStatus {
-                    tti: granted.unwrap_or_default(),
-                    ttis: scenario.ttis,
-                    paused: false,
-                    until: Tti(scenario.ttis),
-                    pace: Pace::Max,
-                    begun: true,
-                    devices: scenario.devices,
-                    lost: Vec::new(),
-                };
-                let mut told = Vec::new();
-                let mut past = Past::new(scenario.clone());
-                past.learn(known(at)).expect("a log");
-                past.catch_up(&status, |frame| told.push(frame)).expect("it is over");
-                for (number, frame) in (at..).zip(&frames[at..]) {
-                    past.learn(&known(number + 1)[past.read() as usize..]).expect("a log");
-                    past.hear(frame.clone(), |frame| told.push(frame)).expect("it is over");
-                }
-                if past.is_over {
-                    // How TTIs were granted changes nothing.
-                    told.retain(|frame| frame.kind != MessageKind::World);
-                    assert!(told == happened, "hold {hold}, joined at frame {at}");
-                    joined += 1;
+                let stands = matches!(self.frames[at].kind, MessageKind::Plan | MessageKind::Clock);
+                for paused in [false, true] {
+                    if paused && !stands {
+                        continue;
+                    }
+                    let status = ClockStatus {
+                        tti: granted.unwrap_or_default(),
+                        ttis: scenario.ttis,
+                        paused,
+                        until: end,
+                        pace: Pace::Max,
+                        begun: true,
+                        devices: scenario.devices,
+                        lost: Vec::new(),
+                    };
+                    let (mut told, mut past) = (Vec::new(), Past::new(scenario.clone()));
+                    past.learn(known(at)).expect("a log");
+                    past.catch_up(&status, |frame| told.push(frame)).expect("it is over");
+                    for (number, frame) in (at..).zip(&self.frames[at..]) {
+                        past.learn(&known(number + 1)[past.read() as usize..]).expect("a log");
+                        past.hear(frame.clone(), |frame| told.push(frame)).expect("it is over");
+                    }
+                    assert!(happened(&told) == all, "joined at frame {at}, paused: {paused}");
                 }
             }
-            assert!(joined > 40, "{joined}");
+        }
+    }
+
+    #[test]
+    fn a_run_is_whole_from_wherever_it_is_joined() {
+        for policy in ["knn", "age-index"] {
+            let scenario = scenario(policy);
+            for lookahead in [true, false] {
+                Heard::of(&scenario, &[], lookahead).assert_whole_from_everywhere(&scenario);
+            }
+        }
+    }
+
+    #[test]
+    fn so_is_one_that_devices_go_from() {
+        let scenario = scenario("knn");
+        let gone = |first, tti, wake_ups| Outage {
+            first: DeviceId(first),
+            count: 5,
+            tti: Tti(tti),
+            wake_ups,
+        };
+        let outages = [gone(0, 40, None), gone(10, 41, None), gone(5, 180, None)];
+        for lookahead in [true, false] {
+            let heard = Heard::of(&scenario, &outages, lookahead);
+            assert_eq!(heard.inputs.len(), outages.len());
+            heard.assert_whole_from_everywhere(&scenario);
+        }
+    }
+
+    #[test]
+    fn so_is_one_that_is_decided_for() {
+        let scenario = scenario("external");
+        for hold in [1, 30, 500] {
+            Heard::decided(&scenario, hold).assert_whole_from_everywhere(&scenario);
         }
     }
 }

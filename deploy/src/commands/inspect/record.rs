@@ -29,10 +29,11 @@ pub async fn run(args: &InspectRecordArgs) -> anyhow::Result<ExitCode> {
         tape.take(frame);
         tape.failure().is_none()
     };
-    live.follow(past, record).await?;
+    let followed = live.follow(past, record).await;
     drop(tape);
     let (left_out, whole) = (live.left_out, live.check_whole());
     let recorded = recorder.finish(None).map_err(failed)?;
+    followed?;
     live.close().await;
     note!(
         "recorded {} messages in {}, {:.1} MB, in {:.1} s",
