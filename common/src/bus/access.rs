@@ -1,11 +1,11 @@
 //! What a peer may do on the bus of a run: what its part needs, and nothing else.
 //!
 //! The BS is a router, and all that others send passes through it. Who connects may ask for places, ask the clock, have
-//! the run described and read its log of inputs, and follow the tap. A host, which was told the run's secret with its places, may besides
-//! hear the clock, plans and wake-ups, and send on keys of hosts; that it sends on its own the BS sees by its token.
-//! Nobody but the BS may speak for the clock, tell plans, wake devices, answer the BS's kinds of questions or feed the
-//! tap. At the policy port the BS asks and anybody may answer: it believes who shows the run's key. See
-//! [`crate::keys`] for why a wildcard does not help a stranger.
+//! the run described and read its log of inputs, and follow the tap. A host, which was told the run's secret with its
+//! places, may besides hear the clock, plans and wake-ups, and send on keys of hosts; that it sends on its own the BS
+//! sees by its token. Nobody but the BS may speak for the clock, tell plans, wake devices, answer the BS's kinds of
+//! questions or feed the tap. At the policy port the BS asks and anybody may answer: it believes who shows the run's
+//! key. See [`crate::keys`] for why a wildcard does not help a stranger.
 
 use crate::keys::Keys;
 use crate::message::MessageKind;
