@@ -5,7 +5,6 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::Concerns;
-use crate::ids::DeviceId;
 
 /// Where the BS believes the event to be, once all that a TTI has brought is heard.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -25,11 +24,7 @@ pub struct Likely {
     pub share: f32,
 }
 
-impl Concerns for Belief {
-    fn concerns(&self, _number: Option<u32>, _device: DeviceId) -> bool {
-        false
-    }
-}
+impl Concerns for Belief {}
 
 impl fmt::Display for Belief {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Concerns;
 use crate::event::Stimulus;
-use crate::ids::{DeviceId, Tti};
+use crate::ids::Tti;
 
 /// The grant of one or more TTIs.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -43,11 +43,7 @@ pub enum Clock {
     Fail(String),
 }
 
-impl Concerns for Clock {
-    fn concerns(&self, _number: Option<u32>, _device: DeviceId) -> bool {
-        false
-    }
-}
+impl Concerns for Clock {}
 
 impl fmt::Display for Clock {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -44,11 +44,7 @@ pub enum ClockCommand {
     Status,
 }
 
-impl Concerns for ClockCommand {
-    fn concerns(&self, _number: Option<u32>, _device: DeviceId) -> bool {
-        false
-    }
-}
+impl Concerns for ClockCommand {}
 
 impl fmt::Display for ClockCommand {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -5,17 +5,12 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::Concerns;
-use crate::ids::DeviceId;
 
 /// Emulation, observer → BS, a query: the scenario of the run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Describe;
 
-impl Concerns for Describe {
-    fn concerns(&self, _number: Option<u32>, _device: DeviceId) -> bool {
-        false
-    }
-}
+impl Concerns for Describe {}
 
 impl fmt::Display for Describe {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

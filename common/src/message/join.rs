@@ -5,7 +5,6 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::{Assignment, Concerns};
-use crate::ids::DeviceId;
 
 /// Emulation, host → BS, a query: places in the run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -31,11 +30,7 @@ pub enum JoinReply {
     Refused(String),
 }
 
-impl Concerns for JoinRequest {
-    fn concerns(&self, _number: Option<u32>, _device: DeviceId) -> bool {
-        false
-    }
-}
+impl Concerns for JoinRequest {}
 
 impl fmt::Display for JoinRequest {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -5,7 +5,6 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::Concerns;
-use crate::ids::DeviceId;
 
 /// Emulation, observer → BS, a query: a part of the run's log of inputs, which can be longer than a message may be and
 /// grows as the run goes on.
@@ -15,11 +14,7 @@ pub struct ReadLog {
     pub from: u64,
 }
 
-impl Concerns for ReadLog {
-    fn concerns(&self, _number: Option<u32>, _device: DeviceId) -> bool {
-        false
-    }
-}
+impl Concerns for ReadLog {}
 
 impl fmt::Display for ReadLog {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -374,8 +374,12 @@ pub trait Question: Payload {
 
 /// Whom a message concerns.
 pub trait Concerns {
-    /// Whether the message is to, from or about `device`; `number` is the one in its key.
-    fn concerns(&self, number: Option<u32>, device: DeviceId) -> bool;
+    /// Whether the message is to, from or about `device`; `number` is the one in its key. Most concern none in
+    /// particular.
+    fn concerns(&self, number: Option<u32>, device: DeviceId) -> bool {
+        let _ = (number, device);
+        false
+    }
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::Concerns;
-use crate::ids::{DeviceId, HostId};
+use crate::ids::HostId;
 
 /// Emulation, host → BS, a query: the host is subscribed to everything and waits for the first TTI. The reply says
 /// whether its places are still its own.
@@ -15,11 +15,7 @@ pub struct Ready {
     pub host: HostId,
 }
 
-impl Concerns for Ready {
-    fn concerns(&self, _number: Option<u32>, _device: DeviceId) -> bool {
-        false
-    }
-}
+impl Concerns for Ready {}
 
 impl fmt::Display for Ready {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -22,11 +22,7 @@ pub struct World {
     pub until: Tti,
 }
 
-impl Concerns for World {
-    fn concerns(&self, _number: Option<u32>, _device: DeviceId) -> bool {
-        false
-    }
-}
+impl Concerns for World {}
 
 impl fmt::Display for World {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -51,11 +47,7 @@ pub enum EventNews {
     Ended(EventRecord),
 }
 
-impl Concerns for EventNews {
-    fn concerns(&self, _number: Option<u32>, _device: DeviceId) -> bool {
-        false
-    }
-}
+impl Concerns for EventNews {}
 
 impl fmt::Display for EventNews {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
