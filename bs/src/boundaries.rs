@@ -1,12 +1,11 @@
-//! The TTIs at which all devices are brought up to date and summed: the end of the warm-up, the ends of the windows of
-//! the per-window series, and the end of the run.
+//! The TTIs at which the energy of all devices is summed: the end of the warm-up, of each window and of the run.
 
 use reveille_common::ids::Tti;
 use reveille_common::scenario::Scenario;
 
 /// The account boundaries of a run.
 #[derive(Clone, Copy, Debug)]
-pub struct Boundaries {
+pub(crate) struct Boundaries {
     warm_up_end: Tti,
     end: Tti,
     window: u64,
@@ -14,38 +13,23 @@ pub struct Boundaries {
 
 impl Boundaries {
     /// The boundaries of `scenario` with windows of `window` TTIs; [`u64::MAX`] for none.
-    pub fn new(scenario: &Scenario, window: u64) -> Self {
+    pub(crate) fn new<P>(scenario: &Scenario<P>, window: u64) -> Self {
         assert!(window > 0, "a window holds at least one TTI");
         Self {
             warm_up_end: scenario.warm_up_end(),
-            end: Tti(scenario.ttis),
+            end: Tti(scenario.run.ttis),
             window,
         }
     }
 
-    /// The boundaries of the same run, if it ends before TTI `end`.
-    #[must_use]
-    pub const fn until(self, end: Tti) -> Self {
-        Self { end, ..self }
-    }
-
-    /// The end of the warm-up: the first measured TTI.
-    pub const fn warm_up_end(&self) -> Tti {
-        self.warm_up_end
-    }
-
     /// The TTI before which the run ends.
-    pub const fn end(&self) -> Tti {
+    pub(crate) const fn end(&self) -> Tti {
         self.end
     }
 
-    /// Whether the TTIs before `k` are summed before `k` is granted.
-    pub const fn is_boundary(&self, k: Tti) -> bool {
-        k.0 > 0 && (k.0 == self.warm_up_end.0 || k.0 == self.end.0 || k.0.is_multiple_of(self.window))
-    }
-
     /// The first boundary after `k`, or the end.
-    pub fn next_boundary(&self, k: Tti) -> Tti {
+    pub(crate) fn next_boundary(&self, k: Tti) -> Tti {
+        // `window` is `u64::MAX` for a run without windows.
         let window_end = (k.0 / self.window).saturating_add(1).saturating_mul(self.window);
         let warm_up_end = if self.warm_up_end > k {
             self.warm_up_end.0
@@ -74,13 +58,6 @@ mod tests {
             found.push(k.0);
         }
         assert_eq!(found, [20, 25, 40, 60, 80, 95]);
-        assert!(
-            (0..96)
-                .map(Tti)
-                .filter(|&k| boundaries.is_boundary(k))
-                .map(|k| k.0)
-                .eq(found)
-        );
         let whole = Boundaries {
             window: u64::MAX,
             warm_up_end: Tti::ZERO,

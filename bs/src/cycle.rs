@@ -1,104 +1,70 @@
-//! The cycle of a TTI: world, base station and score, wired together. No I/O.
+//! The combination of world, base station and score of a run. No I/O.
 //!
-//! ```text
-//!                  grant()              gathered()              woken()
-//!   between TTIs ─────────► Granted ─────────────► Waking ◄──────────────┐
-//!      ▲                       │                     │   └───────────────┘ the policy asks for one more
-//!      │                       │ nobody to wake      │
-//!      └───────────────────────┴─────────────────────┘ the TTI closes
-//! ```
-//! [`Granted`] and [`Waking`] are given out by one step and used up by the next: the order is held by types.
+//! [`Session`](crate::session::Session) calls the steps in their order: a grant, the reports of its last TTI, and the
+//! wake-ups, one by one, until the TTI closes. Under an external policy, the cycle stops for a plan before a grant
+//! (`Cycle::needs_plan`) and for wake-ups after reports (`CycleStep::Asks`).
 //!
-//! Where somebody outside decides ([`external`](crate::policy::external)), the cycle asks. A plan is asked for between
-//! TTIs ([`Cycle::question`], answered by [`Cycle::decide`]); whom to wake, after reports, by a step of its own,
-//! [`Step::Asks`], whose [`Asking`] is used up by [`Cycle::wake`]. Policies of this program are never asked.
+//! A grant covers one or more TTIs. All but the last are *quiet*: no device can detect an event in them, whatever its
+//! battery, because no event is active or no device in range has δ = 1. The clock knows this from the plan and from the
+//! world; the policy receives none of it. A run with one TTI per grant has the same outcome.
 //!
-//! A grant covers one or more TTIs. All but the last are *quiet*: no device can detect anything in them, whatever its
-//! battery, because no event is active or no device that could sense it has δ = 1. The clock knows that from the plan
-//! and from the world that it plays; the policy sees none of it. A driver that asks for one TTI at a time gets the same
-//! run.
-//!
-//! A policy that decides in every TTI decides for all of them at once: where a TTI is quiet, that nothing was heard is
-//! known before any device has gone through it. Only who is told the true batteries must wait for them.
+//! A policy that decides in every TTI decides for all of them before the grant, since a quiet TTI brings no reports.
+//! Only a policy that needs the true batteries has to wait for the devices.
+
+use std::sync::Arc;
 
 use reveille_common::codec;
+use reveille_common::deployment::Deployment;
+use reveille_common::event::Stimulus;
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{Failure, Outage, PlanUpdate, Report, WakeOutcome, WakeUp};
+use reveille_common::message::{DeviceRemoval, FailedTransmission, PlanUpdate, Report, WakeOutcome, WakeUp};
 use reveille_common::plan::Plan;
-use reveille_common::scenario::Scenario;
-use reveille_common::score::{Final, Score};
-use reveille_common::totals::{EventTotals, Ledger};
+use reveille_common::rng::PolicyStreams;
+use reveille_common::score::{DeviceRecord, Digest, FinalScore, Metrics, Score};
+use reveille_common::totals::{EventTotals, Ledger, Totals};
 use reveille_common::units::Energy;
-use reveille_common::world::{Turn, World};
+use reveille_common::world::{World, WorldChange};
 
-use crate::grant::Grant;
-use crate::observe::{Happening, Observer};
-use crate::outcome::Outcome;
-use crate::policy::external::{Decision, Question, Stage};
-use crate::prepared::Prepared;
-use crate::station::Station;
+use crate::base_station::Station;
+use crate::bounds_cache::BoundsCache;
+use crate::knowledge::Knowledge;
+use crate::observer::{Grant, Notification, Observer};
+use crate::policy::external::{DecisionContext, DecisionStage, PlanDecision};
+use crate::policy::factory::PolicyFactory;
+use crate::policy::interface::{Opaque, Policy};
+use crate::scenario::Scenario;
 
-/// Plans that go with a grant at the most. More would not be faster, and all of them have to be decided, sent and kept
-/// before anybody answers.
+/// Largest number of plans in a grant. More would not be faster, and all of them have to be decided, sent and kept
+/// before any host answers.
 const AHEAD: usize = 64;
 
-/// A grant that is out. [`Cycle::gathered`] takes it back.
-#[derive(Debug)]
-#[must_use = "the TTIs are open until their reports are gathered"]
-#[non_exhaustive]
-pub struct Granted {
-    /// The TTIs that are granted.
-    pub grant: Grant,
-    /// What goes out on the air in them, TTI by TTI: a new plan, or the plan in force once more for synchronisation.
-    pub updates: Vec<PlanUpdate>,
-}
-
-/// A wake-up that is out. [`Cycle::woken`] takes it back.
-#[derive(Debug)]
-#[must_use = "the TTI is open until it is known what came of the wake-up"]
-pub struct Waking {
-    tti: Tti,
-    device: DeviceId,
-    sent: Tti,
-    is_late: bool,
-}
-
-impl Waking {
+/// A wake-up to carry out.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WakeOrder {
+    /// The TTI that accounts for it.
+    pub tti: Tti,
+    /// Its number in this TTI, from 0.
+    pub number: u32,
     /// The device to wake.
-    pub const fn device(&self) -> DeviceId {
-        self.device
-    }
-
-    /// Whether the event is over when the device is awake. Ground truth.
-    pub const fn is_late(&self) -> bool {
-        self.is_late
-    }
-
-    /// What goes out on the air.
-    pub const fn message(&self) -> WakeUp {
-        WakeUp { tti: self.sent }
-    }
+    pub device: DeviceId,
+    /// The message on the air.
+    pub message: WakeUp,
+    /// The event once the device is awake; `None` if it is over by then. Ground truth.
+    pub stimulus: Option<Stimulus>,
 }
 
-/// A question for somebody outside: whom to wake. [`Cycle::wake`] takes it back. A copy goes with a copy of its cycle.
-#[derive(Clone, Debug)]
-#[must_use = "the TTI is open until it is answered"]
-pub struct Asking {
-    tti: Tti,
-}
-
-/// What follows the reports of a TTI.
-#[derive(Debug)]
-pub enum Step {
-    /// Send this wake-up and tell [`Cycle::woken`] what came of it.
-    WakeUp(Waking),
-    /// Ask whom to wake ([`Cycle::question_of`]) and tell [`Cycle::wake`].
-    Asks(Asking),
+/// The step that follows the reports of a TTI.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum CycleStep {
+    /// Carry out this wake-up, then call [`Cycle::complete_wake_up`].
+    WakeUp(WakeOrder),
+    /// Answer [`Cycle::wake_question`] of this TTI by [`Cycle::wake`].
+    Asks(Tti),
     /// The TTI is closed; the next may be granted.
     Closed,
 }
 
-/// A run as its clock drives it.
+/// The world, the base station and the score of a run.
 pub struct Cycle {
     scenario: Scenario,
     world: World,
@@ -107,26 +73,28 @@ pub struct Cycle {
     next: Tti,
     is_open: bool,
     /// Wake-ups of the open TTI.
-    wake_ups: u64,
-    /// What the world did in the last grant; kept for its memory.
-    turns: Vec<Turn>,
+    wake_up_count: u32,
+    /// The TTI of each device's last wake-up, in the order of ids; [`Tti::NEVER`] before the first.
+    last_woken: Vec<Tti>,
+    /// Changes of the world in the last grant; kept to reuse its memory.
+    turns: Vec<WorldChange>,
 }
 
 impl Cycle {
-    /// The cycle of a run before TTI 0.
-    pub fn new(prepared: &Prepared) -> Self {
+    /// Creates the cycle of a run, before TTI 0.
+    pub fn new(prepared: &PreparedRun) -> Self {
         Self::with_world(prepared, World::new(&prepared.scenario, &prepared.deployment))
     }
 
-    /// As [`Self::new`], in a world of the caller's, such as one with scripted events.
-    pub fn with_world(prepared: &Prepared, world: World) -> Self {
+    /// Creates a cycle with a given world, such as one with scripted events.
+    pub fn with_world(prepared: &PreparedRun, world: World) -> Self {
         let known = prepared.knowledge();
-        let mind = prepared.mind(&known);
-        Self::with_station(prepared, world, Station::new(known, mind))
+        let policy = prepared.policy(&known);
+        Self::with_station(prepared, world, Station::new(known, policy))
     }
 
-    /// As [`Self::with_world`], with a base station of the caller's, such as one whose decisions are recorded.
-    pub fn with_station(prepared: &Prepared, world: World, station: Station) -> Self {
+    /// Creates a cycle with a given world and base station, such as one whose decisions are recorded.
+    pub fn with_station(prepared: &PreparedRun, world: World, station: Station) -> Self {
         Self {
             scenario: prepared.scenario.clone(),
             world,
@@ -134,7 +102,8 @@ impl Cycle {
             score: Score::new(&prepared.scenario, &prepared.deployment),
             next: Tti::ZERO,
             is_open: false,
-            wake_ups: 0,
+            wake_up_count: 0,
+            last_woken: vec![Tti::NEVER; prepared.deployment.devices.len()],
             turns: Vec::new(),
         }
     }
@@ -144,100 +113,98 @@ impl Cycle {
         self.next
     }
 
-    /// Whether a grant is out, or a TTI not closed.
+    /// Whether a grant is out and its last TTI is not closed.
     pub const fn is_open(&self) -> bool {
         self.is_open
     }
 
-    /// The plan in force.
+    /// The current plan.
     pub const fn plan(&self) -> &Plan {
         self.station.plan()
     }
 
     /// Sums over the counted events that have ended.
-    pub const fn event_totals(&self) -> &EventTotals {
+    pub(crate) const fn event_totals(&self) -> &EventTotals {
         self.score.events()
     }
 
-    /// Ground truth for a driver that owns all devices: who detects the event in the granted TTI, battery permitting.
+    /// Devices that detect the event in the last granted TTI if their battery allows it. Ground truth, for a shell that
+    /// owns all devices.
     pub fn detectors(&self) -> &[DeviceId] {
         self.world.detectors()
     }
 
-    /// Whether the true batteries are to be told before the next grant.
-    pub fn wants_batteries(&self) -> bool {
-        self.station.wants_batteries(self.next)
+    /// Whether the policy needs the true batteries before it decides for TTI `k`.
+    pub(crate) fn needs_batteries(&self, k: Tti) -> bool {
+        self.station.needs_batteries(k)
     }
 
-    /// Whether the true batteries will be wanted after every grant.
-    pub fn will_want_batteries(&self) -> bool {
-        self.station.is_told_batteries()
+    /// Sets the batteries that the policy sees to `levels`, one per device in the order of ids, as at the end of the
+    /// last TTI. Call it when no TTI is open.
+    pub(crate) fn set_batteries(&mut self, levels: impl IntoIterator<Item = Energy>, observer: &mut impl Observer) {
+        self.station.set_batteries(levels);
+        observer.batteries_revealed(self.next, self.station.batteries());
     }
 
-    /// The battery levels of all devices, in the order of ids, at the end of the last TTI. To be told between TTIs.
-    pub fn tell_batteries(&mut self, levels: impl IntoIterator<Item = Energy>, observer: &mut impl Observer) {
-        self.station.tell_batteries(levels);
-        observer.told(self.next, self.station.batteries());
+    /// Whether an external policy has to decide a plan before the next grant. False if a policy of this program
+    /// decides, the last plan still holds, or the decision has been made.
+    #[inline]
+    pub(crate) fn needs_plan(&self) -> bool {
+        !self.is_open && self.station.needs_plan(self.next)
     }
 
-    /// What somebody outside is to decide before the next grant; after the true batteries have been told where they are
-    /// wanted. Nothing where a policy of this program decides, the last plan holds on, or it was answered.
-    pub fn question(&self) -> Option<Question<'_>> {
-        let asks = !self.is_open && self.station.asks_for_plan(self.next);
-        asks.then(|| self.station.question(self.next, Stage::Plan))?
+    /// The context of an external policy's plan for the next TTI, even if no plan is due and at the end of the run.
+    /// `None` while a TTI is open or if a policy of this program decides.
+    pub fn next_decision_context(&self) -> Option<DecisionContext<'_>> {
+        (!self.is_open).then(|| self.station.question(self.next, DecisionStage::Plan))?
     }
 
-    /// Between TTIs, what somebody outside would be asked for a plan of the next one, whether it is asked or the run is
-    /// at its end. Nothing where a policy of this program decides.
-    pub fn outlook(&self) -> Option<Question<'_>> {
-        (!self.is_open).then(|| self.station.question(self.next, Stage::Plan))?
-    }
-
-    /// The answer to [`Self::question`].
+    /// Takes the plan that [`Self::needs_plan`] asks for.
     ///
     /// # Panics
-    /// If nobody has asked.
-    pub fn decide(&mut self, decision: Decision) {
-        assert!(self.question().is_some(), "no plan was asked for");
-        self.station.tell_plan(decision);
+    /// If no decision is due.
+    pub(crate) fn decide(&mut self, decision: PlanDecision) {
+        assert!(self.needs_plan(), "no plan was asked for");
+        self.station.set_plan(decision);
     }
 
-    /// What somebody outside is to decide within a TTI: whom to wake.
-    pub fn question_of(&self, asking: &Asking) -> Question<'_> {
-        let question = self.station.question(asking.tti, Stage::Wake);
-        question.expect("who is asked decides")
+    /// The wake-ups that an external policy has to decide in TTI `tti`, after [`CycleStep::Asks`].
+    pub(crate) fn wake_question(&self, tti: Tti) -> DecisionContext<'_> {
+        let question = self.station.question(tti, DecisionStage::Wake);
+        question.expect("an external policy has asked")
     }
 
-    /// The answer to [`Step::Asks`]: these devices are woken, one after the other in this order, before it is asked
-    /// again; nobody ends the wake-ups of the TTI. What cannot be done is left out, see
-    /// [`external`](crate::policy::external).
-    #[expect(clippy::needless_pass_by_value, reason = "a question is used up by its answer")]
-    pub fn wake(&mut self, asking: Asking, devices: &[DeviceId], observer: &mut impl Observer) -> Step {
-        self.station.tell_whom(asking.tti, devices);
-        self.next_step(asking.tti, observer)
+    /// Answers [`Self::wake_question`]: wake these devices in this order, then ask again; an empty list ends the
+    /// wake-ups of the TTI. [`external`](crate::policy::external) lists the devices that are left out.
+    pub(crate) fn wake(&mut self, tti: Tti, devices: &[DeviceId], observer: &mut impl Observer) -> CycleStep {
+        self.station.set_wake_ups(tti, devices);
+        self.next_step(tti, observer)
     }
 
-    /// A copy of the run that goes on from here, where somebody outside decides.
-    pub fn branch(&self) -> Option<Self> {
+    /// A copy that continues from here, under an external policy; `None` under any other.
+    pub(crate) fn fork(&self) -> Option<Self> {
         Some(Self {
             station: self.station.branch()?,
             scenario: self.scenario.clone(),
             world: self.world.clone(),
+            last_woken: self.last_woken.clone(),
             score: self.score.clone(),
             turns: self.turns.clone(),
             ..*self
         })
     }
 
-    /// Grants TTIs from [`Self::next_tti`] on, at most up to and not including `horizon`.
+    /// Grants TTIs from [`Self::next_tti`] to before `horizon`. Also returns the plans sent in them, TTI by TTI: a new
+    /// plan, or the current plan again for synchronisation.
     ///
     /// # Panics
-    /// If the last grant is still open, `horizon` is not after the next TTI, or a [`Self::question`] is not answered.
-    pub fn grant(&mut self, horizon: Tti, observer: &mut impl Observer) -> Granted {
+    /// If the last grant is still open, `horizon` is not after the next TTI, or [`Self::needs_plan`].
+    pub(crate) fn grant(&mut self, horizon: Tti, observer: &mut impl Observer) -> (Grant, Vec<PlanUpdate>) {
         assert!(!self.is_open, "TTI {} is still open", self.next);
         let first = self.next;
         assert!(first < horizon, "a grant covers at least one TTI");
-        let foresees = !self.station.is_told_batteries();
+        // True batteries come from the devices, so a plan for a later TTI must wait until this grant is answered.
+        let foresees = !self.station.needs_true_batteries();
         let mut updates = Vec::new();
         let last = loop {
             updates.extend(self.announce(observer));
@@ -246,47 +213,51 @@ impl Cycle {
                 || updates.len() >= AHEAD
                 || span.stimulus.is_some()
                 || span.last + 1 >= horizon
-                || self.station.asks_for_plan(span.last + 1)
+                || self.station.needs_plan(span.last + 1)
+                // Devices return their states once per grant, at its end, so a longer grant would skip states that an
+                // observer asked for.
                 || observer.wants_states()
             {
                 break span;
             }
+            // A quiet TTI brings no reports, so the station can close its reports before the devices have run it.
             self.station.gathered(span.last, &[]);
             self.next = span.last + 1;
         };
         self.is_open = true;
-        Granted {
-            grant: Grant { first, ..last },
-            updates,
-        }
+        (Grant { first, ..last }, updates)
     }
 
-    /// What goes out on the air in the next TTI.
+    /// Returns the plan to send in the next TTI, if any.
     fn announce(&mut self, observer: &mut impl Observer) -> Option<PlanUpdate> {
         let k = self.next;
         let (update, is_new) = self.station.announce(k)?;
         self.score.plan(&update, is_new, codec::encoded_len(&update));
+        // Sent before the world advances: a device that misses the plan senses by the one it has.
         let missed = self.world.plan_sent(k, &update.plan);
-        self.score.plan_missed(k, u64::from(self.scenario.devices), missed);
-        observer.see(&Happening::Plan {
+        self.score.plan_missed(k, u64::from(self.scenario.run.devices), missed);
+        observer.notify(&Notification::Plan {
             update: &update,
             is_new,
         });
         Some(update)
     }
 
-    /// The TTIs from the next on, before `horizon` and before anything goes out on the air again, as far as all but the
-    /// last are quiet.
+    /// Advances the world from the next TTI, before `horizon` and before the next plan is sent. All TTIs but the last
+    /// are quiet.
     fn span(&mut self, horizon: Tti, observer: &mut impl Observer) -> Grant {
+        // One plan must hold for the whole span: the world finds the first device that can react under that plan.
         let grant = self.play(self.next, horizon.min(self.station.next_announcement(self.next)));
-        observer.see(&Happening::Granted(&grant));
+        observer.notify(&Notification::Granted(&grant));
         for turn in self.turns.drain(..) {
             match turn {
-                Turn::Started(event) => {
+                WorldChange::Started(event) => {
                     self.score.event_started(event);
-                    observer.see(&Happening::EventStarted(&event));
+                    observer.notify(&Notification::EventStarted(&event));
                 }
-                Turn::Missed(last) => observer.see(&Happening::EventEnded(&self.score.event_ended(last, 0.0))),
+                WorldChange::Missed(last) => {
+                    observer.notify(&Notification::EventEnded(&self.score.event_ended(last, 0.0)));
+                }
             }
         }
         grant
@@ -297,49 +268,52 @@ impl Cycle {
             world, station, turns, ..
         } = self;
         let (plan, genie) = station.commands();
-        let stimulated = world.play(first, horizon, plan, genie, turns);
+        let stimulated = world.advance(first, horizon, plan, genie, turns);
         Grant {
             first,
+            // No underflow: the caller's limit and the next announcement are both after `first`.
             last: stimulated.unwrap_or(Tti(horizon.0 - 1)),
             stimulus: stimulated.and_then(|_| world.stimulus()),
             until: world.until(),
         }
     }
 
-    /// The devices have done the grant; these are its reports and the devices that failed to report, in any order.
-    #[expect(clippy::needless_pass_by_value, reason = "a grant is used up by its reports")]
-    pub fn gathered(
+    /// Takes in the reports of TTI `tti`, the last of the grant, and the devices that failed to report, in any order.
+    pub(crate) fn complete_grant(
         &mut self,
-        granted: Granted,
+        tti: Tti,
         reports: &mut [Report],
-        failures: &mut [Failure],
+        failures: &mut [FailedTransmission],
         observer: &mut impl Observer,
-    ) -> Step {
-        let tti = granted.grant.last;
+    ) -> CycleStep {
+        // Answers arrive from the bus in any order. The digest, the score and the station need one order, by device.
         reports.sort_unstable_by_key(|report| report.device);
         failures.sort_unstable_by_key(|failure| failure.device);
         let arrived = self.carry(tti, reports, observer);
         for failure in failures.iter() {
             self.score.failed(failure);
-            observer.see(&Happening::Failed { tti, failure });
+            observer.notify(&Notification::Failed { tti, failure });
         }
         self.station.gathered(tti, &reports[..arrived]);
-        self.wake_ups = 0;
+        // `next_step` numbers the wake-ups of a TTI from 0; queued removals refer to these numbers.
+        self.wake_up_count = 0;
         self.next_step(tti, observer)
     }
 
-    /// Carries the `reports` of a TTI to the base station. Gives how many arrive: those are the first then, in order.
+    /// Transmits the `reports` of a TTI to the base station, and moves those that arrive to the front, in order.
+    /// Returns their number.
     fn carry(&mut self, tti: Tti, reports: &mut [Report], observer: &mut impl Observer) -> usize {
+        // The base station never sees a lost report, so the score and the observer must count it here.
         let air = self.world.air(tti);
         let mut arrived = 0;
         for at in 0..reports.len() {
             let report = reports[at];
             if air.loses_report(report.device) {
                 self.score.lost(&report);
-                observer.see(&Happening::Lost(&report));
+                observer.notify(&Notification::Lost(&report));
             } else {
                 self.score.reported(&report);
-                observer.see(&Happening::Reported(&report));
+                observer.notify(&Notification::Reported(&report));
                 reports[arrived] = report;
                 arrived += 1;
             }
@@ -347,25 +321,31 @@ impl Cycle {
         arrived
     }
 
-    /// Devices are gone from the last granted TTI on. The station is told nothing: it hears no more of them.
-    pub fn gone(&mut self, outage: &Outage, observer: &mut impl Observer) {
-        self.score.gone(outage);
-        observer.see(&Happening::Gone(outage));
+    /// Removes devices in the last granted TTI. The station receives no notice, only silence.
+    pub(crate) fn remove_devices(&mut self, outage: &DeviceRemoval, observer: &mut impl Observer) {
+        self.score.devices_removed(outage);
+        observer.notify(&Notification::Gone(outage));
     }
 
-    /// Whether `device` is gone.
-    pub fn is_gone(&self, device: DeviceId) -> bool {
+    /// Whether `device` is removed.
+    pub(crate) fn is_removed(&self, device: DeviceId) -> bool {
         self.score.is_gone(device)
     }
 
-    /// What came of the wake-up that the last [`Step`] asked for.
-    #[expect(clippy::needless_pass_by_value, reason = "a wake-up is used up by its outcome")]
-    pub fn woken(&mut self, waking: Waking, outcome: &WakeOutcome, observer: &mut impl Observer) -> Step {
-        let Waking { tti, device, .. } = waking;
-        let air = self.world.air(tti);
-        let outcome = &outcome.over(|device| air.loses_report(device));
-        self.score.woken(tti, device, outcome, self.world.is_far(device));
-        observer.see(&Happening::Woken { tti, device, outcome });
+    /// Takes in the outcome of the wake-up that the last [`CycleStep`] asked for.
+    pub(crate) fn complete_wake_up(
+        &mut self,
+        order: &WakeOrder,
+        outcome: WakeOutcome,
+        observer: &mut impl Observer,
+    ) -> CycleStep {
+        let WakeOrder { tti, device, .. } = *order;
+        // Only the radio model determines whether the report was lost on the way; the device does not know.
+        let outcome = &outcome.after_uplink(&self.world.air(tti));
+        // `is_far` needs an open event. There is one, since the world closes it only after the last wake-up.
+        self.score
+            .wake_up_completed(tti, device, outcome, self.world.is_far(device));
+        observer.notify(&Notification::Woken { tti, device, outcome });
         let report = match outcome {
             WakeOutcome::Reported(report) => Some(report),
             WakeOutcome::Failed(_) | WakeOutcome::Unheard | WakeOutcome::Lost(_) | WakeOutcome::Late { .. } => None,
@@ -374,69 +354,149 @@ impl Cycle {
         self.next_step(tti, observer)
     }
 
-    /// The group that each device is in, in the order of ids, where the policy groups them by place.
+    /// The group of each device, in the order of ids, if the policy groups devices by place.
     pub fn groups(&self) -> Option<&[u32]> {
-        self.station.mind().groups()
+        self.station.policy().groups()
     }
 
-    /// The run's outcome. `ledgers` are the devices' books in the order of ids.
+    /// Returns the outcome of the run. `ledgers` has the ledgers of all devices, in the order of ids.
     ///
     /// # Panics
     /// If the last grant is still open.
-    pub fn finish(self, ledgers: &[Ledger]) -> Outcome {
+    pub(crate) fn finish(self, ledgers: &[Ledger]) -> Outcome {
         assert!(!self.is_open, "TTI {} is still open", self.next);
         let (events, measured_from) = (&self.scenario.events, self.scenario.warm_up_end());
-        let alpha = events.mean_start_probability(self.scenario.seed, measured_from, self.next);
-        let Final {
+        // The probability in the measured TTIs, which differs from α where it changes with time.
+        let alpha = events.mean_start_probability(self.scenario.run.seed, measured_from, self.next);
+        let FinalScore {
             digest,
             metrics,
             totals,
             devices,
         } = self.score.finish(alpha, self.next, ledgers);
         Outcome {
-            facts: self.station.mind().facts(),
-            learned: self.station.mind().learned(),
+            facts: self.station.policy().summary_facts(),
+            learned: self.station.policy().learned(),
             digest,
             metrics,
             totals,
             devices,
             ttis_done: self.next.0,
-            complete: self.next.0 == self.scenario.ttis,
+            complete: self.next.0 == self.scenario.run.ttis,
         }
     }
 
-    /// The policy's next wake-up in `tti`, or the end of it.
-    fn next_step(&mut self, tti: Tti, observer: &mut impl Observer) -> Step {
+    /// Returns the policy's next wake-up in `tti`, or closes the TTI.
+    fn next_step(&mut self, tti: Tti, observer: &mut impl Observer) -> CycleStep {
         if let Some(device) = self.station.next_wake_up(tti) {
-            let sent = self.scenario.radio.sent(tti, self.wake_ups);
+            let number = self.wake_up_count;
+            // A second wake-up in a TTI would be a resend to a host and a new wake-up in memory. A policy that repeats
+            // a device would never end the TTI.
+            assert!(
+                self.last_woken.get(device.index()).is_some_and(|&last| last != tti),
+                "policy {} wakes {device} in TTI {tti}, which does not exist or is woken already; `next_wake_up` must \
+                 name a device of the run at most once per TTI",
+                self.scenario.policy.name()
+            );
+            self.last_woken[device.index()] = tti;
+            self.wake_up_count += 1;
+            let sent = self.scenario.radio.send_tti(tti, u64::from(number));
+            let message = WakeUp { tti: sent };
             let is_late = self.scenario.radio.is_late(sent, self.world.until());
-            self.wake_ups += 1;
-            let waking = Waking {
+            self.score.wake_up(tti, codec::encoded_len(&message));
+            observer.notify(&Notification::WakeUp { tti, device, sent });
+            return CycleStep::WakeUp(WakeOrder {
                 tti,
+                number,
                 device,
-                sent,
-                is_late,
-            };
-            self.score.wake_up(tti, codec::encoded_len(&waking.message()));
-            observer.see(&Happening::WakeUp { tti, device, sent });
-            return Step::WakeUp(waking);
+                message,
+                stimulus: self.world.stimulus().filter(|_| !is_late),
+            });
         }
-        if self.station.asks_whom(tti) {
-            return Step::Asks(Asking { tti });
+        // Queued wake-ups come first: the policy process decides again only when it has seen all their outcomes.
+        if self.station.needs_wake_ups(tti) {
+            return CycleStep::Asks(tti);
         }
         if observer.wants_beliefs() {
             let places = self.station.belief();
             if !places.is_empty() {
-                observer.see(&Happening::Believed { tti, places: &places });
+                observer.notify(&Notification::Believed { tti, places: &places });
             }
         }
+        // The score takes Î before the station resets it for the next TTI.
         if self.world.close(tti, self.score.is_reported()) {
             let record = self.score.event_ended(tti, self.station.information());
-            observer.see(&Happening::EventEnded(&record));
+            observer.notify(&Notification::EventEnded(&record));
         }
         self.station.closed(tti);
-        observer.see(&Happening::Closed(tti));
+        observer.notify(&Notification::Closed(tti));
         (self.is_open, self.next) = (false, tti + 1);
-        Step::Closed
+        CycleStep::Closed
+    }
+}
+
+/// Result of a run, complete or partial.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Outcome {
+    /// The run's fingerprint.
+    pub digest: Digest,
+    /// The metrics of its measured part.
+    pub metrics: Metrics,
+    /// The exact totals behind them.
+    pub totals: Totals,
+    /// Records of all devices, in the order of ids.
+    pub devices: Vec<DeviceRecord>,
+    /// Figures about the deployment that the policy has determined, by name.
+    pub facts: Vec<(&'static str, f64)>,
+    /// Tables of a learning policy at the end of the run.
+    pub learned: Option<Opaque>,
+    /// TTIs that were run.
+    pub ttis_done: u64,
+    /// Whether the run has reached its last TTI.
+    pub complete: bool,
+}
+
+/// A scenario with its deployment and the results of the pilot runs that its policy needs.
+#[derive(Clone, Debug)]
+pub struct PreparedRun {
+    /// The scenario.
+    pub scenario: Scenario,
+    /// Its devices.
+    pub deployment: Deployment,
+    /// The factory chosen by pilot runs, if the policy needs any.
+    pub found: Option<Arc<dyn PolicyFactory>>,
+    /// Warnings from the pilot runs, one sentence each, without a stop.
+    pub warnings: Vec<String>,
+    /// Random streams of the policy. A pilot run uses the streams of its run, so that both judge the same policy.
+    pub streams: PolicyStreams,
+    /// Grids of wake-up correlations, shared with other runs.
+    pub grids: Arc<BoundsCache>,
+}
+
+impl PreparedRun {
+    /// Prepares `scenario` with its deployment, for a policy that needs no pilot runs.
+    pub fn without_pilots(scenario: &Scenario) -> Self {
+        Self {
+            deployment: Deployment::new(scenario),
+            scenario: scenario.clone(),
+            found: None,
+            streams: PolicyStreams::new(scenario.run.seed),
+            warnings: Vec::new(),
+            grids: Arc::default(),
+        }
+    }
+
+    /// The base station's knowledge of the run.
+    pub fn knowledge(&self) -> Knowledge {
+        Knowledge {
+            streams: self.streams.clone(),
+            ..Knowledge::of(&self.scenario, &self.deployment, Arc::clone(&self.grids))
+        }
+    }
+
+    /// The policy, for a base station with the knowledge `known`.
+    pub fn policy(&self, known: &Knowledge) -> Box<dyn Policy> {
+        let found = self.found.as_deref();
+        found.unwrap_or_else(|| self.scenario.policy.settings()).build(known)
     }
 }

@@ -1,14 +1,13 @@
-//! What a base station knows before the first TTI, and what a policy is handed of a run.
+//! The base station's knowledge before the first TTI, which a policy receives.
 //!
-//! This is the wall between a policy and ground truth: the scenario, its seed, when and where events come, how long
-//! they last and what will be harvested do not pass it. What comes later, a policy hears by
-//! [`crate::observation::Observation`].
+//! [`Knowledge`] separates policies from ground truth: it contains neither scenario and seed, nor times, places and
+//! durations of events, nor future harvests. During the run a policy receives [`crate::observation::Observation`].
 
 use std::sync::Arc;
 
 use reveille_common::deployment::Deployment;
 use reveille_common::geometry::{Area, Point};
-use reveille_common::harvest::Course;
+use reveille_common::harvest::DayProfile;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::radio::Link;
 use reveille_common::rng::PolicyStreams;
@@ -16,30 +15,30 @@ use reveille_common::scenario::{BsSettings, EnergyModel, Scenario};
 use reveille_common::sensing::Sensing;
 use reveille_common::units::Energy;
 
-use crate::grids::Grids;
+use crate::bounds_cache::BoundsCache;
 
-/// What is known of one device.
+/// Knowledge of one device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DeviceKnowledge {
-    /// Where it stands.
+    /// Position.
     pub position: Point,
-    /// Its class, an index into [`Knowledge::classes`].
+    /// Class, an index into [`Knowledge::classes`].
     pub class: u16,
-    /// Battery and costs.
+    /// Battery parameters and energy costs.
     pub energy: EnergyModel,
-    /// Its mean harvest in a TTI; over a day where that differs with the time of the day.
+    /// Mean harvest per TTI; the mean over a day if the harvest varies with the time of day.
     pub mean_harvest: Energy,
 }
 
-/// What a base station knows of its deployment and of the model, the same for all policies.
+/// Knowledge of the deployment and of the model, the same for all policies.
 ///
-/// No policy can be built from the seed, though it may draw,
+/// A policy cannot use the seed, though it may draw random numbers:
 /// ```compile_fail
 /// fn peek(known: &reveille_bs::knowledge::Knowledge) -> u64 {
 ///     known.streams.seed
 /// }
 /// ```
-/// or from how long events last and from their process beyond α, or from what a device will harvest:
+/// It cannot use the duration of events, their process beyond α, or the future harvest of a device:
 /// ```compile_fail
 /// fn peek(known: &reveille_bs::knowledge::Knowledge) -> u64 {
 ///     known.events.duration
@@ -60,13 +59,13 @@ pub struct DeviceKnowledge {
 ///     let _ = &known.devices[0].harvest;
 /// }
 /// ```
-/// or from what the radio will lose:
+/// It cannot use the future losses of the radio:
 /// ```compile_fail
 /// fn peek(known: &mut reveille_bs::knowledge::Knowledge) {
 ///     known.radio.at(reveille_common::ids::Tti(5));
 /// }
 /// ```
-/// This is all that there is, so that whoever adds to it passes by here,
+/// This is the complete list of fields, so that a new field also needs a change here:
 /// ```
 /// use reveille_bs::knowledge::Knowledge;
 ///
@@ -77,7 +76,7 @@ pub struct DeviceKnowledge {
 ///     } = known;
 /// }
 /// ```
-/// and what it can do:
+/// A policy can use them as follows:
 /// ```
 /// use reveille_common::rng::PolicyPurpose;
 ///
@@ -90,9 +89,9 @@ pub struct DeviceKnowledge {
 pub struct Knowledge {
     /// The served area ξ.
     pub area: Area,
-    /// The sensing model, whose p is known and invertible.
+    /// The sensing model, with p known and invertible.
     pub sensing: Sensing,
-    /// How often the radio loses what, in the long run.
+    /// Long-run loss rates of the radio.
     pub radio: Link,
     /// Probability α that an event starts in a TTI in which none is active, `(0, 1]`; its long-run mean where it
     /// changes with time.
@@ -103,36 +102,37 @@ pub struct Knowledge {
     pub ttis: u64,
     /// The settings of the base station.
     pub bs: BsSettings,
-    /// The names of the device classes.
+    /// Names of the device classes.
     pub classes: Vec<String>,
-    /// By class, what is to be expected of its energy source at which time of the day, where that differs and is known.
-    pub courses: Vec<Option<Arc<Course>>>,
+    /// Expected harvest by time of day, for each class; `None` if it is constant or unknown.
+    pub courses: Vec<Option<Arc<DayProfile>>>,
     /// The devices, in the order of ids.
     pub devices: Vec<DeviceKnowledge>,
     /// The random draws that a policy may make.
     pub streams: PolicyStreams,
-    /// Grids of wake-up correlations that were computed before.
-    pub grids: Arc<Grids>,
+    /// Grids of wake-up correlations that have been computed.
+    pub grids: Arc<BoundsCache>,
 }
 
 impl Knowledge {
-    /// What a base station knows of `scenario` with its devices as in `deployment`. `grids` may be shared with other
-    /// runs.
-    pub fn of(scenario: &Scenario, deployment: &Deployment, grids: Arc<Grids>) -> Self {
+    /// Returns the base station's knowledge of `scenario` with the devices of `deployment`. `grids` may be shared with
+    /// other runs.
+    pub fn of<P>(scenario: &Scenario<P>, deployment: &Deployment, grids: Arc<BoundsCache>) -> Self {
         let devices = deployment.devices.iter().zip(&deployment.classes);
         Self {
             area: scenario.area,
             sensing: scenario.sensing.clone(),
             radio: scenario.radio.link(),
             alpha: scenario.events.alpha,
-            tau: scenario.tau,
-            ttis: scenario.ttis,
+            tau: scenario.run.tau,
+            ttis: scenario.run.ttis,
             bs: scenario.bs,
             classes: scenario.classes.iter().map(|class| class.name.clone()).collect(),
             courses: scenario
                 .classes
                 .iter()
-                .map(|class| class.harvest.setup(scenario.tau, 0).course().map(Arc::new))
+                // Only a source by the time of day has a day profile, so the index of the trace does not matter.
+                .map(|class| class.harvest.setup(scenario.run.tau, 0).course().map(Arc::new))
                 .collect(),
             devices: devices
                 .map(|(device, &class)| DeviceKnowledge {
@@ -142,7 +142,7 @@ impl Knowledge {
                     mean_harvest: device.harvest.mean(&deployment.traces),
                 })
                 .collect(),
-            streams: PolicyStreams::new(scenario.seed),
+            streams: PolicyStreams::new(scenario.run.seed),
             grids,
         }
     }
@@ -152,8 +152,8 @@ impl Knowledge {
         self.devices.len()
     }
 
-    /// What `device` is expected to harvest in the TTIs from `from` to before `end`: by the time of the day where its
-    /// course is known, and else by the mean. No draw is in it.
+    /// Expected harvest of `device` in the TTIs from `from` to before `end`. It follows the day profile of its class if
+    /// known, and the mean otherwise. It uses no random draw.
     pub fn expected_harvest(&self, device: DeviceId, from: Tti, end: Tti) -> Energy {
         let known = &self.devices[device.index()];
         match &self.courses[usize::from(known.class)] {

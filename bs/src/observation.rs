@@ -1,40 +1,40 @@
-//! What a policy sees in a TTI.
+//! The observation that a policy receives in a TTI.
 
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::plan::Plan;
 use reveille_common::units::Energy;
 
+use crate::battery_estimator::BatteryEstimator;
 use crate::knowledge::Knowledge;
-use crate::levels::Levels;
 
-/// The BS's view in a TTI: what it knew before, its own δ, what was reported, and batteries as far as it may know them.
-/// Epicentres and harvests are not in it.
+/// The BS's view in a TTI: its prior knowledge, its plan δ, the received reports, and batteries as far as it knows
+/// them. It does not contain epicentres or harvests.
 #[derive(Clone, Copy, Debug)]
 pub struct Observation<'a> {
     /// The TTI.
     pub now: Tti,
-    /// What was known before the first TTI.
+    /// Knowledge from before the first TTI.
     pub known: &'a Knowledge,
     /// δ as commanded.
     pub plan: &'a Plan,
     /// Î, the information gathered about the event in this TTI (Algorithm 1).
     pub information: f64,
-    /// Batteries at the end of the last TTI, as far as `bs.battery_knowledge` goes; empty for a policy that does not
-    /// look at them ([`crate::policy::contract::Policy::looks_at_batteries`]).
+    /// Batteries at the end of the last TTI, as far as `bs.battery_knowledge` allows. Empty for a policy that does not
+    /// need them ([`crate::policy::interface::Policy::needs_batteries`]).
     pub batteries: &'a [Energy],
-    /// What [`Self::can_report`] goes by; nothing where nobody asks.
-    pub levels: Option<&'a Levels>,
+    /// Levels for [`Self::can_report`]; `None` for a policy that does not need them.
+    pub levels: Option<&'a BatteryEstimator>,
 }
 
 impl Observation<'_> {
-    /// Whether `device` was told to sleep in this TTI (S4, δ = 0).
+    /// Whether the plan puts `device` to sleep in this TTI (S4, δ = 0).
     pub fn is_asleep(&self, device: DeviceId) -> bool {
         !self.plan.is_on(device, self.now)
     }
 
-    /// Whether `device` can pay for a report in this TTI, as far as the BS knows: the Pr(B ≥ E_Tx) that a wake-up
-    /// depends on (Sec. IV), taken as 1 or 0. For a policy that looks at batteries it follows from those; for others
-    /// from what each device reported last, was commanded since, and harvests on average.
+    /// Whether `device` can pay for a report in this TTI, as far as the BS knows. It stands for Pr(B ≥ E_Tx) of a
+    /// wake-up (Sec. IV), taken as 1 or 0. If the policy reads batteries, it follows from their levels. Otherwise it
+    /// follows from each device's last report, the plans since, and its mean harvest.
     pub fn can_report(&self, device: DeviceId) -> bool {
         self.levels
             .is_none_or(|levels| levels.can_report(device, self.now, self.plan))

@@ -1,15 +1,15 @@
-//! The wire form of every message: one version byte, then bincode with variable-length integers.
+//! The wire format of all messages: one version byte, then bincode with variable-length integers.
 //!
-//! bincode is unmaintained upstream. It is named in this file alone, so that another encoding replaces it here.
+//! bincode is unmaintained upstream. Only this file names it, so that another encoding can replace it here.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-/// The version of the wire form. A host and a BS of different versions refuse each other.
+/// The version of the wire format. A host and a BS with different versions refuse each other.
 pub const WIRE_VERSION: u8 = 7;
 
-/// The longest payload that is decoded, in bytes.
-pub const MAX_PAYLOAD: usize = 64 << 20;
+/// Maximum length of a decoded payload, in bytes.
+pub(crate) const MAX_PAYLOAD: usize = 64 << 20;
 
 const CONFIG: bincode::config::Configuration<
     bincode::config::LittleEndian,
@@ -17,13 +17,13 @@ const CONFIG: bincode::config::Configuration<
     bincode::config::Limit<MAX_PAYLOAD>,
 > = bincode::config::standard().with_limit::<MAX_PAYLOAD>();
 
-/// Why a payload is not a message.
+/// The reason why a payload is not a message.
 #[derive(Debug, thiserror::Error)]
 pub enum CodecError {
-    /// The payload has no byte.
+    /// The payload is empty.
     #[error("the payload is empty")]
     Empty,
-    /// Another version of Reveille sent it.
+    /// A program with another version of the wire format sent it.
     #[error(
         "the payload has wire version {0}, this program speaks version {WIRE_VERSION}: use the same release of \
             reveille on both sides"
@@ -37,10 +37,10 @@ pub enum CodecError {
     Trailing(usize),
 }
 
-/// The payload of `message`.
+/// Encodes `message` as a payload.
 ///
 /// # Panics
-/// If `message` holds a type that has no wire form (maps of unknown length); the messages of this crate do not.
+/// If `message` holds a type without a wire format (maps of unknown length); the messages of this crate do not.
 pub fn encode<T: Serialize>(message: &T) -> Vec<u8> {
     let mut payload = Vec::with_capacity(64);
     payload.push(WIRE_VERSION);
@@ -48,10 +48,10 @@ pub fn encode<T: Serialize>(message: &T) -> Vec<u8> {
     payload
 }
 
-/// The message in `payload`.
+/// Decodes the message in `payload`.
 ///
 /// # Errors
-/// If `payload` is of another version or not exactly one message of type `T`.
+/// If `payload` has another version or is not exactly one message of type `T`.
 pub fn decode<T: DeserializeOwned>(payload: &[u8]) -> Result<T, CodecError> {
     match payload.split_first() {
         None => Err(CodecError::Empty),
@@ -68,8 +68,9 @@ pub fn decode<T: DeserializeOwned>(payload: &[u8]) -> Result<T, CodecError> {
     }
 }
 
-/// The length of [`encode`]'s payload in bytes, without making it.
+/// Returns the length of [`encode`]'s payload in bytes, without encoding it.
 pub fn encoded_len<T: Serialize>(message: &T) -> u64 {
+    // The version byte.
     let mut counter = Counter(1);
     bincode::serde::encode_into_std_write(message, &mut counter, CONFIG).expect("messages have a wire form");
     counter.0

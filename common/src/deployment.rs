@@ -1,10 +1,10 @@
-//! A scenario put on the ground: which device stands where and carries what.
+//! The deployment of a scenario: the position and the setup of each device.
 
 use std::sync::Arc;
 
 use crate::geometry::{Point, place};
 use crate::ids::DeviceId;
-use crate::message::{Assignment, DeviceSetup, Membership};
+use crate::message::{BusCredentials, DeviceSetup, HostSetup};
 use crate::scenario::{Scenario, assign_classes};
 use crate::units::Energy;
 
@@ -15,15 +15,15 @@ pub struct Deployment {
     pub devices: Vec<DeviceSetup>,
     /// The class of each device, an index into [`Scenario::classes`].
     pub classes: Vec<u16>,
-    /// Recorded energy per TTI by row, that the devices' sources refer to.
+    /// Recorded energy per TTI, one row per trace; the devices' sources refer to the rows.
     pub traces: Vec<Arc<Vec<Energy>>>,
 }
 
 impl Deployment {
-    /// The deployment of `scenario`.
-    pub fn new(scenario: &Scenario) -> Self {
+    /// Deploys the devices of `scenario`.
+    pub fn new<P>(scenario: &Scenario<P>) -> Self {
         let (traces, first_trace) = collect_traces(scenario);
-        let positions = place(&scenario.layout, scenario.area, scenario.devices, scenario.seed);
+        let positions = place(&scenario.layout, scenario.area, scenario.run.devices, scenario.run.seed);
         let mut of_class = vec![0u32; scenario.classes.len()];
         let classes = assign_classes(scenario);
         let devices = positions
@@ -35,7 +35,7 @@ impl Deployment {
                 let kind = &scenario.classes[class];
                 let trace = first_trace[class] + kind.harvest.column_of(of_class[class]);
                 of_class[class] += 1;
-                let harvest = kind.harvest.setup(scenario.tau, trace);
+                let harvest = kind.harvest.setup(scenario.run.tau, trace);
                 DeviceSetup {
                     id: DeviceId(id),
                     position,
@@ -51,24 +51,31 @@ impl Deployment {
         }
     }
 
-    /// The positions, in the order of ids.
+    /// Returns the positions of the devices, in the order of ids.
     pub fn positions(&self) -> Vec<Point> {
         self.devices.iter().map(|d| d.position).collect()
     }
 
-    /// What the host of `membership` needs to carry the devices `first .. first + count` from TTI 0 on.
-    pub fn assignment(&self, scenario: &Scenario, membership: Membership, first: u32, count: u32) -> Assignment {
+    /// Returns the setup of the host of `membership` for the devices `first .. first + count` from TTI 0 on.
+    pub fn host_setup<P>(
+        &self,
+        scenario: &Scenario<P>,
+        membership: BusCredentials,
+        first: u32,
+        count: u32,
+    ) -> HostSetup {
         let devices = self.devices[first as usize..(first + count) as usize].to_vec();
+        // Traces can be long, so a host that reads none does not receive them.
         let traces = if devices.iter().any(|d| d.harvest.reads_a_trace()) {
             self.traces.clone()
         } else {
             Vec::new()
         };
-        Assignment {
+        HostSetup {
             membership,
             resumption: None,
-            seed: scenario.seed,
-            ttis: scenario.ttis,
+            seed: scenario.run.seed,
+            ttis: scenario.run.ttis,
             measured_from: scenario.warm_up_end(),
             sensing: scenario.sensing.clone(),
             radio: scenario.radio,
@@ -78,8 +85,8 @@ impl Deployment {
     }
 }
 
-/// All columns of all classes, and for each class the index of its first.
-fn collect_traces(scenario: &Scenario) -> (Vec<Arc<Vec<Energy>>>, Vec<u32>) {
+/// Collects all trace columns of all classes, and the index of the first column of each class.
+fn collect_traces<P>(scenario: &Scenario<P>) -> (Vec<Arc<Vec<Energy>>>, Vec<u32>) {
     let mut traces = Vec::new();
     let first = scenario
         .classes

@@ -1,12 +1,12 @@
-//! Battery and costs of a device.
+//! The battery and the energy costs of a device.
 
 use serde::{Deserialize, Serialize};
 
-use crate::declare::{Reader, ScenarioError, energy, positive_energy};
+use crate::declare::{FieldReader, ScenarioError, energy, positive_energy};
 use crate::units::Energy;
 
 crate::declare! {
-    /// Battery and costs of a device.
+    /// Battery and energy costs of a device.
     #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
     pub struct EnergyModel in "energy" {
         /// Battery capacity `E_max`.
@@ -17,18 +17,18 @@ crate::declare! {
         pub e_wur: Energy = energy(1.0 / 14.0).unit("units per TTI").source("Table II"),
         /// Cost `E_Tx` of a transmission, at most `e_max`.
         pub e_tx: Energy = energy(10.0).unit("units").source("Table II"),
-        /// Battery level at the start, at most `e_max`.
+        /// Initial battery level, at most `e_max`.
         pub initial: Energy = energy(0.0).unit("units").derived("half of `e_max`")
             => Energy::from_micro(e_max.micro() / 2),
     }
 }
 
 impl EnergyModel {
-    /// The settings that `reader` has.
+    /// Reads the settings from `reader`.
     ///
     /// # Errors
-    /// A value that may not be: no cost and no level is more than the battery holds.
-    pub fn settle(reader: &Reader<'_>) -> Result<Self, ScenarioError> {
+    /// If a value is invalid: no cost and no level may exceed the capacity of the battery.
+    pub fn from_fields(reader: &FieldReader<'_>) -> Result<Self, ScenarioError> {
         let model = Self::read(reader)?;
         let unpayable = ", or it can never be paid";
         for (path, cost, consequence) in [
@@ -40,7 +40,7 @@ impl EnergyModel {
             if cost > model.e_max {
                 let (limit, _) = reader.locate("energy.e_max");
                 let allowed = format!("must be at most {} units ({limit}){consequence}", model.e_max.units());
-                return Err(reader.refuse(path, cost.units(), allowed));
+                return Err(reader.invalid_value(path, cost.units(), allowed));
             }
         }
         Ok(model)

@@ -5,18 +5,18 @@ use std::ops::{Add, Sub};
 
 use serde::{Deserialize, Serialize};
 
-/// The largest number of devices N.
+/// Maximum number of devices N.
 pub const MAX_DEVICES: u32 = 1_000_000;
-/// The longest run K, event or interval, in TTIs.
+/// Maximum length of a run K, an event or an interval, in TTIs.
 pub const MAX_TTIS: u64 = 1_000_000_000;
 
-/// A device's number, `0 .. N`.
+/// The number of a device, `0 .. N`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct DeviceId(pub u32);
 
 impl DeviceId {
-    /// The number as an index into per-device arrays.
+    /// Returns the number as an index into per-device arrays.
     pub const fn index(self) -> usize {
         self.0 as usize
     }
@@ -28,13 +28,13 @@ impl fmt::Display for DeviceId {
     }
 }
 
-/// A host process's number within a run, in the order in which hosts joined.
+/// The number of a host process within a run, in the order in which hosts joined.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct HostId(pub u32);
 
 impl HostId {
-    /// The number as an index into per-host arrays.
+    /// Returns the number as an index into per-host arrays.
     pub const fn index(self) -> usize {
         self.0 as usize
     }
@@ -46,7 +46,7 @@ impl fmt::Display for HostId {
     }
 }
 
-/// An event's number, in the order of starts.
+/// The number of an event, in the order of starts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct EventId(pub u64);
@@ -59,16 +59,16 @@ pub struct Tti(pub u64);
 impl Tti {
     /// The first TTI of a run.
     pub const ZERO: Self = Self(0);
-    /// Later than every TTI of any run: "never".
+    /// A TTI later than any TTI of a run, which stands for "never".
     pub const NEVER: Self = Self(u64::MAX);
 
-    /// This TTI `n` later, [`Tti::NEVER`] at the most.
+    /// Returns the TTI `n` TTIs later, at most [`Tti::NEVER`].
     #[must_use]
     pub const fn saturating_add(self, n: u64) -> Self {
         Self(self.0.saturating_add(n))
     }
 
-    /// The TTI before this one, of which there must be one; [`Tti::NEVER`] stays as it is.
+    /// Returns the TTI before this one, which must not be the first; [`Tti::NEVER`] stays unchanged.
     #[must_use]
     pub(crate) const fn saturating_sub_one(self) -> Self {
         if self.0 == u64::MAX { self } else { Self(self.0 - 1) }

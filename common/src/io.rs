@@ -1,11 +1,11 @@
-//! The one place outside the bus that opens files.
+//! File access; no other module outside the bus opens files.
 
 use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
 
 use crate::declare::{FileError, Files};
 
-/// The files of this machine.
+/// The file system of this machine.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Disk;
 
@@ -15,6 +15,7 @@ impl Files for Disk {
         if about.is_dir() {
             return Err(FileError::Folder);
         }
+        // Checked before opening, because opening a pipe waits for its writer.
         if !about.is_file() {
             return Err(FileError::Special);
         }
@@ -23,7 +24,7 @@ impl Files for Disk {
             return Err(FileError::TooLong { length, most });
         }
         let mut bytes = Vec::with_capacity(length as usize);
-        // It may have grown since.
+        // Limited a second time, because the file may have grown since its length was read.
         std::fs::File::open(path)?.take(most).read_to_end(&mut bytes)?;
         Ok(bytes)
     }
@@ -34,5 +35,20 @@ impl Files for Disk {
 
     fn absolute(&self, path: &Path) -> io::Result<PathBuf> {
         std::path::absolute(path)
+    }
+}
+
+/// Checks that `page` holds `table` between `<!-- NAME -->` and `<!-- /NAME -->`. If not, writes it there and panics.
+#[cfg(test)]
+pub(crate) fn assert_table(page: &str, name: &str, table: &str) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(page);
+    let [above, below] = [format!("<!-- {name} -->\n"), format!("<!-- /{name} -->")];
+    let text = std::fs::read_to_string(&path).expect("the page");
+    let (before, rest) = text.split_once(&above).expect("the mark above the table");
+    let (held, after) = rest.split_once(&below).expect("the mark below the table");
+    if held != table {
+        let text = [before, &above, table, &below, after].concat();
+        std::fs::write(&path, text).expect("writable");
+        panic!("{page} was not current; it is now: commit it");
     }
 }

@@ -1,35 +1,35 @@
-//! The key expressions of a run, one place for all of them.
+//! The key expressions of a run, all in one place.
 //!
-//! | key | what |
+//! | key | use |
 //! |---|---|
-//! | `reveille/{run}/{plane}/{kind}` | queries that anyone may ask |
+//! | `reveille/{run}/{plane}/{kind}` | queries that any client may send |
 //! | `reveille/{run}/@{secret}/{plane}/{kind}` | a host's query |
-//! | `…/{plane}/{kind}/*` | what the BS tells all hosts; each listens on its own number |
-//! | `…/air/wake/{host}/{device}` | a wake-up, to the host that carries the device |
-//! | `…/{plane}/{kind}/{host}/{token}` | what a host sends: reports and answers |
+//! | `…/{plane}/{kind}/*` | messages of the BS to all hosts; each host listens on its own number |
+//! | `…/air/wake/{host}/{device}` | a wake-up, to the host that runs the device |
+//! | `…/{plane}/{kind}/{host}/{token}` | messages of a host: reports and answers |
 //! | `…/emu/alive/{host}/{token}` | liveliness tokens of hosts |
 //! | `reveille/{run}/emu/bs` | the liveliness token of the BS |
-//! | `reveille/{run}/policy/v1` | what a program outside is asked to decide, BS → policy process |
+//! | `reveille/{run}/policy/v1` | decision requests, BS → policy process |
 //! | `reveille/{run}/tap` | [`TapBatch`](crate::message::TapBatch), BS → observers |
 //!
-//! The secret is told to hosts with their places, the token to one host alone. No wildcard of zenoh matches a part of a
-//! key that begins with `@`: who does not know the secret can neither name those keys nor hear of them, and who does
-//! cannot speak for another host. What all hosts hear, each hears on a key of its own: where they share one, zenoh
-//! looks at all pairs of hosts whenever one more comes. Nothing travels on keys of the plane of truth: its kinds come
-//! to observers by the tap alone.
+//! Each host receives the secret with its assignment, and its own token. No wildcard of zenoh matches a part of a key
+//! that begins with `@`. Without the secret, a peer can neither name nor receive those keys; even with it, a host
+//! cannot send for another host. Each host has its own key for messages to all hosts: with a shared key, zenoh checks
+//! all pairs of hosts at each join. Kinds of the truth plane have no traffic: observers receive them from the tap.
 
 use std::fmt;
 use std::str::FromStr;
 
 use crate::ids::{DeviceId, HostId};
 use crate::message::{Access, MessageKind};
-use crate::secret::{HostPass, Secret};
+use crate::secret::{HostCredential, Secret};
 
-/// A run's name on the bus: 1 to 64 letters, digits, `-` and `_`, and no `-` to begin with, as options have it.
+/// The name of a run on the bus: 1 to 64 letters, digits, `-` and `_`. Like an option's value it cannot start with
+/// `-`.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct RunName(String);
 
-/// A text that is not a run name.
+/// A text that is not a valid run name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("run name {0:?}: must be 1 to 64 letters, digits, '-' or '_', the first of them no '-'")]
 pub struct RunNameError(String);
@@ -59,17 +59,17 @@ impl fmt::Display for RunName {
 #[derive(Clone, Debug)]
 pub struct Keys {
     run: RunName,
-    /// What the keys of members begin with; without it, as observers have them, they are nobody's.
+    /// The secret part of members' keys. Without it, as for observers, those keys match no real key.
     secret: Option<Secret>,
 }
 
 impl Keys {
-    /// The keys of `run` for who is no member of it.
+    /// Returns the keys of `run` for a client that is not a member.
     pub const fn new(run: RunName) -> Self {
         Self { run, secret: None }
     }
 
-    /// The keys of `run` for its members.
+    /// Returns the keys of `run` for its members.
     pub const fn of_members(run: RunName, secret: Secret) -> Self {
         Self {
             run,
@@ -77,18 +77,18 @@ impl Keys {
         }
     }
 
-    /// The run.
+    /// The name of the run.
     pub const fn run(&self) -> &RunName {
         &self.run
     }
 
-    /// What members were told, if these keys are a member's.
+    /// The run's secret, if these keys are a member's.
     pub const fn secret(&self) -> Option<Secret> {
         self.secret
     }
 
-    /// The key of a kind that has only one; where there are more, what they begin with.
-    pub fn of(&self, kind: MessageKind) -> String {
+    /// Returns the key of a kind that has only one, or the prefix of a kind with several keys.
+    pub fn base_key(&self, kind: MessageKind) -> String {
         let prefix = match kind.access() {
             Access::Anyone => format!("reveille/{}", self.run),
             Access::Members => self.members(),
@@ -96,62 +96,62 @@ impl Keys {
         format!("{prefix}/{}/{}", kind.plane().name(), kind.name())
     }
 
-    /// The key on which the BS tells all hosts messages of `kind`.
+    /// Returns the key on which the BS sends messages of `kind` to all hosts.
     pub fn to_all(&self, kind: MessageKind) -> String {
-        format!("{}/*", self.of(kind))
+        format!("{}/*", self.base_key(kind))
     }
 
-    /// The key on which `host` hears what all are told.
+    /// Returns the key on which `host` receives messages to all hosts.
     pub fn to_one_of_all(&self, kind: MessageKind, host: HostId) -> String {
-        format!("{}/{host}", self.of(kind))
+        format!("{}/{host}", self.base_key(kind))
     }
 
-    /// The key of wake-ups for `device`, which `host` carries.
+    /// Returns the key of wake-ups for `device`, which `host` runs.
     pub fn wake(&self, host: HostId, device: DeviceId) -> String {
-        format!("{}/{host}/{device}", self.of(MessageKind::Wake))
+        format!("{}/{host}/{device}", self.base_key(MessageKind::Wake))
     }
 
-    /// The keys of wake-ups for all devices that `host` carries.
+    /// Returns the key expression of wake-ups for all devices of `host`.
     pub fn wakes_of(&self, host: HostId) -> String {
-        format!("{}/{host}/*", self.of(MessageKind::Wake))
+        format!("{}/{host}/*", self.base_key(MessageKind::Wake))
     }
 
-    /// The key on which the host with this pass sends messages of `kind`.
-    pub fn uplink(&self, kind: MessageKind, pass: HostPass) -> String {
-        format!("{}/{pass}", self.of(kind))
+    /// Returns the key on which the host with this credential sends messages of `kind`.
+    pub fn uplink(&self, kind: MessageKind, pass: HostCredential) -> String {
+        format!("{}/{pass}", self.base_key(kind))
     }
 
-    /// The keys on which hosts send messages of `kind`.
+    /// Returns the key expression for messages of `kind` from all hosts.
     pub fn uplinks(&self, kind: MessageKind) -> String {
-        format!("{}/*/*", self.of(kind))
+        format!("{}/*/*", self.base_key(kind))
     }
 
-    /// The liveliness token of the host with this pass.
-    pub fn alive(&self, pass: HostPass) -> String {
+    /// Returns the liveliness token of the host with this credential.
+    pub fn alive(&self, pass: HostCredential) -> String {
         format!("{}/emu/alive/{pass}", self.members())
     }
 
-    /// The liveliness tokens of all hosts.
+    /// Returns the key expression of the liveliness tokens of all hosts.
     pub fn all_alive(&self) -> String {
         format!("{}/emu/alive/*/*", self.members())
     }
 
-    /// The liveliness token of the BS.
+    /// Returns the liveliness token of the BS.
     pub fn bs_alive(&self) -> String {
         format!("reveille/{}/emu/bs", self.run)
     }
 
-    /// The liveliness tokens of the BSs of all runs.
+    /// Returns the key expression of the liveliness tokens of the BSs of all runs.
     pub fn any_bs() -> &'static str {
         "reveille/*/emu/bs"
     }
 
-    /// The policy port. It ends with the version of what is spoken there, of which all that follow can be told apart.
+    /// Returns the key of the policy port. It ends with the protocol's version, which separates later versions.
     pub fn policy(&self) -> String {
         format!("reveille/{}/policy/v1", self.run)
     }
 
-    /// The copies of all traffic for observers.
+    /// Returns the key of the copies of all traffic for observers.
     pub fn tap(&self) -> String {
         format!("reveille/{}/tap", self.run)
     }
@@ -159,18 +159,20 @@ impl Keys {
     fn members(&self) -> String {
         match self.secret {
             Some(secret) => format!("reveille/{}/@{secret}", self.run),
+            // A member's key has the secret behind the `@`, so this one matches none.
             None => format!("reveille/{}/@", self.run),
         }
     }
 }
 
-/// The number at the end of a key, such as a device's.
+/// Returns the number at the end of a key, such as a device's.
 pub fn last_number(key: &str) -> Option<u32> {
     key.rsplit('/').next()?.parse().ok()
 }
 
-/// The kind of message that `key` carries, and the number that follows, a host's, if it has one.
+/// Returns the kind of message on `key`, and the number after it, such as a host's, if the key has one.
 pub fn classify(key: &str) -> Option<(MessageKind, Option<u32>)> {
+    // Keys of members have the secret as an additional part.
     let mut parts = key.split('/').skip(2).filter(|part| !part.starts_with('@'));
     let (plane, name) = (parts.next()?, parts.next()?);
     let kind = MessageKind::ALL
@@ -186,8 +188,8 @@ mod tests {
 
     const SECRET: Secret = Secret::new([0xab; 16]);
 
-    fn pass() -> HostPass {
-        HostPass {
+    fn pass() -> HostCredential {
+        HostCredential {
             host: HostId(2),
             token: Secret::new([0x01; 16]),
         }
@@ -206,7 +208,10 @@ mod tests {
         let keys = Keys::of_members("r1".parse().expect("valid"), SECRET);
         let secret = "ab".repeat(16);
         let token = "01".repeat(16);
-        assert_eq!(keys.of(MessageKind::Clock), format!("reveille/r1/@{secret}/emu/clock"));
+        assert_eq!(
+            keys.base_key(MessageKind::Clock),
+            format!("reveille/r1/@{secret}/emu/clock")
+        );
         assert_eq!(
             [
                 keys.to_all(MessageKind::Clock),
@@ -222,20 +227,20 @@ mod tests {
             keys.uplink(MessageKind::Report, pass()),
             format!("reveille/r1/@{secret}/air/report/2/{token}")
         );
-        assert_eq!(keys.of(MessageKind::Join), "reveille/r1/emu/join");
+        assert_eq!(keys.base_key(MessageKind::Join), "reveille/r1/emu/join");
         let stranger = Keys::new("r1".parse().expect("valid"));
-        assert_eq!(stranger.of(MessageKind::Join), keys.of(MessageKind::Join));
-        assert_eq!(stranger.of(MessageKind::Clock), "reveille/r1/@/emu/clock");
+        assert_eq!(stranger.base_key(MessageKind::Join), keys.base_key(MessageKind::Join));
+        assert_eq!(stranger.base_key(MessageKind::Clock), "reveille/r1/@/emu/clock");
     }
 
     #[test]
     fn a_pass_is_read_off_the_keys_that_carry_it() {
         let keys = Keys::of_members("r1".parse().expect("valid"), SECRET);
         for key in [keys.uplink(MessageKind::Answer, pass()), keys.alive(pass())] {
-            assert_eq!(HostPass::at_end_of(&key), Some(pass()), "{key}");
+            assert_eq!(HostCredential::at_end_of(&key), Some(pass()), "{key}");
         }
         for other in ["", "2", "x/2/3", "reveille/r1/emu/answer/2/0101", "-2/01", "*/*"] {
-            assert_eq!(HostPass::at_end_of(other), None, "{other}");
+            assert_eq!(HostCredential::at_end_of(other), None, "{other}");
         }
     }
 
@@ -243,7 +248,7 @@ mod tests {
     fn keys_are_classified() {
         let keys = Keys::of_members("r1".parse().expect("valid"), SECRET);
         for &kind in MessageKind::ALL {
-            assert_eq!(classify(&keys.of(kind)), Some((kind, None)));
+            assert_eq!(classify(&keys.base_key(kind)), Some((kind, None)));
             assert_eq!(classify(&keys.to_all(kind)), Some((kind, None)));
             assert_eq!(classify(&keys.uplink(kind, pass())), Some((kind, Some(2))));
         }

@@ -1,8 +1,8 @@
-//! The vocabulary of the Reveille emulator.
+//! The common types of the Reveille emulator.
 //!
-//! Everything here but [`bus`], [`io`] and [`logging`] is pure: no clock, no entropy, no I/O. The physical world
-//! ([`sensing`], [`harvest`], [`event`], [`radio`]), the scenario that configures it, the messages that cross the bus,
-//! and the one definition of every metric and of the run's digest.
+//! Everything except [`bus`], [`io`] and [`logging`] is pure: no clock, no entropy, no I/O. The crate contains the
+//! physical world ([`sensing`], [`harvest`], [`event`], [`radio`]), the scenario that configures it, and the messages
+//! on the bus. It defines all metrics and the digest of a run.
 
 #[cfg(feature = "bus")]
 pub mod bus;
@@ -10,9 +10,9 @@ pub mod codec;
 pub mod columns;
 pub mod declare;
 pub mod deployment;
+pub mod encoding;
 pub mod energy;
 pub mod event;
-pub mod forms;
 pub mod geometry;
 pub mod harvest;
 pub mod ids;
@@ -20,8 +20,8 @@ pub mod io;
 pub mod keys;
 pub mod logging;
 pub mod message;
-#[cfg(test)]
-mod pages;
+#[cfg(feature = "parquet")]
+pub mod parquet;
 pub mod phases;
 pub mod plan;
 pub mod radio;

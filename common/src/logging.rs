@@ -1,29 +1,29 @@
-//! Set-up of `tracing` for every process.
+//! Set-up of `tracing` for all processes.
 
 use std::io::IsTerminal;
 
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::MakeWriter;
 
-/// The form of log lines.
+/// The format of log lines.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum LogFormat {
-    /// For people.
+    /// Text for human readers.
     #[default]
     Text,
-    /// One JSON object a line.
+    /// One JSON object per line.
     Json,
 }
 
-/// Sends log lines to `writer`, standard error as a rule, never to standard output, where results go. `RUST_LOG`
-/// decides what is logged; without it `verbosity` does: 0 warnings, 1 information, 2 debugging, 3 and more everything,
-/// zenoh's own lines included.
+/// Sends log lines to `writer`, usually standard error. It must not be standard output, which carries results.
+/// `RUST_LOG` sets the filter. Without it `verbosity` does: 0 warnings, 1 information, 2 debugging, 3 and above
+/// everything, zenoh's own lines included.
 pub fn init<W>(verbosity: u8, format: LogFormat, writer: W)
 where
     W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
 {
     let default = match verbosity {
-        // What zenoh calls an error is often a link that is gone, of which the run tells in its own words.
+        // zenoh logs every lost link as an error; the run reports lost links itself.
         0 => "warn,zenoh=off,zenoh_transport=off,zenoh_link_tcp=off",
         1 => "info,zenoh=warn",
         2 => "debug,zenoh=info",

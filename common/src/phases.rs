@@ -1,19 +1,19 @@
-//! Busy and quiet phases that follow each other: of events, of interference.
+//! Alternating busy and quiet phases of events or of interference.
 
 use crate::ids::Tti;
 use crate::rng::{Geometric, Stream};
 
-/// The phase under way.
+/// A phase of a run.
 #[derive(Clone, Copy, Debug)]
 pub struct Phase {
-    /// Whether it is a busy one.
+    /// Whether the phase is busy.
     pub is_busy: bool,
-    /// The first TTI after it.
+    /// The first TTI after the phase.
     pub end: Tti,
 }
 
-/// The phases of a run, one after the other. They depend on nothing but the stream: a phase ends after any of its TTIs
-/// with the same probability, and a run begins as if the phases had always been there.
+/// The phases of a run, in order. They depend only on the stream: a phase ends after each of its TTIs with the same
+/// probability. A run starts in the stationary state, in the middle of a phase.
 #[derive(Clone, Debug)]
 pub struct Phases {
     stream: Stream,
@@ -23,9 +23,9 @@ pub struct Phases {
 }
 
 impl Phases {
-    /// Phases with mean lengths of `busy` and `quiet` TTIs, ≥ 1, drawn from `stream`.
+    /// Draws phases with mean lengths of `busy` and `quiet` TTIs, ≥ 1, from `stream`.
     pub fn new(mut stream: Stream, busy: f64, quiet: f64) -> Self {
-        // What is left of a phase under way has the law of a whole one.
+        // A geometric distribution has no memory: the rest of a started phase has the distribution of a whole one.
         let is_busy = stream.unit() < busy / (busy + quiet);
         let mut phases = Self {
             stream,
@@ -40,13 +40,13 @@ impl Phases {
         phases
     }
 
-    /// Draws the length of the phase that begins where the last one ended.
+    /// Draws the length of the phase that starts at the end of the last one.
     fn lengthen(&mut self) {
         let law = if self.phase.is_busy { self.busy } else { self.quiet };
         self.phase.end = self.phase.end.saturating_add(law.draw(&mut self.stream));
     }
 
-    /// The phase of TTI `k`, a TTI of a run and none before that of the last call.
+    /// Returns the phase of TTI `k`, which must not precede the TTI of the last call.
     pub fn at(&mut self, k: Tti) -> Phase {
         while self.phase.end <= k {
             self.phase.is_busy = !self.phase.is_busy;

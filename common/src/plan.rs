@@ -1,4 +1,4 @@
-//! The δ plan: which devices sense in which TTI.
+//! The δ plan, which determines the sensing devices of each TTI.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,7 +11,7 @@ pub struct DutyCycle {
     pub t_on: u32,
     /// Length of the cycle in TTIs, `1 ..= `[`DutyCycle::LONGEST`].
     pub t_drx: u32,
-    /// TTIs into its cycle at which the device is at k = 0, `0 .. t_drx`.
+    /// The position in the device's cycle at k = 0 in TTIs, `0 .. t_drx`.
     pub offset: u32,
 }
 
@@ -29,7 +29,7 @@ impl DutyCycle {
         offset: 0,
     };
 
-    /// The longest cycle, in TTIs.
+    /// Maximum length of a cycle, in TTIs.
     pub const LONGEST: u32 = 1 << 24;
 
     /// Whether the three numbers are within their ranges.
@@ -37,13 +37,13 @@ impl DutyCycle {
         self.t_drx >= 1 && self.t_drx <= Self::LONGEST && self.t_on <= self.t_drx && self.offset < self.t_drx
     }
 
-    /// δ_j(k).
+    /// Returns δ_j(k).
     #[inline]
     pub const fn is_on(self, k: Tti) -> bool {
         self.phase(k) < self.t_on
     }
 
-    /// The first TTI with δ_j = 1 that is not before `from`, [`Tti::NEVER`] if there is none.
+    /// Returns the first TTI from `from` on with δ_j = 1; [`Tti::NEVER`] if δ_j stays 0.
     pub const fn next_on(self, from: Tti) -> Tti {
         let phase = self.phase(from);
         if self.t_on == 0 {
@@ -55,15 +55,20 @@ impl DutyCycle {
         }
     }
 
-    /// Over `n` TTIs, the first of them `phase` TTIs into its cycle (`0 .. t_drx`): how many have δ_j = 1, the sum over
-    /// those of the TTIs from it to the end of the span, itself included, and the phase after the span. The second is
-    /// what a cost paid in S1 takes off the battery, summed over the span. `n` is at most 2³⁰.
+    /// Sums over a span of `n` TTIs that starts at the position `phase` of the cycle (`0 .. t_drx`); `n` is at most
+    /// 2³⁰. Returns three values:
+    /// - the number of TTIs with δ_j = 1;
+    /// - the sum over those TTIs of the number of TTIs from each one, itself included, to the end of the span. This is
+    ///   the reduction of the battery by a unit cost paid in S1, summed over the span;
+    /// - the phase after the span.
     #[inline]
     pub const fn span(self, phase: u32, n: u32) -> (u64, u64, u32) {
+        // No overflow: phase is below 2²⁴, and n at most 2³⁰.
         let end = phase + n;
         let before = least(phase, self.t_on) as u64;
-        // With x counted from the start of the first cycle: how many x before the end have δ = 1, and the sum of those
-        // x.
+        // x counts TTIs from the start of the first cycle. A TTI x with δ = 1 adds end − x to the sum, so the number of
+        // such x and their sum suffice.
+        // A span within one cycle needs no division.
         if end < self.t_drx {
             let after = least(end, self.t_on) as u64;
             let on = after - before;
@@ -72,16 +77,17 @@ impl DutyCycle {
         let (cycles, rest) = ((end / self.t_drx) as u64, end % self.t_drx);
         let (t_on, cycle, after) = (self.t_on as u64, self.t_drx as u64, least(rest, self.t_on) as u64);
         let on = cycles * t_on + after - before;
+        // Whole cycle c begins at x = c · t_drx and adds t_on · c · t_drx + 0 + … + (t_on − 1).
         let full = cycle * t_on * triangle(cycles) + cycles * triangle(t_on);
         let sum = full + cycles * cycle * after + triangle(after) - triangle(before);
         (on, end as u64 * on - sum, rest)
     }
 
-    /// How many TTIs into its cycle the device is in TTI `k`, `0 .. t_drx`.
+    /// Returns the position in the cycle in TTI `k`, `0 .. t_drx`.
     #[inline]
     pub const fn phase(self, k: Tti) -> u32 {
         let into = k.0 + self.offset as u64;
-        // Dividing 32 bits takes less time, and few runs are longer.
+        // A 32-bit division takes less time, and few runs are longer.
         if into <= u32::MAX as u64 {
             into as u32 % self.t_drx
         } else {
@@ -92,6 +98,7 @@ impl DutyCycle {
 
 #[inline]
 fn is_set(bits: &[u8], j: usize) -> bool {
+    // A plan from the bus can be shorter than N; devices beyond it sleep.
     bits.get(j / 8).is_some_and(|byte| byte >> (j % 8) & 1 == 1)
 }
 
@@ -99,13 +106,13 @@ const fn least(a: u32, b: u32) -> u32 {
     if a < b { a } else { b }
 }
 
-/// 0 + 1 + … + (n − 1).
+/// Returns 0 + 1 + … + (n − 1).
 const fn triangle(n: u64) -> u64 {
     // With n = 0 the other factor does not matter.
     n.wrapping_mul(n.wrapping_sub(1)) / 2
 }
 
-/// What the BS commands: δ for all devices, until the next plan.
+/// The BS's command to all devices: δ until the next plan.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Plan {
     /// δ(k) as a set of N bits (device j is bit j mod 8 of byte j / 8), the same in every TTI until replaced.
@@ -118,21 +125,29 @@ pub enum Plan {
 }
 
 impl Plan {
-    /// A plan of bits from δ_j for each device.
+    /// Creates a plan of bits from δ_j of each device.
     pub fn from_bits(delta: impl IntoIterator<Item = bool>) -> Self {
         let delta = delta.into_iter();
         let mut bits = Vec::with_capacity(delta.size_hint().0.div_ceil(8));
-        for (j, on) in delta.enumerate() {
-            if j % 8 == 0 {
-                bits.push(0);
+        // Whole bytes: a policy process and the Python package create a plan in every TTI, and a bounds check for each
+        // device costs three times as much.
+        let (mut byte, mut filled) = (0, 0);
+        for on in delta {
+            byte |= u8::from(on) << filled;
+            filled += 1;
+            if filled == 8 {
+                bits.push(byte);
+                (byte, filled) = (0, 0);
             }
-            bits[j / 8] |= u8::from(on) << (j % 8);
+        }
+        if filled > 0 {
+            bits.push(byte);
         }
         Self::Bits { bits }
     }
 
-    /// A plan of bits for `devices` devices, of which `chosen` sense.
-    pub fn from_chosen(devices: usize, chosen: &[DeviceId]) -> Self {
+    /// Creates a plan of bits for `devices` devices, of which `chosen` sense.
+    pub fn from_devices(devices: usize, chosen: &[DeviceId]) -> Self {
         let mut bits = vec![0; devices.div_ceil(8)];
         for device in chosen {
             bits[device.index() / 8] |= 1 << (device.index() % 8);
@@ -140,13 +155,13 @@ impl Plan {
         Self::Bits { bits }
     }
 
-    /// The devices whose bit is set in the `bits` of a plan, in the order of ids.
-    pub fn chosen(bits: &[u8]) -> impl Iterator<Item = DeviceId> {
+    /// Returns the devices whose bit is set in the `bits` of a plan, in the order of ids.
+    pub fn sensing_devices(bits: &[u8]) -> impl Iterator<Item = DeviceId> {
         let all = 0..bits.len() * 8;
         all.filter(|&j| is_set(bits, j)).map(|j| DeviceId(j as u32))
     }
 
-    /// δ_j(k) of `device` in TTI `k`, which a bit says without its duty cycle.
+    /// Returns δ_j(k) of `device` in TTI `k`; for a plan of bits, without the detour over a duty cycle.
     #[inline]
     pub fn is_on(&self, device: DeviceId, k: Tti) -> bool {
         match self {
@@ -155,7 +170,7 @@ impl Plan {
         }
     }
 
-    /// The duty cycle of `device`; asleep where the plan does not reach it.
+    /// Returns the duty cycle of `device`; asleep if the plan does not include the device.
     #[inline]
     pub fn duty_cycle(&self, device: DeviceId) -> DutyCycle {
         let j = device.index();
@@ -165,6 +180,7 @@ impl Plan {
             Self::Periodic(cycles) => cycles
                 .get(j)
                 .copied()
+                // A plan from the bus can hold t_drx = 0, by which `phase` would divide.
                 .filter(|c| c.is_valid())
                 .unwrap_or(DutyCycle::ASLEEP),
         }

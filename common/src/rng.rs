@@ -1,19 +1,18 @@
 //! Named random streams.
 //!
-//! Every draw of a run belongs to a stream that is keyed by the scenario's seed, a [`Purpose`] and the device or event
-//! that it is for. No draw depends on which process makes it or on who drew first, so a run is the same however it is
-//! scheduled.
+//! Each stream is keyed by the scenario's seed, a [`Purpose`], and a device or an event. No draw depends on the
+//! process or the order of draws, so a run is the same however it is scheduled.
 
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 
-/// What a stream is for. The numbers are part of the digest's meaning: never renumber them.
+/// The purpose of a stream. The numbers are part of the digest's meaning: never renumber them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u64)]
 pub enum Purpose {
     /// Positions of the devices (one stream a run).
     Layout = 1,
-    /// Which device belongs to which class (one stream a run).
+    /// The assignment of devices to classes (one stream a run).
     Classes = 2,
     /// A device's energy arrivals.
     Harvest = 3,
@@ -27,27 +26,27 @@ pub enum Purpose {
     DutyCycle = 7,
     /// The k-means++ start of the clusters (one stream a run).
     Clusters = 8,
-    /// What a learning policy tries out (one stream a TTI).
+    /// The exploration of a learning policy (one stream a TTI).
     Exploration = 9,
     /// Battery levels at the start of a training run (one stream a run).
     Training = 10,
-    /// Which weights a tuning tries (one stream for those at its start, one a point after that).
+    /// The weights that a tuning tries (one stream for the initial points, one for each later point).
     Tuning = 11,
-    /// How long an event lasts, where that is random.
+    /// The duration of an event, if it is random.
     EventDuration = 12,
-    /// The places that events gather around (one stream a run).
+    /// The hot spots of events (one stream a run).
     HotSpots = 13,
-    /// Whether an event is near a hot spot, or near the event before it, and where it is then.
+    /// Whether an event is near a hot spot or near the previous event, and its position there.
     Attraction = 14,
     /// The busy and the quiet phases of the event process (one stream a run).
     Phases = 15,
-    /// In which order devices take their offsets under the `adjusted` policy (one stream a run).
+    /// The order in which devices take their offsets under the `adjusted` policy (one stream a run).
     Offsets = 16,
     /// Whether a wake-up radio misses a wake-up (keyed by device and TTI).
     WakeMiss = 20,
-    /// When a device wakes for nothing.
+    /// The TTIs of a device's false wake-ups.
     FalseWakes = 21,
-    /// Whether a report is lost on its way (keyed by device and TTI).
+    /// Whether the radio loses a report (keyed by device and TTI).
     UplinkLoss = 22,
     /// Whether a device misses a plan (keyed by device and TTI).
     PlanLoss = 23,
@@ -60,19 +59,20 @@ pub enum Purpose {
 pub struct Stream(Xoshiro256PlusPlus);
 
 impl Stream {
-    /// The stream of `purpose` for `id` (a device or event number; 0 where a run has only one such stream).
+    /// Creates the stream of `purpose` for `id` (a device or event number; 0 if a run has only one such stream).
     pub fn new(seed: u64, purpose: Purpose, id: u64) -> Self {
         Self(Xoshiro256PlusPlus::seed_from_u64(key(seed, purpose, id)))
     }
 
-    /// A number uniform on `[0, 1)`, with 53 random bits.
+    /// Draws a number uniform on `[0, 1)`, with 53 random bits.
     pub fn unit(&mut self) -> f64 {
         to_unit(self.0.next_u64())
     }
 
-    /// A whole number uniform on `0 .. n`. `n` is at least 1.
+    /// Draws a whole number uniform on `0 .. n`. `n` is at least 1.
     pub fn below(&mut self, n: u64) -> u64 {
         assert!(n > 0, "an empty range has no element to draw");
+        // Lemire's method: low words below 2⁶⁴ mod n are rejected, because they would make some results more likely.
         let threshold = n.wrapping_neg() % n;
         loop {
             let wide = u128::from(self.0.next_u64()) * u128::from(n);
@@ -82,7 +82,7 @@ impl Stream {
         }
     }
 
-    /// `items` in an order drawn at random (Fisher and Yates).
+    /// Shuffles `items` (Fisher and Yates).
     pub fn shuffle<T>(&mut self, items: &mut [T]) {
         for i in (1..items.len()).rev() {
             let j = self.below(i as u64 + 1) as usize;
@@ -91,12 +91,12 @@ impl Stream {
     }
 }
 
-/// One number uniform on `[0, 1)` for a pair of ids, without a stream: the draw of `purpose` for (`a`, `b`).
+/// Draws a number uniform on `[0, 1)` for `purpose` and the pair of ids (`a`, `b`), without a stream.
 pub fn unit_for_pair(seed: u64, purpose: Purpose, a: u64, b: u64) -> f64 {
     to_unit(mix(key(seed, purpose, a) ^ mix(b ^ 0xD1B5_4A32_D192_ED03)))
 }
 
-/// What a policy may draw.
+/// The purposes of the draws that a policy may make.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PolicyPurpose {
     /// See [`Purpose::DutyCycle`].
@@ -120,45 +120,45 @@ impl PolicyPurpose {
     }
 }
 
-/// The random streams of a policy. They come from the scenario's seed, which cannot be read here: with it a policy
-/// could foresee events and harvests.
+/// The random streams of a policy. They come from the scenario's seed, which is private: with it a policy could
+/// predict events and harvests.
 #[derive(Clone)]
 pub struct PolicyStreams {
     seed: u64,
 }
 
 impl PolicyStreams {
-    /// The streams of a run with this seed.
+    /// Creates the streams of a run with this seed.
     pub const fn new(seed: u64) -> Self {
         Self { seed }
     }
 
-    /// The stream of `purpose` for `id`, as [`Stream::new`].
+    /// Returns the stream of `purpose` for `id`, see [`Stream::new`].
     pub fn stream(&self, purpose: PolicyPurpose, id: u64) -> Stream {
         Stream::new(self.seed, purpose.purpose(), id)
     }
 
-    /// The draw of `purpose` for (`a`, `b`), uniform on `[0, 1)`, as [`unit_for_pair`].
+    /// Draws a number for `purpose` and (`a`, `b`), uniform on `[0, 1)`, see [`unit_for_pair`].
     pub fn unit_for_pair(&self, purpose: PolicyPurpose, a: u64, b: u64) -> f64 {
         unit_for_pair(self.seed, purpose.purpose(), a, b)
     }
 }
 
-/// Shows nothing of the seed.
+/// Omits the seed.
 impl std::fmt::Debug for PolicyStreams {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str("PolicyStreams")
     }
 }
 
-/// The law of the gap between two successes of a Bernoulli trial made once per TTI.
+/// The distribution of the gap between two successes of a Bernoulli trial made once per TTI.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Geometric {
     inverse_log_failure: f64,
 }
 
 impl Geometric {
-    /// Gaps of a trial that succeeds with probability `p`, `0 ..= 1`. With `p = 0` no success ever comes.
+    /// Creates the distribution for a trial with success probability `p`, `0 ..= 1`. With `p = 0` it never succeeds.
     pub fn new(p: f64) -> Self {
         assert!(
             (0.0..=1.0).contains(&p),
@@ -169,13 +169,15 @@ impl Geometric {
         }
     }
 
-    /// A gap of 1, 2, … TTIs; `u64::MAX` for never.
+    /// Draws a gap of 1, 2, … TTIs; `u64::MAX` for never.
     pub fn draw(self, stream: &mut Stream) -> u64 {
         self.gap(stream.unit())
     }
 
-    /// The gap that `unit`, uniform on `[0, 1)`, stands for. It never falls as `unit` rises.
+    /// Returns the gap for the draw `unit`, uniform on `[0, 1)`. It is non-decreasing in `unit`.
     fn gap(self, unit: f64) -> u64 {
+        // Below 9·10¹⁵ an f64 holds every integer, and no run is as long. p = 0 with unit = 0 gives 0 · ∞, not a
+        // number.
         let failures = libm::log1p(-unit) * self.inverse_log_failure;
         if failures.is_nan() || failures >= 9e15 {
             never_or_now(self)
@@ -185,7 +187,7 @@ impl Geometric {
     }
 }
 
-/// The gap where the quotient of logarithms has no finite value: p = 0 or a gap beyond any run.
+/// Returns the gap if the quotient of logarithms has no finite value: p = 0 or a gap longer than any run.
 fn never_or_now(law: Geometric) -> u64 {
     if law.inverse_log_failure == 0.0 { 1 } else { u64::MAX }
 }
@@ -193,23 +195,25 @@ fn never_or_now(law: Geometric) -> u64 {
 /// Bits of a draw that index a [`GapTable`].
 const GUIDE_BITS: u32 = 11;
 
-/// A [`Geometric`] law whose draws take no logarithm, but for a few: a table over the leading bits of the draw holds
-/// the gap wherever those bits alone decide it. Every draw is the same as the law's.
+/// A [`Geometric`] distribution that computes few logarithms: a table over the leading bits of the draw holds the gap
+/// wherever those bits alone decide it. Every draw equals the distribution's.
 #[derive(Clone, Debug, PartialEq)]
-pub struct GapTable {
+pub(crate) struct GapTable {
     law: Geometric,
-    /// The gap for each value of the leading bits, 0 where they do not decide it.
+    /// The gap for each value of the leading bits, 0 if they do not decide it.
     gaps: Vec<u16>,
 }
 
 impl GapTable {
-    /// The table of `law`; worth its 2048 logarithms where thousands of gaps are drawn.
-    pub fn new(law: Geometric) -> Self {
+    /// Creates the table of `law`. Its 4096 logarithms pay off if thousands of gaps are drawn.
+    pub(crate) fn new(law: Geometric) -> Self {
         let cells = 1_u64 << GUIDE_BITS;
-        // The first draw of cell c, c = 0 ..= cells, and the last of the cell before it.
+        // The first draw of cell c, c = 0 ..= cells, and the last of the cell before it. For c = cells the shift gives
+        // 0, which wraps to the largest draw.
         let first = |c: u64| to_unit(c << (64 - GUIDE_BITS));
         let last = |c: u64| to_unit((c << (64 - GUIDE_BITS)).wrapping_sub(1));
         let decided = |c: u64| {
+            // The gap is non-decreasing in the draw, so equal gaps at both ends hold for the whole cell.
             let gap = law.gap(first(c));
             (gap == law.gap(last(c + 1))).then(|| u16::try_from(gap).ok()).flatten()
         };
@@ -219,9 +223,9 @@ impl GapTable {
         }
     }
 
-    /// A gap of 1, 2, … TTIs; `u64::MAX` for never.
+    /// Draws a gap of 1, 2, … TTIs; `u64::MAX` for never.
     #[inline]
-    pub fn draw(&self, stream: &mut Stream) -> u64 {
+    pub(crate) fn draw(&self, stream: &mut Stream) -> u64 {
         let bits = stream.0.next_u64();
         match self.gaps[(bits >> (64 - GUIDE_BITS)) as usize] {
             0 => self.law.gap(to_unit(bits)),
@@ -244,6 +248,7 @@ fn mix(mut z: u64) -> u64 {
 }
 
 fn to_unit(bits: u64) -> f64 {
+    // 53 bits fill the mantissa of an f64: each value is exact, and rounding never gives 1.
     (bits >> 11) as f64 * (1.0 / (1u64 << 53) as f64)
 }
 

@@ -1,28 +1,37 @@
-//! Numbers that open doors: who can say one has been told it.
+//! Secrets that authorise a peer, and the credentials of hosts.
 
 use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
+use subtle::ConstantTimeEq;
 
 use crate::ids::HostId;
 
-/// A random number of 128 bits that nobody can guess; 32 hexadecimal digits as text. What is printed for debugging
-/// does not give it away.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+/// A random number of 128 bits that cannot be guessed; 32 hexadecimal digits as text. `Debug` does not reveal it.
+#[derive(Clone, Copy, Serialize, Deserialize)]
 pub struct Secret([u8; 16]);
 
-/// A text that is no secret.
+/// A text that is not a valid secret.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("not 32 hexadecimal digits")]
 pub struct SecretError;
 
 impl Secret {
-    /// The secret of 16 random bytes.
+    /// Creates a secret from 16 random bytes.
     pub const fn new(random: [u8; 16]) -> Self {
         Self(random)
     }
 }
+
+/// Compares in a time that does not depend on the position of the first difference.
+impl PartialEq for Secret {
+    fn eq(&self, other: &Self) -> bool {
+        self.0.ct_eq(&other.0).into()
+    }
+}
+
+impl Eq for Secret {}
 
 impl fmt::Display for Secret {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -40,6 +49,7 @@ impl FromStr for Secret {
     type Err = SecretError;
 
     fn from_str(text: &str) -> Result<Self, SecretError> {
+        // `from_str_radix` would accept a sign, and slicing would panic inside a wide character.
         if text.len() != 32 || !text.bytes().all(|b| b.is_ascii_hexdigit()) {
             return Err(SecretError);
         }
@@ -51,17 +61,17 @@ impl FromStr for Secret {
     }
 }
 
-/// By what the BS knows a host: the number that it got with its places, and a token that nobody else was told.
+/// A host's credential at the BS: the number from its assignment, and a token that only this host and the BS know.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct HostPass {
+pub struct HostCredential {
     /// The host.
     pub host: HostId,
     /// Its token.
     pub token: Secret,
 }
 
-impl HostPass {
-    /// The pass at the end of `key`, where a host's own keys have it.
+impl HostCredential {
+    /// Parses the credential at the end of `key`, if the key is a host's own.
     pub fn at_end_of(key: &str) -> Option<Self> {
         let mut parts = key.rsplit('/');
         let token = parts.next()?.parse().ok()?;
@@ -70,7 +80,7 @@ impl HostPass {
     }
 }
 
-impl fmt::Display for HostPass {
+impl fmt::Display for HostCredential {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}/{}", self.host, self.token)
     }
@@ -86,6 +96,11 @@ mod tests {
         let text = secret.to_string();
         assert_eq!(text, "00112233445566778899aabbccddeeff");
         assert_eq!(text.parse(), Ok(secret));
+        for at in 0..16 {
+            let mut other = secret;
+            other.0[at] ^= 1;
+            assert_ne!(other, secret, "byte {at}");
+        }
         for bad in [
             "",
             "00",

@@ -1,63 +1,64 @@
-//! What a device senses of an event and what its report is worth (paper Sec. II-A).
+//! The sensing of events by devices and the information in their reports (paper Sec. II-A).
 
 use serde::{Deserialize, Serialize};
 
 use crate::declare;
-use crate::declare::{POSITIVE, Reader, ScenarioError, choice, choices, number};
+use crate::declare::{FieldReader, POSITIVE, ScenarioError, choice, choices, number};
 use crate::geometry::Area;
 use crate::ids::{DeviceId, EventId};
 use crate::rng::{Purpose, unit_for_pair};
 
-/// The largest η · `d_max`: `p(d_max)` is still above 0 in double precision.
+/// Maximum value of η · `d_max`: `p(d_max)` is still above 0 in double precision.
 const MAX_DECAY: f64 = 700.0;
 
 choices! {
-    /// How a device in S1 comes to detect the active event.
+    /// Rule by which a device in S1 detects the active event.
     #[derive(Serialize, Deserialize)]
     #[serde(rename_all = "kebab-case")]
     pub enum DetectionKind {
-        /// Every device in S1 within `d_max` of the epicentre detects it.
+        /// Every device in S1 within `d_max` of the epicentre detects the event.
         Range = "range",
-        /// A device in S1 within `d_max` detects it with probability p(d): P_1,2 = α p(d) of Sec. IV taken literally.
+        /// A device in S1 within `d_max` detects the event with probability p(d): the literal reading of P_1,2 = α p(d)
+        /// in Sec. IV.
         Probabilistic = "probabilistic",
     }
 }
 
 choices! {
-    /// The function g that joins the reports of one event (Eq. (2)).
+    /// Function g that combines the reports of one event (Eq. (2)).
     #[derive(Serialize, Deserialize)]
     #[serde(rename_all = "kebab-case")]
     pub enum Fusion {
         /// The largest report counts.
         Max = "max",
-        /// Reports add up to at most Ψ, Eq. (3).
+        /// The sum of all reports counts, up to Ψ, Eq. (3).
         SumSaturation = "sum-saturation",
     }
 }
 
 declare! {
-    /// What a device senses of an event, and what its report is worth (paper Sec. II-A). All devices share it.
+    /// Sensing model and information of a report, shared by all devices (paper Sec. II-A).
     #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
     pub struct Sensing in "sensing" {
-        /// How a device in S1 comes to detect the active event.
+        /// Rule by which a device in S1 detects the active event.
         pub kind: DetectionKind = choice::<DetectionKind>("range").source("Sec. II-A, Sec. IV"),
         /// Sensing range d_max, at most the area's diagonal.
         pub d_max: f64 = number(POSITIVE, 4.0).unit("metres").source("Table II"),
         /// Decay η of the sensing function p(d) = exp(-η d); η · d_max is at most 700.
         pub eta: f64 = number(POSITIVE, 1.0).unit("per metre").source("Table II"),
-        /// Largest information Ψ of one report, that from distance 0.
+        /// Largest information Ψ of one report, reached at distance 0.
         pub psi: f64 = number(POSITIVE, 1.0).unit("information").source("Table II"),
-        /// The function g that joins the reports of one event.
+        /// Function g that combines the reports of one event.
         pub g: Fusion = choice::<Fusion>("max").source("Eq. (2), Eq. (3)"),
     }
 }
 
 impl Sensing {
-    /// The settings that `reader` has, for devices on `area`.
+    /// Reads the settings from `reader`, for devices on `area`.
     ///
     /// # Errors
-    /// A value that may not be.
-    pub fn settle(reader: &Reader<'_>, area: Area) -> Result<Self, ScenarioError> {
+    /// If a value is not allowed.
+    pub fn from_fields(reader: &FieldReader<'_>, area: Area) -> Result<Self, ScenarioError> {
         let sensing = Self::read(reader)?;
         let Self { d_max, eta, .. } = sensing;
         if d_max > area.diagonal() {
@@ -65,33 +66,34 @@ impl Sensing {
                 "must be greater than 0 and at most {:.2} (the area's diagonal in metres)",
                 area.diagonal()
             );
-            return Err(reader.refuse("sensing.d_max", d_max, allowed));
+            return Err(reader.invalid_value("sensing.d_max", d_max, allowed));
         }
         if eta * d_max > MAX_DECAY {
             let allowed = format!(
                 "must be at most {} ({MAX_DECAY} / d_max), or p(d_max) is too small to count",
                 MAX_DECAY / d_max
             );
-            return Err(reader.refuse("sensing.eta", eta, allowed));
+            return Err(reader.invalid_value("sensing.eta", eta, allowed));
         }
         Ok(sensing)
     }
 }
 
 impl Sensing {
-    /// The sensing function p(d) = exp(-η d), `(0, 1]`, of a distance `d` ≥ 0 in metres.
+    /// Returns the sensing function p(d) = exp(-η d), `(0, 1]`, of a distance `d` ≥ 0 in metres.
     pub fn p(&self, d: f64) -> f64 {
         libm::exp(-self.eta * d)
     }
 
-    /// The information I_ij = Ψ p(d) of a report from distance `d` in metres (Eq. (1)); 0 beyond `d_max`.
+    /// Returns the information I_ij = Ψ p(d) of a report from distance `d` in metres (Eq. (1)); 0 beyond `d_max`.
     pub fn information(&self, d: f64) -> f64 {
         if d <= self.d_max { self.psi * self.p(d) } else { 0.0 }
     }
 
-    /// The distance in metres that a report of information `i` tells of: the inverse of Eq. (1). `None` for a report
-    /// without information, which only says that the event is farther than `d_max`.
+    /// Returns the distance in metres that corresponds to a report of information `i`: the inverse of Eq. (1). `None`
+    /// for a report without information, which only shows that the event is farther than `d_max`.
     pub fn distance(&self, i: f64) -> Option<f64> {
+        // Rounding, or a false report above Ψ, must not give a negative distance.
         (i > 0.0).then(|| (-libm::log(i / self.psi) / self.eta).max(0.0))
     }
 
@@ -106,7 +108,7 @@ impl Sensing {
             }
     }
 
-    /// The information Î at the BS after one more report of information `report` (Eq. (2)).
+    /// Returns the information Î at the BS after another report of information `report` (Eq. (2)).
     pub fn fuse(&self, so_far: f64, report: f64) -> f64 {
         match self.g {
             Fusion::Max => so_far.max(report),

@@ -9,22 +9,22 @@ use crate::units::Energy;
 pub enum DeviceState {
     /// S1, "idle": sensing, waits for an event.
     Idle,
-    /// S2, "active": has sensed an event or was woken, about to transmit. Left within the same TTI.
+    /// S2, "active": has sensed an event or was woken, and is about to transmit. Left within the same TTI.
     Active,
     /// S3, "transmission": has sent its report in this TTI.
     Transmission,
     /// S4, "sleep": only the wake-up radio is on, if it has power.
     Sleep {
-        /// Whether the wake-up radio has power and can hear.
+        /// Whether the wake-up radio has power and can receive.
         powered: bool,
     },
 }
 
-/// A device as it is at the end of a TTI.
+/// The state and the battery of a device at the end of a TTI.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DeviceView {
-    /// The state that it was in.
+    /// The state of the device.
     pub state: DeviceState,
-    /// What its battery holds.
+    /// The energy in its battery.
     pub battery: Energy,
 }

@@ -1,4 +1,4 @@
-//! Exact integer totals: what devices, events and the control channel add up to.
+//! Exact integer totals of devices, events and the control channel.
 
 use std::ops::{Add, AddAssign, Sub};
 
@@ -6,29 +6,29 @@ use serde::{Deserialize, Serialize};
 
 use crate::units::Energy;
 
-/// Parts of one unit of information in the totals.
+/// Number of parts per unit of information in the totals.
 pub const PICO_PER_INFORMATION: f64 = 1e12;
 
-/// Energy taken out of a battery, by the state that it was spent in (Eq. (4)). What a failed action drained is in the
-/// state that failed.
+/// Energy taken out of a battery, by the state in which it was spent (Eq. (4)). Energy drained by a failed action
+/// counts for the state that failed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Spent {
+pub struct EnergyByState {
     /// In S1: E_idle.
     pub sensing: Energy,
-    /// In S4: E_WuR, and E_idle where a device has woken for nothing.
+    /// In S4: E_WuR, and E_idle after a false wake-up.
     pub sleep: Energy,
     /// From S2 to S3: E_Tx.
     pub report: Energy,
 }
 
-impl Spent {
-    /// All of it.
+impl EnergyByState {
+    /// Returns the sum over all states.
     pub fn total(&self) -> Energy {
         self.sensing + self.sleep + self.report
     }
 }
 
-impl Add for Spent {
+impl Add for EnergyByState {
     type Output = Self;
     fn add(self, other: Self) -> Self {
         Self {
@@ -39,7 +39,7 @@ impl Add for Spent {
     }
 }
 
-impl Sub for Spent {
+impl Sub for EnergyByState {
     type Output = Self;
     fn sub(self, before: Self) -> Self {
         Self {
@@ -50,18 +50,18 @@ impl Sub for Spent {
     }
 }
 
-/// The sums of one device, or of several: since the start of the run, up to the end of some TTI.
+/// The sums of one or several devices from the start of the run to the end of a TTI.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DeviceTotals {
     /// Battery at the start.
     pub initial: Energy,
     /// Energy that arrived, overflow included.
     pub harvested: Energy,
-    /// Energy taken out of the battery, what failed actions drained included.
-    pub spent: Spent,
+    /// Energy taken out of the battery, including energy drained by failed actions.
+    pub spent: EnergyByState,
     /// Harvest that did not fit in the battery.
     pub overflow: Energy,
-    /// Battery now. Always `initial + harvested - spent - overflow`.
+    /// Current battery. Always `initial + harvested - spent - overflow`.
     pub battery: Energy,
     /// Σ over TTIs of the battery at the end of the TTI, micro-units.
     pub battery_sum: u128,
@@ -69,19 +69,20 @@ pub struct DeviceTotals {
     pub low_ttis: u64,
     /// Device-TTIs with δ = 1.
     pub sensing_ttis: u64,
-    /// Those of them in which the battery could not pay E_idle.
+    /// Device-TTIs with δ = 1 in which the battery could not pay E_idle.
     pub failed_ttis: u64,
-    /// Device-TTIs with δ = 0 in which the battery could not pay E_WuR: the wake-up radio was deaf.
+    /// Device-TTIs with δ = 0 in which the battery could not pay E_WuR: the device was unpowered.
     pub dark_ttis: u64,
-    /// Device-TTIs with δ = 0 in which the device woke for nothing.
+    /// Device-TTIs with δ = 0 in which the device had a false wake-up.
     pub false_wakes: u64,
 }
 
 impl DeviceTotals {
-    /// Whether what went in is what came out and what is left.
+    /// Whether the energy put in equals the energy taken out and left.
     pub fn closes(&self) -> bool {
+        // In 128 bits: a host's ledger can hold any numbers, and `Energy` panics if a sum overflows.
         let sum = |parts: &[Energy]| parts.iter().map(|part| u128::from(part.micro())).sum::<u128>();
-        let Spent { sensing, sleep, report } = self.spent;
+        let EnergyByState { sensing, sleep, report } = self.spent;
         sum(&[self.initial, self.harvested]) == sum(&[sensing, sleep, report, self.overflow, self.battery])
     }
 }
@@ -119,9 +120,10 @@ impl std::iter::Sum for DeviceTotals {
 
 impl Sub for DeviceTotals {
     type Output = Self;
-    /// What was added between an earlier state `before` and this one: the sums of the TTIs between.
+    /// Returns the sums of the TTIs between the earlier totals `before` and these.
     fn sub(self, before: Self) -> Self {
         Self {
+            // The part starts with the battery at `before`, so that it closes like a whole run.
             initial: before.battery,
             harvested: self.harvested - before.harvested,
             spent: self.spent - before.spent,
@@ -137,21 +139,20 @@ impl Sub for DeviceTotals {
     }
 }
 
-/// The books of one device at the end of a run.
+/// The ledger of one device at the end of a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Ledger {
     /// The sums of the whole run.
     pub whole: DeviceTotals,
-    /// Those of the measured TTIs alone; nothing if the run ended in the warm-up.
+    /// The sums of the measured TTIs only; all 0 if the run ended in the warm-up.
     pub measured: DeviceTotals,
-    /// The most measured TTIs one after another in which the battery could pay for nothing: δ = 1 that failed, or a
-    /// wake-up radio without power.
+    /// Maximum number of consecutive measured TTIs without enough energy for δ = 1 or for the wake-up radio.
     pub longest_outage: u64,
 }
 
 impl Ledger {
-    /// Whether both sums close and the measured part can be one of the whole.
-    pub fn is_sound(&self) -> bool {
+    /// Whether both sums close and the measured part can belong to the whole.
+    pub fn is_valid(&self) -> bool {
         let Self {
             whole,
             measured,
@@ -170,16 +171,18 @@ impl Ledger {
                 && part.dark_ttis <= whole.dark_ttis
                 && part.false_wakes <= whole.false_wakes
         };
+        // In 128 bits, because the counts of an invalid ledger can overflow.
         let outages = u128::from(measured.failed_ttis) + u128::from(measured.dark_ttis);
         whole.closes()
             && measured.closes()
+            // For the whole, this only checks that no more TTIs failed than had δ = 1.
             && within(whole)
             && within(measured)
             && u128::from(*longest_outage) <= outages
     }
 }
 
-/// What one event came to.
+/// The totals of one event.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EventTally {
     /// Reports that reached the BS.
@@ -195,7 +198,7 @@ pub struct EventTally {
 }
 
 impl EventTally {
-    /// I_i, in units of information.
+    /// Returns I_i in units of information.
     pub const fn information(&self) -> f64 {
         self.information_pico as f64 / PICO_PER_INFORMATION
     }
@@ -204,11 +207,11 @@ impl EventTally {
 /// Sums over the counted events.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EventTotals {
-    /// Events that started in the measured part and ended before the run did.
+    /// Events that started in the measured part and ended before the end of the run.
     pub events: u64,
     /// Events that ended without a report.
     pub misdetected: u64,
-    /// TTIs from the start of an event to its first report, summed over the events that were reported.
+    /// TTIs from the start of an event to its first report, summed over the reported events.
     pub delay_ttis: u64,
     /// Reports.
     pub reports: u64,
@@ -218,12 +221,12 @@ pub struct EventTotals {
     pub information_pico: u128,
     /// Wrong activations.
     pub wrong_activations: u64,
-    /// Energy wasted by them.
+    /// Energy wasted by the wrong activations.
     pub wasted: Energy,
 }
 
 impl EventTotals {
-    /// Counts one ended event, which came to this and whose first report took `delay` TTIs, if there was one.
+    /// Adds an ended event with its totals; its first report, if any, took `delay` TTIs.
     pub fn count(&mut self, event: &EventTally, delay: Option<u64>) {
         self.events += 1;
         self.misdetected += u64::from(delay.is_none());
@@ -252,34 +255,34 @@ impl Sub for EventTotals {
     }
 }
 
-/// What went over the air in one direction.
+/// The traffic on the air in one direction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Traffic {
-    /// Messages put on the air plane; a broadcast is one.
+pub struct MessageTotals {
+    /// Number of messages sent on the air plane; a broadcast counts once.
     pub messages: u64,
     /// Bytes of the messages' payloads as encoded.
     pub bytes: u64,
 }
 
-impl Traffic {
-    /// One more message, `bytes` long.
+impl MessageTotals {
+    /// Adds a message of `bytes` bytes.
     pub const fn count(&mut self, bytes: u64) {
         self.messages += 1;
         self.bytes += bytes;
     }
 }
 
-/// How evenly the devices share what they go through in the measured part.
+/// The distribution of energy and low batteries over the devices in the measured part.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Spread {
     /// Σ over devices of the square of the energy spent, micro-units².
     pub spent_squares: u128,
-    /// The most TTIs that one device ended with less than E_Tx.
+    /// Maximum over the devices of the number of TTIs that ended with less than E_Tx.
     pub worst_low_ttis: u64,
 }
 
 impl Spread {
-    /// The spread over devices with these sums.
+    /// Computes the spread over devices with these sums.
     pub fn of<'a>(devices: impl IntoIterator<Item = &'a DeviceTotals>) -> Self {
         devices.into_iter().fold(Self::default(), |so_far, device| {
             let spent = u128::from(device.spent.total().micro());
@@ -291,41 +294,41 @@ impl Spread {
     }
 }
 
-/// Why counted events were missed: each missed event has one cause.
+/// Missed counted events by cause: each missed event has exactly one cause.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Missed {
-    /// No device stands within `d_max` of the epicentre.
+pub struct MissedEvents {
+    /// No device is within `d_max` of the epicentre.
     pub out_of_reach: u64,
-    /// Somebody reported it, and all reports were lost on their way.
+    /// Devices reported the event, and all reports were lost.
     pub lost: u64,
-    /// Somebody detected it, and nobody who did could pay for a report.
+    /// Devices detected the event, and none of them could pay for a report.
     pub unpaid: u64,
-    /// Devices stand within `d_max`, and while it lasted none of them detected it: they slept, or could not pay for
-    /// sensing, or, with detection by chance, it escaped them.
+    /// Devices are within `d_max`, but none detected the event before its end. They slept, could not pay for sensing,
+    /// or, with probabilistic detection, did not detect it.
     pub unseen: u64,
 }
 
-impl Missed {
-    /// All of them.
+impl MissedEvents {
+    /// Returns the number of missed events.
     pub const fn events(&self) -> u64 {
         self.out_of_reach + self.lost + self.unpaid + self.unseen
     }
 }
 
-/// What the radio lost in the measured TTIs.
+/// The losses of the radio in the measured TTIs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Losses {
-    /// Reports that were sent and did not reach the BS.
+pub struct RadioLosses {
+    /// Number of reports that were sent and did not reach the BS.
     pub reports: u64,
-    /// Wake-ups sent.
+    /// Number of wake-ups sent.
     pub wake_ups: u64,
-    /// Those of them that the device did not hear: its radio missed it or had no power, or it was not asleep.
+    /// Number of wake-ups that the device did not receive: its radio missed them, it was unpowered or not asleep.
     pub unheard: u64,
-    /// Those of them that the device heard too late: it woke when the event was over.
+    /// Number of wake-ups that took effect too late: the device woke after the end of the event.
     pub late: u64,
-    /// Plans sent, one for each device.
+    /// Number of plans sent, counted for each device.
     pub plans: u64,
-    /// Those of them that the device missed.
+    /// Number of these plans that a device missed.
     pub missed_plans: u64,
 }
 
@@ -334,28 +337,28 @@ pub struct Losses {
 pub struct Totals {
     /// Number of devices N.
     pub devices: u64,
-    /// Measured TTIs.
+    /// Number of measured TTIs.
     pub ttis: u64,
-    /// Events.
+    /// Sums over the counted events.
     pub events: EventTotals,
-    /// Why events were missed.
-    pub missed: Missed,
-    /// The least number of TTIs within which 95 % of the reported events were reported; 0 if none was.
+    /// Missed events by cause.
+    pub missed: MissedEvents,
+    /// Smallest number of TTIs within which 95 % of the reported events were reported; 0 without reported events.
     pub delay_p95_ttis: u64,
     /// The control channel: δ, wake-ups and synchronisation, BS → devices.
-    pub control: Traffic,
-    /// Reports, devices → BS, of measured TTIs, those that arrived.
-    pub uplink: Traffic,
-    /// What was lost.
-    pub losses: Losses,
+    pub control: MessageTotals,
+    /// Reports, devices → BS, that arrived in the measured TTIs.
+    pub uplink: MessageTotals,
+    /// The losses of the radio.
+    pub losses: RadioLosses,
     /// Sums over all devices.
     pub energy: DeviceTotals,
-    /// How they differ.
+    /// The distribution over the devices.
     pub spread: Spread,
-    /// TTIs from the first report of an event to its last, summed over the events that were reported: what it takes to
-    /// wake devices one after another.
+    /// TTIs from the first report of an event to its last, summed over the reported events: the cost of wake-ups in
+    /// sequence.
     pub refining_ttis: u64,
-    /// Device-TTIs of devices that were gone.
+    /// Device-TTIs of removed devices.
     pub gone_ttis: u64,
 }
 
@@ -368,7 +371,7 @@ mod tests {
         let whole = DeviceTotals {
             initial: micro(100),
             harvested: micro(40),
-            spent: Spent {
+            spent: EnergyByState {
                 sensing: micro(30),
                 sleep: micro(20),
                 report: micro(10),
@@ -384,9 +387,9 @@ mod tests {
         };
         let at_warm_up = DeviceTotals {
             initial: micro(100),
-            spent: Spent {
+            spent: EnergyByState {
                 sensing: micro(10),
-                ..Spent::default()
+                ..EnergyByState::default()
             },
             battery: micro(90),
             battery_sum: 90,
@@ -403,7 +406,7 @@ mod tests {
     #[test]
     fn a_ledger_closes_by_state_and_its_parts_fit() {
         let good = ledger();
-        assert!(good.is_sound());
+        assert!(good.is_valid());
         assert_eq!(good.measured.spent.total(), Energy::from_micro(50));
         let breaks: [fn(&mut Ledger); 7] = [
             |ledger| ledger.whole.spent.sleep += Energy::from_micro(1),
@@ -417,16 +420,16 @@ mod tests {
         for (number, spoil) in breaks.into_iter().enumerate() {
             let mut bad = good;
             spoil(&mut bad);
-            assert!(!bad.is_sound(), "{number}");
+            assert!(!bad.is_valid(), "{number}");
         }
     }
 
     #[test]
     fn the_spread_is_that_of_the_devices() {
         let device = |spent: u64, low_ttis| DeviceTotals {
-            spent: Spent {
+            spent: EnergyByState {
                 report: Energy::from_micro(spent),
-                ..Spent::default()
+                ..EnergyByState::default()
             },
             low_ttis,
             ..DeviceTotals::default()

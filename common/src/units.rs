@@ -1,8 +1,8 @@
 //! Energy in integer micro-units.
 //!
-//! The paper counts energy in "units" (Table II: a transmission costs 10). Batteries, costs and harvests are held as
-//! whole micro-units so that sums do not depend on the order in which they are taken. A scenario is refused whose sums
-//! might not fit in 64 bits; a sum that does not is a panic in every build, never another number.
+//! The paper counts energy in "units" (Table II: a transmission costs 10). Batteries, costs and harvests are stored as
+//! whole micro-units, so that sums do not depend on the order of addition. Scenarios whose sums might not fit in 64
+//! bits are rejected. A sum that overflows panics in every build and never wraps.
 
 use std::fmt;
 use std::iter::Sum;
@@ -10,11 +10,10 @@ use std::ops::{Add, AddAssign, Sub, SubAssign};
 
 use serde::{Deserialize, Serialize};
 
-/// Micro-units in one unit of energy.
+/// Number of micro-units in one unit of energy.
 pub const MICRO_PER_UNIT: u64 = 1_000_000;
 
-/// The largest energy that a scenario may name, in units. It keeps every sum of a run of 10⁹ device-TTIs within 64
-/// bits.
+/// Maximum energy in a scenario, in units. It keeps every sum of a run of 10⁹ device-TTIs within 64 bits.
 pub const MAX_UNITS: f64 = 10_000.0;
 
 /// An amount of energy, in whole micro-units (1 unit = 1 000 000 micro-units), never negative.
@@ -26,44 +25,44 @@ impl Energy {
     /// No energy.
     pub const ZERO: Self = Self(0);
 
-    /// `micro` micro-units.
+    /// Returns `micro` micro-units.
     pub const fn from_micro(micro: u64) -> Self {
         Self(micro)
     }
 
-    /// `units` units, rounded to the nearest micro-unit; `None` unless `units` is within `0 ..= `[`MAX_UNITS`].
+    /// Converts `units`, rounded to the nearest micro-unit; `None` unless `units` is within `0 ..= `[`MAX_UNITS`].
     pub fn from_units(units: f64) -> Option<Self> {
         (0.0..=MAX_UNITS)
             .contains(&units)
             .then(|| Self((units * MICRO_PER_UNIT as f64).round() as u64))
     }
 
-    /// `units` units of a declared default, rounded to the nearest micro-unit.
+    /// Converts the `units` of a declared default, rounded to the nearest micro-unit.
     pub(crate) const fn rounded(units: f64) -> Self {
         Self((units * MICRO_PER_UNIT as f64 + 0.5) as u64)
     }
 
-    /// The amount in micro-units.
+    /// Returns the amount in micro-units.
     pub const fn micro(self) -> u64 {
         self.0
     }
 
-    /// The amount in units, for display and for metrics.
+    /// Returns the amount in units, for display and for metrics.
     pub fn units(self) -> f64 {
         self.0 as f64 / MICRO_PER_UNIT as f64
     }
 
-    /// `self - other`, or zero where `other` is larger.
+    /// Returns `self - other`, or zero if `other` is larger.
     #[must_use]
     #[inline]
     pub const fn saturating_sub(self, other: Self) -> Self {
         Self(self.0.saturating_sub(other.0))
     }
 
-    /// `self · n`.
+    /// Returns `self · n`.
     ///
     /// # Panics
-    /// If that does not fit in 64 bits.
+    /// If the product does not fit in 64 bits.
     #[must_use]
     #[inline]
     pub const fn times(self, n: u64) -> Self {

@@ -1,42 +1,42 @@
-//! The physical world of a run: when events start, where they are, who detects them, and when they end (Sec. II).
+//! The physical world of a run: the start, position, detection and end of events (Sec. II).
 //!
-//! The world is ground truth. A base station and its policies are never handed a [`World`]; the genie alone is told of
-//! events, by the door [`Oracle`].
+//! The world is ground truth. A base station and its policies never have access to a [`World`]; only the genie
+//! receives events, through [`Oracle`].
 
 use crate::deployment::Deployment;
 use crate::event::{ActiveEvent, EventProcess, Stimulus};
 use crate::geometry::{Buckets, Point};
 use crate::ids::{DeviceId, Tti};
 use crate::plan::{DutyCycle, Plan};
-use crate::radio::{Air, Moment};
+use crate::radio::{Air, ChannelState};
 use crate::scenario::Scenario;
 use crate::sensing::Sensing;
 
-/// Somebody who is told of every event when it starts, as no real base station is: the genie.
+/// A receiver of every event at its start, which no real base station can be: the genie.
 pub trait Oracle {
-    /// An event has started. Whether anybody is to be woken for it in this TTI.
+    /// Receives an event that has started. Returns whether a device must be woken for it in this TTI.
     fn told(&mut self, stimulus: &Stimulus) -> bool;
 
-    /// Nothing was heard of the event, of which it was told, up to this TTI. Whether anybody is to be woken once more.
+    /// Returns whether a device must be woken again, after no report of the event has arrived up to this TTI.
     fn is_told_again(&mut self) -> bool {
         false
     }
 }
 
-/// What the world does.
+/// A change of the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Turn {
+pub enum WorldChange {
     /// An event has started, in its TTI `start`.
     Started(ActiveEvent),
-    /// The event under way has ended without a report; this was its last TTI.
+    /// The active event has ended without a report; this was its last TTI.
     Missed(Tti),
 }
 
-/// The event under way.
+/// The active event.
 #[derive(Clone, Copy, Debug)]
 struct Current {
     event: ActiveEvent,
-    /// Whether the oracle wakes somebody in its first TTI.
+    /// Whether the oracle wakes any device in the event's first TTI.
     is_told: bool,
 }
 
@@ -49,32 +49,38 @@ pub struct World {
     buckets: Buckets,
     process: EventProcess,
     air: Air,
-    /// δ as the devices have it, where they may miss plans.
+    /// δ as the devices received it, if they may miss plans.
     heard: Option<Vec<DutyCycle>>,
     current: Option<Current>,
-    /// Devices that detect the event under way in any TTI in which they have δ = 1.
+    /// Devices that detect the active event in any TTI in which they have δ = 1.
     audience: Vec<DeviceId>,
     detectors: Vec<DeviceId>,
 }
 
 impl World {
-    /// The world of `scenario` before TTI 0, with its devices as in `deployment`.
-    pub fn new(scenario: &Scenario, deployment: &Deployment) -> Self {
+    /// Creates the world of `scenario` before TTI 0, with its devices as in `deployment`.
+    pub fn new<P>(scenario: &Scenario<P>, deployment: &Deployment) -> Self {
         Self::with_events(
             scenario,
             deployment,
-            EventProcess::new(scenario.seed, scenario.area, &scenario.events, Tti(scenario.ttis)),
+            EventProcess::new(
+                scenario.run.seed,
+                scenario.area,
+                &scenario.events,
+                Tti(scenario.run.ttis),
+            ),
         )
     }
 
-    /// As [`Self::new`], with the events of `process`.
-    pub fn with_events(scenario: &Scenario, deployment: &Deployment, process: EventProcess) -> Self {
+    /// Creates the world like [`Self::new`], with the events of `process`.
+    pub fn with_events<P>(scenario: &Scenario<P>, deployment: &Deployment, process: EventProcess) -> Self {
         let positions = deployment.positions();
         Self {
-            seed: scenario.seed,
+            seed: scenario.run.seed,
             sensing: scenario.sensing.clone(),
+            // Every query has the radius d_max, so cells of that size suit it.
             buckets: Buckets::new(&positions, scenario.area, scenario.sensing.d_max),
-            air: Air::new(scenario.seed, &scenario.radio),
+            air: Air::new(scenario.run.seed, &scenario.radio),
             heard: None,
             positions,
             process,
@@ -84,42 +90,35 @@ impl World {
         }
     }
 
-    /// `plan` goes out on the air in TTI `from`. Gives how many devices miss it: they keep the one that they have.
+    /// Sends `plan` on the air in TTI `from`. Returns the number of devices that miss it.
     pub fn plan_sent(&mut self, from: Tti, plan: &Plan) -> u64 {
         if !self.air.loses_plans() {
             return 0;
         }
-        let now = self.air.at(from);
-        let heard = self
-            .heard
-            .get_or_insert_with(|| vec![DutyCycle::ASLEEP; self.positions.len()]);
-        let mut missed = 0;
-        for (cycle, device) in heard.iter_mut().zip((0..).map(DeviceId)) {
-            if now.misses_plan(device) {
-                missed += 1;
-            } else {
-                *cycle = plan.duty_cycle(device);
-            }
-        }
-        missed
+        let devices = self.positions.len();
+        // A device sleeps until its first plan, as in the device's state machine.
+        let heard = self.heard.get_or_insert_with(|| vec![DutyCycle::ASLEEP; devices]);
+        self.air
+            .deliver_plan(from, plan, DeviceId(0), devices, |j, cycle| heard[j] = cycle)
     }
 
-    /// The air in TTI `k`, none before that of the last call.
-    pub fn air(&mut self, k: Tti) -> Moment {
+    /// Returns the state of the air in TTI `k`, which must not precede the TTI of the last call.
+    pub fn air(&mut self, k: Tti) -> ChannelState {
         self.air.at(k)
     }
 
-    /// Plays the TTIs from `k` on, up to and not including `horizon`, until one in which a device may react to an event
-    /// under `plan`; gives that TTI. `turns` are filled with what the world does on the way, in order.
+    /// Advances the world from TTI `k` to the first TTI before `horizon` in which a device may react to an event under
+    /// `plan`. Returns that TTI, if any. Appends all changes of the world on the way to `turns`, in order.
     ///
-    /// With an `oracle` nobody senses by itself, and the oracle alone reacts.
-    pub fn play(
+    /// If an `oracle` is given, no device senses and only the oracle reacts.
+    #[inline]
+    pub fn advance(
         &mut self,
         mut k: Tti,
         horizon: Tti,
         plan: &Plan,
         mut oracle: Option<&mut (impl Oracle + ?Sized)>,
-        turns: &mut Vec<Turn>,
+        turns: &mut Vec<WorldChange>,
     ) -> Option<Tti> {
         self.detectors.clear();
         loop {
@@ -128,9 +127,10 @@ impl World {
                 if k >= horizon {
                     return None;
                 }
-                turns.push(Turn::Started(self.start(oracle.as_deref_mut())));
+                turns.push(WorldChange::Started(self.start(oracle.as_deref_mut())));
                 continue;
             };
+            // Lazy: in the event's first TTI the answer that `start` received holds.
             let mut is_told_again = || oracle.as_deref_mut().is_some_and(Oracle::is_told_again);
             if is_told && (k == event.start || is_told_again()) {
                 return Some(k);
@@ -140,40 +140,41 @@ impl World {
                 return Some(reaction);
             }
             self.detectors.clear();
+            // The event outlasts the horizon, where the plan may change: the next call searches from there.
             if event.last >= horizon || reaction <= event.last {
                 return None;
             }
             self.end(event.last);
-            turns.push(Turn::Missed(event.last));
+            turns.push(WorldChange::Missed(event.last));
             k = event.last + 1;
         }
     }
 
-    /// What the world shows the devices, while an event is under way.
+    /// Returns the stimulus of the active event, if any.
     pub fn stimulus(&self) -> Option<Stimulus> {
         self.current.map(|current| current.event.stimulus)
     }
 
-    /// The last TTI of the event under way, if nobody reports it; 0 while none is.
+    /// Returns the last TTI of the active event if no device reports it; 0 without an active event.
     pub fn until(&self) -> Tti {
         self.current.map_or(Tti::ZERO, |current| current.event.last)
     }
 
-    /// The devices that detect the event in the TTI that [`Self::play`] gave, battery permitting, in no order.
+    /// Returns the devices that detect the event in the TTI from [`Self::advance`], battery permitting, in any order.
     pub fn detectors(&self) -> &[DeviceId] {
         &self.detectors
     }
 
-    /// Whether `device` is farther than d_max from the event under way.
+    /// Whether `device` is farther than d_max from the active event.
     ///
     /// # Panics
-    /// While no event is.
+    /// If no event is active.
     pub fn is_far(&self, device: DeviceId) -> bool {
         let epicentre = self.stimulus().expect("an event is under way").epicentre;
         self.positions[device.index()].distance(epicentre) > self.sensing.d_max
     }
 
-    /// TTI `tti` closes. Whether the event under way ends with it: it was reported, or this was its last TTI.
+    /// Closes TTI `tti`. Returns whether the active event ends with it: it was reported, or this was its last TTI.
     pub fn close(&mut self, tti: Tti, is_reported: bool) -> bool {
         let ends = self
             .current
@@ -184,8 +185,8 @@ impl World {
         ends
     }
 
-    /// The first TTI from `k` on in which somebody of the audience has δ = 1; fills the detectors of that TTI. What a
-    /// device has heard counts, `plan` or one before it.
+    /// Returns the first TTI from `k` on in which any device of the audience has δ = 1, and stores the detectors of
+    /// that TTI. The last plan that a device received applies, `plan` or an earlier one.
     fn first_reaction(&mut self, k: Tti, plan: &Plan) -> Tti {
         let mut reaction = Tti::NEVER;
         for &device in &self.audience {
@@ -215,8 +216,10 @@ impl World {
             audience,
             ..
         } = self;
+        // Detection is one draw per event and device, so the audience is fixed for the whole event.
         audience.clear();
         let is_told = if let Some(oracle) = oracle {
+            // The audience stays empty: under a policy with an oracle no device senses.
             oracle.told(&event.stimulus)
         } else {
             buckets.within(epicentre, sensing.d_max, |j, d| {

@@ -4,7 +4,7 @@
 # usage: build-prebuilt.sh IMAGE BINARY
 #
 #   IMAGE   image to make, such as reveille:local
-#   BINARY  the program, such as target/release/reveille
+#   BINARY  the program, such as target/dist/reveille; the image gets it without symbols and line tables
 #
 # RUNTIME_IMAGE  what the image is based on (default: debian:bookworm-slim). Its C library must not
 #                be older than the one the binary was built against.
@@ -40,6 +40,8 @@ trap 'exit 130' INT
 trap 'exit 143' TERM HUP
 cp "$binary" "$context/reveille"
 chmod 0755 "$context/reveille"
+# Five sixths of a release build are line tables. strip is part of binutils, which come with the linker.
+if command -v strip >/dev/null 2>&1; then strip "$context/reveille"; fi
 cp "$here/Dockerfile.prebuilt" "$context/Dockerfile"
 
 docker build --force-rm --tag "$image" \

@@ -57,7 +57,7 @@ apt_sources() {
     done
 }
 
-# The host's mirror for the suite, else any Debian mirror it has, else Debian's own.
+# Prefers the host's mirror for the suite, then any Debian mirror of the host, then Debian's own.
 host_mirror() {
     apt_sources | awk -v suite="$1" '
         $2 == suite && exact == "" { exact = $1 }
@@ -128,8 +128,8 @@ fi
 work=$(mktemp -d)
 root=$work/root
 
-# Runs however the script ends. A killed debootstrap leaves /proc mounted in the chroot: nothing is
-# deleted while something is still mounted there, and the deletion never crosses a mount.
+# Runs on every exit. A killed debootstrap leaves /proc mounted in the chroot: the script deletes nothing while a mount
+# remains there, and the deletion never crosses a mount.
 cleanup() {
     awk -v under="$work/" 'index($2, under) == 1 { print $2 }' /proc/mounts | sort -r |
         while read -r mounted; do umount "$mounted" || umount -l "$mounted" || true; done

@@ -75,7 +75,7 @@ if [ -z "${RUNTIME_IMAGE:-}" ]; then
     "$here/make-base-image.sh" "$RUNTIME_IMAGE"
 fi
 export RUNTIME_IMAGE
-# Any free port of this machine, and nothing of the caller's own testbed.
+# Any free port of this machine, and no settings inherited from another testbed.
 export REVEILLE_PORT='' REVEILLE_SET='' REVEILLE_PACE=max REVEILLE_ON_LOSS=end REVEILLE_JOIN_TIMEOUT=2min
 say "packing $binary into $image"
 log=$("$here/build-prebuilt.sh" "$image" "$binary" 2>&1) || {
@@ -86,7 +86,7 @@ log=$("$here/build-prebuilt.sh" "$image" "$binary" 2>&1) || {
 say "running $REVEILLE_DEVICES devices, $REVEILLE_TTIS TTIs as project $project"
 start=$(date +%s)
 code=0
-# In the background, so that a signal to this script is acted on at once.
+# In the background, so that this script reacts to a signal immediately.
 timeout --kill-after=60 "${TESTBED_TIMEOUT:-600}" \
     "$@" up --no-build --no-color --scale device=5 --exit-code-from bs &
 running=$!

@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# Runs what docs/dt.md says of the decision transformer's worth, on seeds that no recording has, and prints its tables.
+# Runs the evaluation of the decision transformer in docs/dt.md, on seeds absent from its recordings, and prints tables.
 #
 #   cargo build --release
 #   deploy/examples/judge-dt.sh target/release/reveille FOLDER [RUNS]
 #
-# With 200 runs a point it takes some 50 minutes of two cores. A sweep that was cut short goes on where it was.
+# 200 runs a point take some 50 minutes on two cores. An interrupted sweep resumes where it stopped.
 set -euo pipefail
 reveille=$(realpath "${1:?the program}")
 folder=${2:?a folder for the sweeps}
@@ -24,26 +24,26 @@ sweep() { # NAME RUNS OPTIONS...
 prices=policy.age-index.price=0.05,0.1,0.35,0.6,1,2,4,8
 for layout in jittered uniform; do
     at=(--set "layout.kind=$([ "$layout" = uniform ] && echo uniform || echo jittered-grid)")
-    # Beside genie, knn and q-learning.
+    # Compared with genie, knn and q-learning.
     sweep "claims-$layout-dt" "$runs" -p dt,genie -n 250 -k 2000 --set policy.dt.price=0.35 "${at[@]}"
     sweep "claims-$layout-knn" "$runs" -p knn -n 250 -k 1000 --grid bs.ranking=p42,posterior "${at[@]}"
     sweep "learning-$layout-windows" "$runs" -p q-learning -n 50,100,250 -k 1000 --grid policy.q-learning.window=1,2,4 \
         --grid bs.ranking=p42,posterior "${at[@]}"
     sweep "learning-$layout-ages" "$runs" -p q-learning -n 50,100,250 -k 1000 --set policy.q-learning.ages=true \
         --grid bs.ranking=p42,posterior "${at[@]}"
-    # Beside age-index.
+    # Compared with age-index.
     for events in uniform bursts aftershocks hot-spots; do
         among=("${at[@]}" --set "events.process=$events" -n 50,100,250 -k 1000)
         sweep "families-$layout-$events-dt" "$runs" -p dt --grid policy.dt.price=0.35,1 "${among[@]}"
         sweep "families-$layout-$events-age" "$runs" -p age-index --grid "$prices" "${among[@]}"
     done
 done
-# The target return, and the fixed prices beside it.
+# The target return, and the fixed prices for comparison.
 for n in 50 250; do
     sweep "target-$n-dt" "$few" -p dt -n "$n" -k 1200 --grid policy.dt.target=0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9
     sweep "target-$n-price" "$few" -p dt -n "$n" -k 1200 --grid policy.dt.price=0.1,0.35,1,2
 done
-# Numbers of devices and layouts that the model has never seen.
+# Numbers of devices and layouts unseen in training.
 for layout in uniform poisson-disk hex; do
     for events in uniform bursts; do
         among=(--set "layout.kind=$layout" --set "events.process=$events" -n 30,150,400 -k 1000)
@@ -51,14 +51,14 @@ for layout in uniform poisson-disk hex; do
         sweep "unseen-$layout-$events-age" "$few" -p age-index --grid "$prices" "${among[@]}"
     done
 done
-# Models of one's own, beside the shipped one: `FOLDER/models/*.safetensors`.
+# Other models, for comparison with the shipped one: `FOLDER/models/*.safetensors`.
 for model in models/*.safetensors; do
     [ -e "$model" ] || continue
     name=$(basename "$model" .safetensors)
     for events in uniform bursts aftershocks; do
         sweep "ablation-$name-$events-dt" "$few" -p dt --set "policy.dt.model=$model" --set policy.dt.price=1 \
             --set "events.process=$events" -n 50,250 -k 2000
-        # Models that imitate spend less than any price of ours does.
+        # Imitating models use less energy than age-index at any of our prices, so higher prices are added.
         sweep "ablation-age-$events" "$few" -p age-index --grid "$prices,16,32" --set "events.process=$events" -n 50,250 -k 2000
     done
 done

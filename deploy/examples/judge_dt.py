@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""Tables of docs/dt.md from the sweeps of judge-dt.sh: `python judge_dt.py FOLDER`. Needs nothing but Python.
+"""Prints the tables of docs/dt.md from the sweeps of judge-dt.sh: `python judge_dt.py FOLDER`. Needs only Python.
 
-`dt` is compared run by run, in the same world: with the line through another policy's points (energy, P1) of that seed,
-without points that find less than a cheaper one. Differences have 95 % intervals over seeds.
+Each `dt` run is compared, on its seed, with the line through another policy's points (energy, P1), without points that
+a cheaper one beats. Differences have 95 % intervals over seeds.
 """
 
 import csv
@@ -16,19 +16,19 @@ PRICE = "policy.dt.price"
 
 
 def rows(name):
-    """The runs of the sweep `name`, as dictionaries of text."""
+    """Returns the runs of the sweep `name`, as dictionaries of text."""
     with open(FOLDER / name / "results.csv", newline="") as table:
         return list(csv.DictReader(table))
 
 
 def interval(values):
-    """Half of the 95 % interval of the mean of `values`."""
+    """Returns half of the 95 % interval of the mean of `values`."""
     count = len(values)
     return (1.96 + 2.4 / (count - 1)) * stdev(values) / count**0.5 if count > 1 else float("nan")
 
 
 def column(runs, metric):
-    """`metric` of the runs in which it is defined."""
+    """Returns `metric` for the runs in which it is defined."""
     return [float(run[metric]) for run in runs if run[metric] != ""]
 
 
@@ -41,7 +41,7 @@ def said(values, digits=4):
 
 
 def line_at(points, energy):
-    """P1 at `energy` on the line through `points` that nothing cheaper beats, or None outside of their energies."""
+    """Returns P1 at `energy` on the line through `points` that no cheaper one beats; None outside of their energies."""
     front = []
     for cost, found in sorted(points):
         if not front or found > front[-1][1]:
@@ -53,7 +53,7 @@ def line_at(points, energy):
 
 
 def beside(ours, theirs):
-    """Difference of P1 at equal energy, a row of a table's last columns, and how many runs lay outside of the line."""
+    """Formats the last cells of a row: P1 difference at equal energy, and the number of runs outside of the line."""
     points = defaultdict(list)
     for run in theirs:
         points[run["seed"]].append((float(run["energy_per_device_tti"]), float(run["info_p1"])))
@@ -72,7 +72,7 @@ def beside(ours, theirs):
 
 
 def by(runs, *fields):
-    """The runs in groups of equal `fields`, in the order in which they come."""
+    """Groups runs by equal `fields`, in order of first appearance."""
     groups = defaultdict(list)
     for run in runs:
         groups[tuple(run[field] for field in fields)].append(run)

@@ -4,7 +4,7 @@ import sys
 import polars as pl
 
 runs = pl.read_parquet(sys.argv[1] if len(sys.argv) > 1 else "study/results.parquet")
-# Columns in front of the metrics: what tells cells apart (scenario_hash holds the seed as well), swept fields included.
+# Columns before the metrics identify a cell, including swept fields; scenario_hash also depends on the seed.
 metrics = runs.columns[runs.columns.index("info_p1") : -1]
 cell = [name for name in runs.columns if name not in [*metrics, "scenario_hash", "seed", "digest"]]
 print(runs.select(*cell, "seed", "info_p1", "misdetection_pct"))
@@ -16,7 +16,7 @@ cells = runs.group_by(cell, maintain_order=True).agg(
 )
 print(cells.select(*cell, "runs", "info_p1", "info_p1_se"))
 
-# %% All cells have the same seeds: compare policies run by run, which takes the deployments' spread out.
+# %% All cells have the same seeds: a comparison run by run removes the variation between deployments.
 policies = runs["policy"].unique(maintain_order=True).to_list()
 rest = [name for name in cell if name != "policy"]
 pairs = runs.pivot(on="policy", index=[*rest, "seed"], values="energy_per_device_tti")

@@ -1,17 +1,17 @@
 #!/usr/bin/env bash
-# Records, and trains from it, a decision transformer such as the one that comes with the program: first from teachers
-# (age-index at four prices, knn and q-learning), then from them and from what the first model did itself.
+# Records data and trains a decision transformer like the shipped one. The first training uses recordings of teachers
+# (age-index at four prices, knn and q-learning); the second adds recordings of the first model.
 #
 #   cargo build --release --features train-dt
 #   deploy/examples/train-dt.sh target/release/reveille FOLDER
 #
-# A run that was cut short goes on where it was. It needs some 3 GB on the disk and 10 GB of memory; two trainings of a
-# quarter of an hour each on two cores.
+# An interrupted run of this script resumes where it stopped. It needs some 3 GB of disk and 10 GB of memory, and two
+# trainings take a quarter of an hour each on two cores.
 set -euo pipefail
 reveille=$(realpath "${1:?the program}")
 folder=${2:?a folder for recordings and models}
-# What is recorded names the model that decided as it was given: from inside the folder, so that any folder gives the
-# same bytes.
+# A recording names the path of the model that decided. A path relative to the folder is the same everywhere, and so the
+# recording has the same bytes.
 mkdir -p "$folder"
 cd "$folder"
 

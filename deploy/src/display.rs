@@ -1,4 +1,4 @@
-//! What a person sees: the progress bar and the closing table.
+//! Output for people: the progress bar and the closing table.
 
 use std::io;
 use std::os::fd::AsFd;
@@ -10,21 +10,22 @@ use anyhow::Context;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
-use reveille_bs::host::Progress;
-use reveille_common::scenario::Scenario;
-use reveille_common::score::{Acts, Group, Metrics};
+use reveille_bs::scenario::Scenario;
+use reveille_bs::server::RunProgress;
+use reveille_common::score::{EventActivity, MetricGroup, Metrics};
 use reveille_common::units::MICRO_PER_UNIT;
 
-use crate::summary::{Class, Summary};
+use crate::summary::{ClassSummary, Summary};
 use crate::terminal;
 
-/// Writes `text` to standard output. Nobody reading it any more is no error: whatever it told of has happened.
+/// Writes `text` to standard output. A closed output is not an error: the reported work is done anyway.
 ///
 /// # Errors
 /// If it cannot be written for another reason.
-pub fn out(text: &str) -> anyhow::Result<()> {
+pub(crate) fn print(text: &str) -> anyhow::Result<()> {
     use std::io::Write;
     let mut stdout = io::stdout().lock();
+    // Flushed here: an error at the end of the program would be lost.
     match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
         Err(error) if !terminal::is_gone(&error, stdout.as_fd()) => {
             Err(error).context("cannot write to standard output")
@@ -33,8 +34,8 @@ pub fn out(text: &str) -> anyhow::Result<()> {
     }
 }
 
-/// Writes a line to standard error, as `eprintln!` does, but as a whole: who reads along never sees a part of it. That
-/// it cannot be written is no error: nobody reads it, and the exit code tells how the command ended.
+/// Writes a whole line to standard error with one call, so that readers never see a part of it. A failed write is
+/// ignored: the exit code still tells how the command ended.
 macro_rules! note {
     ($($said:tt)*) => {{
         use std::io::Write as _;
@@ -44,23 +45,23 @@ macro_rules! note {
 }
 pub(crate) use note;
 
-/// `1 run`, `2 runs`.
-pub fn count(number: usize, noun: &str) -> String {
+/// Formats a number with its noun: `1 run`, `2 runs`.
+pub(crate) fn count(number: usize, noun: &str) -> String {
     let plural = if number == 1 { "" } else { "s" };
     format!("{number} {noun}{plural}")
 }
 
-/// All bars of the process: log lines are written between them, not over them.
+/// All progress bars of the process: log lines are written between them, not over them.
 static BARS: std::sync::LazyLock<MultiProgress> =
     std::sync::LazyLock::new(|| MultiProgress::with_draw_target(terminal::target()));
 
 /// Writes log lines to standard error without tearing a progress bar.
 #[derive(Clone, Copy)]
-pub struct LogWriter;
+pub(crate) struct LogWriter;
 
 impl io::Write for LogWriter {
     fn write(&mut self, line: &[u8]) -> io::Result<usize> {
-        // An error would be told on standard error, which panics when that is what cannot be written.
+        // tracing reports a failed write by `eprintln!`, which panics if standard error is what failed.
         let _unread = BARS.suspend(|| io::stderr().write_all(line)).is_err();
         Ok(line.len())
     }
@@ -78,8 +79,8 @@ impl<'a> tracing_subscriber::fmt::MakeWriter<'a> for LogWriter {
     }
 }
 
-/// A progress bar among the others, unless `hidden` or standard error is no terminal.
-pub fn bar(length: u64, template: &str, hidden: bool) -> ProgressBar {
+/// Creates a progress bar, unless `hidden` or standard error is not a terminal.
+pub(crate) fn bar(length: u64, template: &str, hidden: bool) -> ProgressBar {
     let bar = if hidden {
         ProgressBar::hidden()
     } else {
@@ -90,25 +91,26 @@ pub fn bar(length: u64, template: &str, hidden: bool) -> ProgressBar {
     bar
 }
 
-/// A progress bar with a thread that keeps it up to date; gone when dropped.
-pub struct Bar {
+/// A progress bar with a thread that updates it; removed when dropped.
+pub(crate) struct Bar {
     line: ProgressBar,
     done: Arc<std::sync::atomic::AtomicBool>,
     thread: Option<std::thread::JoinHandle<()>>,
 }
 
 impl Bar {
-    /// Shows `progress` of a run of `scenario`, unless `hidden` or standard error is no terminal.
-    pub fn start(progress: &Arc<Progress>, scenario: &Scenario, hidden: bool) -> Self {
+    /// Shows `progress` of a run of `scenario`, unless `hidden` or standard error is not a terminal.
+    pub(crate) fn start(progress: &Arc<RunProgress>, scenario: &Scenario, hidden: bool) -> Self {
         let template = "{bar:30} TTI {pos}/{len}  {msg}  {eta} left";
-        let bar = bar(scenario.ttis, template, hidden);
+        let bar = bar(scenario.run.ttis, template, hidden);
         let done = Arc::new(std::sync::atomic::AtomicBool::new(false));
         let (thread_bar, thread_done, progress) = (bar.clone(), Arc::clone(&done), Arc::clone(progress));
-        let devices = scenario.devices;
+        let devices = scenario.run.devices;
         let thread = std::thread::spawn(move || {
             let mut is_running = false;
             while !thread_done.load(Ordering::Relaxed) {
                 is_running = update(&thread_bar, &progress, devices, is_running);
+                // `drop` unparks the thread, so that the end does not wait for this pause.
                 std::thread::park_timeout(Duration::from_millis(100));
             }
         });
@@ -131,7 +133,7 @@ impl Drop for Bar {
     }
 }
 
-fn update(bar: &ProgressBar, progress: &Progress, devices: u32, was_running: bool) -> bool {
+fn update(bar: &ProgressBar, progress: &RunProgress, devices: u32, was_running: bool) -> bool {
     let get = |value: &std::sync::atomic::AtomicU64| value.load(Ordering::Relaxed);
     let tti = get(&progress.tti);
     let paused = progress.paused.load(Ordering::Relaxed);
@@ -143,6 +145,7 @@ fn update(bar: &ProgressBar, progress: &Progress, devices: u32, was_running: boo
         bar.set_message(format!("{}/{devices} devices joined", get(&progress.joined)));
         return false;
     }
+    // The time before the first TTI would lower the rate.
     if !was_running {
         bar.reset_elapsed();
         bar.reset_eta();
@@ -154,7 +157,7 @@ fn update(bar: &ProgressBar, progress: &Progress, devices: u32, was_running: boo
         100.0 * missed as f64 / events as f64
     };
     let battery = get(&progress.mean_battery) as f64 / MICRO_PER_UNIT as f64;
-    // The first window has still to end.
+    // Before the first window ends there is no mean.
     let battery = if battery > 0.0 {
         format!("{battery:.1}")
     } else {
@@ -172,8 +175,8 @@ fn update(bar: &ProgressBar, progress: &Progress, devices: u32, was_running: boo
     true
 }
 
-/// The closing table.
-pub fn table(summary: &Summary<'_>) -> String {
+/// Formats the closing table.
+pub(crate) fn table(summary: &Summary<'_>) -> String {
     let mut lines = vec![
         format!(
             "{} · {} devices · {} of {} TTIs · preset {} · seed {}",
@@ -200,14 +203,14 @@ pub fn table(summary: &Summary<'_>) -> String {
     lines.join("\n")
 }
 
-/// The metrics, group by group.
+/// Formats the metrics by group.
 fn metrics(summary: &Summary<'_>) -> String {
     let mut table = Table::new();
     table
         .load_style(UTF8_FULL_CONDENSED)
         .set_header(["metric", "value", "unit"]);
     let rows = summary.metrics.rows();
-    for group in Group::ALL {
+    for group in MetricGroup::ALL {
         table.add_row([group.title().to_uppercase(), String::new(), String::new()]);
         for (metric, (name, value, unit)) in Metrics::ALL.iter().zip(rows) {
             if metric.group == group {
@@ -221,8 +224,8 @@ fn metrics(summary: &Summary<'_>) -> String {
     table.to_string()
 }
 
-/// The device classes side by side, where there are several.
-fn classes(classes: &[Class<'_>]) -> Option<String> {
+/// Formats the device classes in columns, if there are several.
+fn classes(classes: &[ClassSummary<'_>]) -> Option<String> {
     if classes.is_empty() {
         return None;
     }
@@ -242,7 +245,7 @@ fn classes(classes: &[Class<'_>]) -> Option<String> {
         });
         table.add_row(std::iter::once(metric.name.to_owned()).chain(values));
     }
-    for (at, (name, _)) in Acts::default().rows().into_iter().enumerate() {
+    for (at, (name, _)) in EventActivity::default().rows().into_iter().enumerate() {
         let values = classes.iter().map(|class| class.acts.rows()[at].1.to_string());
         table.add_row(std::iter::once(name.to_owned()).chain(values));
     }
@@ -252,7 +255,7 @@ fn classes(classes: &[Class<'_>]) -> Option<String> {
     Some(table.to_string())
 }
 
-/// What the policy found out, if anything.
+/// Formats the policy's facts; `None` without facts.
 fn facts(summary: &Summary<'_>) -> Option<String> {
     let facts = summary.policy_facts.iter();
     let facts: Vec<String> = facts
@@ -261,7 +264,7 @@ fn facts(summary: &Summary<'_>) -> Option<String> {
     (!facts.is_empty()).then(|| facts.join(" · "))
 }
 
-/// Why events were missed, if any was: each cause with its share of all events.
+/// Formats the causes of misdetections, each with its share of all events; `None` without misdetections.
 fn missed(summary: &Summary<'_>) -> Option<String> {
     let (events, missed) = (summary.totals.events.events, summary.totals.missed);
     let causes = [
@@ -272,12 +275,13 @@ fn missed(summary: &Summary<'_>) -> Option<String> {
     ];
     let told = causes.iter().filter(|(count, _)| *count > 0);
     let told: Vec<String> = told
+        // A misdetected event was also counted, so `events` is above 0 here.
         .map(|(count, cause)| format!("{:.2} % {cause}", 100.0 * *count as f64 / events as f64))
         .collect();
     (!told.is_empty()).then(|| format!("events missed, of all: {}", told.join("; ")))
 }
 
-/// How fast it went, and with what.
+/// Formats the speed of the run and its hosts.
 fn timing(summary: &Summary<'_>) -> String {
     let timing = &summary.timing;
     let mut parts = vec![format!("{:.0} TTIs/s", timing.ttis_per_s)];

@@ -1,23 +1,38 @@
-//! The exit codes of the command, all of them.
+//! The exit codes of the command, and the error of a command ended by a signal.
 
+use std::borrow::Cow;
+use std::fmt;
 use std::process::ExitCode;
 
-/// How the command ends.
+use reveille_bs::server::BsError;
+
+/// The outcome of a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Exit {
-    /// It did what was asked.
+pub enum ExitReason {
+    /// Success.
     Done,
-    /// It could not, and said why.
+    /// Failure, with a message.
     Failed,
-    /// The command line is wrong, or asks for what this build cannot do. clap ends with the same code.
+    /// Wrong command line, or a request that this build does not support. clap uses the same code.
     Usage,
-    /// A signal has ended it: what there is so far is kept. The code is that of shells for Ctrl-C.
+    /// End by a signal, with the results so far kept. Shells use the same code for Ctrl-C.
     Interrupted,
 }
 
-impl Exit {
-    /// Every way to end.
+impl ExitReason {
+    /// All outcomes.
     const ALL: [Self; 4] = [Self::Done, Self::Failed, Self::Usage, Self::Interrupted];
+
+    /// The outcome of a command that returned `error`.
+    pub fn from_error(error: &anyhow::Error) -> Self {
+        // A run over the bus that a signal stops ends with an error of the base station.
+        let by_bs = error.downcast_ref::<BsError>().is_some_and(BsError::is_interruption);
+        if by_bs || error.is::<Interrupted>() {
+            Self::Interrupted
+        } else {
+            Self::Failed
+        }
+    }
 
     /// The exit code.
     pub const fn code(self) -> u8 {
@@ -39,20 +54,39 @@ impl Exit {
         }
     }
 
-    /// Ends the program at once.
+    /// Ends the program immediately.
     pub fn now(self) -> ! {
         std::process::exit(i32::from(self.code()))
     }
 }
 
-impl From<Exit> for ExitCode {
-    fn from(exit: Exit) -> Self {
+/// The error of a command ended by a signal. Its text names the results that are kept.
+#[derive(Debug)]
+pub(crate) struct Interrupted(pub Cow<'static, str>);
+
+impl Interrupted {
+    /// The error of a command without results to keep.
+    pub(crate) const BARE: Self = Self(Cow::Borrowed("interrupted"));
+    /// The error of a run that has not begun.
+    pub(crate) const BEFORE_RUN: Self = Self(Cow::Borrowed("interrupted before the first TTI"));
+}
+
+impl fmt::Display for Interrupted {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for Interrupted {}
+
+impl From<ExitReason> for ExitCode {
+    fn from(exit: ExitReason) -> Self {
         Self::from(exit.code())
     }
 }
 
 /// The part of `--help` that lists the exit codes.
-pub fn help() -> String {
-    let lines = Exit::ALL.map(|exit| format!("  {:>3}  {}", exit.code(), exit.about()));
+pub(crate) fn help() -> String {
+    let lines = ExitReason::ALL.map(|exit| format!("  {:>3}  {}", exit.code(), exit.about()));
     format!("Exit codes:\n{}", lines.join("\n"))
 }

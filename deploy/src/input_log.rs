@@ -1,6 +1,7 @@
-//! The inputs of a run in its folder: `inputs.log`. A line is written before the run goes on from what it says, so that
-//! a replay of the run comes to the same, whatever is killed. An outage is on the disk then; of decisions, of which
-//! there may be thousands in a second, a power cut can take the last second.
+//! The input log of a run folder: `inputs.log`.
+//!
+//! An input is logged before the run acts on it, so that a replay repeats the run after any kill. Outages are synced
+//! to the disk immediately. Decisions can be thousands a second, so a power cut can lose the last second of them.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write};
@@ -8,77 +9,80 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
+use reveille_bs::scenario::Scenario;
 use reveille_common::message::LogPart;
-use reveille_common::scenario::Scenario;
-use reveille_lab::inputs::{self, Input, Inputs};
+use reveille_lab::external_inputs::{self, ExternalInput, ExternalInputs};
 
-use crate::wall::now;
+use crate::runtime::now;
 
-/// The file in a run folder.
-pub const INPUTS: &str = "inputs.log";
-/// What is said of a log of which not all comes to pass.
-pub const MISFIT: &str =
+/// The file name of the log in a run folder.
+pub(crate) const INPUTS: &str = "inputs.log";
+/// The error for a log with inputs that do not occur in the run.
+pub(crate) const MISFIT: &str =
     "the log of inputs names an outage or a decision that does not come in this run: was it changed?";
-/// Time between two moments at which decisions are on the disk.
+/// Time between two syncs of decisions to the disk.
 const SYNC: Duration = Duration::from_secs(1);
 
-/// The log of a run.
+/// The input log of a run.
 #[derive(Debug)]
-pub struct InputLog {
+pub(crate) struct InputLog {
     path: PathBuf,
     first_line: String,
-    /// Once there is something in it.
+    /// The open file, once there is an input.
     file: Option<File>,
     synced: Instant,
 }
 
 impl InputLog {
-    /// The log in a run folder. A file comes about with the first input.
-    pub fn new(folder: &Path, scenario: &Scenario) -> Self {
+    /// Creates the log of a run folder. The file is created with the first input.
+    pub(crate) fn new(folder: &Path, scenario: &Scenario) -> Self {
         Self {
             path: folder.join(INPUTS),
-            first_line: inputs::first_line(scenario),
+            first_line: external_inputs::first_line(scenario),
             file: None,
             synced: now(),
         }
     }
 
-    /// Adds an input.
+    /// Appends an input.
     ///
     /// # Errors
-    /// It cannot be written.
-    pub fn add(&mut self, input: &Input) -> anyhow::Result<()> {
+    /// If it cannot be written.
+    pub(crate) fn add(&mut self, input: &ExternalInput) -> anyhow::Result<()> {
         let written = self.write(input);
         written.with_context(|| format!("cannot write {}", self.path.display()))
     }
 
-    /// Adds each of these.
+    /// Appends several inputs.
     ///
     /// # Errors
-    /// They cannot be written.
-    pub fn add_all(&mut self, inputs: &Inputs) -> anyhow::Result<()> {
+    /// If they cannot be written.
+    pub(crate) fn add_all(&mut self, inputs: &ExternalInputs) -> anyhow::Result<()> {
         inputs.iter().try_for_each(|input| self.add(&input))
     }
 
-    /// Has no more in it than these.
+    /// Replaces the content of the log with `inputs`.
     ///
     /// # Errors
-    /// It cannot be written.
-    pub fn replace(&mut self, inputs: &Inputs) -> anyhow::Result<()> {
+    /// If it cannot be written.
+    pub(crate) fn replace(&mut self, inputs: &ExternalInputs) -> anyhow::Result<()> {
+        // The open handle belongs to the file that is replaced.
         self.file = None;
-        let lines = inputs.iter().map(|input| inputs::line(&input));
+        let lines = inputs.iter().map(|input| external_inputs::line(&input));
         let text: String = std::iter::once(self.first_line.clone()).chain(lines).collect();
         reveille_lab::io::replace(&self.path, text.as_bytes())
             .with_context(|| format!("cannot write {}", self.path.display()))
     }
 
-    fn write(&mut self, input: &Input) -> io::Result<()> {
+    fn write(&mut self, input: &ExternalInput) -> io::Result<()> {
+        // Taken out: after a failed write the file is reopened, which removes a torn line.
         let opened = self.file.take();
         let mut file = opened.map_or_else(|| self.open(), Ok)?;
-        file.write_all(inputs::line(input).as_bytes())?;
+        file.write_all(external_inputs::line(input).as_bytes())?;
+        // Outages are rare. A sync for each of thousands of decisions a second would slow the run down.
         let is_due = match input {
-            Input::Outage(_) => true,
-            Input::Decision(_) => self.synced.elapsed() >= SYNC,
+            ExternalInput::Outage(_) => true,
+            ExternalInput::Decision(_) => self.synced.elapsed() >= SYNC,
         };
         if is_due {
             file.sync_data()?;
@@ -88,7 +92,7 @@ impl InputLog {
         Ok(())
     }
 
-    /// The file behind its last whole line, and with its first.
+    /// Opens the file after its last whole line, and writes the first line of a new one.
     fn open(&self) -> io::Result<File> {
         let mut options = OpenOptions::new();
         let mut file = options
@@ -97,12 +101,13 @@ impl InputLog {
             .create(true)
             .truncate(false)
             .open(&self.path)?;
-        let whole = inputs::whole(&io::read_to_string(&file)?).len();
+        // A kill can leave half a line, which the next entry must not continue.
+        let whole = external_inputs::complete_lines(&io::read_to_string(&file)?).len();
         file.set_len(whole as u64)?;
         file.seek(SeekFrom::End(0))?;
         if whole == 0 {
             file.write_all(self.first_line.as_bytes())?;
-            // After a power cut the folder must know of the file.
+            // The folder is synced too, so that the new file survives a power cut.
             if let Some(folder) = self.path.parent() {
                 File::open(folder)?.sync_all()?;
             }
@@ -111,39 +116,41 @@ impl InputLog {
     }
 }
 
-/// The inputs that a run folder holds, in the order in which they came; none if it holds no log.
+/// The external inputs in a run folder, in order; empty without a log.
 ///
 /// # Errors
-/// As of [`read`].
-pub fn of_folder(folder: &Path, scenario: &Scenario) -> anyhow::Result<Inputs> {
+/// See [`read`].
+pub(crate) fn of_folder(folder: &Path, scenario: &Scenario) -> anyhow::Result<ExternalInputs> {
     let path = folder.join(INPUTS);
+    // A dangling link is an error, not a missing log.
     match std::fs::symlink_metadata(&path) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Inputs::default()),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(ExternalInputs::default()),
         Ok(_) | Err(_) => read(&path, scenario),
     }
 }
 
-/// The inputs in the log at `path`, in the order in which they came.
+/// Reads the external inputs in the log at `path`, in order.
 ///
 /// # Errors
-/// It cannot be read, is no log, or is that of a run of another scenario.
-pub fn read(path: &Path, scenario: &Scenario) -> anyhow::Result<Inputs> {
+/// If the file cannot be read, is not an input log, or belongs to another scenario.
+pub(crate) fn read(path: &Path, scenario: &Scenario) -> anyhow::Result<ExternalInputs> {
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    inputs::parse(&text, scenario).with_context(|| path.display().to_string())
+    external_inputs::parse(&text, scenario).with_context(|| path.display().to_string())
 }
 
-/// The part of the log at `path` from byte `from` on, for an observer, up to the end of a line at least; empty if there
-/// is none.
+/// Reads a part of the log at `path` for an observer, from byte `from` to at least the end of a line. The part is empty
+/// without a log.
 ///
 /// # Errors
-/// It cannot be read.
-pub fn part(path: &Path, from: u64) -> io::Result<LogPart> {
+/// If the log cannot be read.
+pub(crate) fn read_part(path: &Path, from: u64) -> io::Result<LogPart> {
     let mut bytes = Vec::new();
     match File::open(path) {
         Ok(mut file) => {
             file.seek(SeekFrom::Start(from))?;
             let mut file = BufReader::new(file);
             file.by_ref().take(LogPart::LONGEST).read_to_end(&mut bytes)?;
+            // A line can be longer than a part; without a whole line an observer would never get further.
             if !bytes.contains(&b'\n') {
                 file.read_until(b'\n', &mut bytes)?;
             }
@@ -154,12 +161,16 @@ pub fn part(path: &Path, from: u64) -> io::Result<LogPart> {
     Ok(LogPart { bytes })
 }
 
-/// As [`read`], of a log that somebody has named, which is to hold something.
+/// Reads a log named by the user, which must not be empty; see [`read`].
 ///
 /// # Errors
-/// As of [`read`]; it is none.
-pub fn read_named(path: &Path, scenario: &Scenario) -> anyhow::Result<Inputs> {
+/// See [`read`]; also if the log is empty.
+pub(crate) fn read_named(path: &Path, scenario: &Scenario) -> anyhow::Result<ExternalInputs> {
     let inputs = read(path, scenario)?;
-    anyhow::ensure!(inputs != Inputs::default(), "{}: nothing is in it", path.display());
+    anyhow::ensure!(
+        inputs != ExternalInputs::default(),
+        "{}: nothing is in it",
+        path.display()
+    );
     Ok(inputs)
 }

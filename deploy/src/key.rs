@@ -1,4 +1,4 @@
-//! The key of a run: who has it may command its clock, and carry devices where that is not for everybody.
+//! The key of a run. It allows a client to control the clock, and to run devices if only members may.
 
 use std::fs::{self, OpenOptions};
 use std::io::{ErrorKind, Write};
@@ -9,14 +9,14 @@ use anyhow::{Context, bail};
 use reveille_common::bus::draw_secret;
 use reveille_common::secret::Secret;
 
-/// The variable by which device processes are told the key of the run that started them.
-pub const VARIABLE: &str = "REVEILLE_KEY";
+/// The environment variable that passes the run's key to device processes.
+pub(crate) const VARIABLE: &str = "REVEILLE_KEY";
 
-/// The key in `path`.
+/// Reads the key in `path`.
 ///
 /// # Errors
-/// There is none, or others may read it.
-pub fn read(path: &Path) -> anyhow::Result<Secret> {
+/// If there is no key, or other users may read it.
+pub(crate) fn read(path: &Path) -> anyhow::Result<Secret> {
     let named = || format!("--key-file {}", path.display());
     let mode = fs::metadata(path).with_context(named)?.permissions().mode() & 0o777;
     if mode & 0o077 != 0 {
@@ -26,12 +26,13 @@ pub fn read(path: &Path) -> anyhow::Result<Secret> {
     text.trim().parse().with_context(named)
 }
 
-/// The key in `path`, which is made if it is not there.
+/// Reads the key in `path`, which is created if missing.
 ///
 /// # Errors
-/// It can neither be read nor made.
-pub fn read_or_make(path: &Path) -> anyhow::Result<Secret> {
+/// If it can neither be read nor created.
+pub(crate) fn read_or_make(path: &Path) -> anyhow::Result<Secret> {
     let named = || format!("--key-file {}", path.display());
+    // One call makes the file and its mode: the key is never readable by others, and only one process makes it.
     let made = OpenOptions::new().write(true).create_new(true).mode(0o600).open(path);
     match made {
         Ok(mut file) => {
@@ -44,7 +45,7 @@ pub fn read_or_make(path: &Path) -> anyhow::Result<Secret> {
     }
 }
 
-/// The key that the process which started this one has given it.
-pub fn inherited() -> Option<Secret> {
+/// The key that the parent process passed to this one.
+pub(crate) fn inherited() -> Option<Secret> {
     std::env::var(VARIABLE).ok()?.parse().ok()
 }

@@ -5,37 +5,36 @@
     reason = "`eprintln!` panics where nobody reads standard error any more; `note!` does not"
 )]
 
+mod audit;
 mod bench;
-mod claim;
+mod child_process;
 mod cli;
 mod commands;
 mod dashboard;
-mod decider;
 mod display;
-mod ending;
 mod exit;
+mod file_limits;
+mod folder_lock;
 mod input_log;
-mod inputs;
-mod interrupt;
 mod key;
-mod launch;
-mod launcher;
-mod limits;
-mod local;
-mod marks;
-mod muster;
+mod metrics_server;
 mod paths;
 mod policy_process;
+mod policy_source;
 mod recording;
-mod results;
-mod rows;
-mod series;
-mod shadow;
+mod resume_mark;
+mod run_folder;
+mod run_registry;
+mod run_tables;
+mod run_watchers;
+mod runtime;
+mod scenario_files;
+mod signals;
+mod start_limiter;
 mod summary;
+mod supervisor;
+mod table_writer;
 mod terminal;
-mod wall;
-mod watch;
-mod web;
 
 use std::process::ExitCode;
 
@@ -43,7 +42,7 @@ use clap::Parser;
 
 use cli::{Cli, Command};
 use display::note;
-use wall::runtime;
+use runtime::drive;
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
@@ -52,7 +51,7 @@ fn main() -> ExitCode {
         Ok(code) => code,
         Err(error) => {
             note!("reveille: {error:#}");
-            ending::of(&error).into()
+            exit::ExitReason::from_error(&error).into()
         }
     }
 }
@@ -66,18 +65,19 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
         Command::Train(command) => commands::train::run(&command),
         Command::Tune(args) => tune(&args),
         Command::Merge(args) => commands::merge::run(&args),
-        Command::Up(args) => runtime(2)?.block_on(commands::up::run(&args, &log)),
-        Command::Bs(args) => runtime(2)?.block_on(commands::bs::run(&args)),
+        Command::Up(args) => drive(2, commands::up::run(&args, &log)),
+        Command::Bs(args) => drive(2, commands::bs::run(&args)),
         Command::Device(args) => {
+            // Before any runtime or session: it replaces this process by one with another environment.
             if !args.untuned {
-                launch::with_one_thread();
+                child_process::with_one_thread();
             }
-            runtime(1)?.block_on(commands::device::run(&args))
+            drive(1, commands::device::run(&args))
         }
-        Command::PolicyProcess(args) => runtime(1)?.block_on(commands::policy_process::run(&args)),
-        Command::Inspect(command) => runtime(1)?.block_on(commands::inspect::run(&command)),
-        Command::Dashboard(args) => runtime(2)?.block_on(commands::dashboard::run(&args)),
-        Command::Clock(args) => runtime(1)?.block_on(commands::clock::run(&args)),
+        Command::PolicyProcess(args) => drive(1, policy_process::guard(&args.command, args.parent)),
+        Command::Inspect(command) => drive(1, commands::inspect::run(&command)),
+        Command::Dashboard(args) => drive(2, commands::dashboard::run(&args)),
+        Command::Clock(args) => drive(1, commands::clock::run(&args)),
         Command::Figures(args) => commands::figures::run(&args),
         Command::Report(args) => commands::report::run(&args),
         Command::Analyse(command) => commands::analyse::run(&command),
@@ -94,5 +94,5 @@ fn tune(args: &cli::TuneArgs) -> anyhow::Result<ExitCode> {
 #[expect(clippy::unnecessary_wraps, reason = "as with the feature")]
 fn tune(_: &cli::TuneArgs) -> anyhow::Result<ExitCode> {
     note!("reveille: this build has no optimiser; build one with `cargo run --release --features tune -- tune …`");
-    Ok(exit::Exit::Usage.into())
+    Ok(exit::ExitReason::Usage.into())
 }

@@ -1,11 +1,11 @@
-//! The policy process that a run starts by `--policy-command`, and that ends with it, however that is.
+//! The policy process that a run starts for `--policy-command`, and that ends with the run in every case.
 //!
 //! ```text
 //!   base station ──starts──► guard ──starts──► /bin/sh -c COMMAND ──► …
 //!                SIGTERM            SIGTERM, then SIGKILL
 //!                ───────►           ──────────────────────► the group of all of them
 //! ```
-//! The kernel sends the guard the same signal when the base station is gone without a word, as by `kill -9`.
+//! The kernel sends the guard the same signal if the base station ends without a signal to it, as by `kill -9`.
 
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::process::{Child, Command, ExitCode, ExitStatus, Stdio};
@@ -15,7 +15,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::{Context, ensure};
-use reveille_bs::host::Progress;
+use reveille_bs::server::RunProgress;
 use reveille_common::bus::Bus;
 use reveille_common::secret::Secret;
 use rustix::io::Errno;
@@ -25,40 +25,45 @@ use rustix::process::{
 };
 use tokio::signal::unix::{SignalKind, signal};
 
-use crate::exit::Exit;
-use crate::interrupt::Signals;
-use crate::wall::now;
-use crate::{key, launch};
+use crate::exit::ExitReason;
+use crate::runtime::now;
+use crate::signals::{Manner, Signals};
+use crate::{child_process, key};
 
-/// The variable that says where the base station listens.
+/// The variable with the base station's endpoint.
 const CONNECT: &str = "REVEILLE_CONNECT";
-/// The variable that names the run.
+/// The variable with the run's name.
 const RUN: &str = "REVEILLE_RUN";
-/// The subcommand of a guard.
+/// The subcommand that runs the guard.
 const GUARD: &str = "policy-process";
-/// What an exit code is above where a signal has ended a process.
+/// Base of the exit codes of processes ended by a signal.
 const SIGNALLED: i32 = 128;
-/// Time between two looks at a process.
+/// Time between two checks of a process.
 const LOOK: Duration = Duration::from_millis(20);
-/// How long a policy process may take to end: when it hears that the run is over, and when it is told to.
+/// Time for a policy process to end: once after the end of the run, and once after SIGTERM.
 const LEAVE: Duration = Duration::from_secs(2);
 
-/// A policy process, looked after until this is dropped.
-pub struct PolicyProcess {
+/// A policy process, supervised until this is dropped.
+pub(crate) struct PolicyProcess {
     /// The run is over.
     is_over: Arc<AtomicBool>,
-    /// It is to be ended.
+    /// The policy process must end.
     is_left: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl PolicyProcess {
-    /// Starts `command` by the shell, to decide for the run on `bus` that has this `key`. If it ends before the run,
-    /// `progress` is told that the run must end, and why. To be called by a thread that lasts as long as the run.
+    /// Starts `command` with the shell, to decide for the run on `bus` that has this `key`. If it ends before the run,
+    /// the cause is set in `progress` and the run stops. Call it from a thread that lives as long as the run.
     ///
     /// # Errors
-    /// It cannot be started.
-    pub fn start(command: &str, bus: &Bus, key: Option<Secret>, progress: &Arc<Progress>) -> anyhow::Result<Self> {
+    /// If it cannot be started.
+    pub(crate) fn start(
+        command: &str,
+        bus: &Bus,
+        key: Option<Secret>,
+        progress: &Arc<RunProgress>,
+    ) -> anyhow::Result<Self> {
         let program = std::env::current_exe().context("cannot find the reveille program itself")?;
         let mut guard = Command::new(program);
         guard
@@ -66,9 +71,9 @@ impl PolicyProcess {
             .env(CONNECT, bus.endpoint())
             .env(RUN, bus.keys().run().to_string())
             .stdin(Stdio::null())
-            // Its results are on the standard output of the run, and nobody else's.
+            // The run's standard output is for its results only.
             .stdout(std::io::stderr())
-            // A key that ends the run ends the process in its turn.
+            // In another process group Ctrl-C reaches the run alone, which ends the policy process later.
             .process_group(0);
         if let Some(key) = key {
             guard.env(key::VARIABLE, key.to_string());
@@ -76,7 +81,7 @@ impl PolicyProcess {
         let guard = guard.spawn().context("cannot start a process for --policy-command")?;
         let is_over = Arc::new(AtomicBool::new(false));
         let is_left = Arc::new(AtomicBool::new(false));
-        let charge = Charge {
+        let charge = GuardedProcess {
             guard,
             command: command.to_owned(),
             is_over: Arc::clone(&is_over),
@@ -93,9 +98,9 @@ impl PolicyProcess {
         })
     }
 
-    /// The run is over: it may end, and is ended when this is dropped.
+    /// Tells the supervision that the run is over: the process may end now, and is ended when this is dropped.
     #[must_use]
-    pub fn dismissed(self) -> Self {
+    pub(crate) fn run_finished(self) -> Self {
         self.is_over.store(true, Ordering::Relaxed);
         self
     }
@@ -111,29 +116,29 @@ impl Drop for PolicyProcess {
     }
 }
 
-/// A policy process as its base station sees it.
-struct Charge {
+/// A policy process as seen by its base station.
+struct GuardedProcess {
     guard: Child,
     command: String,
     is_over: Arc<AtomicBool>,
     is_left: Arc<AtomicBool>,
 }
 
-impl Charge {
-    fn look_after(mut self, progress: &Progress) {
+impl GuardedProcess {
+    fn look_after(mut self, progress: &RunProgress) {
         self.watch(progress);
-        // What the command has started and left behind, and a guard that hangs.
+        // Ends processes that the command left behind, and a guard that hangs.
         let _gone = kill_process_group(Pid::from_child(&self.guard), Signal::KILL).is_err();
         let _reaped = self.guard.wait().is_err();
     }
 
-    /// Until it has ended, or has been told to and does not.
-    fn watch(&mut self, progress: &Progress) {
+    /// Watches the process until it ends, or does not react to SIGTERM.
+    fn watch(&mut self, progress: &RunProgress) {
         while !self.is_left.load(Ordering::Relaxed) {
             if let Ok(Some(status)) = self.guard.try_wait() {
                 if !self.is_over.load(Ordering::Relaxed) {
                     let why = format!("the policy process `{}` ended with {}", self.command, ending(status));
-                    // The first cause is the one that counts.
+                    // Only the first cause counts. It is set before `stop`, at which the run looks for it.
                     let _told_before = progress.cause.set(why).is_err();
                     progress.stop.store(true, Ordering::Relaxed);
                 }
@@ -143,6 +148,7 @@ impl Charge {
         }
         if !self.has_ended_within(LEAVE) {
             let _gone = kill_process(Pid::from_child(&self.guard), Signal::TERM).is_err();
+            // The guard itself waits up to LEAVE before it kills its group.
             self.has_ended_within(2 * LEAVE);
         }
     }
@@ -159,49 +165,53 @@ impl Charge {
     }
 }
 
-/// The guard of `command`: starts it by the shell, in the group of this process, and ends as it does; ends it when it
-/// is told to, and with the process `parent`, which has started this one. The exit code is that of the command.
+/// Runs the guard of `command`: starts it with the shell, in this process's group, and returns its exit code. Ends the
+/// group at a signal or when the process `parent`, which started this one, ends.
 ///
 /// # Errors
-/// The command cannot be started, this process does not lead a group, or cannot be tied to its parent.
-pub async fn guard(command: &str, parent: i32) -> anyhow::Result<ExitCode> {
+/// If the command cannot be started, this process does not lead a group, or it cannot be tied to its parent.
+pub(crate) async fn guard(command: &str, parent: i32) -> anyhow::Result<ExitCode> {
+    // The guard kills its own group, which must not be the group of a user's shell.
     ensure!(
         getpgrp() == getpid(),
         "this is for `reveille up` and `reveille bs` to start"
     );
-    launch::die_with(parent, Signal::TERM)?;
-    // Those whose parent has ended come to this process, so that it knows when all have.
+    child_process::exit_with_parent(parent, Signal::TERM)?;
+    // Orphans become children of this process, so that it notices when all have ended.
     set_child_subreaper(Some(getpid()))?;
-    let mut signals = Signals::install()?;
+    // Both are installed before the shell starts, or its end could be missed.
+    let signals = Signals::install(Manner::EndsGroup)?;
     let mut ended = signal(SignalKind::child())?;
     let mut shell = Command::new("/bin/sh")
         .args(["-c", command])
         .spawn()
         .context("cannot start a shell for --policy-command")?;
     loop {
+        // SIGCHLD also comes for orphans; only the end of the shell counts.
         if let Some(status) = shell.try_wait()? {
             return Ok(code(status));
         }
         tokio::select! {
             _ = ended.recv() => {}
-            () = signals.any() => break,
+            () = signals.first() => break,
         }
     }
+    // This process receives the signal too, and ignores it (`Manner::EndsGroup`).
     kill_current_process_group(Signal::TERM)?;
     let begun = now();
     while begun.elapsed() < LEAVE {
         match wait(WaitOptions::NOHANG) {
-            Err(Errno::CHILD) => return Ok(Exit::Interrupted.into()),
+            Err(Errno::CHILD) => return Ok(ExitReason::Interrupted.into()),
             Ok(None) | Err(_) => tokio::time::sleep(LOOK).await,
             Ok(Some(_)) => {}
         }
     }
-    // Whatever is left, and this process.
+    // Ends what is left, and this process with it.
     kill_current_process_group(Signal::KILL)?;
-    Ok(Exit::Interrupted.into())
+    Ok(ExitReason::Interrupted.into())
 }
 
-/// 128 and the number of the signal, as shells have it, where that has ended a process.
+/// The exit code of a process; 128 plus the signal number, as in shells, if a signal ended it.
 fn code(status: ExitStatus) -> ExitCode {
     let signal = || SIGNALLED + status.signal().unwrap_or_default();
     u8::try_from(status.code().unwrap_or_else(signal))
@@ -209,7 +219,7 @@ fn code(status: ExitStatus) -> ExitCode {
         .into()
 }
 
-/// How a process has ended, by its exit code.
+/// Describes how a process ended, by its exit code.
 fn ending(status: ExitStatus) -> String {
     match status.code() {
         Some(code) if code > SIGNALLED => format!("{status}, by signal {}", code - SIGNALLED),

@@ -1,30 +1,31 @@
-//! The recording of a run that this process makes.
+//! The recording that this process makes of its run.
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
-use reveille_common::scenario::Scenario;
-use reveille_view::recording::{self, Bundle, Recorder, Tape};
+use reveille_bs::scenario::Scenario;
+use reveille_view::recording::{self, Bundle, Recorder, RecorderHandle};
 
 use crate::cli::OutputArgs;
 use crate::display::note;
-use crate::inputs::Inputs;
+use crate::scenario_files::ScenarioFiles;
 
-/// A recording, where one was asked for.
-pub struct Recording {
+/// A recording, if requested.
+pub(crate) struct RunRecording {
     recorder: Option<(Recorder, PathBuf)>,
     quiet: bool,
 }
 
-impl Recording {
-    /// Begins what `args` ask for, of the run called `run`.
+impl RunRecording {
+    /// Starts the recording that `args` request, of the run called `run`.
     ///
     /// # Errors
-    /// If the file is there already, or cannot be written.
-    pub fn start(args: &OutputArgs, run: &str, scenario: &Scenario) -> anyhow::Result<Self> {
+    /// If the file exists already, or cannot be written.
+    pub(crate) fn start(args: &OutputArgs, run: &str, scenario: &Scenario) -> anyhow::Result<Self> {
         let recorder = match &args.record {
             Some(path) => {
+                // The recorder creates a new file and refuses an existing one.
                 if args.force && path.is_file() {
                     fs::remove_file(path).with_context(|| format!("--record: cannot replace {}", path.display()))?;
                 }
@@ -41,16 +42,16 @@ impl Recording {
         })
     }
 
-    /// Where frames are handed in, if they are recorded.
-    pub fn tape(&self) -> Option<Tape> {
-        self.recorder.as_ref().map(|(recorder, _)| recorder.tape())
+    /// The handle that takes frames, if they are recorded.
+    pub(crate) fn tape(&self) -> Option<RecorderHandle> {
+        self.recorder.as_ref().map(|(recorder, _)| recorder.handle())
     }
 
-    /// Ends the recording, with the text of the summary where the run has one.
+    /// Closes the recording, with the text of the summary if the run has one.
     ///
     /// # Errors
-    /// If it could not be written.
-    pub fn finish(self, summary: Option<String>) -> anyhow::Result<()> {
+    /// If the recording could not be written.
+    pub(crate) fn finish(self, summary: Option<String>) -> anyhow::Result<()> {
         let Some((recorder, path)) = self.recorder else {
             return Ok(());
         };
@@ -70,15 +71,15 @@ impl Recording {
     }
 }
 
-/// Whether somebody is writing the recording at `path`.
-pub fn is_growing(path: &Path) -> bool {
+/// Whether a process is writing the recording at `path`.
+pub(crate) fn is_growing(path: &Path) -> bool {
     File::open(path).is_ok_and(|file| recording::is_growing(&file))
 }
 
-/// `scenario` with the files that it names.
+/// Bundles `scenario` with its scenario files.
 ///
 /// # Errors
-/// One cannot be read any more.
-pub fn bundle(scenario: &Scenario) -> anyhow::Result<Bundle> {
-    Ok(Inputs::read(scenario)?.bundle(scenario))
+/// If a file cannot be read any more.
+pub(crate) fn bundle(scenario: &Scenario) -> anyhow::Result<Bundle> {
+    Ok(ScenarioFiles::read(scenario)?.bundle(scenario))
 }

@@ -1,20 +1,20 @@
-//! `summary.json`: what a run came to.
+//! `summary.json`: the results of a run.
 
 use std::collections::BTreeMap;
 
-use reveille_bs::outcome::Outcome;
+use reveille_bs::cycle::Outcome;
+use reveille_bs::scenario::Scenario;
 use reveille_common::ids::Tti;
-use reveille_common::scenario::Scenario;
-use reveille_common::score::{Acts, ClassRecord, DIGEST_VERSION, Digest, Metrics};
+use reveille_common::score::{ClassRecord, DIGEST_VERSION, Digest, EventActivity, Metrics};
 use reveille_common::totals::Totals;
 use serde::Serialize;
 
-/// The form of `summary.json`; raised when a field changes its meaning.
+/// The version of the format of `summary.json`; raised when a field changes its meaning.
 const SUMMARY_VERSION: u32 = 2;
 
 /// `summary.json`.
 #[derive(Debug, Serialize)]
-pub struct Summary<'a> {
+pub(crate) struct Summary<'a> {
     /// The run's fingerprint.
     pub digest: Digest,
     /// Whether the run was `complete` or `interrupted`.
@@ -31,44 +31,45 @@ pub struct Summary<'a> {
     pub seed: u64,
     /// The preset that the scenario starts from.
     pub preset: &'a str,
-    /// What the policy found out about the deployment, such as the number of clusters.
+    /// Facts that the policy reports about the deployment, such as the number of clusters.
     pub policy_facts: BTreeMap<&'static str, f64>,
     /// SHA-256 of the resolved scenario.
     pub scenario_hash: String,
-    /// The mean over the measured TTIs of the probability that an event starts in one: the α of `info_p1`.
+    /// The mean probability that an event starts in a measured TTI: the α of `info_p1`.
     pub start_probability: f64,
-    /// The metrics; those per event are null where no event was counted.
+    /// The metrics; metrics per event are null if no event was counted.
     pub metrics: Metrics,
-    /// The exact totals behind them; energies in micro-units.
+    /// The exact totals behind the metrics; energies in micro-units.
     pub totals: Totals,
-    /// Where there are several device classes, what each came to.
+    /// The results of each device class, if there are several.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub classes: Vec<Class<'a>>,
-    /// How far a run over the bus was compared with a replay: `whole`, `before TTI …`, or `off`.
+    pub classes: Vec<ClassSummary<'a>>,
+    /// The audited part of a run over the bus: `whole`, `before TTI …`, or `off`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub audit: Option<String>,
-    /// How long things took; the only part that differs between two runs of a scenario.
+    /// Durations; the only part that differs between two runs of a scenario.
     pub timing: Timing,
-    /// Versions of what wrote this.
+    /// Versions of the program and the formats.
     pub versions: Versions,
 }
 
 /// The devices of one class.
 #[derive(Debug, Serialize)]
-pub struct Class<'a> {
+pub(crate) struct ClassSummary<'a> {
     /// Its name.
     pub name: &'a str,
     /// Number of devices.
     pub n: u64,
-    /// The metrics that can be taken over some devices alone.
+    /// The metrics that are defined for a subset of the devices.
     pub metrics: BTreeMap<&'static str, f64>,
-    /// What its devices did for the counted events.
+    /// Activity of its devices for the counted events.
     #[serde(flatten)]
-    pub acts: Acts,
+    pub acts: EventActivity,
 }
 
-impl<'a> Class<'a> {
+impl<'a> ClassSummary<'a> {
     fn all(scenario: &'a Scenario, outcome: &Outcome) -> Vec<Self> {
+        // A single class would repeat the metrics of the whole run.
         if scenario.classes.len() < 2 {
             return Vec::new();
         }
@@ -91,78 +92,78 @@ impl<'a> Class<'a> {
     }
 }
 
-/// How long things took.
+/// Durations and counters of the execution.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
-pub struct Timing {
+pub(crate) struct Timing {
     /// Seconds until all devices had joined.
     pub ready_s: f64,
     /// Seconds from the first TTI to the last ledger.
     pub run_s: f64,
-    /// TTIs per second over that time.
+    /// Mean TTIs per second over that time.
     pub ttis_per_s: f64,
-    /// Processes that carried devices (1 where the base station's own did), or 0 for a run in memory.
+    /// Number of hosts (1 if the base station ran the devices), or 0 for a run in memory.
     pub hosts: usize,
-    /// Barriers over all hosts; fewer than TTIs where lookahead joined them.
+    /// Barriers over all hosts; fewer than TTIs if lookahead joined some.
     pub grants: u64,
     /// TTIs that began late under a real-time pace.
     pub late_ttis: u64,
     /// The largest delay, milliseconds.
     pub max_late_ms: f64,
-    /// Payloads on the bus that were no messages and were dropped.
+    /// Dropped payloads on the bus that were not valid messages.
     pub malformed: u64,
-    /// Messages on the bus that nobody waited for, or that could not be true, and were dropped.
+    /// Dropped messages on the bus that were unexpected or implausible.
     pub strays: u64,
     /// Decisions of a policy process, under `external`.
     pub decisions: u64,
-    /// Its answers that decided nothing, or came after the one that counted.
+    /// Its answers that were invalid or came after the valid one.
     pub decisions_refused: u64,
-    /// Decisions that nobody made in time: the plan in force held, or nobody was woken.
+    /// Decision requests without an answer in time: the plan stayed the same, or no device was woken.
     pub decisions_held: u64,
-    /// Times that a device process was lost and its devices were carried again.
+    /// Takeovers of a lost device process.
     pub losses: usize,
-    /// The longest of those, seconds.
+    /// The longest takeover, seconds.
     pub longest_loss_s: f64,
-    /// Mean resident memory of a device process in MB, 0 where there is none.
+    /// Mean resident memory of a device process in MB, 0 without device processes.
     pub host_rss_mb: f64,
-    /// Mean proportional memory of a device process in MB (shared pages split), 0 where there is none.
+    /// Mean proportional memory of a device process in MB (shared pages split), 0 without device processes.
     pub host_pss_mb: f64,
 }
 
-/// What made the summary, and in which forms.
+/// Versions of the program and of its formats.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct Versions {
+pub(crate) struct Versions {
     /// The version of Reveille.
     pub reveille: &'static str,
-    /// The version of the form of messages.
+    /// The version of the message format.
     pub wire: u8,
-    /// The version of the form of this file.
+    /// The version of this file's format.
     pub summary: u32,
-    /// The version of what the digest is of: digests of different versions cannot be compared.
+    /// The version of the digest's content: digests of different versions are not comparable.
     pub digest: u32,
 }
 
 impl<'a> Summary<'a> {
-    /// The summary of a run of `scenario`.
-    pub fn new(scenario: &'a Scenario, outcome: &Outcome, timing: Timing) -> Self {
+    /// Creates the summary of a run of `scenario`.
+    pub(crate) fn new(scenario: &'a Scenario, outcome: &Outcome, timing: Timing) -> Self {
         Self {
             digest: outcome.digest,
             status: if outcome.complete { "complete" } else { "interrupted" },
             policy: scenario.policy.name(),
-            n: scenario.devices,
-            ttis: scenario.ttis,
+            n: scenario.run.devices,
+            ttis: scenario.run.ttis,
             ttis_done: outcome.ttis_done,
-            seed: scenario.seed,
-            preset: &scenario.preset,
+            seed: scenario.run.seed,
+            preset: &scenario.run.preset,
             policy_facts: outcome.facts.iter().copied().collect(),
             scenario_hash: scenario.hash_hex(),
             start_probability: scenario.events.mean_start_probability(
-                scenario.seed,
+                scenario.run.seed,
                 scenario.warm_up_end(),
                 Tti(outcome.ttis_done),
             ),
             metrics: outcome.metrics,
             totals: outcome.totals,
-            classes: Class::all(scenario, outcome),
+            classes: ClassSummary::all(scenario, outcome),
             audit: None,
             timing,
             versions: Versions {
@@ -174,11 +175,11 @@ impl<'a> Summary<'a> {
         }
     }
 
-    /// The summary as JSON text.
+    /// Returns the summary as JSON text.
     ///
     /// # Errors
     /// Never in practice.
-    pub fn to_json(&self) -> anyhow::Result<String> {
+    pub(crate) fn to_json(&self) -> anyhow::Result<String> {
         Ok(serde_json::to_string_pretty(self)? + "\n")
     }
 }

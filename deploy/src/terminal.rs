@@ -1,5 +1,5 @@
-//! The terminal that a command was started in. One that is gone, as its window was closed, is no error: the run
-//! matters, and is not to end in the middle of a drawing.
+//! The terminal in which a command was started. A closed terminal is not an error, since the run must not end because
+//! of its progress bar.
 
 use std::fs::File;
 use std::io::{self, IsTerminal, Write};
@@ -10,13 +10,13 @@ use std::sync::{Mutex, PoisonError};
 use indicatif::{ProgressDrawTarget, TermLike};
 use rustix::io::Errno;
 
-/// Drawings a second at the most.
+/// Most redraws per second.
 const RATE: u8 = 20;
-/// Columns and lines where the terminal does not say.
+/// Default columns and lines, if the terminal reports none.
 const USUAL: (u16, u16) = (80, 24);
 
-/// Where bars are drawn: on standard error, or nowhere if that is no terminal that bars can be drawn on.
-pub fn target() -> ProgressDrawTarget {
+/// The target of progress bars: standard error, or hidden if that is not a terminal that can draw them.
+pub(crate) fn target() -> ProgressDrawTarget {
     let is_dumb = std::env::var_os("TERM").is_none_or(|kind| kind == "dumb");
     if io::stderr().is_terminal() && !is_dumb {
         ProgressDrawTarget::term_like_with_hz(Box::new(Terminal::default()), RATE)
@@ -25,9 +25,9 @@ pub fn target() -> ProgressDrawTarget {
     }
 }
 
-/// Whether `error`, of writing to `output`, means that nobody reads it any more: the pipe or the terminal is closed.
-pub fn is_gone(error: &io::Error, output: BorrowedFd<'_>) -> bool {
-    // A terminal that is gone is none any more, but a device still.
+/// Whether `error`, from writing to `output`, means that its pipe or terminal is closed.
+pub(crate) fn is_gone(error: &io::Error, output: BorrowedFd<'_>) -> bool {
+    // A closed terminal does not pass `isatty`, but its file is still a character device.
     let is_device = || {
         let copy = output.try_clone_to_owned().map(File::from);
         copy.and_then(|file| file.metadata())
@@ -37,7 +37,7 @@ pub fn is_gone(error: &io::Error, output: BorrowedFd<'_>) -> bool {
     error.kind() == io::ErrorKind::BrokenPipe || is_hung_up
 }
 
-/// Standard error as a terminal, which takes a drawing as a whole.
+/// Standard error as a terminal that writes each drawing with one call.
 #[derive(Debug, Default)]
 struct Terminal(Mutex<String>);
 
@@ -48,7 +48,7 @@ impl Terminal {
         Ok(())
     }
 
-    /// Moves the cursor by `n` in the direction that `code` stands for.
+    /// Moves the cursor by `n` in the direction of the escape `code`.
     fn go(&self, n: usize, code: char) -> io::Result<()> {
         if n == 0 {
             Ok(())
@@ -57,10 +57,11 @@ impl Terminal {
         }
     }
 
-    /// Columns and lines.
+    /// The number of columns and lines.
     fn size() -> (u16, u16) {
         let size = rustix::termios::tcgetwinsize(io::stderr()).map(|size| (size.ws_col, size.ws_row));
         size.ok()
+            // A size of 0 means that the terminal does not know it.
             .filter(|&(columns, lines)| columns > 0 && lines > 0)
             .unwrap_or(USUAL)
     }
@@ -106,6 +107,7 @@ impl TermLike for Terminal {
 
     fn flush(&self) -> io::Result<()> {
         let drawing = std::mem::take(&mut *self.0.lock().unwrap_or_else(PoisonError::into_inner));
+        // indicatif unwraps errors, so one of a closed terminal would end the run.
         let _gone = io::stderr().write_all(drawing.as_bytes()).is_err();
         Ok(())
     }

@@ -9,11 +9,10 @@ use std::sync::Arc;
 
 use candle_core::{Device, Tensor};
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
-use reveille_bs::policy::dt::model::Width;
 use reveille_bs::policy::dt::model::infer::Forward;
-use reveille_bs::policy::dt::model::shape::Shape;
-use reveille_bs::policy::dt::model::weights::Weights;
-use reveille_bs::policy::dt::senses::COUNT;
+use reveille_bs::policy::dt::model::weights::ModelWeights;
+use reveille_bs::policy::dt::model::{ModelShape, Width};
+use reveille_bs::policy::dt::tokens::COUNT;
 use reveille_common::rng::{Purpose, Stream};
 use reveille_lab::transformer::{Net, file};
 
@@ -25,15 +24,16 @@ fn tokens(devices: usize, ttis: usize) -> Vec<f32> {
 }
 
 fn inference(criterion: &mut Criterion) {
-    let net = Net::new(Shape::USUAL, 1).expect("a net");
+    let net = Net::new(ModelShape::USUAL, 1).expect("a net");
     let bytes = file(&net, &BTreeMap::new()).expect("a file");
-    let weights = Arc::new(Weights::read(&bytes).expect("a model"));
-    let memory = Shape::USUAL.memory;
+    let weights = Arc::new(ModelWeights::read(&bytes).expect("a model"));
+    let memory = ModelShape::USUAL.memory;
 
     let mut group = criterion.benchmark_group("a TTI of 250 devices");
     let tti = tokens(250, 1);
     for width in Width::here() {
         let mut forward = Forward::new(Arc::clone(&weights), 250).with_width(width);
+        // Attention covers at most Z TTIs: with Z steps before, each measured step attends to all of them.
         for _ in 0..memory {
             forward.step(&tti);
         }
@@ -56,6 +56,7 @@ fn inference(criterion: &mut Criterion) {
     for devices in [10, 50, 250, 1000, 2500] {
         let tti = tokens(devices, 1);
         let mut forward = Forward::new(Arc::clone(&weights), devices);
+        // The steps before the measurement fill the memory of Z TTIs, as in the first group.
         for _ in 0..memory {
             forward.step(&tti);
         }

@@ -1,22 +1,38 @@
-//! Where files are read and written. What is written is whole or not there.
+//! Reading and writing of files. A write replaces the file in one step or fails.
 
 use std::ffi::OsString;
 use std::fs::{self, File};
 use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-/// Puts `bytes` in the file at `path`: under another name first, synced to the disk, then renamed.
+use tempfile::{NamedTempFile, TempPath};
+
+/// Creates a temporary file next to `path`, opened by `open`. Persisting it replaces `path` in one step, so no reader
+/// sees a partial file; dropping it removes it.
 ///
 /// # Errors
-/// If it cannot be written; then whatever was at `path` is still there.
+/// If it cannot be opened.
+pub fn beside(path: &Path, open: impl FnOnce(&Path) -> io::Result<File>) -> io::Result<NamedTempFile> {
+    // A fixed name: files with random names would accumulate in the folders of killed processes.
+    let mut part = OsString::from(path);
+    part.push(".part");
+    Ok(NamedTempFile::from_parts(
+        open(Path::new(&part))?,
+        TempPath::try_from_path(part)?,
+    ))
+}
+
+/// Writes `bytes` to the file at `path`: under another name first, synced to the disk, then renamed.
+///
+/// # Errors
+/// If it cannot be written; an existing file at `path` is then unchanged.
 pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let part = part(path);
-    let written = write(&part, bytes).and_then(|()| fs::rename(&part, path));
-    if written.is_err() {
-        // The first error is the one that matters.
-        let _ = fs::remove_file(&part);
-    }
-    written?;
+    let mut file = beside(path, |part| File::create(part))?;
+    file.as_file_mut().write_all(bytes)?;
+    // A rename can reach the disk before the data: without the sync, a power cut could leave an empty file.
+    file.as_file().sync_all()?;
+    file.persist(path)?;
+    // The parent of a bare file name is the empty path, which cannot be opened.
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     // A folder that cannot be opened for a sync still holds the file.
     if let Ok(folder) = File::open(folder.unwrap_or(Path::new("."))) {
@@ -25,11 +41,11 @@ pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
     Ok(())
 }
 
-/// Puts `bytes` where a user wants them: a file is replaced as by [`replace`]; into a link, a device or a pipe, such as
-/// `/dev/stdout`, they are written, since a rename would put a file in its place.
+/// Writes `bytes` to a path given by the user. A file is replaced as by [`replace`]. A link, a device or a pipe, such
+/// as `/dev/stdout`, is written to, because a rename would put a file in its place.
 ///
 /// # Errors
-/// If they cannot be written.
+/// If the bytes cannot be written.
 pub fn put(path: &Path, bytes: &[u8]) -> io::Result<()> {
     match fs::symlink_metadata(path) {
         Ok(found) if !found.is_file() => fs::write(path, bytes),
@@ -37,7 +53,7 @@ pub fn put(path: &Path, bytes: &[u8]) -> io::Result<()> {
     }
 }
 
-/// The bytes of the file at `path`.
+/// Returns the bytes of the file at `path`.
 ///
 /// # Errors
 /// If it cannot be read.
@@ -45,7 +61,7 @@ pub(crate) fn read(path: &Path) -> io::Result<Vec<u8>> {
     fs::read(path)
 }
 
-/// The text of the file at `path`.
+/// Returns the text of the file at `path`.
 ///
 /// # Errors
 /// If it cannot be read or is not UTF-8.
@@ -53,11 +69,12 @@ pub(crate) fn read_text(path: &Path) -> io::Result<String> {
     fs::read_to_string(path)
 }
 
-/// The text of the regular file at `path`, of at most `longest` bytes.
+/// Returns the text of the regular file at `path`, of at most `longest` bytes.
 ///
 /// # Errors
-/// If it is longer or no regular file, cannot be read, or is not UTF-8.
+/// If it is longer or not a regular file, cannot be read, or is not UTF-8.
 pub(crate) fn read_short(path: &Path, longest: u64) -> io::Result<String> {
+    // Checked before the file is opened: opening a pipe would block until another process writes to it.
     let found = fs::metadata(path)?;
     if !found.is_file() || found.len() > longest {
         return Err(io::Error::other("it is no file, or too long for an experiment"));
@@ -65,50 +82,38 @@ pub(crate) fn read_short(path: &Path, longest: u64) -> io::Result<String> {
     read_text(path)
 }
 
-/// The regular file at `path`, to read from.
+/// Opens the regular file at `path` for reading.
 ///
 /// # Errors
-/// If it cannot be opened or is no regular file.
+/// If it cannot be opened or is not a regular file.
 pub(crate) fn open(path: &Path) -> io::Result<File> {
-    let file = File::open(path)?;
-    if file.metadata()?.is_file() {
-        Ok(file)
+    // Checked before the file is opened: opening a pipe would block until another process writes to it.
+    if fs::metadata(path)?.is_file() {
+        File::open(path)
     } else {
-        Err(io::Error::other("it is no regular file"))
+        Err(io::Error::other("it is not a regular file"))
     }
 }
 
-/// The names of what is in `folder`, which is made if it is not there.
+/// Returns the names of the entries of `folder`, which is created if missing.
 ///
 /// # Errors
-/// If it cannot be made or read.
+/// If it cannot be created or read.
 pub(crate) fn with_names(folder: &Path) -> io::Result<Vec<OsString>> {
     fs::create_dir_all(folder)?;
     let names = fs::read_dir(folder)?.map(|entry| entry.map(|entry| entry.file_name()));
     names.collect()
 }
 
-/// Removes the file at `path`, if there is one.
+/// Removes the file at `path`, if it exists.
 ///
 /// # Errors
-/// It is there and cannot be removed.
+/// If it exists and cannot be removed.
 pub(crate) fn remove(path: &Path) -> io::Result<()> {
     match fs::remove_file(path) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
         Ok(()) | Err(_) => Ok(()),
     }
-}
-
-fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let mut file = File::create(path)?;
-    file.write_all(bytes)?;
-    file.sync_all()
-}
-
-fn part(path: &Path) -> PathBuf {
-    let mut name = OsString::from(path);
-    name.push(".part");
-    PathBuf::from(name)
 }
 
 #[cfg(test)]
@@ -133,6 +138,24 @@ mod tests {
         assert!(link.is_symlink());
         assert_eq!(read(&file), "third");
         assert_eq!(fs::read_dir(&folder).expect("there").count(), 3, "nothing is left over");
+        fs::remove_dir_all(&folder).expect("ours");
+    }
+
+    #[test]
+    fn a_file_that_takes_no_place_is_removed_and_what_is_left_over_is_written_over() {
+        let folder = std::env::temp_dir().join(format!("reveille-part-{}", std::process::id()));
+        let _ = fs::remove_dir_all(&folder);
+        fs::create_dir_all(&folder).expect("writable");
+        let (path, part) = (folder.join("file"), folder.join("file.part"));
+        fs::write(&part, "left over").expect("writable");
+        replace(&path, b"new").expect("written");
+        drop(beside(&path, |part| File::create(part)).expect("opened"));
+        assert_eq!(fs::read(&path).expect("there"), b"new");
+        assert!(!part.exists());
+        let mode = |path: &Path| fs::metadata(path).expect("there").permissions();
+        let plain = folder.join("plain");
+        fs::write(&plain, "").expect("writable");
+        assert_eq!(mode(&path), mode(&plain), "as any file of this user");
         fs::remove_dir_all(&folder).expect("ours");
     }
 }

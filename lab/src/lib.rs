@@ -1,18 +1,17 @@
-//! Runs of the Reveille machines in memory, without a bus: one, or a whole sweep with its result table; trajectories,
+//! Runs of the Reveille machines in memory, without a bus: single runs, sweeps with their result tables, trajectories,
 //! training and tuning.
 
-mod coming;
+pub mod external_inputs;
 pub mod gym;
-pub mod inputs;
 pub mod io;
-pub mod mark;
+pub mod metric_estimate;
 pub mod preparation;
-pub mod reading;
+pub mod replay;
+pub mod resume_mark;
 pub mod run;
 pub mod series;
-pub mod shadow;
 pub mod stats;
-pub mod stepping;
+pub mod stepped_run;
 pub mod sweep;
 pub mod table;
 pub mod training;

@@ -1,63 +1,59 @@
-//! What a run needs before its first TTI: its devices on the ground, and the pilot runs that its policy asks for.
+//! Preparation of a run before its first TTI: the deployed devices, and the pilot runs that its policy requests.
 //!
-//! The `adjusted` policy (Sec. V-A, P2) has each duty cycle of its grid judged by a pilot run of the same machines on
-//! the same deployment, with events and harvests of a seed of its own: what a BS knows from the positions and from
-//! historical data, not what is about to happen. A recorded trace has no other draw than the one that the run itself
-//! will harvest, so in a pilot run its mean comes in each TTI. All pairs see the same pilot events and harvests.
+//! The `adjusted` policy (Sec. V-A, P2) evaluates each duty cycle of its grid in a pilot run of the same machines on
+//! the same deployment. Pilot runs have another seed for events and harvests. They use the knowledge of a base station,
+//! positions and historical data, and not the future of the run. A recorded trace has only one realisation, the one of
+//! the run itself. A pilot run therefore harvests the trace's mean in each TTI. All pairs see the same pilot events and
+//! harvests.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use reveille_bs::grids::Grids;
-use reveille_bs::outcome::Outcome;
-use reveille_bs::policy::contract::Opaque;
-use reveille_bs::policy::pilots::{Pilots, Trials};
-use reveille_bs::policy::registry;
-use reveille_bs::prepared::Prepared;
+use reveille_bs::bounds_cache::BoundsCache;
+use reveille_bs::cycle::{Outcome, PreparedRun};
+use reveille_bs::policy::factory::{Found, PilotSearch, Trials};
+use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
-use reveille_common::scenario::Scenario;
 
-use crate::run::{Options, Run};
+use crate::run::{Run, RunOptions};
 
-/// Added to the seed for the pilot runs.
+/// An offset to the seed for the pilot runs.
 const PILOT: u64 = 0x5EED_0F91_1070_0500;
-/// The share of a pilot run that is left out of its metrics.
+/// The share of a pilot run that its metrics leave out.
 const WARM_UP: f64 = 0.25;
-/// Searches that are remembered.
+/// The largest number of cached searches.
 const REMEMBERED: usize = 1024;
 
-/// What a search came to: its findings and its warnings.
-type Found = (Opaque, Vec<String>);
-
-/// Prepares runs, and remembers what several of them need. Sharing one changes no result.
+/// Prepares runs and caches their shared data. Sharing a preparer does not change results.
 #[derive(Debug, Default)]
-pub struct Workshop {
-    grids: Arc<Grids>,
-    /// What was found, by the hash of the pilot scenario: runs that differ in nothing but their length share a search.
+pub struct RunPreparer {
+    grids: Arc<BoundsCache>,
+    /// The search results by the hash of the pilot scenario: runs that only differ in length share a search.
     found: Mutex<VecDeque<([u8; 32], Found)>>,
 }
 
-impl Workshop {
-    /// `scenario` on its ground, with the pilot runs made that its policy asks for.
-    pub fn prepare(&self, scenario: &Scenario) -> Prepared {
-        let mut prepared = Prepared {
+impl RunPreparer {
+    /// Deploys `scenario` and makes the pilot runs that its policy requests.
+    pub fn prepare(&self, scenario: &Scenario) -> PreparedRun {
+        let mut prepared = PreparedRun {
             grids: Arc::clone(&self.grids),
-            ..Prepared::without_pilots(scenario)
+            ..PreparedRun::without_pilots(scenario)
         };
-        if let Some(pilots) = registry::pilots(prepared.policies, &scenario.policy) {
-            let (findings, warnings) = self.search(&prepared, &*pilots);
-            (prepared.findings, prepared.warnings) = (Some(findings), warnings);
+        if let Some(pilots) = scenario.policy.settings().pilots() {
+            let (found, warnings) = self.search(&prepared, &pilots);
+            (prepared.found, prepared.warnings) = (Some(found), warnings);
         }
         prepared
     }
 
-    fn search(&self, prepared: &Prepared, pilots: &dyn Pilots) -> Found {
-        let key = pilot(&prepared.scenario, pilots.ttis()).hash();
+    fn search(&self, prepared: &PreparedRun, pilots: &PilotSearch) -> Found {
+        let key = pilot(&prepared.scenario, pilots.ttis).hash();
         if let Some(known) = self.recall(&key) {
             return known;
         }
+        // No lock is held during the pilot runs. Two threads may search for the same deployment, with the same result.
         let trials = pilot_runs(prepared, pilots);
-        let found = (pilots.judge(&prepared.knowledge(), &trials), pilots.warnings(&trials));
+        let found = (pilots.judge)(&prepared.knowledge(), &trials);
         self.remember(key, found.clone());
         found
     }
@@ -70,7 +66,7 @@ impl Workshop {
             .map(|(_, found)| found.clone())
     }
 
-    /// Two threads that searched for the same deployment have found the same.
+    /// Caches a search result. Two threads that searched for the same deployment have equal results.
     fn remember(&self, key: [u8; 32], what: Found) {
         let mut found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
         if found.len() == REMEMBERED {
@@ -80,40 +76,42 @@ impl Workshop {
     }
 }
 
-/// `scenario` prepared by itself.
-pub fn prepare(scenario: &Scenario) -> Prepared {
-    Workshop::default().prepare(scenario)
+/// Prepares `scenario` without a shared cache.
+pub fn prepare(scenario: &Scenario) -> PreparedRun {
+    RunPreparer::default().prepare(scenario)
 }
 
-/// A run of `scenario` before TTI 0, prepared by itself.
-pub fn start(scenario: &Scenario, options: Options) -> Run {
+/// Creates a run of `scenario` before TTI 0, without a shared cache.
+pub fn start(scenario: &Scenario, options: RunOptions) -> Run {
     Run::new(&prepare(scenario), options)
 }
 
-/// Runs `scenario`, prepared by itself, from its first TTI to its last.
+/// Runs `scenario` from its first TTI to its last, without a shared cache.
 pub fn run(scenario: &Scenario) -> Outcome {
-    start(scenario, Options::default()).finish(&mut ())
+    start(scenario, RunOptions::default()).finish(&mut ())
 }
 
-/// What each candidate of `pilots` came to in a pilot run on the ground of `prepared`. All runs are equally long, and
-/// as long as it takes for each to hold the events that are asked for, if that is not too long.
-fn pilot_runs(prepared: &Prepared, pilots: &dyn Pilots) -> Trials {
-    let candidates = pilots.candidates();
+/// Runs each candidate of `pilots` on the deployment of `prepared`. All pilot runs have the same length. It is long
+/// enough for each to hold the requested events, up to a limit.
+fn pilot_runs(prepared: &PreparedRun, pilots: &PilotSearch) -> Trials {
     let mut ground = prepared.clone();
     let Deployment { devices, traces, .. } = &mut ground.deployment;
     for device in devices {
-        device.harvest = device.harvest.as_known(traces);
+        // A trace has only one realisation: replayed in a pilot run, it would show the future of the run itself.
+        device.harvest = device.harvest.expected(traces);
     }
-    let (mut ttis, mut all_ttis) = (pilots.ttis(), 0_u64);
-    let limit = pilots.limit().min(prepared.scenario.longest()).max(ttis);
+    let (mut ttis, mut all_ttis) = (pilots.ttis, 0_u64);
+    // Beyond `longest`, sums of energy would overflow 64 bits.
+    let limit = pilots.limit.min(prepared.scenario.longest()).max(ttis);
     loop {
         ground.scenario = pilot(&prepared.scenario, ttis);
-        let (mut metrics, mut is_long_enough) = (Vec::with_capacity(candidates.len()), true);
-        for candidate in &candidates {
-            ground.findings = Some(candidate.clone());
-            let outcome = Run::new(&ground, Options::default()).finish(&mut ());
+        let (mut metrics, mut is_long_enough) = (Vec::with_capacity(pilots.candidates.len()), true);
+        for candidate in &pilots.candidates {
+            ground.found = Some(Arc::clone(candidate));
+            let outcome = Run::new(&ground, RunOptions::default()).finish(&mut ());
             all_ttis = all_ttis.saturating_add(ttis);
-            is_long_enough = ttis >= limit || outcome.metrics.events >= pilots.events();
+            is_long_enough = ttis >= limit || outcome.metrics.events >= pilots.events;
+            // Metrics of runs of different length do not compare, so all candidates run again, twice as long.
             if !is_long_enough {
                 break;
             }
@@ -130,22 +128,23 @@ fn pilot_runs(prepared: &Prepared, pilots: &dyn Pilots) -> Trials {
     }
 }
 
-/// The scenario of pilot runs of `ttis` TTIs, whose seed is not that of its deployment.
+/// Returns the scenario of pilot runs of `ttis` TTIs, whose seed differs from the deployment's seed.
 fn pilot(scenario: &Scenario, ttis: u64) -> Scenario {
-    Scenario {
-        ttis,
-        seed: scenario.seed.wrapping_add(PILOT),
-        warm_up: WARM_UP,
-        ..scenario.clone()
-    }
+    let mut pilot = scenario.with_seed(scenario.run.seed.wrapping_add(PILOT));
+    pilot.run.ttis = ttis;
+    pilot.run.warm_up = WARM_UP;
+    pilot
 }
 
 #[cfg(test)]
 mod tests {
+
     use super::*;
     use reveille_bs::beliefs::ranking::i_min;
-    use reveille_bs::policy::adjusted::search::{DutyChoice, Search};
+    use reveille_bs::policy::adjusted::search::{DutyCycleChoice, judged};
+
     use reveille_bs::policy::adjusted::settings::AdjustedSettings;
+    use reveille_bs::policy::factory::PolicyFactory;
     use reveille_bs::scenario::{Override, load};
 
     fn scenario(overrides: &[&str]) -> Scenario {
@@ -153,17 +152,7 @@ mod tests {
             .iter()
             .map(|o| Override::parse(o).expect("an override"))
             .collect();
-        load("paper", &overrides).expect("a scenario")
-    }
-
-    fn search(scenario: &Scenario) -> Search {
-        Search(
-            scenario
-                .policy
-                .settings::<AdjustedSettings>()
-                .expect("adjusted")
-                .clone(),
-        )
+        load("paper", &overrides).expect("a scenario").scenario
     }
 
     #[test]
@@ -176,15 +165,17 @@ mod tests {
             "policy.adjusted.pilot_ttis=800",
         ]);
         let prepared = prepare(&scenario);
-        let search = search(&scenario);
-        let all = search.judged(&pilot_runs(&prepared, &search));
+        let settings = scenario
+            .policy
+            .settings()
+            .downcast_ref::<AdjustedSettings>()
+            .expect("adjusted");
+        let pilots = settings.pilots().expect("a search");
+        let all = judged(settings, &pilot_runs(&prepared, &pilots));
         let pairs: Vec<(u32, u32)> = all.iter().map(|c| (c.t_on, c.t_drx)).collect();
         assert_eq!(pairs, [(1, 2), (1, 8), (3, 8)]);
-        let choice = prepared
-            .findings
-            .as_ref()
-            .and_then(Opaque::get::<DutyChoice>)
-            .expect("found");
+        let found = prepared.found.as_ref().expect("found");
+        let choice: &DutyCycleChoice = found.downcast_ref().expect("a duty cycle");
         let positions = prepared.deployment.positions();
         let threshold = i_min(&positions, scenario.area, &scenario.sensing);
         let reaching = all.iter().filter(|c| c.information >= threshold);
@@ -198,7 +189,7 @@ mod tests {
     fn the_pilot_stands_on_the_same_ground_and_sees_other_events() {
         let scenario = scenario(&["policy.name=adjusted", "devices=40"]);
         let pilot = pilot(&scenario, 2000);
-        assert_ne!(pilot.seed, scenario.seed);
+        assert_ne!(pilot.run.seed, scenario.run.seed);
         let (a, b) = (Deployment::new(&scenario), Deployment::new(&pilot));
         assert_ne!(
             a.positions(),

@@ -1,23 +1,24 @@
-//! What runs are called where they are shown beside others: in figures, reports and tables for people.
+//! The names of runs in figures, reports and tables for people.
 //!
-//! Policies that wake devices can rank them in several ways, and some always rank in one. So that like stands with
-//! like, a series is a policy with its ranking wherever runs of several rankings are shown together.
+//! Some policies can rank wake-up candidates in several ways; others always use one ranking. To compare like with like,
+//! a series is a policy with its ranking wherever several rankings are shown together.
 
 use reveille_bs::policy::registry;
 use reveille_common::scenario::WakeUpRanking;
 
-use crate::stats::Cell;
-use crate::table::{Row, Schema, Table};
+use crate::stats::CellRuns;
+use crate::table::{ResultRow, Schema, Table};
 
-/// The field that says how wake-up candidates are ranked.
+/// The field with the ranking of wake-up candidates.
 pub const RANKING: &str = "bs.ranking";
-/// What stands between a policy and its ranking.
+/// The separator between a policy and its ranking.
 const WITH: char = '+';
 
-/// The name of the runs of `policy` with `ranking`, beside runs of other rankings: `knn+posterior`. That by P_4,2, as
-/// the paper ranks, is the policy's name, as is that of policies that do not heed the field.
+/// Returns the name of the runs of `policy` with `ranking`, next to runs of other rankings: `knn+posterior`. It is the
+/// policy's name for the ranking by P_4,2 of the paper, and for policies that ignore the field.
 pub fn name(policy: &str, ranking: &str) -> String {
-    let ranks = registry::named(policy).is_none_or(|known| known.profile().heeds_ranking);
+    // A policy unknown to this program may use the field, so its ranking is named.
+    let ranks = registry::named(policy).is_none_or(|known| known.heeds_ranking);
     if ranks && !is_the_papers(ranking) {
         format!("{policy}{WITH}{ranking}")
     } else {
@@ -25,12 +26,12 @@ pub fn name(policy: &str, ranking: &str) -> String {
     }
 }
 
-/// Whether `ranking` is by P_4,2.
+/// Returns whether `ranking` is the paper's, by P_4,2.
 pub fn is_the_papers(ranking: &str) -> bool {
     ranking == WakeUpRanking::P42.name()
 }
 
-/// The policy of a series, and whether it has a ranking of its own in its name.
+/// Splits off the policy of a series, and returns whether a ranking follows.
 pub fn policy(series: &str) -> (&str, bool) {
     match series.split_once(WITH) {
         Some((policy, _)) => (policy, true),
@@ -38,52 +39,53 @@ pub fn policy(series: &str) -> (&str, bool) {
     }
 }
 
-/// Whether these are the same runs: the same seeds with the same outcomes, as of a policy that heeds no ranking.
-pub fn is_same<'r>(a: impl Iterator<Item = &'r Row>, b: impl Iterator<Item = &'r Row>) -> bool {
+/// Returns whether both have the same seeds with the same outcomes, as for a policy that ignores rankings.
+pub fn is_same<'r>(a: impl Iterator<Item = &'r ResultRow>, b: impl Iterator<Item = &'r ResultRow>) -> bool {
     a.map(|row| (row.seed, row.digest))
         .eq(b.map(|row| (row.seed, row.digest)))
 }
 
 /// The names of the rows of a table.
 #[derive(Clone, Copy, Debug)]
-pub struct Names {
-    /// The place of [`RANKING`] among the swept columns, if the table holds several rankings.
+pub struct SeriesNames {
+    /// The index of [`RANKING`] among the swept columns, if the table holds several rankings.
     at: Option<usize>,
 }
 
-impl Names {
-    /// Of the rows of `table`.
+impl SeriesNames {
+    /// Creates the names for the rows of `table`.
     pub fn of(table: &Table) -> Self {
         let at = column(&table.schema);
         let mut rankings = at
             .iter()
             .flat_map(|at| table.rows.iter().map(|row| row.swept[*at].to_string()));
         let first = rankings.next();
+        // A ranking shared by all rows distinguishes none of them and would only lengthen the names.
         let has_several = rankings.any(|other| Some(&other) != first.as_ref());
         Self {
             at: at.filter(|_| has_several),
         }
     }
 
-    /// The name of the series that `row` belongs to.
-    pub fn name(self, row: &Row) -> String {
+    /// Returns the name of the series of `row`.
+    pub fn name(self, row: &ResultRow) -> String {
         self.at.map_or_else(
             || row.policy.to_string(),
             |at| name(&row.policy, &row.swept[at].to_string()),
         )
     }
 
-    /// The place among the swept columns of that which the names tell, if they do.
-    pub const fn told(self) -> Option<usize> {
+    /// The index of the swept column that the names contain, if any.
+    pub const fn name_column(self) -> Option<usize> {
         self.at
     }
 
-    /// The cells of `cells` but those that repeat another one's runs under another ranking.
-    pub fn distinct<'c, 't>(self, cells: &'c [Cell<'t>]) -> Vec<&'c Cell<'t>> {
+    /// Returns the cells without those that repeat the runs of another cell under another ranking.
+    pub fn distinct<'c, 't>(self, cells: &'c [CellRuns<'t>]) -> Vec<&'c CellRuns<'t>> {
         let Some(at) = self.at else {
             return cells.iter().collect();
         };
-        let rest = |cell: &Cell<'_>| {
+        let rest = |cell: &CellRuns<'_>| {
             let others = cell.swept.iter().enumerate().filter(|(place, _)| *place != at);
             let others: Vec<String> = others.map(|(_, value)| value.to_string()).collect();
             (
@@ -105,7 +107,7 @@ impl Names {
     }
 }
 
-/// The place of [`RANKING`] among the swept columns.
+/// Returns the index of [`RANKING`] among the swept columns.
 fn column(schema: &Schema) -> Option<usize> {
     schema.swept.iter().position(|(path, _)| path == RANKING)
 }
@@ -116,7 +118,7 @@ mod tests {
 
     use super::*;
     use crate::stats::cells;
-    use crate::table::{ColumnType, Hash, Value, fixtures};
+    use crate::table::{ColumnType, Hash, SweptValue, fixtures};
 
     fn table(runs: &[(&str, &str, u8)]) -> Table {
         let mut table = fixtures::table();
@@ -128,7 +130,7 @@ mod tests {
         let row = |(policy, ranking, digest): &(&str, &str, u8)| {
             let mut row = first.clone();
             row.policy = Arc::from(*policy);
-            row.swept = Arc::from([Value::Float(0.1), Value::Text((*ranking).to_owned())]);
+            row.swept = Arc::from([SweptValue::Float(0.1), SweptValue::Text((*ranking).to_owned())]);
             row.digest = Hash([*digest; 32]);
             row
         };
@@ -146,19 +148,22 @@ mod tests {
             ("dt", "posterior", 5),
             ("age-index", "posterior", 6),
         ]);
-        let names = Names::of(&several);
+        let names = SeriesNames::of(&several);
         let told: Vec<String> = several.rows.iter().map(|row| names.name(row)).collect();
         assert_eq!(told, ["knn", "knn+posterior", "random", "genie", "dt", "age-index"]);
-        assert_eq!(names.told(), Some(1));
+        assert_eq!(names.name_column(), Some(1));
         assert_eq!(policy("knn+posterior"), ("knn", true));
         assert_eq!(policy("q-learning"), ("q-learning", false));
         let one = table(&[("knn", "posterior", 2), ("random", "posterior", 3)]);
         assert_eq!(
-            (Names::of(&one).name(&one.rows[0]).as_str(), Names::of(&one).told()),
+            (
+                SeriesNames::of(&one).name(&one.rows[0]).as_str(),
+                SeriesNames::of(&one).name_column()
+            ),
             ("knn", None)
         );
         let none = fixtures::table();
-        assert_eq!(Names::of(&none).name(&none.rows[0]), "knn");
+        assert_eq!(SeriesNames::of(&none).name(&none.rows[0]), "knn");
     }
 
     #[test]
@@ -171,7 +176,7 @@ mod tests {
             ("dt", "posterior", 3),
         ]);
         let all = cells(&several);
-        let names = Names::of(&several);
+        let names = SeriesNames::of(&several);
         let kept: Vec<String> = names
             .distinct(&all)
             .iter()

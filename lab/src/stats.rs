@@ -4,33 +4,33 @@ use std::sync::Arc;
 
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-use crate::table::{Row, Table, Value};
+use crate::table::{ResultRow, SweptValue, Table};
 
 /// The confidence of the intervals.
-pub const CONFIDENCE: f64 = 0.95;
+pub(crate) const CONFIDENCE: f64 = 0.95;
 
 /// A mean with its confidence interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimate {
-    /// Arithmetic mean.
+    /// The arithmetic mean.
     pub mean: f64,
-    /// Sample standard deviation (divisor `runs - 1`); NaN for a single value.
+    /// The sample standard deviation (divisor `runs - 1`); NaN for a single value.
     pub deviation: f64,
     /// Half the width of the 95 % interval, `t · deviation / √runs`; NaN for a single value.
     pub half_width: f64,
-    /// Values that were averaged: runs in which the metric is defined.
+    /// The number of averaged values: runs in which the metric is defined.
     pub runs: usize,
 }
 
 impl Estimate {
-    /// The estimate from `values`; those that are NaN are left out. `None` if no other is left.
+    /// Estimates the mean of `values` and ignores NaN. Returns `None` if no value remains.
     pub fn of(values: impl IntoIterator<Item = f64>) -> Option<Self> {
         let mut moments = Moments::default();
         values.into_iter().for_each(|value| moments.add(value));
         moments.estimate()
     }
 
-    /// The same, with NaN for everything if no value is left.
+    /// Estimates the mean of `values` and ignores NaN. All fields are NaN if no value remains.
     pub fn over(values: impl IntoIterator<Item = f64>) -> Self {
         Self::of(values).unwrap_or(Self {
             mean: f64::NAN,
@@ -40,7 +40,7 @@ impl Estimate {
         })
     }
 
-    /// The ends of the interval.
+    /// The limits of the interval.
     pub fn interval(&self) -> (f64, f64) {
         (self.mean - self.half_width, self.mean + self.half_width)
     }
@@ -50,8 +50,8 @@ impl Estimate {
         (value - self.mean).abs() <= self.half_width
     }
 
-    /// Half-width over the magnitude of the mean; 0 where all values are the same, infinite where it is not known. It
-    /// is not known where the mean is 0: runs without a single miss do not tell how rare misses are.
+    /// The half-width over the magnitude of the mean: 0 if all values are equal, infinite if it is unknown. It is
+    /// unknown for a mean of 0, because runs without a miss do not show how rare misses are.
     pub fn relative(&self) -> f64 {
         if self.half_width.is_nan() || self.mean == 0.0 {
             f64::INFINITY
@@ -70,12 +70,13 @@ pub struct Moments {
 }
 
 impl Moments {
-    /// Takes `value` in, unless it is NaN.
+    /// Adds `value`, unless it is NaN.
     pub fn add(&mut self, value: f64) {
         if value.is_nan() {
             return;
         }
         self.runs += 1;
+        // Welford's update: the difference of Σx² and (Σx)² would lose the digits of small variances.
         let before = value - self.mean;
         self.mean += before / self.runs as f64;
         self.squares += before * (value - self.mean);
@@ -103,33 +104,34 @@ impl Moments {
 
 /// The two-sided 95 % quantile of Student's t with `freedom` degrees of freedom; NaN for none.
 pub fn student_t(freedom: usize) -> f64 {
+    // Two-sided: 2.5 % lie above the interval, so the quantile is taken at 0.975.
     StudentsT::new(0.0, 1.0, freedom as f64).map_or(f64::NAN, |t| t.inverse_cdf(f64::midpoint(1.0, CONFIDENCE)))
 }
 
 /// The runs of one cell: equal in everything but the seed.
 #[derive(Clone, Debug)]
-pub struct Cell<'t> {
+pub struct CellRuns<'t> {
     /// The preset.
     pub preset: &'t str,
     /// The policy.
     pub policy: &'t str,
-    /// Number of devices N.
+    /// The number of devices N.
     pub n: u32,
-    /// Length of the runs K, TTIs.
+    /// The length of the runs K, TTIs.
     pub ttis: u64,
     /// The swept values, in the order of the table's schema.
-    pub swept: Arc<[Value]>,
+    pub swept: Arc<[SweptValue]>,
     /// The runs, in the order of the table.
-    pub rows: Vec<&'t Row>,
+    pub rows: Vec<&'t ResultRow>,
 }
 
-impl Cell<'_> {
-    /// The estimate of a metric over the runs in which it is defined; `None` if there is no such metric or run.
+impl CellRuns<'_> {
+    /// Estimates a metric over the runs in which it is defined. Returns `None` without such a metric or run.
     pub fn estimate(&self, metric: &str) -> Option<Estimate> {
         Estimate::of(self.rows.iter().filter_map(|row| row.metric(metric)))
     }
 
-    fn holds(&self, row: &Row) -> bool {
+    fn holds(&self, row: &ResultRow) -> bool {
         self.policy == &*row.policy
             && self.n == row.n
             && self.preset == &*row.preset
@@ -138,14 +140,14 @@ impl Cell<'_> {
     }
 }
 
-/// The rows of `table` by cell, in the order of their first rows.
-pub fn cells(table: &Table) -> Vec<Cell<'_>> {
-    let mut cells: Vec<Cell<'_>> = Vec::new();
+/// Groups the rows of `table` by cell, in the order of their first rows.
+pub fn cells(table: &Table) -> Vec<CellRuns<'_>> {
+    let mut cells: Vec<CellRuns<'_>> = Vec::new();
     for row in &table.rows {
-        // Tables are sorted by cell: it is nearly always the last.
+        // Tables are sorted by cell, so the search from the end nearly always succeeds with the first comparison.
         match cells.iter_mut().rev().find(|cell| cell.holds(row)) {
             Some(cell) => cell.rows.push(row),
-            None => cells.push(Cell {
+            None => cells.push(CellRuns {
                 preset: &row.preset,
                 policy: &row.policy,
                 n: row.n,
@@ -163,7 +165,7 @@ mod tests {
     use super::*;
     use crate::table::fixtures;
 
-    /// Two-sided 95 % quantiles as tables print them.
+    /// Two-sided 95 % quantiles from printed tables.
     const PRINTED: [(usize, f64); 6] = [
         (1, 12.706),
         (2, 4.303),

@@ -2,10 +2,10 @@
 
     python benches/decisions.py [--seconds 1.0] [--envs 1 64 256] [--devices 20 250] [--threads 2]
 
-All three are measured in turn in one run, `--rounds` times, and the medians are shown with their ratio: machines differ
-and are busy, ratios much less so. "Rust" is the compiled batch with the same actions and arrays, called without what the
-package does around it. The NumPy environment is of the kind that people write: batteries, harvests, events and the
-reward of stage 0 for all environments at once, without reports, wake-ups, beliefs or records.
+Each of `--rounds` rounds measures all three in turn; the table shows medians and their ratio. Absolute rates depend on
+the machine and its load, ratios much less. "Rust" is the compiled batch with the same actions and arrays, without the
+Python package around it. The NumPy environment is a typical handwritten one: batteries, harvests, events and the stage
+0 reward for all environments together, without reports, wake-ups, beliefs or records.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Plain:
         self.since = np.zeros((k, n))
 
     def step(self, actions: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """A TTI."""
+        """Plays a TTI in all environments."""
         on = actions.astype(bool)
         arrivals = self.random.random((self.k, self.n)) < 0.0905
         self.levels = np.minimum(self.levels + 5.0 * arrivals, 100.0)
@@ -52,7 +52,7 @@ class Plain:
 
 
 def rate(step, decisions: int, seconds: float) -> float:
-    """Decisions per second of ``step``, which makes so many."""
+    """Returns decisions per second of ``step``, which makes ``decisions`` decisions."""
     count, start = 0, time.perf_counter()
     while time.perf_counter() - start < seconds:
         for _ in range(4):
@@ -62,7 +62,7 @@ def rate(step, decisions: int, seconds: float) -> float:
 
 
 def measure(k: int, n: int, threads: int, seconds: float, rounds: int) -> dict[str, float]:
-    """Medians for K environments of N devices."""
+    """Measures K environments of N devices and returns the medians."""
     random = np.random.default_rng(1)
     share = 0.1
     actions = [(random.random((k, n)) < share).astype(np.int8) for _ in range(64)]
@@ -93,7 +93,7 @@ def measure(k: int, n: int, threads: int, seconds: float, rounds: int) -> dict[s
 
 
 def main() -> None:
-    """Prints a row for each size."""
+    """Prints a row for each combination of sizes."""
     parser = argparse.ArgumentParser(description="Decisions per second.")
     parser.add_argument("--seconds", type=float, default=1.0)
     parser.add_argument("--rounds", type=int, default=3)

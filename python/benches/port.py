@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 
 import reveille
-from reveille.port import PortError
+from reveille.policy_client import PortError
 
 
 def policy(observation: dict[str, Any]) -> np.ndarray:
-    """A third of the devices, in turn; nobody is woken."""
+    """Tells a third of the devices to sense, in turn, and wakes none."""
     n = len(observation["action_mask"])
     if observation["stage"] == 1:
         return np.zeros(n, np.int8)
@@ -33,7 +33,7 @@ def policy(observation: dict[str, Any]) -> np.ndarray:
 
 
 def stepped(devices: int, ttis: int) -> tuple[float, str]:
-    """Decisions per second in an environment, and the digest."""
+    """Returns decisions per second in an environment, and the digest."""
     env = reveille.make(devices=devices, ttis=ttis, battery_knowledge="reported")
     observation, _ = env.reset(seed=1)
     begun, decisions, ended = time.perf_counter(), 0, False
@@ -44,7 +44,7 @@ def stepped(devices: int, ttis: int) -> tuple[float, str]:
 
 
 def asked(program: str, devices: int, ttis: int, form: str) -> tuple[float, str]:
-    """The same over the bus, in ``form``."""
+    """Returns decisions per second over the policy port in ``form``, and the digest."""
     with tempfile.TemporaryDirectory() as folder:
         command = [program, "up", "-p", "external", "-n", str(devices), "-k", str(ttis), "--seed", "1", "--json", "-q"]
         command += ["--set", "bs.battery_knowledge=reported", "-P", "1", "--run", f"bench-{form}", "--out", "out"]
@@ -67,7 +67,7 @@ def asked(program: str, devices: int, ttis: int, form: str) -> tuple[float, str]
 
 
 def alone(program: str, devices: int, ttis: int) -> float:
-    """TTIs per second of the emulator with a policy that decides in every TTI itself."""
+    """Returns TTIs per second of the emulator with a built-in policy that decides in every TTI."""
     with tempfile.TemporaryDirectory() as folder:
         command = [program, "up", "-p", "age-index", "-n", str(devices), "-k", str(ttis), "--json", "-q", "-P", "1"]
         command += ["--set", "bs.battery_knowledge=reported", "--no-lookahead", "--out", "out"]

@@ -1,8 +1,8 @@
 # %% [markdown]
 # # A base station that learns: PPO
 #
-# A policy is trained with a library that nobody here wrote, judged beside the program's own policies on seeds that it
-# has not seen, and made a function that decides.
+# This example trains a policy with a third-party library and compares it with the program's own policies on seeds
+# unseen in training. It then turns the policy into a function that decides for a run.
 #
 #     pip install './python[examples]'
 #     python python/examples/ppo.py --save ppo.pt          # some minutes of one core
@@ -10,9 +10,9 @@
 #
 # ## Why
 #
-# Who senses now decides who can pay for a report later. `random` and `knn` do not look at batteries, and run many of 20
-# devices flat: about a third of the devices that they tell to sense cannot pay for it. What a look is worth depends on
-# where others look and have looked, and on what is left in batteries. That is what PPO is to find out.
+# A device that senses now may not have the energy for a report later. `random` and `knn` ignore batteries and drain
+# many of 20 devices: about a third of the devices that they tell to sense cannot pay for it. The value of sensing
+# depends on where other devices sense and have sensed, and on the energy left in batteries. PPO must learn this value.
 
 # %%
 from __future__ import annotations
@@ -38,7 +38,7 @@ import reveille
 
 
 class Options(NamedTuple):
-    """What is asked for; in a notebook these values are."""
+    """Command-line options; a notebook uses the defaults."""
 
     devices: int = 20
     steps: int = 250_000
@@ -51,12 +51,12 @@ class Options(NamedTuple):
     save: Path | None = None
 
 
-#: Seeds of training are below this, those of judging are not: the environments draw seeds below 2³¹ - 1.
+#: Training seeds are below this and evaluation seeds are not: the environments draw seeds below 2³¹ - 1.
 FIRST_SEED = 2**31
 
 
 def count(least: int, most: int = 10**9) -> Callable[[str], int]:
-    """Reads a whole number from ``least`` to ``most``."""
+    """Returns a parser for a whole number from ``least`` to ``most``."""
 
     def read(text: str) -> int:
         try:
@@ -71,7 +71,7 @@ def count(least: int, most: int = 10**9) -> Callable[[str], int]:
 
 
 def price(text: str) -> float:
-    """Reads a price of energy."""
+    """Parses a price of energy."""
     try:
         value = float(text)
     except ValueError:
@@ -82,7 +82,7 @@ def price(text: str) -> float:
 
 
 def options_of(arguments: Sequence[str]) -> Options:
-    """Reads the command line."""
+    """Parses the command line."""
     parser = argparse.ArgumentParser(description="Trains PPO as a base station, and judges it beside other policies.")
     default = Options()
     parser.add_argument(
@@ -107,7 +107,7 @@ def options_of(arguments: Sequence[str]) -> Options:
         "--serve", action="store_true", help="do not judge, decide for a run: that of `reveille up -p external`"
     )
     options = Options(**vars(parser.parse_args(arguments)))
-    # Said now, and not after ten minutes of training.
+    # Checked before ten minutes of training, not after.
     if options.load and not options.load.is_file():
         parser.error(f"--load {options.load}: there is no such file")
     if options.save and not options.save.absolute().parent.is_dir():
@@ -124,19 +124,19 @@ if __name__ == "__main__":
 # %% [markdown]
 # ## The environment
 #
-# `Reveille-v0` asks at stage 0 who senses and, after reports, at stage 1 whom to wake. Batteries are what devices last
-# reported and what is expected to have come since, for all policies alike.
+# `Reveille-v0` asks for the sensing devices at stage 0 and, after reports, for the devices to wake at stage 1.
+# Batteries are the last reported levels plus the expected harvest since, for all policies alike.
 #
-# Each device is an agent here, and all share one network: it sees the device's row, what is known of all, and sums over
-# the devices around. So the network is small, fits any N, and learns from N decisions where the base station takes one.
+# Each device is an agent, and all share one network. Its inputs are the device's row, global information, and sums over
+# nearby devices. So the network is small, fits any N, and learns from N decisions for each base station decision.
 
 # %%
 SCENARIO = "paper"
-#: Table II: units that a TTI in S1 and a report cost, and d_max as a share of the area's side.
+#: Table II: cost of a TTI in S1 and of a report, in energy units, and d_max as a share of the area's side.
 E_IDLE, E_TX, REACH = 1.0, 10.0, 0.2
 DEVICE = {feature.name: at for at, feature in enumerate(reveille.DEVICE_FEATURES)}
 GLOBAL = {feature.name: at for at, feature in enumerate(reveille.GLOBAL_FEATURES)}
-#: What is summed over the devices around.
+#: The features summed over nearby devices.
 SUMMED = ("battery", "can_report", "sensing", "since_sensing", "stale", "nearness", "may_wake")
 AROUND = [DEVICE[name] for name in SUMMED]
 
@@ -145,24 +145,24 @@ Decide = Callable[[Observation], NDArray[np.int8]]
 
 
 def metres(information: NDArray[Any]) -> NDArray[Any]:
-    """The distance at which a device has this information, p(d) = exp(-d), at most 8 m; a share of 4 m."""
+    """Returns the distance with this information, from p(d) = exp(-d), at most 8 m, in units of 4 m."""
     return np.minimum(-np.log(np.maximum(information, 1e-6)), 8.0) / 4.0
 
 
 def apart(rows: NDArray[Any]) -> NDArray[Any]:
-    """Distances between devices, shares of the area's side."""
+    """Returns the distances between devices, as shares of the area's side."""
     place = rows[:, :, [DEVICE["x"], DEVICE["y"]]]
     return np.sqrt(np.square(place[:, :, None] - place[:, None]).sum(3))
 
 
 def may_act(seen: Observation) -> NDArray[np.bool_]:
-    """Whose bit counts, (K, N). Of those that could be woken, those within d_max of a reporter."""
+    """Returns the mask of effective bits, (K, N); at stage 1 only wakeable devices within d_max of a reporter."""
     is_near = metres(seen["device"][:, :, DEVICE["nearness"]]) <= 1.0
     return (seen["action_mask"] > 0) & ((seen["stage"] == 0)[:, None] | is_near)
 
 
 def views(seen: Observation) -> NDArray[np.float32]:
-    """What each device sees, (K, N, F), of the observations of K environments."""
+    """Returns the network input of each device, (K, N, F), from the observations of K environments."""
     rows, may = seen["device"], may_act(seen)
     all_of = seen["globals"]
     common = np.concatenate([all_of, seen["stage"][:, None], metres(all_of[:, [GLOBAL["information"]]])], 1)
@@ -175,7 +175,7 @@ def views(seen: Observation) -> NDArray[np.float32]:
         np.broadcast_to(common[:, None], (*rows.shape[:2], common.shape[1])),
         may[:, :, None],
         far,
-        far - nearest,  # of those that could be woken, is it the nearest to a reporter?
+        far - nearest,  # is the device the nearest to a reporter among those that could be woken?
         weight / (1 + weight),
         near @ rows[:, :, AROUND] / (1 + weight),
     ]
@@ -185,18 +185,18 @@ def views(seen: Observation) -> NDArray[np.float32]:
 # %% [markdown]
 # ## The reward
 #
-# The environment's reward is the paper's. It pays for places that somebody was told to look at, also when that battery
-# is empty and nobody looks. At the default weights, to tell all devices to sense in every TTI has a better reward than
-# `knn` and `age-index` have, and misses 96 % of the events.
+# The environment's reward is the paper's. It pays for places where the plan lets a device sense, even if an empty battery
+# prevents it. At the default weights, telling all devices to sense in every TTI earns a better reward than `knn` and
+# `age-index` earn, and misses 96 % of the events.
 #
-# The reward here is the objective, P1, less a price for energy, and counts only what a base station knows of. What a
-# device has found counts for all that could have found it, by the share of their reach that they have in common:
-# otherwise devices learn to be first, at everybody's cost.
+# The reward here is the objective P1 minus a price for energy, and it uses only information of a base station. A
+# detection is credited to every device that could have made it, by the overlap of their sensing discs. Without this,
+# devices learn to be first, at the expense of all.
 
 
 # %%
 def in_common(distance: NDArray[Any]) -> NDArray[Any]:
-    """The share that two discs of radius d_max have in common."""
+    """Returns the share that two discs of radius d_max have in common."""
     half = np.minimum(distance / (2 * REACH), 1.0)
     return 2 / np.pi * (np.arccos(half) - half * np.sqrt(1 - half**2))
 
@@ -204,16 +204,16 @@ def in_common(distance: NDArray[Any]) -> NDArray[Any]:
 def shares(
     before: Observation, acted: NDArray[np.bool_], seen: Observation, information: NDArray[Any]
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """What each device has a share in, N times its part of P1, and the units that it spends; both (K, N).
+    """Returns N times each device's credited part of P1, and the energy units that it spends; both (K, N).
 
-    ``information``: what wake-ups have added to Î, (K,).
+    ``information``: the gain of Î by wake-ups, (K,).
     """
     n = acted.shape[1]
     plans, asks = (before["stage"] == 0)[:, None], (seen["stage"] == 1)[:, None]
     reports = seen["device"][:, :, DEVICE["information"]]
     best = reports.argmax(1)
     found = reports.max(1)[:, None] * in_common(apart(seen["device"])[np.arange(len(best)), best])
-    # The device whose report was the best has added it; where no question shows reports, all that were woken have.
+    # The gain belongs to the device with the best report. Without reports in the request, all woken devices share it.
     is_best = acted & (np.arange(n) == best[:, None])
     added = information[:, None] * np.where(asks, is_best, acted / np.maximum(acted.sum(1, keepdims=True), 1))
     gained = np.where(plans, np.where(asks, found, 0.0), added) / seen["globals"][:, GLOBAL["alpha"], None]
@@ -222,8 +222,8 @@ def shares(
 
 
 class Training(VecEnv):
-    """``reveille.make_vec`` as stable-baselines3 wants it, with an agent for each device. An environment that ends
-    begins anew in the same step."""
+    """``reveille.make_vec`` with the interface of stable-baselines3 and an agent for each device. An environment that
+    ends starts its next episode in the same step."""
 
     def __init__(self, devices: int, price: float, envs: int = 16, ttis: int = 1000) -> None:
         self.inner = reveille.make_vec(
@@ -234,7 +234,7 @@ class Training(VecEnv):
             devices=devices,
             ttis=ttis,
             battery_knowledge="reported",
-            mu2=1.0,  # then info["information"] is what wake-ups add to Î
+            mu2=1.0,  # then info["information"] is the gain of Î by wake-ups
         )
         self.shape, self.price, self.render_mode = (envs, devices), price, None
         self.brought = self.plans = 1e-9
@@ -269,15 +269,15 @@ class Training(VecEnv):
         return self.views(), reward, np.repeat(ended, self.shape[1]), infos
 
     def less_mean(self, reward: NDArray[Any], plans: NDArray[np.bool_]) -> NDArray[np.float32]:
-        """Takes the mean of a TTI off. PPO discounts by decisions, so that to wake somebody, which brings another
-        question in the same TTI, would put off all that is to come; what is 0 on average is not missed."""
+        """Subtracts the mean reward of a TTI. PPO discounts by decisions, and a wake-up adds a decision in the same
+        TTI: it would delay all later rewards. With a mean of 0, the delay costs nothing on average."""
         self.brought = 0.998 * self.brought + reward.mean()
         self.plans = 0.998 * self.plans + plans.mean()
         centred = reward - plans[:, None] * (self.brought / self.plans)
         return (0.2 * centred).reshape(-1).astype(np.float32)
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Does nothing; the environments hold no resources."""
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         return [getattr(self, attr_name)] * self.num_envs
@@ -298,7 +298,7 @@ class Training(VecEnv):
 
 # %%
 class Told(BaseCallback):
-    """Tells now and then how the episodes are that end."""
+    """Prints statistics of ended episodes at intervals."""
 
     def __init__(self, devices: int, every: float = 30.0) -> None:
         super().__init__()
@@ -327,7 +327,7 @@ class Told(BaseCallback):
 
 
 def network(width: int) -> nn.Sequential:
-    """An untrained network: from what a device sees to the logits of its two bits."""
+    """Returns an untrained network, from the input of a device to the logits of its two bits."""
     return nn.Sequential(nn.Linear(width, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, 2))
 
 
@@ -348,20 +348,20 @@ def train(options: Options) -> nn.Sequential:
         device="cpu",
     )
     with torch.no_grad():
-        model.policy.action_net.bias.copy_(torch.tensor([0.5, -0.5]))  # to begin with, few sense
+        model.policy.action_net.bias.copy_(torch.tensor([0.5, -0.5]))  # few devices sense at first
     model.learn(options.steps * options.devices, callback=Told(options.devices))
     return nn.Sequential(*model.policy.mlp_extractor.policy_net, model.policy.action_net)
 
 
 def load(path: Path, options: Options) -> nn.Sequential:
-    """Reads a network.
+    """Loads a network.
 
-    :raises ValueError: it is none.
+    :raises ValueError: the file holds no network of this example.
     """
     loaded = network(Training(options.devices, options.price, envs=1).observation_space.shape[0])
     try:
         loaded.load_state_dict(torch.load(path, weights_only=True))
-    except Exception as error:  # torch tells of broken files by many types
+    except Exception as error:  # torch raises many types of errors for broken files
         raise ValueError(f"{path} holds no network of this example: {str(error).splitlines()[0]}") from error
     return loaded
 
@@ -378,13 +378,13 @@ if __name__ == "__main__":
 # %% [markdown]
 # ## Deciding
 #
-# A decision is a function of an observation, NumPy in and NumPy out, and the same whenever it is asked. The chances add
-# up to how many devices PPO would choose on average; so many are chosen, those with the highest chances.
+# A decision is a deterministic function of an observation, NumPy in and NumPy out. The probabilities sum to PPO's mean
+# number of chosen devices. The function chooses this number of devices, those with the highest probabilities.
 
 
 # %%
 def decider(net: nn.Sequential) -> Decide:
-    """The decision that ``net`` takes on what is seen."""
+    """Returns the decision function of ``net``."""
 
     def decide(seen: Observation) -> NDArray[np.int8]:
         whole = {key: np.asarray(value)[None] for key, value in seen.items()}
@@ -404,13 +404,14 @@ if __name__ == "__main__":
 # %% [markdown]
 # ## Judging
 #
-# The same scenario, length and seeds for all; PPO was trained on none of these seeds. P1 per energy can be won by doing
-# little, so P1 stands beside it. `age-index`, `q-learning` and `dt` are the program's best. The first and the last have
-# a price θ of energy too: to be fair, a second row has one that suits few devices better than the default does. One
-# policy alone is told where events are, `genie`. Intervals are 95 %, Student's t over runs; differences are by seed.
+# All policies run the same scenario, length and seeds, which were not used in training. Little action yields a high P1
+# per energy, so the table shows P1 as well. `age-index`, `q-learning` and `dt` are the program's best policies.
+# `age-index` and `dt` have a price θ of energy too; for fairness a second row has a price that suits small N better
+# than the default. Only `genie` knows where events are. Intervals are 95 %, Student's t over runs; differences are by
+# seed.
 
 # %%
-#: The policies, each with the fields that are set for it.
+#: The policies, with their field settings.
 JUDGED: dict[str, tuple[str, dict[str, Any]]] = {
     "random": ("random", {}),
     "knn": ("knn", {}),
@@ -433,7 +434,7 @@ Runs = dict[str, NDArray[np.float64]]
 
 
 def half_width(values: NDArray[np.float64]) -> float:
-    """Half of the 95 % interval of the mean."""
+    """Returns half of the 95 % interval of the mean."""
     freedom = len(values) - 1
     z = statistics.NormalDist().inv_cdf(0.975)
     beyond = (z**3 + z) / (4 * freedom) + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * freedom**2)
@@ -443,13 +444,13 @@ def half_width(values: NDArray[np.float64]) -> float:
 
 
 def with_ratio(told: dict[str, Any]) -> Runs:
-    """The columns, as arrays."""
+    """Returns the columns as arrays, with P1 per energy."""
     runs = {name: np.array(told[name], float) for name in COLUMNS.values() if name != "per_energy"}
     return runs | {"per_energy": runs["info_p1"] / runs["energy_per_device_tti"]}
 
 
 def runs_of_ours(decide: Decide, options: Options) -> Runs:
-    """A run for each seed, decided by ``decide``."""
+    """Runs ``decide`` on each seed."""
     env = gym.make(
         "Reveille-v0",
         scenario=SCENARIO,
@@ -469,7 +470,7 @@ def runs_of_ours(decide: Decide, options: Options) -> Runs:
 
 
 def runs_of(policy: str, fields: dict[str, Any], options: Options) -> Runs:
-    """A run for each seed of a policy of the program."""
+    """Runs a built-in policy on each seed."""
     table = reveille.sweep(
         SCENARIO,
         policies=[policy],
@@ -484,7 +485,7 @@ def runs_of(policy: str, fields: dict[str, Any], options: Options) -> Runs:
 
 
 def judge(decide: Decide, options: Options) -> dict[str, Runs]:
-    """Runs all, and prints them side by side."""
+    """Runs all policies and prints their results side by side."""
     print(f"N = {options.devices}, {options.judge} seeds of {options.ttis} TTIs, batteries as reported")
     print("policy".ljust(14), *(name.rjust(15) for name in COLUMNS))
     runs = {"ppo": runs_of_ours(decide, options)}
@@ -510,7 +511,7 @@ if __name__ == "__main__" and not options.serve:
 # %% [markdown]
 # ## In the program
 #
-# `reveille up --policy external` asks for decisions over zenoh, with what `decide` takes and gives:
+# `reveille up --policy external` requests decisions over zenoh, with the inputs and outputs of `decide`:
 #
 #     reveille up -n 20 --policy external --set bs.battery_knowledge=reported \
 #         --policy-command 'python python/examples/ppo.py --load ppo.pt --serve'
@@ -518,7 +519,7 @@ if __name__ == "__main__" and not options.serve:
 
 # %%
 def serve(decide: Decide) -> int:
-    """Decides for a run until it is over. Gives the number of decisions."""
+    """Decides for a run until it is over. Returns the number of decisions."""
     return reveille.PolicyClient(decide, name="ppo").serve()
 
 

@@ -15,14 +15,14 @@ from .scenario import DEVICE_FEATURES, GLOBAL_FEATURES, Setting, overrides
 
 #: The parts of a reward, in the order of the compiled module.
 PARTS = ("asleep", "missed", "information", "woken")
-#: Seeds are drawn below this.
+#: Exclusive upper bound of drawn seeds.
 SEEDS = 2**31 - 1
 
 Observation = dict[str, Any]
 
 
 def observation_space(n: int) -> spaces.Dict:
-    """What is seen of ``n`` devices."""
+    """Returns the observation space of ``n`` devices."""
     return spaces.Dict(
         {
             "device": spaces.Box(0.0, 1.0, (n, len(DEVICE_FEATURES)), np.float32),
@@ -42,10 +42,9 @@ def make_batch(
     num_envs: int = 1,
     threads: int = 1,
 ) -> _native.Batch:
-    """The environments in Rust, with the arguments that all classes of environments share; what ``fields`` say
-    goes before what ``set`` says of the same field.
+    """Makes the environments in Rust from the arguments shared by all environment classes. ``fields`` override ``set``.
 
-    :raises ValueError: the scenario is refused, or something is to be drawn.
+    :raises ValueError: the scenario is refused, or a render mode is given.
     """
     if render_mode is not None:
         raise ValueError(f"render_mode {render_mode!r}: nothing is drawn, it must be None")
@@ -53,7 +52,7 @@ def make_batch(
 
 
 def parts(batch: _native.Batch, at: int) -> dict[str, Any]:
-    """What the last step of environment ``at`` has brought, for ``info``."""
+    """Returns the ``info`` entries of the last step of environment ``at``."""
     row = batch.parts[at]
     told: dict[str, Any] = {name: float(value) for name, value in zip(PARTS, row, strict=True)}
     told["tti"] = int(batch.ttis[at])
@@ -61,7 +60,7 @@ def parts(batch: _native.Batch, at: int) -> dict[str, Any]:
 
 
 class Snapshot:
-    """An environment as it stood. See :meth:`ReveilleEnv.snapshot`."""
+    """Saved state of an environment. See :meth:`ReveilleEnv.snapshot`."""
 
     __slots__ = ("_native",)
 
@@ -70,12 +69,12 @@ class Snapshot:
 
 
 class ReveilleEnv(gym.Env[Observation, NDArray[np.int8]]):
-    """The base station's decisions in a run, one step each.
+    """Environment whose steps are the base station's decisions in a run.
 
-    At **stage 0** the action is δ(k): bit j tells device j to sense in TTI k. At **stage 1**, after a report has come
-    in TTI k, it is whom to wake; the devices are woken in the order of ids, and the stage comes again until the action
-    is all zeros, or nobody is left to wake. Devices that were told to sense, or were woken in this TTI, are not woken:
-    such bits are dropped, never an error.
+    At **stage 0** the action is δ(k): bit j tells device j to sense in TTI k. **Stage 1** follows a report in TTI k,
+    and its action is the set of devices to wake, in the order of ids. The stage repeats until the action is all zeros
+    or no device is left to wake. Devices that were instructed to sense, or were woken in this TTI, are not woken: their
+    bits are dropped without an error.
 
     An episode is a run of ``ttis`` TTIs. It is truncated at its end, never terminated.
 
@@ -90,16 +89,17 @@ class ReveilleEnv(gym.Env[Observation, NDArray[np.int8]]):
     ``action_mask`` (N,) int8           2: either bit; 0: a 1 would be dropped. ``action_space.sample`` takes it
     ==============  ==================  ==========================================================================
 
-    Nothing is in it that a base station could not know; with ``battery_knowledge="reported"`` not even batteries.
+    The observation holds only information available to a base station; with ``battery_knowledge="reported"`` it holds
+    no true battery levels.
 
-    Reward: at stage 0 the paper's r(k), the share of devices that sleep minus α μ1 times the share of the area that
-    nobody looks at, which is the chance that an event that starts in TTI k is missed in it; at stage 1 the share of
-    r*(k) that this action has brought: μ2 times what Î has gained, as a share of Ψ, minus 1/N for each device that was
-    woken.
+    The reward at stage 0 is the paper's r(k): the share of sleeping devices minus α μ1 times the share of the area
+    without a sensing device. That share is the probability that an event that starts in TTI k is missed in it. The
+    reward at stage 1 is this action's share of r*(k): μ2 times the gain of Î, as a share of Ψ, minus 1/N for each woken
+    device.
 
-    ``info``: the parts of the reward (``asleep``, ``missed``, ``information``, ``woken``, which add up to it), and
-    ``tti``, the TTIs that are closed. That of the last step holds ``digest``, ``metrics``, ``policy_facts``,
-    ``ttis_done`` and ``complete`` of the run as well.
+    ``info`` holds the parts of the reward (``asleep``, ``missed``, ``information``, ``woken``), which add up to it, and
+    ``tti``, the number of closed TTIs. In the last step it also holds ``digest``, ``metrics``, ``policy_facts``,
+    ``ttis_done`` and ``complete`` of the run.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
@@ -125,8 +125,8 @@ class ReveilleEnv(gym.Env[Observation, NDArray[np.int8]]):
         :param mu1: weight μ1 of misdetections in the reward, ≥ 0.
         :param mu2: weight μ2 of information in the reward, ≥ 0.
         :param set: fields of the scenario by their paths, such as ``{"harvest.lambda": 0.2}``.
-        :param render_mode: nothing is drawn: ``None``.
-        :raises ValueError: the scenario is refused; it says which field, and what is allowed.
+        :param render_mode: must be ``None``; the environment draws nothing.
+        :raises ValueError: the scenario is refused; the message names the field and the allowed values.
         """
         fields = {"devices": devices, "ttis": ttis, "battery_knowledge": battery_knowledge}
         self._batch = make_batch(scenario, set, fields, (mu1, mu2), render_mode)
@@ -148,11 +148,11 @@ class ReveilleEnv(gym.Env[Observation, NDArray[np.int8]]):
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begins a run.
+        """Starts a run.
 
-        :param seed: the scenario's seed, and that of later ones that are drawn. Without, one is drawn.
-        :param options: ``{"set": {...}}`` sets fields in this episode, on top of those of the environment. The number
-            of devices cannot change.
+        :param seed: the scenario's seed, which also determines seeds drawn later; drawn if None.
+        :param options: ``{"set": {...}}`` sets fields for this episode, in addition to the environment's fields. The
+            number of devices cannot change.
         """
         super().reset(seed=seed)
         extra = set(options or {}) - {"set"}
@@ -165,10 +165,10 @@ class ReveilleEnv(gym.Env[Observation, NDArray[np.int8]]):
         return self._observation(), {"seed": drawn, "tti": 0}
 
     def step(self, action: NDArray[np.int8]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Takes a decision.
+        """Applies a decision.
 
         :param action: N zeros and ones.
-        :raises ValueError: it has another shape.
+        :raises ValueError: the action has another shape.
         """
         if not self._is_begun:
             raise gym.error.ResetNeeded("reset the environment before its first step")
@@ -181,12 +181,12 @@ class ReveilleEnv(gym.Env[Observation, NDArray[np.int8]]):
         return self._observation(), float(self._batch.reward[0]), False, ended, info
 
     def snapshot(self) -> Snapshot:
-        """The run as it stands, to come back to with :meth:`restore`. Generators of random numbers are not in it."""
+        """Saves the state of the run for :meth:`restore`, without random number generators."""
         return Snapshot(self._batch.snapshot(0))
 
     def restore(self, snapshot: Snapshot) -> Observation:
-        """Goes back to where ``snapshot`` was taken, in this environment or in another of as many devices; any number
-        of times."""
+        """Restores the state of ``snapshot``, in this environment or another with the same number of devices. A
+        snapshot can be restored any number of times."""
         self._batch.restore(0, snapshot._native)
         self._is_begun = True
         return self._observation()

@@ -1,4 +1,4 @@
-"""Each device an agent, for PettingZoo."""
+"""PettingZoo environment with an agent for each device."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from .scenario import DEVICE_FEATURES, GLOBAL_FEATURES, Setting, overrides
 
 
 class ReveilleParallelEnv(ParallelEnv[str, Observation, int]):
-    """The environment of :class:`reveille.environment.ReveilleEnv` with an agent for each device, ``device_0`` and so
-    on, and one reward for all.
+    """Multi-agent form of :class:`reveille.environment.ReveilleEnv`: agents ``device_0``, ``device_1``, …, with one
+    reward shared by all.
 
-    An agent's action is its bit: whether to sense at stage 0, and whether to be woken at stage 1. It sees its own row
-    of ``device``, the ``globals`` and the ``stage``; its ``action_mask``, (2,) int8, says which bits are not dropped.
-    A device whose battery is empty stays an agent: it harvests, and may come back. All agents end together, with the
-    run.
+    An agent's action is its bit: whether to sense at stage 0, and whether to be woken at stage 1. It observes its row
+    of ``device``, the ``globals`` and the ``stage``. Its ``action_mask``, (2,) int8, marks the bits that are not
+    dropped. A device with an empty battery remains an agent, since it harvests and may recover. All agents end
+    together, with the run.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"name": "reveille_v0", "render_modes": [], "is_parallelizable": True}
@@ -38,7 +38,7 @@ class ReveilleParallelEnv(ParallelEnv[str, Observation, int]):
         set: Mapping[str, Setting] | None = None,  # noqa: A002
         render_mode: str | None = None,
     ) -> None:
-        """As :class:`reveille.environment.ReveilleEnv`."""
+        """Makes an environment with the arguments of :class:`reveille.environment.ReveilleEnv`."""
         fields = {"devices": devices, "ttis": ttis, "battery_knowledge": battery_knowledge}
         self._batch = make_batch(scenario, set, fields, (mu1, mu2), render_mode)
         self.render_mode = None
@@ -46,16 +46,16 @@ class ReveilleParallelEnv(ParallelEnv[str, Observation, int]):
         self._random, _ = seeding.np_random()
         self.possible_agents = [f"device_{j}" for j in range(self._batch.n)]
         self.agents: list[str] = []
-        # The same objects in every call: frameworks look spaces up again and again, and seed them.
+        # Every call returns the same objects, since frameworks look spaces up repeatedly and seed them.
         self.observation_spaces = {agent: _space() for agent in self.possible_agents}
         self.action_spaces = {agent: spaces.Discrete(2) for agent in self.possible_agents}
 
     def observation_space(self, agent: str) -> spaces.Dict:
-        """What ``agent`` sees."""
+        """Returns the observation space of ``agent``."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Discrete:
-        """What ``agent`` can do: 0 or 1."""
+        """Returns the action space of ``agent``: 0 or 1."""
         return self.action_spaces[agent]
 
     def _observations(self) -> dict[str, Observation]:
@@ -72,7 +72,7 @@ class ReveilleParallelEnv(ParallelEnv[str, Observation, int]):
     def reset(
         self, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
-        """Begins a run, as :meth:`reveille.environment.ReveilleEnv.reset`."""
+        """Starts a run, as :meth:`reveille.environment.ReveilleEnv.reset` does."""
         if seed is not None:
             self._random, _ = seeding.np_random(seed)
         drawn = int(self._random.integers(SEEDS)) if seed is None else seed
@@ -89,7 +89,7 @@ class ReveilleParallelEnv(ParallelEnv[str, Observation, int]):
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """A decision. An agent without an action has 0."""
+        """Applies a decision. The action of a missing agent is 0."""
         if not self.agents:
             return {}, {}, {}, {}, {}
         row = np.array([[int(bool(actions.get(agent, 0))) for agent in self.possible_agents]], dtype=np.int8)
@@ -109,10 +109,10 @@ class ReveilleParallelEnv(ParallelEnv[str, Observation, int]):
         )
 
     def render(self) -> None:
-        """Nothing is drawn."""
+        """Does nothing; the environment draws nothing."""
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Does nothing; the environment holds no resources."""
 
 
 def _space() -> spaces.Dict:

@@ -1,10 +1,10 @@
-"""The name under which Gymnasium finds the environment."""
+"""Registration of the environment in Gymnasium."""
 
 from __future__ import annotations
 
 
 def register() -> None:
-    """Registers ``Reveille-v0``, once."""
+    """Registers ``Reveille-v0`` unless it is registered already."""
     from gymnasium.envs.registration import register as add
     from gymnasium.envs.registration import registry
 

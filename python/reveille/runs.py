@@ -1,4 +1,4 @@
-"""Runs and sweeps of the policies of the program."""
+"""Runs and sweeps of the built-in policies."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def policies() -> list[str]:
-    """The names of the policies that decide by themselves."""
+    """Returns the names of the built-in policies."""
     return list(_native.policies())
 
 
@@ -31,16 +31,16 @@ def run(
     set: Mapping[str, Setting] | None = None,  # noqa: A002
     actions: bool = False,
 ) -> dict[str, Any]:
-    """A run in memory, as ``reveille run`` makes it.
+    """Makes a run in memory, as ``reveille run`` does.
 
     :param scenario: a preset or a scenario file.
-    :param policy: one of :func:`policies`; the scenario's, where it is not said.
-    :param actions: whether to tell how an environment does the same: ``actions``, (T, N) int8, an action for each of
-        its steps, and ``stages``, (T,) int8, the stage of each. ``stepped`` is what the environment comes to with them.
-        Its digest is that of the run if the policy sends δ as bits (``age-index``, ``q-learning``, ``dt``); the others
-        send duty cycles, and then the digests differ, as more is sent, while events and energy are the same.
+    :param policy: one of :func:`policies`; by default the scenario's policy.
+    :param actions: whether to return the equivalent environment actions: ``actions``, (T, N) int8, the action of each
+        step, and ``stages``, (T,) int8, its stage. ``stepped`` is the result of an environment with these actions. Its
+        digest equals the run's digest if the policy sends δ as bits (``age-index``, ``q-learning``, ``dt``). Other
+        policies send duty cycles and so larger messages; the digests then differ, but events and energy are the same.
     :returns: ``digest``, 64 hexadecimal digits; ``metrics`` by name; ``policy_facts``; ``ttis_done``; ``complete``.
-    :raises ValueError: the scenario is refused; it says which field, and what is allowed.
+    :raises ValueError: the scenario is refused; the message names the field and the allowed values.
     """
     changes = overrides(
         set, devices=devices, ttis=ttis, battery_knowledge=battery_knowledge, policy=policy, seed=seed
@@ -61,16 +61,16 @@ def sweep(
     folder: str | os.PathLike[str] | None = None,
     threads: int | None = None,
 ) -> pyarrow.Table:
-    """Runs a grid of policies, sizes and other fields, and gives its table: one row for each run, with all metrics.
+    """Runs a grid of policies, sizes and other fields. Returns a table with one row for each run, with all metrics.
 
-    Needs PyArrow; ``.to_pandas()`` and ``polars.from_arrow`` go on from there. Ctrl-C stops it.
+    Needs PyArrow; ``.to_pandas()`` and ``polars.from_arrow`` convert the table. Ctrl-C stops the sweep.
 
-    :param grid: further fields by their paths, each with the values to take in turn.
+    :param grid: further fields by their paths, each with its list of values.
     :param set: fields that are the same in all runs.
     :param seeds: runs in each cell, with the seeds ``first_seed`` and following.
-    :param folder: where to keep the runs. A sweep that was stopped goes on there, and a table that is there is not
-        made again. A temporary folder, where it is not said.
-    :param threads: threads; as many as there are CPUs, where it is not said.
+    :param folder: folder of the runs, temporary by default. A stopped sweep resumes there, and a finished table is not
+        recomputed.
+    :param threads: number of threads; by default the number of CPUs.
     :raises ValueError: the experiment is refused.
     """
     from pyarrow import parquet

@@ -1,4 +1,4 @@
-"""How scenarios are named and changed, and what is seen in them."""
+"""Scenario fields, their overrides, and the features of observations."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ from typing import NamedTuple, TypeAlias
 
 from . import _native
 
-#: The value of a scenario's field: as in TOML.
+#: The value of a scenario's field, as in TOML.
 Setting: TypeAlias = "bool | int | float | str | Sequence[Setting]"
 
 
 class Feature(NamedTuple):
-    """A number in [0, 1] that an observation holds."""
+    """A number in [0, 1] in an observation."""
 
     name: str
     about: str
 
 
-#: What ``observation["device"][j]`` holds of device j, in this order.
+#: The features of ``observation["device"][j]``, in order.
 DEVICE_FEATURES: tuple[Feature, ...] = tuple(Feature(*pair) for pair in _native.features()[0])
-#: What ``observation["globals"]`` holds, in this order.
+#: The features of ``observation["globals"]``, in order.
 GLOBAL_FEATURES: tuple[Feature, ...] = tuple(Feature(*pair) for pair in _native.features()[1])
 
 
 def toml(value: Setting) -> str:
-    """``value`` as TOML writes it."""
+    """Formats ``value`` as TOML."""
     if hasattr(value, "item"):  # a NumPy number
         return toml(value.item())
     if isinstance(value, bool):
@@ -49,7 +49,7 @@ def overrides(
     policy: str | None = None,
     seed: int | None = None,
 ) -> list[str]:
-    """Fields to set, as ``path=value``; those with a name of their own after the others."""
+    """Returns the fields to set as ``path=value``. Named arguments follow and override ``changes``."""
     named: dict[str, Setting | None] = {
         "devices": devices,
         "ttis": ttis,

@@ -1,7 +1,7 @@
-"""Trajectories: what was seen, done and gained, step by step, in Parquet files and as Minari datasets.
+"""Trajectories: observations, actions and rewards by step, in Parquet files and as Minari datasets.
 
-A file holds the rows of one episode after the other. An episode of T steps has T + 1 rows: one for each decision, and
-one for what is seen after the last, whose action, reward and what goes with them are null.
+A file holds the rows of its episodes in order. An episode of T steps has T + 1 rows: one for each decision, and one for
+the final observation. The action, the reward and the columns after it are null in the final row.
 
 ==================================  ===========================  ====================================================
 column                              type                         meaning
@@ -9,7 +9,7 @@ column                              type                         meaning
 ``episode``                         int32                        from 0
 ``step``                            int32                        from 0
 ``tti``                             int64                        the TTI of the decision, from 0
-``stage``                           int8                         0: δ(k); 1: whom to wake
+``stage``                           int8                         0: δ(k); 1: wake-ups
 ``device``                          N·F float32, fixed size      :data:`reveille.DEVICE_FEATURES`, device by device
 ``globals``                         G float32, fixed size        :data:`reveille.GLOBAL_FEATURES`
 ``action_mask``                     N int8, fixed size           2: either bit; 0: a 1 would be dropped
@@ -20,8 +20,8 @@ column                              type                         meaning
 ``terminated`` ``truncated``        bool                         whether the episode ended with this step
 ==================================  ===========================  ====================================================
 
-Row groups end with their episodes, so that an episode can be read alone. What the file is about is in its metadata
-under ``reveille.``: see :class:`Trajectories`.
+Row groups end with their episodes, so that an episode can be read alone. The file's metadata under ``reveille.``
+describes its contents: see :class:`Trajectories`.
 """
 
 from __future__ import annotations
@@ -48,34 +48,34 @@ if TYPE_CHECKING:
 
 #: The version of the columns, raised when the meaning of one changes.
 SCHEMA = "1"
-#: The most rows of a row group, and about the most bytes.
+#: Maximum rows of a row group, and its approximate maximum in bytes.
 GROUP_ROWS, GROUP_BYTES = 4096, 16 << 20
 _PREFIX = "reveille."
 
-#: What decides: an action for an observation.
+#: A policy: the name of a built-in policy, or a function from observation to action.
 Policy: TypeAlias = "str | Callable[[Observation], NDArray[np.int8]]"
 
 
 @dataclass(frozen=True)
 class EpisodeInfo:
-    """What an episode came to."""
+    """Summary of an episode."""
 
     #: Its number in the file, from 0.
     episode: int
     #: The seed with which the environment was reset.
     seed: int
-    #: Its decisions T.
+    #: The number of decisions, T.
     steps: int
     #: The sum of its rewards.
     total: float
     #: The digest of the run, 64 hexadecimal digits.
     digest: str
-    #: The digest of the policy's own run, where a policy of the program decided. It is another where the policy sends
-    #: duty cycles, see :func:`reveille.run`.
+    #: The digest of the policy's own run, for a built-in policy. It differs from ``digest`` if the policy sends duty
+    #: cycles, see :func:`reveille.run`.
     policy_digest: str | None
-    #: The metrics of the run by name; None where one is not defined.
+    #: The metrics of the run by name; an undefined metric is None.
     metrics: Mapping[str, float | None]
-    #: The row groups that it is in: the first, and how many.
+    #: Its row groups: the first and their number.
     groups: tuple[int, int]
 
 
@@ -85,7 +85,7 @@ class Episode:
 
     info: EpisodeInfo
     #: ``device`` (T + 1, N, F) float32, ``globals`` (T + 1, G) float32, ``stage`` (T + 1,) int64, ``action_mask``
-    #: (T + 1, N) int8: as of the environment, before each step and after the last.
+    #: (T + 1, N) int8: observations as in the environment, before each step and after the last.
     observations: dict[str, NDArray[Any]]
     #: (T, N) int8, 0 or 1.
     actions: NDArray[np.int8]
@@ -93,7 +93,7 @@ class Episode:
     rewards: NDArray[np.float64]
     #: The parts of the rewards by name, (T,) float64 each.
     parts: dict[str, NDArray[np.float64]]
-    #: The TTI of each decision, and at last the number of TTIs, (T + 1,) int64.
+    #: The TTI of each decision, then the number of TTIs, (T + 1,) int64.
     ttis: NDArray[np.int64]
     #: (T,) bool; no episode is terminated.
     terminations: NDArray[np.bool_]
@@ -105,12 +105,12 @@ class Trajectories:
     """The episodes of a file, read one at a time: ``len(t)``, ``t[i]``, and ``for episode in t``."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        """Opens a file that :func:`record_trajectories` has written.
+        """Opens a file written by :func:`record_trajectories`.
 
         Needs PyArrow.
 
-        :raises ValueError: it is no such file, or of another version of the columns.
-        :raises OSError: it cannot be read.
+        :raises ValueError: the file holds no trajectories, or has another version of the columns.
+        :raises OSError: the file cannot be read.
         """
         from pyarrow import parquet
 
@@ -125,19 +125,19 @@ class Trajectories:
         def told(key: str) -> Any:
             return json.loads(pairs[_PREFIX + key])
 
-        #: The version of Reveille that has written it.
+        #: The version of Reveille that wrote the file.
         self.version: str = pairs[f"{_PREFIX}version"]
         #: The policy that decided.
         self.policy: str = pairs[f"{_PREFIX}policy"]
-        #: The arguments of the environment: ``gymnasium.make("Reveille-v0", **settings)`` makes it again.
+        #: The arguments of the environment: ``gymnasium.make("Reveille-v0", **settings)`` makes the same one.
         self.settings: dict[str, Any] = told("settings")
-        #: The whole scenario, all fields, as TOML. The seed is that of each episode.
+        #: The whole scenario, all fields, as TOML. The seed comes from each episode.
         self.scenario: str = pairs[f"{_PREFIX}scenario"]
         #: The names of the columns of ``device``.
         self.device_features: tuple[str, ...] = tuple(told("device_features"))
         #: The names of the columns of ``globals``.
         self.global_features: tuple[str, ...] = tuple(told("global_features"))
-        #: What the episodes came to.
+        #: Summaries of the episodes.
         self.episodes: tuple[EpisodeInfo, ...] = tuple(
             EpisodeInfo(**{**one, "groups": tuple(one["groups"])}) for one in told("episodes")
         )
@@ -179,16 +179,16 @@ class Trajectories:
         )
 
     def environment(self) -> ReveilleEnv:
-        """The environment that the episodes were recorded in.
+        """Makes the environment in which the episodes were recorded.
 
-        :raises ValueError: its scenario is a file that is not here, or is not what it was.
+        :raises ValueError: its scenario is a file that is missing or has changed.
         """
         return self.checked(ReveilleEnv(**self.settings))
 
     def checked(self, env: ReveilleEnv) -> ReveilleEnv:
-        """``env``, if its scenario is that of the episodes.
+        """Returns ``env`` if it has the scenario of the episodes.
 
-        :raises ValueError: it is another.
+        :raises ValueError: the scenario is another one.
         """
         if env._batch.scenario != self.scenario:
             raise ValueError(
@@ -199,7 +199,7 @@ class Trajectories:
 
 
 def _values(column: pyarrow.ChunkedArray) -> NDArray[Any]:
-    """The values of the lists of a column, one after the other."""
+    """Concatenates the lists of a column."""
     import pyarrow as pa
 
     chunks = [chunk.flatten() for chunk in column.chunks]
@@ -207,7 +207,7 @@ def _values(column: pyarrow.ChunkedArray) -> NDArray[Any]:
 
 
 class _Writer:
-    """Rows on their way into a file: a row group is held, no more."""
+    """Writer that buffers at most one row group."""
 
     def __init__(self, path: Path, n: int, about: Mapping[str, str]) -> None:
         import pyarrow as pa
@@ -240,7 +240,7 @@ class _Writer:
         self._file = parquet.ParquetWriter(self._part, self._schema, compression="zstd")
 
     def see(self, episode: int, step: int, tti: int, observation: Observation) -> None:
-        """A row begins with what is seen."""
+        """Starts a row with its observation."""
         if self._count == self._rows:
             self._flush()
         told = {"episode": episode, "step": step, "tti": tti, **observation}
@@ -253,14 +253,14 @@ class _Writer:
         self._count += 1
 
     def act(self, action: NDArray[Any], reward: float, info: Mapping[str, Any], truncated: bool) -> None:
-        """The row goes on with what is done and what that brings."""
+        """Completes the row with the action and its reward."""
         told = {"action": action, "reward": reward, "terminated": False, "truncated": truncated}
         told.update((name, info[name]) for name in PARTS)
         for name, value in told.items():
             self._held[name][self._count - 1] = value
 
     def end_episode(self) -> int:
-        """The last row saw the end of an episode. Gives the number of row groups so far."""
+        """Ends the episode after its final observation. Returns the number of row groups so far."""
         self._is_last = True
         self._flush()
         return self._groups
@@ -291,14 +291,14 @@ class _Writer:
         self._groups += 1
 
     def close(self, episodes: Sequence[EpisodeInfo]) -> None:
-        """The file is whole."""
+        """Writes the metadata and moves the finished file to its path."""
         told = {**self._about, "episodes": json.dumps([asdict(one) for one in episodes], allow_nan=False)}
         self._file.add_key_value_metadata({_PREFIX + key: value for key, value in told.items()})
         self._file.close()
         os.replace(self._part, self._path)
 
     def drop(self) -> None:
-        """There will be no file."""
+        """Discards the partial file."""
         self._file.close()
         self._part.unlink(missing_ok=True)
 
@@ -325,19 +325,19 @@ def record_trajectories(
     mu2: float = 1.0,
     set: Mapping[str, Setting] | None = None,  # noqa: A002
 ) -> Trajectories:
-    """Records runs in the environment, one episode for each seed, in a Parquet file that takes the place of ``path``.
+    """Records runs in the environment, one episode for each seed, in a Parquet file that replaces ``path``.
 
-    No more than a row group is held in memory, about 16 MiB, and of a policy of the program the actions of one run.
-    Needs Gymnasium and PyArrow.
+    Memory holds at most one row group, about 16 MiB, and for a built-in policy the actions of one run. Needs Gymnasium
+    and PyArrow.
 
-    :param policy: one of :func:`reveille.policies` but ``genie``; or what is called with each observation and gives an
-        action, N zeros and ones. If it has a method ``reset``, that is called with the seed before each episode.
-    :param seeds: episodes, ≥ 1, with the seeds ``first_seed`` and following.
-    :param name: what the policy is called in the file; as it calls itself, where it is not said.
+    :param policy: one of :func:`reveille.policies` except ``genie``, or a function from an observation to an action, N
+        zeros and ones. If it has a method ``reset``, that is called with the seed before each episode.
+    :param seeds: number of episodes, ≥ 1, with the seeds ``first_seed`` and following.
+    :param name: name of the policy in the file; by default its own name.
 
-    The others are those of :class:`reveille.environment.ReveilleEnv`.
+    The other parameters are as in :class:`reveille.environment.ReveilleEnv`.
 
-    :raises ValueError: the scenario or policy is refused; it says which field, and what is allowed.
+    :raises ValueError: the scenario or policy is refused; the message names the field and the allowed values.
     """
     if seeds < 1:
         raise ValueError(f"seeds {seeds}: must be at least 1")
@@ -375,7 +375,7 @@ def record_trajectories(
 
 
 def _plain(value: Any) -> Any:
-    if hasattr(value, "tolist"):  # of NumPy
+    if hasattr(value, "tolist"):  # a NumPy value
         return value.tolist()
     raise TypeError(f"{value!r} is no value of a field")
 
@@ -383,7 +383,7 @@ def _plain(value: Any) -> Any:
 def _episode(
     writer: _Writer, env: ReveilleEnv, policy: Policy, settings: Mapping[str, Any], episode: int, seed: int
 ) -> EpisodeInfo:
-    """One run from its first decision to its last."""
+    """Records one run from its first decision to its last."""
     policy_digest, digest = None, None
     if isinstance(policy, str):
         fields = {key: value for key, value in settings.items() if key not in ("mu1", "mu2")}
@@ -415,17 +415,17 @@ def _episode(
 def to_minari(
     trajectories: Trajectories | str | os.PathLike[str], dataset_id: str, **told: Any
 ) -> minari.MinariDataset:
-    """Makes a Minari dataset, which ``minari.load_dataset(dataset_id)`` finds from then on.
+    """Makes a Minari dataset, which ``minari.load_dataset(dataset_id)`` then finds.
 
-    Its spaces are those of ``Reveille-v0``, and ``recover_environment()`` gives the environment in which it was
-    recorded. An episode's infos are the parts of the rewards, (T,) each, and ``tti``, (T + 1,); its seed, digest and
-    metrics are in the metadata of episodes: ``dataset.storage.get_episode_metadata([i])``. One episode at a time is held
-    in memory. Needs Minari with HDF5.
+    It has the spaces of ``Reveille-v0``, and ``recover_environment()`` returns the environment of the recording. An
+    episode's infos are the parts of the rewards, (T,) each, and ``tti``, (T + 1,). Its seed, digest and metrics are in
+    the episode metadata: ``dataset.storage.get_episode_metadata([i])``. Memory holds one episode at a time. Needs
+    Minari with HDF5.
 
-    :param trajectories: what was recorded, or its file.
-    :param dataset_id: ``"namespace/name-v0"``, as Minari wants it.
-    :param told: what else Minari keeps of a dataset, such as ``author``, ``code_permalink`` or ``description``.
-    :raises ValueError: Minari has a dataset of that name.
+    :param trajectories: the recorded trajectories, or their file.
+    :param dataset_id: ``"namespace/name-v0"``, as Minari requires.
+    :param told: further metadata of a Minari dataset, such as ``author``, ``code_permalink`` or ``description``.
+    :raises ValueError: Minari has a dataset of that name, or there are no episodes.
     """
     import gymnasium as gym
     import minari

@@ -17,14 +17,14 @@ from .scenario import Setting, overrides
 
 
 class ReveilleVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
-    """``num_envs`` environments as :class:`reveille.environment.ReveilleEnv`, stepped in Rust on ``threads`` threads
+    """``num_envs`` environments like :class:`reveille.environment.ReveilleEnv`, stepped in Rust on ``threads`` threads
     while other Python threads may run.
 
-    Observations have an axis of environments in front. With ``copy=False`` they are the same arrays in every step,
-    which the next one overwrites.
+    Observations have a leading axis of environments. With ``copy=False`` every step returns the same arrays and
+    overwrites them.
 
-    Autoreset is that of the next step: the step after the last of an episode does not act, it begins the next episode,
-    with reward 0.
+    Autoreset happens in the next step: the step after the end of an episode ignores its action and starts the next
+    episode, with reward 0.
     """
 
     def __init__(
@@ -45,13 +45,13 @@ class ReveilleVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
     ) -> None:
         """Makes the environments.
 
-        :param num_envs: their number, ≥ 1.
-        :param threads: threads to step them on; as many as there are CPUs for this process, where it is not said.
-        :param autoreset: ``"next_step"``, or ``"disabled"``: then an environment at its end rests until it is reset
-            with ``options={"reset_mask": ...}``.
-        :param copy: whether each step gives arrays of its own.
+        :param num_envs: number of environments, ≥ 1.
+        :param threads: number of threads; by default one per environment, at most the CPUs of this process.
+        :param autoreset: ``"next_step"``, or ``"disabled"``: an ended environment then rests until a reset with
+            ``options={"reset_mask": ...}``.
+        :param copy: whether each step returns new arrays.
 
-        The others are those of :class:`reveille.environment.ReveilleEnv`.
+        The other parameters are as in :class:`reveille.environment.ReveilleEnv`.
         """
         modes = {"next_step": AutoresetMode.NEXT_STEP, "disabled": AutoresetMode.DISABLED}
         if autoreset not in modes:
@@ -90,7 +90,7 @@ class ReveilleVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         drawn = []
         for at, seed in zip(which, seeds, strict=True):
             if seed is not None:
-                # As an environment of its own does it: later seeds follow from this one.
+                # Like a single environment: later seeds follow from this one.
                 self._randoms[at] = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)))
             drawn.append(int(self._randoms[at].integers(SEEDS)) if seed is None else seed)
         self._batch.reset(list(which), drawn, self._changes)
@@ -99,11 +99,11 @@ class ReveilleVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begins a run in each environment.
+        """Starts a run in each environment.
 
-        :param seed: one for each, or a number s for s, s + 1, ...; drawn where there is none.
-        :param options: ``"set"`` as in :meth:`reveille.environment.ReveilleEnv.reset`, in force until it is given
-            again; ``"reset_mask"``, a truth value for each environment: begin there alone.
+        :param seed: a list with one seed for each, or a number s for s, s + 1, ...; a missing seed is drawn.
+        :param options: ``"set"`` as in :meth:`reveille.environment.ReveilleEnv.reset`, kept until it is set again;
+            ``"reset_mask"``, a truth value for each environment, limits the reset to these.
         """
         options = dict(options or {})
         mask = options.pop("reset_mask", None)
@@ -124,10 +124,10 @@ class ReveilleVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
     def step(
         self, actions: NDArray[np.int8]
     ) -> tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """A decision in each environment.
+        """Applies a decision in each environment.
 
         :param actions: zeros and ones, (K, N).
-        :raises ValueError: they have another shape.
+        :raises ValueError: the actions have another shape.
         """
         rests = self._ended.copy()
         rows = np.ascontiguousarray(actions)

@@ -12,23 +12,23 @@ use pyo3::exceptions::{PyIndexError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use reveille_bs::policy::external::{DEVICE, GLOBAL};
-use reveille_common::scenario::Scenario;
-use reveille_lab::gym::{self, Environment, PARTS, Views, Weights};
+use reveille_bs::scenario::Scenario;
+use reveille_lab::gym::{self, BatchBuffers, Environment, PARTS, RewardWeights};
 
 use crate::runs::told;
 use crate::scenarios::read_external;
 
 /// Environments of equally many devices. Its arrays are written anew by each step.
-#[pyclass(module = "reveille._native", frozen)]
-pub struct Batch {
-    inner: Mutex<gym::Batch>,
+#[pyclass(name = "Batch", module = "reveille._native", frozen)]
+pub struct PyEnvBatch {
+    inner: Mutex<gym::EnvBatch>,
     source: String,
     set: Vec<String>,
-    weights: Weights,
+    weights: RewardWeights,
     arrays: Arrays,
 }
 
-/// See [`Views`].
+/// See [`BatchBuffers`].
 struct Arrays {
     devices: Py<PyArray3<f32>>,
     global: Py<PyArray2<f32>>,
@@ -55,7 +55,8 @@ impl Arrays {
     }
 
     /// Does `work` with the memory of the arrays, while other Python threads may run.
-    fn written(&self, py: Python<'_>, work: impl FnOnce(Views<'_>) + Send) -> PyResult<()> {
+    fn written(&self, py: Python<'_>, work: impl FnOnce(BatchBuffers<'_>) + Send) -> PyResult<()> {
+        // `try_readwrite` raises an exception, instead of a panic, while another thread writes into these arrays.
         let mut devices = self.devices.bind(py).try_readwrite()?;
         let mut global = self.global.bind(py).try_readwrite()?;
         let mut stage = self.stage.bind(py).try_readwrite()?;
@@ -64,7 +65,7 @@ impl Arrays {
         let mut parts = self.parts.bind(py).try_readwrite()?;
         let mut ttis = self.ttis.bind(py).try_readwrite()?;
         let mut ended = self.ended.bind(py).try_readwrite()?;
-        let views = Views {
+        let views = BatchBuffers {
             devices: devices.as_slice_mut()?,
             global: global.as_slice_mut()?,
             stage: stage.as_slice_mut()?,
@@ -74,6 +75,8 @@ impl Arrays {
             ttis: ttis.as_slice_mut()?,
             ended: ended.as_slice_mut()?,
         };
+        // Released before `work` waits for the batch: a thread that waits while it holds the interpreter blocks all
+        // others.
         py.detach(|| work(views));
         Ok(())
     }
@@ -81,19 +84,12 @@ impl Arrays {
 
 /// An environment as it stood.
 #[pyclass(module = "reveille._native", frozen)]
-pub struct Snapshot {
+pub(crate) struct Snapshot {
     environment: Mutex<Environment>,
 }
 
-fn with_seed(scenario: &Scenario, seed: u64) -> Scenario {
-    Scenario {
-        seed,
-        ..scenario.clone()
-    }
-}
-
-impl Batch {
-    fn lock(&self) -> MutexGuard<'_, gym::Batch> {
+impl PyEnvBatch {
+    fn lock(&self) -> MutexGuard<'_, gym::EnvBatch> {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -110,7 +106,7 @@ impl Batch {
 }
 
 #[pymethods]
-impl Batch {
+impl PyEnvBatch {
     /// Environments of the scenario `source` with `set` on top, one for each of `seeds`.
     #[new]
     #[pyo3(signature = (source, set, seeds, threads, mu1, mu2))]
@@ -127,9 +123,9 @@ impl Batch {
             return Err(PyValueError::new_err("at least one environment and one thread"));
         }
         let scenario = read_external(&source, &set)?;
-        let weights = Weights { mu1, mu2 };
-        let scenarios: Vec<Scenario> = seeds.iter().map(|seed| with_seed(&scenario, *seed)).collect();
-        let inner = py.detach(|| gym::Batch::new(&scenarios, weights, threads));
+        let weights = RewardWeights { mu1, mu2 };
+        let scenarios: Vec<Scenario> = seeds.iter().map(|seed| scenario.with_seed(*seed)).collect();
+        let inner = py.detach(|| gym::EnvBatch::new(&scenarios, weights, threads));
         let inner = inner.map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
         let batch = Self {
             arrays: Arrays::new(py, seeds.len(), inner.devices()),
@@ -150,14 +146,18 @@ impl Batch {
             let inner = self.lock();
             (inner.len(), inner.devices())
         };
-        if scenario.devices as usize != devices {
+        if scenario.run.devices as usize != devices {
             let was = format!("the environment was made for {devices} devices, and spaces cannot change");
-            return Err(PyValueError::new_err(format!("devices = {}: {was}", scenario.devices)));
+            return Err(PyValueError::new_err(format!(
+                "devices = {}: {was}",
+                scenario.run.devices
+            )));
         }
         let mut scenarios = vec![None; all];
         for (at, seed) in which.into_iter().zip(seeds) {
+            // Checked before any environment begins again, so that an error changes none.
             Self::check(at, all)?;
-            scenarios[at] = Some(with_seed(&scenario, seed));
+            scenarios[at] = Some(scenario.with_seed(seed));
         }
         py.detach(|| self.lock().reset(scenarios));
         self.show(py)
@@ -170,6 +170,7 @@ impl Batch {
         actions: PyReadonlyArray2<'_, i8>,
         rests: PyReadonlyArray1<'_, bool>,
     ) -> PyResult<()> {
+        // Checked here, since `gym::Batch::step` panics on another length.
         let shape = [actions.shape()[0], actions.shape()[1], rests.shape()[0]];
         let expected = {
             let inner = self.lock();
@@ -211,11 +212,13 @@ impl Batch {
             .environment
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
+            // A copy, so that a snapshot can be restored any number of times.
             .branch();
         {
             let mut inner = self.lock();
             Self::check(at, inner.len())?;
-            if environment.ground().scenario().devices as usize != inner.devices() {
+            // The arrays have the shape of the first scenario.
+            if environment.ground().scenario().run.devices as usize != inner.devices() {
                 return Err(PyValueError::new_err("the snapshot is of another number of devices"));
             }
             inner.put(at, environment);
@@ -244,7 +247,7 @@ impl Batch {
     /// TTIs of a run K.
     #[getter]
     fn length(&self) -> u64 {
-        self.lock().environments()[0].ground().scenario().ttis
+        self.lock().environments()[0].ground().scenario().run.ttis
     }
 
     #[getter]

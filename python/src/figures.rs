@@ -10,22 +10,22 @@ use std::path::PathBuf;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use reveille_bs::policy::registry;
+use reveille_bs::scenario::Scenario;
 use reveille_common::io::Disk;
-use reveille_common::scenario::Scenario;
 use reveille_lab::sweep::table_in;
 use reveille_lab::table::Table;
-use reveille_study::figures::deployment::{self, Moment};
+use reveille_study::figures::deployment::{self, EventScene};
 use reveille_study::figures::results::Results;
 use reveille_study::figures::scene::Scene;
-use reveille_study::figures::sweep::{Wish, named, several};
+use reveille_study::figures::sweep::{SweepFigureSpec, named, several};
 use reveille_study::figures::timeline::{self, Timeline};
 use reveille_study::figures::{png, svg};
 
 use crate::scenarios::{read, refused};
 
 /// A picture.
-#[pyclass(module = "reveille._native", frozen)]
-pub struct Picture {
+#[pyclass(name = "Picture", module = "reveille._native", frozen)]
+pub struct PyFigure {
     scene: Scene,
     name: String,
     facet: Vec<(String, String)>,
@@ -33,7 +33,7 @@ pub struct Picture {
     undefined: Vec<String>,
 }
 
-impl Picture {
+impl PyFigure {
     fn new(scene: Scene, name: String) -> Self {
         Self {
             scene,
@@ -46,7 +46,7 @@ impl Picture {
 }
 
 #[pymethods]
-impl Picture {
+impl PyFigure {
     /// What it is called, as the name of a file without its ending.
     #[getter]
     fn name(&self) -> &str {
@@ -87,7 +87,7 @@ impl Picture {
 /// the other fields, and that there are several, in words.
 #[pyfunction]
 #[pyo3(signature = (tables, x, y, by, only, log))]
-pub fn sweep_pictures(
+pub(crate) fn sweep_pictures(
     py: Python<'_>,
     tables: Vec<(String, PathBuf)>,
     x: String,
@@ -95,8 +95,8 @@ pub fn sweep_pictures(
     by: String,
     only: Vec<(String, String)>,
     log: [bool; 2],
-) -> PyResult<(Vec<Picture>, Option<String>)> {
-    let wish = Wish {
+) -> PyResult<(Vec<PyFigure>, Option<String>)> {
+    let wish = SweepFigureSpec {
         x: named(&x).to_owned(),
         y,
         by: named(&by).to_owned(),
@@ -109,6 +109,7 @@ pub fn sweep_pictures(
     };
     py.detach(|| {
         let read = |(name, mut path): (String, PathBuf)| {
+            // `table_in` also refuses the folder of a sweep that has not finished.
             if path.is_dir() {
                 path = table_in(&path).map_err(refused)?;
             }
@@ -118,7 +119,7 @@ pub fn sweep_pictures(
         let results = Results::new(&tables, &Disk).map_err(refused)?;
         let drawn = wish.draw(&results).map_err(refused)?;
         let words = several(&drawn);
-        let pictures = drawn.into_iter().map(|picture| Picture {
+        let pictures = drawn.into_iter().map(|picture| PyFigure {
             scene: picture.chart.scene(),
             name: wish.name(&picture.facet),
             facet: picture.facet,
@@ -143,31 +144,36 @@ fn drawable(source: &str, set: &[String]) -> PyResult<Scenario> {
 /// The deployment of a scenario as one of its events ends.
 #[pyfunction]
 #[pyo3(signature = (source, set, event))]
-pub fn deployment_picture(py: Python<'_>, source: &str, set: Vec<String>, event: Option<u64>) -> PyResult<Picture> {
+pub(crate) fn deployment_picture(
+    py: Python<'_>,
+    source: &str,
+    set: Vec<String>,
+    event: Option<u64>,
+) -> PyResult<PyFigure> {
     let scenario = drawable(source, &set)?;
     py.detach(|| {
-        let moment = Moment::of(&scenario, event).map_err(refused)?;
+        let moment = EventScene::of(&scenario, event).map_err(refused)?;
         let name = deployment::name(&scenario, &moment);
-        Ok(Picture::new(deployment::scene(&scenario, &moment), name))
+        Ok(PyFigure::new(deployment::scene(&scenario, &moment), name))
     })
 }
 
 /// Batteries and states of some devices over some TTIs of a run.
 #[pyfunction]
 #[pyo3(signature = (source, set, devices, first, length))]
-pub fn timeline_picture(
+pub(crate) fn timeline_picture(
     py: Python<'_>,
     source: &str,
     set: Vec<String>,
     devices: Vec<u32>,
     first: Option<u64>,
     length: u64,
-) -> PyResult<Picture> {
+) -> PyResult<PyFigure> {
     let scenario = drawable(source, &set)?;
     py.detach(|| {
         let first = first.unwrap_or(scenario.warm_up_end().0);
         let shown = Timeline::of(&scenario, &devices, first, length).map_err(refused)?;
         let name = timeline::name(&scenario, &shown);
-        Ok(Picture::new(timeline::scene(&scenario, &shown), name))
+        Ok(PyFigure::new(timeline::scene(&scenario, &shown), name))
     })
 }

@@ -13,9 +13,9 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _native {
     #[pymodule_export]
-    use super::batch::{Batch, Snapshot};
+    use super::batch::{PyEnvBatch, Snapshot};
     #[pymodule_export]
-    use super::figures::{Picture, deployment_picture, sweep_pictures, timeline_picture};
+    use super::figures::{PyFigure, deployment_picture, sweep_pictures, timeline_picture};
     #[pymodule_export]
     use super::runs::{features, policies, run, sweep, watched};
 }

@@ -14,14 +14,14 @@ use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use reveille_bs::outcome::Outcome;
+use reveille_bs::cycle::Outcome;
 use reveille_bs::policy::external::{DEVICE, GLOBAL};
 use reveille_bs::policy::registry;
 use reveille_common::io::Disk;
 use reveille_lab::gym::record;
 use reveille_lab::preparation::prepare;
-use reveille_lab::run::{Options, Run};
-use reveille_lab::sweep::{Draft, Grid, Shard, Sweep, SweepError, SweepProgress};
+use reveille_lab::run::{Run, RunOptions};
+use reveille_lab::sweep::{ExperimentBuilder, Shard, Sweep, SweepError, SweepGrid, SweepProgress};
 use reveille_lab::table::Format;
 
 use crate::scenarios::{read, read_external, refused};
@@ -30,7 +30,7 @@ use crate::scenarios::{read, read_external, refused};
 const LOOK: Duration = Duration::from_millis(100);
 
 /// `outcome` as a dictionary.
-pub fn told<'py>(py: Python<'py>, outcome: &Outcome) -> PyResult<Bound<'py, PyDict>> {
+pub(crate) fn told<'py>(py: Python<'py>, outcome: &Outcome) -> PyResult<Bound<'py, PyDict>> {
     let metrics = PyDict::new(py);
     for (name, value, _) in outcome.metrics.rows() {
         metrics.set_item(name, value)?;
@@ -50,13 +50,13 @@ pub fn told<'py>(py: Python<'py>, outcome: &Outcome) -> PyResult<Bound<'py, PyDi
 
 /// The names of the policies that decide by themselves.
 #[pyfunction]
-pub fn policies() -> Vec<&'static str> {
+pub(crate) fn policies() -> Vec<&'static str> {
     registry::names().collect()
 }
 
 /// Name and meaning of the features of devices, and of those of all.
 #[pyfunction]
-pub fn features() -> [Vec<(&'static str, &'static str)>; 2] {
+pub(crate) fn features() -> [Vec<(&'static str, &'static str)>; 2] {
     let pairs = |features: &[reveille_bs::policy::external::Feature]| {
         features.iter().map(|feature| (feature.name, feature.about)).collect()
     };
@@ -65,20 +65,20 @@ pub fn features() -> [Vec<(&'static str, &'static str)>; 2] {
 
 /// The run of a scenario.
 #[pyfunction]
-pub fn run<'py>(py: Python<'py>, source: &str, set: Vec<String>) -> PyResult<Bound<'py, PyDict>> {
+pub(crate) fn run<'py>(py: Python<'py>, source: &str, set: Vec<String>) -> PyResult<Bound<'py, PyDict>> {
     let scenario = read(source, &set)?;
     if registry::named(scenario.policy.name()).is_none() {
         return Err(refused(
             "policy external: decisions come from an environment, not from a run",
         ));
     }
-    let outcome = py.detach(|| Run::new(&prepare(&scenario), Options::default()).finish(&mut ()));
+    let outcome = py.detach(|| Run::new(&prepare(&scenario), RunOptions::default()).finish(&mut ()));
     told(py, &outcome)
 }
 
 /// The run of a scenario, with the actions of an environment that does the same.
 #[pyfunction]
-pub fn watched<'py>(py: Python<'py>, source: &str, set: Vec<String>) -> PyResult<Bound<'py, PyDict>> {
+pub(crate) fn watched<'py>(py: Python<'py>, source: &str, set: Vec<String>) -> PyResult<Bound<'py, PyDict>> {
     let (scenario, outside) = (read(source, &set)?, read_external(source, &set)?);
     if registry::named(scenario.policy.name()).is_none() {
         return Err(refused(
@@ -88,7 +88,7 @@ pub fn watched<'py>(py: Python<'py>, source: &str, set: Vec<String>) -> PyResult
     let actions = py.detach(|| record(&scenario, &outside));
     let actions = actions.ok_or_else(|| refused("genie: it wakes devices before anything is heard"))?;
     let all = told(py, &actions.own)?;
-    let n = scenario.devices as usize;
+    let n = scenario.run.devices as usize;
     let rows = PyArray1::from_vec(py, actions.rows).reshape([actions.stages.len(), n])?;
     all.set_item("actions", rows)?;
     all.set_item("stages", PyArray1::from_vec(py, actions.stages))?;
@@ -111,9 +111,9 @@ impl SweepProgress for Progress<'_> {
 
 /// Makes the runs of the experiment `text`, which is TOML, in `folder`. Gives the path of its table.
 #[pyfunction]
-pub fn sweep(py: Python<'_>, text: &str, folder: PathBuf, threads: usize) -> PyResult<PathBuf> {
-    let draft = Draft::parse(text, "the experiment", Path::new("")).map_err(refused)?;
-    let grid = Grid::new(draft.finish().map_err(refused)?, &Disk).map_err(refused)?;
+pub(crate) fn sweep(py: Python<'_>, text: &str, folder: PathBuf, threads: usize) -> PyResult<PathBuf> {
+    let draft = ExperimentBuilder::parse(text, "the experiment", Path::new("")).map_err(refused)?;
+    let grid = SweepGrid::new(draft.build().map_err(refused)?, &Disk).map_err(refused)?;
     let stop = AtomicBool::new(false);
     let work = || -> Result<Option<PathBuf>, SweepError> {
         let mut sweep = Sweep::open(&grid, Shard::WHOLE, &folder)?;
@@ -123,19 +123,22 @@ pub fn sweep(py: Python<'_>, text: &str, folder: PathBuf, threads: usize) -> PyR
     let done = std::thread::scope(|scope| -> PyResult<Result<Option<PathBuf>, SweepError>> {
         let (tell, mut told) = channel();
         scope.spawn(move || {
-            // Nobody is told where Ctrl-C has ended the wait.
+            // The receiver outlives this thread: also after Ctrl-C the loop below waits for the message.
             let _ = tell.send(work());
         });
         let mut interrupted = None;
         loop {
             let answer;
+            // A receiver cannot be shared between threads, so it is moved into the closure and back.
             (told, answer) = py.detach(move || {
                 let answer = told.recv_timeout(LOOK);
                 (told, answer)
             });
             match answer {
+                // The sweep has ended by now, so its journal is synced also after Ctrl-C.
                 Ok(done) => return interrupted.map_or(Ok(done), Err),
                 Err(RecvTimeoutError::Timeout) => {
+                    // Signal handlers of Python run only in this call; the wait above does not end by Ctrl-C.
                     if let Err(error) = py.check_signals() {
                         stop.store(true, Ordering::Relaxed);
                         interrupted = Some(error);

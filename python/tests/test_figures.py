@@ -22,7 +22,7 @@ def table():
 
 
 def texts(figure):
-    """What a picture says to those who do not see it; its letters are drawn."""
+    """Returns the texts of a picture for screen readers; its visible letters are drawn."""
     return [element.text for element in ElementTree.fromstring(figure.svg).iter() if element.text]
 
 

@@ -12,7 +12,7 @@ SMALL = {"devices": 12, "ttis": 60}
 
 
 def play(env, seed, actions=None, steps=10**9):
-    """Everything that a run with drawn actions shows, and its last info."""
+    """Plays a run with drawn actions; returns all of its outputs and its last info."""
     rng = np.random.default_rng(seed)
     obs, info = env.reset(seed=seed)
     seen = [obs]

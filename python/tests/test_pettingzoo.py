@@ -1,4 +1,4 @@
-"""Each device an agent."""
+"""The PettingZoo environment, with an agent for each device."""
 
 import numpy as np
 import pytest

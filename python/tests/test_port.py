@@ -1,4 +1,4 @@
-"""Decisions for a running emulator. Its program is the one that the variable REVEILLE names."""
+"""Decisions for a running emulator, the program named by the variable REVEILLE."""
 
 import json
 import os
@@ -14,24 +14,24 @@ import pytest
 
 import reveille
 from reveille.environment import ReveilleEnv
-from reveille.port import PolicyClient, PortError, ProtocolError, find
+from reveille.policy_client import PolicyClient, PortError, ProtocolError, find
 
 PROGRAM = os.environ.get("REVEILLE", "")
 needs_program = pytest.mark.skipif(not PROGRAM, reason="REVEILLE names no program")
-#: No run of these takes a tenth of this, s.
+#: Timeout in seconds, more than ten times the length of any run here.
 PATIENCE = 60
 
 
 @pytest.fixture
 def machine(tmp_path, monkeypatch):
-    """A folder in which no run of others is found."""
+    """Provides a folder in which no foreign run is found."""
     runtime = tmp_path / "runtime"
     runtime.mkdir(mode=0o700)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(runtime))
     for name in ("REVEILLE_CONNECT", "REVEILLE_RUN", "REVEILLE_KEY"):
         monkeypatch.delenv(name, raising=False)
     yield tmp_path
-    # Of a test that has failed.
+    # A failed test can leave processes behind.
     for process in Up.started:
         process.kill()
         process.wait()
@@ -39,7 +39,7 @@ def machine(tmp_path, monkeypatch):
 
 
 class Up:
-    """``reveille up`` that somebody else decides for."""
+    """``reveille up`` with an external policy."""
 
     started: ClassVar[list[subprocess.Popen]] = []
 
@@ -56,7 +56,7 @@ class Up:
         return json.loads(stdout)
 
     def serve(self, client):
-        """Has the client decide, once the run can be found."""
+        """Lets the client decide, once the run can be found."""
         deadline = time.monotonic() + PATIENCE
         while True:
             try:
@@ -94,7 +94,7 @@ def test_the_actions_of_a_policy_have_its_digest_over_zenoh(machine, policy, for
 @needs_program
 @pytest.mark.parametrize("knowledge", ["reported", "oracle"])
 def test_a_policy_sees_in_the_emulator_what_it_sees_in_an_environment(machine, knowledge):
-    """It draws by what it sees, to the last bit."""
+    """The policy's draws depend on every bit of the observation."""
 
     def policy(observation):
         bits = np.concatenate([observation["device"].ravel(), observation["globals"]]).view(np.uint32)
@@ -158,7 +158,7 @@ def test_a_command_decides_and_a_bug_in_it_is_shown(machine):
 
 @needs_program
 def test_a_client_that_is_stopped_is_waited_for(machine):
-    """SIGSTOP for longer than a link may be silent, and then it goes on."""
+    """SIGSTOP for longer than a link may be unresponsive, then SIGCONT."""
     script = machine / "policy.py"
     script.write_text(
         textwrap.dedent(

@@ -1,4 +1,4 @@
-"""Runs and sweeps, and what cannot be seen."""
+"""Runs and sweeps, and information that observations must not contain."""
 
 import numpy as np
 import pytest
@@ -50,7 +50,7 @@ def test_the_features_are_named_and_told():
 
 
 def test_nothing_that_is_unknown_is_seen():
-    """Nobody senses: wherever and whenever events are, everything that is seen is the same."""
+    """Without sensing, observations are the same wherever and whenever events are."""
     seen = []
     for events in ({"events.alpha": 0.2, "events.duration": 1}, {"events.alpha": 0.2, "events.duration": 9}):
         env = ReveilleEnv(devices=10, ttis=80, battery_knowledge="reported", set=events)

@@ -14,7 +14,7 @@ SMALL = {"devices": 14, "ttis": 150, "battery_knowledge": "reported"}
 
 
 class Drawn:
-    """Draws actions, the same for the same seed."""
+    """A policy that draws actions, the same for the same seed."""
 
     def reset(self, seed):
         self.rng = np.random.default_rng(seed)
@@ -25,7 +25,7 @@ class Drawn:
 
 
 def replayed(env, seed, actions):
-    """What the actions of an episode show when they are stepped again, and its last info."""
+    """Steps the actions of an episode again; returns all outputs and the last info."""
     obs, info = env.reset(seed=seed)
     seen, rewards, parts = [obs], [], []
     for action in actions:

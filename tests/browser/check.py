@@ -2,14 +2,15 @@
 
     python tests/browser/check.py target/release/reveille [--pictures FOLDER]
 
-Needs `chromium` and the package websocket-client. The page loads without a message on the console, the map shows every
-device, an event appears, pause stops the clock, step moves it by one, the scrubber goes back and shows that TTI's states,
-a device's history and a message open, the keyboard works; at desktop and phone size, light and dark. Of two recordings
-the page names the first difference, and shows both beside each other with what the base station believed.
+Needs `chromium` and the package websocket-client. The page loads without a console message, the map shows every device,
+and an event appears. Pause stops the clock, and step moves it by one. The scrubber goes back and shows that TTI's
+states; a device's history and a message open; the keyboard works. The checks cover desktop and phone size, light and
+dark. For two recordings the page names the first difference and shows both side by side with the beliefs of the base
+stations.
 
     python tests/browser/check.py target/release/reveille --minutes 10 [--devices 2500]
 
-watches a run for so long instead, and prints updates a second and the memory of the page, which must not grow.
+watches a run for this time instead; prints updates per second and the page's memory, which must not grow.
 """
 
 import argparse
@@ -108,7 +109,7 @@ class Page:
 
 @contextlib.contextmanager
 def started(here, name, *command):
-    """A process, by the address that it prints."""
+    """Starts a process and yields the address that it prints."""
     said = here / name
     process = subprocess.Popen(command, cwd=here, stdout=subprocess.DEVNULL, stderr=said.open("w"))
     try:
@@ -122,7 +123,7 @@ def started(here, name, *command):
 
 @contextlib.contextmanager
 def browsed(here, url):
-    """The page at an address, about which nothing may be complained."""
+    """Opens the page at an address; fails if the console holds any message at the end."""
     port = free_port()
     browser = subprocess.Popen(
         ["chromium", "--headless=new", "--no-sandbox", "--disable-gpu", f"--remote-debugging-port={port}",
@@ -163,7 +164,7 @@ def compared(reveille, here):
 
 
 def compare(page, pictures):
-    """Two seeds side by side: the first difference is that of `inspect compare`, and a click shows its TTI."""
+    """Compares two seeds: the first difference equals the one in `inspect compare`, and a click shows its TTI."""
     page.until("document.querySelectorAll('#differences li').length > 0")
     kind, tti = page.first[0], page.first[3].strip(",")
     said = page.value("document.querySelector('#differences li').textContent")
@@ -172,7 +173,7 @@ def compare(page, pictures):
     assert not page.value("reveille.run.controls")
     page.value("document.querySelectorAll('#differences button')[1].click()")
     page.until("reveille.moment && reveille.other.moment && reveille.moment.tti === reveille.other.moment.tti")
-    # Both beliefs beside the truth.
+    # A TTI with a belief over several places and a true event, in both recordings.
     found = page.value(
         "(async () => { for (let k = 100; k < 900; k++) {"
         " const [a, b] = await Promise.all(['', 'other/'].map((of) => fetch(`api/${of}tti/${k}`).then((r) => r.json())));"
@@ -181,7 +182,7 @@ def compare(page, pictures):
     assert found and abs(found[1] - 1) < 1e-3 and found[2] == 60, found
     page.value(f"(() => {{ const t = document.getElementById('tti'); t.value = {found[0]}; t.dispatchEvent(new Event('change')); }})()")
     page.until(f"reveille.moment.tti === {found[0]} && reveille.moment.belief.length > 1")
-    # The filters of `inspect tail`.
+    # `inspect tail` has the same filters.
     page.value(
         "(() => { const f = document.getElementById('filters'); f.here.checked = false; f.kind.value = 'wake'; f.state.value = 'S4'; f.requestSubmit(); })()"
     )
@@ -190,7 +191,7 @@ def compare(page, pictures):
     page.until("document.getElementById('refused').textContent.includes('no such kind')")
     page.value("(() => { const f = document.getElementById('filters'); f.kind.value = ''; f.here.checked = true; f.requestSubmit(); })()")
     page.until("document.getElementById('refused').textContent === ''")
-    # The refused request stands in the browser's log, and nothing else does.
+    # The browser's log holds the refused request and nothing else.
     page.complaints = [one for one in page.complaints if "400" not in one.get("text", "")]
     for name, width, height, scheme in [("compare", 1280, 900, "light"), ("compare-phone", 390, 844, "dark")]:
         page.shape(width, height, scheme)
@@ -203,7 +204,7 @@ def compare(page, pictures):
 
 
 def watch(page, minutes):
-    """A long run: what the page shows of it, and what memory it takes."""
+    """Watches a long run and measures the page's updates and memory."""
     start = time.monotonic()
     updates, begun = page.value("reveille.updates"), start
     sizes = []
@@ -229,7 +230,7 @@ def look(page, pictures):
         "(() => { const m = document.getElementById('map'), d = m.getContext('2d').getImageData(0, 0, m.width, m.height).data;"
         " const seen = new Set(); for (let i = 0; i < d.length; i += 4) seen.add(d[i] << 16 | d[i + 1] << 8 | d[i + 2]); return seen.size; })()"
     )
-    # States are there before they are painted.
+    # States arrive before they are painted.
     until = time.monotonic() + 5
     while (painted := page.value(script)) <= 50:
         assert time.monotonic() < until, f"{painted} colours on the map"
@@ -239,7 +240,6 @@ def look(page, pictures):
     rate = (page.value("reveille.updates") - before) / (time.monotonic() - start)
     assert rate >= 15, f"{rate:.1f} updates a second"
     page.until("document.querySelectorAll('#ticker li').length > 0")
-    # The clock.
     page.value("document.getElementById('pause').click()")
     page.until("document.getElementById('said').textContent.startsWith('paused')")
     page.until("document.getElementById('pause').textContent === 'go on'")
@@ -249,10 +249,9 @@ def look(page, pictures):
     assert page.value("reveille.now.next") == stood, "paused"
     page.value("document.getElementById('step').click()")
     page.until(f"reveille.now.next === {stood + 1}")
-    # Another pace.
     page.value("(() => { document.getElementById('pace').value = 7; document.getElementById('set-pace').click(); })()")
     page.until("document.getElementById('said').textContent.endsWith('a TTI every 7ms')")
-    # Back by a hundred TTIs, with the states of that one.
+    # Moves back by a hundred TTIs and compares the states shown.
     page.value(
         f"(() => {{ const s = document.getElementById('scrubber'); s.value = {stood - 100}; s.dispatchEvent(new Event('input')); }})()"
     )
@@ -267,7 +266,7 @@ def look(page, pictures):
     page.until(f"reveille.moment.tti === {stood - 91}")
     page.press("b")
     page.until("document.querySelectorAll('#marks button').length === 1")
-    # A device, by a click on the map, and a message with its bytes.
+    # Opens a device by a click on the map, then a message with its bytes.
     x, y = page.value(
         "(() => { const b = document.getElementById('map').getBoundingClientRect(), [w, h] = reveille.run.area, p = reveille.run.positions[7];"
         " return [b.left + 10 + p.x / w * (b.width - 20), b.bottom - 10 - p.y / h * (b.height - 20)]; })()"

@@ -1,4 +1,4 @@
-"""Cases: a scenario and what goes wrong in it, drawn from one seed, played and judged."""
+"""Cases: a scenario with its faults, drawn from one seed, played and judged."""
 
 import random
 import shutil
@@ -9,21 +9,21 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import faults
-import games
-import machine
-import program
+import bus_runs
+import sandbox
+import subprocesses
 import scenario
-from program import Failure, Ground
+from subprocesses import Failure, Ground
 
-# Seconds that a case may take beside what its faults take.
+# Seconds that a case may take in addition to its faults.
 PATIENCE = 150
-# Another fault comes after one with this chance, up to this many.
+# Probability of a further fault, and the most faults of a case.
 MORE, MOST = 0.45, 4
 
 
 @dataclass
 class Plan:
-    """What a case is to be."""
+    """The scenario, the processes and the faults of a case."""
 
     seed: int
     scenario: scenario.Scenario
@@ -34,7 +34,7 @@ class Plan:
     patience: int = 30
 
     def has(self, kind):
-        """Whether a fault of this kind is to strike."""
+        """Whether the case has a fault of this kind."""
         return any(fault.kind == kind for fault in self.faults)
 
     def __str__(self):
@@ -44,7 +44,7 @@ class Plan:
 
 @dataclass
 class Outcome:
-    """What a case came to."""
+    """The result of a case."""
 
     plan: Plan
     seconds: float = 0.0
@@ -57,7 +57,7 @@ class Outcome:
     folder: str = ""
 
     def is_held(self):
-        """Whether something else than a kill held the run: its losses last as long as that."""
+        """Whether a fault other than a kill held the run, so that its losses last as long as the fault."""
         return any(fault.kind in ("freeze", "held", "partition", "strangers") for fault in self.plan.faults)
 
     def __str__(self):
@@ -74,7 +74,7 @@ class Outcome:
 
 
 def draw(seed, kinds):
-    """The case of a seed, with at least one fault of one of `kinds`, and all of them."""
+    """Draws the case of a seed, with faults of `kinds` only, at least one."""
     chance = random.Random(f"chaos {seed}")
     first = chance.choice(kinds)
     is_up = first not in faults.HAND or (first in faults.UP and chance.random() < 0.65)
@@ -82,12 +82,12 @@ def draw(seed, kinds):
     chosen = [first]
     while len(chosen) < MOST and chance.random() < MORE:
         chosen.append(chance.choice(possible))
-    # A disk that was full is that of the whole case; a shell is killed once; strangers stay.
+    # A shell can be killed only once, and an attacker stays until the end.
     for single in ("launcher", "strangers"):
         while chosen.count(single) > 1:
             chosen.remove(single)
     drawn = [faults.draw(chance, kind) for kind in chosen]
-    # A run that was held catches up with its pace.
+    # A run that was held then runs faster until it is back on its pace.
     held = sum(fault.how.get("for", 0) for fault in drawn)
     length = 1.5 + held + sum(fault.after for fault in drawn) + chance.uniform(0.5, 2)
     return Plan(
@@ -102,11 +102,11 @@ def draw(seed, kinds):
 
 
 def game_of(plan, ground):
-    """The run of a plan, before it begins; None where this machine cannot have it."""
+    """Returns the run of a plan, not yet started, or None if this machine does not support it."""
     name = f"chaos-{ground.folder.name}"
     if plan.has("disk"):
         # Room for the rows of windows, and little more.
-        disk = machine.small_disk(ground, "disk", 512 + plan.scenario.ttis // 10)
+        disk = sandbox.small_disk(ground, "disk", 512 + plan.scenario.ttis // 10)
         out = "disk/out"
         if disk is None:
             return None
@@ -114,13 +114,13 @@ def game_of(plan, ground):
         out = "out"
     if plan.is_up:
         shell = plan.has("launcher")
-        return games.Up(ground, plan.scenario, name, plan.processes, plan.options, out, shell)
-    link = machine.Link(ground) if plan.has("partition") else None
-    return games.Hand(ground, plan.scenario, name, plan.processes, plan.options, out, plan.patience, link)
+        return bus_runs.Up(ground, plan.scenario, name, plan.processes, plan.options, out, shell)
+    link = sandbox.Link(ground) if plan.has("partition") else None
+    return bus_runs.Hand(ground, plan.scenario, name, plan.processes, plan.options, out, plan.patience, link)
 
 
 def play(reveille, plan, keep_failed=True):
-    """Plays a case; the outcome says what came of it. None where this machine cannot have it."""
+    """Plays a case and returns its outcome, or None if this machine does not support it."""
     folder = Path(tempfile.mkdtemp(prefix="chaos-")).resolve()
     held = sum(fault.how.get("for", 0) for fault in plan.faults)
     ground = Ground(reveille, folder, PATIENCE + held + plan.scenario.seconds())
@@ -130,7 +130,7 @@ def play(reveille, plan, keep_failed=True):
         game = game_of(plan, ground)
         if game is None:
             return None
-        through(plan, game, outcome, program.oracle(reveille, plan.scenario, folder))
+        through(plan, game, outcome, subprocesses.oracle(reveille, plan.scenario, folder))
     except (Failure, subprocess.SubprocessError) as failure:
         outcome.failure = str(failure)
     finally:
@@ -142,7 +142,7 @@ def play(reveille, plan, keep_failed=True):
 
 
 def through(plan, game, outcome, expected):
-    """A run from its first TTI to its last, with all that goes wrong between."""
+    """Plays a run from its first TTI to its last and applies the faults between."""
     chance = random.Random(f"strikes {plan.seed}")
     ground = game.ground
     game.begin()

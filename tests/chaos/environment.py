@@ -1,4 +1,4 @@
-"""Machines that lack something: room, rights, files, ports, a steady clock. Errors are to be clear and to come soon."""
+"""Machines that lack disk space, rights, files, ports or a steady clock. Errors must be clear and prompt."""
 
 import os
 import random
@@ -9,20 +9,20 @@ import time
 from pathlib import Path
 
 import faults
-import games
-import machine
-import program
+import bus_runs
+import sandbox
+import subprocesses
 import scenario
-from program import Failure, Ground
+from subprocesses import Failure, Ground
 
 PLAYED = scenario.Scenario("q-learning", 40, 2000, 21, 2)
 SHORT = ["-n", "20", "-k", "400", "--json"]
-# Seconds in which a refusal is to come.
+# Seconds within which a command must refuse to start.
 SOON = 5
-# Users that are not root.
+# User and group id of an unprivileged user.
 NOBODY = 65534
 
-# The clock on the wall goes back an hour, forth a day, and back to the year 2001 while a process lives.
+# Moves the wall clock back an hour, forward a day, and back to 2001 during the life of a process.
 JUMPS = r"""
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -60,11 +60,11 @@ time_t time(time_t *t) {
 
 
 class Cannot(Exception):
-    """This machine cannot do that."""
+    """A condition that this machine cannot provide."""
 
 
 def refused(ground, args, parts, prefix=(), soon=SOON, lines=1):
-    """A command is to be refused soon, in words with all of `parts`; gives the seconds."""
+    """Checks that a command fails promptly with an error that contains all `parts`; returns the seconds it took."""
     began = time.monotonic()
     process = ground.start(args, prefix=prefix)
     what = f"the refusal of {' '.join(map(str, args))}"
@@ -81,12 +81,12 @@ def refused(ground, args, parts, prefix=(), soon=SOON, lines=1):
 
 
 def played(ground, out="out", **how):
-    """A run of the scenario, not begun."""
-    return games.Up(ground, PLAYED, f"chaos-{ground.folder.name}", how.pop("processes", 4), out=out, **how)
+    """Returns a run of the scenario, not yet started."""
+    return bus_runs.Up(ground, PLAYED, f"chaos-{ground.folder.name}", how.pop("processes", 4), out=out, **how)
 
 
 def ends_equal(game, expected):
-    """Its end is that of the run in memory."""
+    """Checks that the run ends with the digest of the run in memory."""
     summary = game.finish()
     game.ground.assert_sane()
     if summary["digest"] != expected:
@@ -94,7 +94,7 @@ def ends_equal(game, expected):
 
 
 def full_disk(ground, expected):
-    disk = machine.small_disk(ground, "disk", 512)
+    disk = sandbox.small_disk(ground, "disk", 512)
     if disk is None:
         raise Cannot("a small disk takes root")
     game = played(ground, "disk/out")
@@ -105,7 +105,7 @@ def full_disk(ground, expected):
         raise Failure("the run was over before the disk was full")
     took = time.monotonic() - began
     ends_equal(game, expected)
-    ballast = machine.fill(disk)
+    ballast = sandbox.fill(disk)
     before = refused(ground, ["up", *SHORT, "--out", disk / "other"], ["No space left on device"])
     ballast.unlink()
     end = ground.call(["up", *SHORT, "--out", disk / "other"])
@@ -115,23 +115,23 @@ def full_disk(ground, expected):
 
 
 def read_only(ground, expected):
-    disk = machine.small_disk(ground, "disk", 4096)
+    disk = sandbox.small_disk(ground, "disk", 4096)
     if disk is None:
         raise Cannot("a small disk takes root")
-    machine.must("mount", "-o", "remount,ro", str(disk))
+    sandbox.must("mount", "-o", "remount,ro", str(disk))
     took = []
     for command in ("run", "up", "bs --run=chaos-ro --listen tcp/127.0.0.1:0"):
         args = [*command.split(), *SHORT, "--out", disk / "other"]
         took.append(refused(ground, args, ["Read-only file system", "disk/other"]))
-    # A run that was killed, whose folder cannot be written to any more.
-    machine.must("mount", "-o", "remount,rw", str(disk))
+    # Resumes a killed run whose folder has become read-only.
+    sandbox.must("mount", "-o", "remount,rw", str(disk))
     game = played(ground, "disk/out")
     game.begin()
     ground.rest(1.5)
     game.kill_station()
-    machine.must("mount", "-o", "remount,ro", str(disk))
+    sandbox.must("mount", "-o", "remount,ro", str(disk))
     took.append(refused(ground, ["up", "--resume", game.out], ["Read-only file system", "disk/out"]))
-    machine.must("mount", "-o", "remount,rw", str(disk))
+    sandbox.must("mount", "-o", "remount,rw", str(disk))
     game.go_on("a folder that could not be written to")
     ends_equal(game, expected)
     return f"refused in {max(took):.2f} s, taken up when it could be written to"
@@ -144,7 +144,7 @@ def no_rights(ground, _):
     mine = ground.folder / "mine"
     mine.mkdir(mode=0o755)
     prefix = ["setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups"]
-    if not machine.can(*prefix, str(ground.reveille), "--version"):
+    if not sandbox.can(*prefix, str(ground.reveille), "--version"):
         raise Cannot("another user cannot run the program where it is")
     args = ["up", *SHORT, "--out", mine / "out"]
     took = refused(ground, args, ["Permission denied", "mine/out"], prefix)
@@ -154,7 +154,7 @@ def no_rights(ground, _):
 def clock(ground, expected):
     source, library = ground.folder / "jumps.c", ground.folder / "jumps.so"
     source.write_text(JUMPS)
-    if not machine.can("cc", "-shared", "-fPIC", "-o", str(library), str(source), "-ldl"):
+    if not sandbox.can("cc", "-shared", "-fPIC", "-o", str(library), str(source), "-ldl"):
         raise Cannot("a clock that jumps takes a C compiler")
     ground.env["LD_PRELOAD"] = str(library)
     shown = ground.start([], command=["python3", "-c", "import time; time.sleep(6); print(time.localtime().tm_year)"])
@@ -164,12 +164,12 @@ def clock(ground, expected):
     game = played(ground)
     game.begin()
     ground.rest(3)
-    program.send(game.hosts()[0], signal.SIGKILL)
+    subprocesses.send(game.hosts()[0], signal.SIGKILL)
     ground.rest(0.5)
     game.kill_station()
     took = game.go_on("SIGKILL under a clock that jumps")
     ends_equal(game, expected)
-    timing = program.read_summary(game.out)["timing"]
+    timing = subprocesses.read_summary(game.out)["timing"]
     if not 0 < timing["run_s"] < 120:
         raise Failure(f"the run took {timing['run_s']} s by its own account")
     ground.env.pop("LD_PRELOAD")
@@ -193,10 +193,10 @@ def few_files(ground, _):
 
 
 def no_ports(ground, expected):
-    if not machine.has_networks():
+    if not sandbox.has_networks():
         raise Cannot("a network of its own takes root and iproute2")
-    # The base station takes one of them, and each device process one.
-    space = machine.Namespace(ground, [("ipv4.ip_local_port_range", "40000 40003")])
+    # Four ports in all: the base station takes one, and each device process takes one.
+    space = sandbox.Namespace(ground, [("ipv4.ip_local_port_range", "40000 40003")])
     args = ["up", *PLAYED.args(), "-P", "10", "--out", ground.folder / "out"]
     took = refused(ground, args, ["port"], space.prefix(), soon=12, lines=0)
     said = ground.processes[-1].err()
@@ -207,7 +207,7 @@ def no_ports(ground, expected):
     space.inside("sh", "-c", "echo '40000 41000' > /proc/sys/net/ipv4/ip_local_port_range")
     again = ground.start(["up", "--resume", ground.folder / "out", "-P", "10", "--json"], prefix=space.prefix())
     ground.wait("the run that had no ports", lambda: again.poll() is not None, within=60)
-    summary = program.read_summary(ground.folder / "out")
+    summary = subprocesses.read_summary(ground.folder / "out")
     if again.poll() != 0 or not summary or summary["digest"] != expected:
         raise Failure(f"taken up it ended with {again.poll()}: {again.err()}")
     return f"refused in {took:.2f} s, taken up with ports"
@@ -225,7 +225,7 @@ def foreign_registry(ground, expected):
     out = ground.folder / "out"
     up = ground.start(["up", *PLAYED.args(), "--out", out, "--json"])
     ground.wait("the end of the run", lambda: up.poll() is not None, within=60)
-    summary = program.read_summary(out)
+    summary = subprocesses.read_summary(out)
     if up.poll() != 0 or not summary or summary["digest"] != expected:
         raise Failure(f"it ended with {up.poll()}: {up.err()}")
     if "belongs to another user" not in up.err():
@@ -247,14 +247,14 @@ PARTS = {
 
 
 def check(args):
-    """All of them. Whether all is well."""
+    """Runs the chosen parts. Returns whether all passed."""
     is_well = True
     for name in args.only.split(",") if args.only else list(PARTS):
         folder = Path(tempfile.mkdtemp(prefix="chaos-")).resolve()
         ground = Ground(args.reveille, folder, 150)
         failed = False
         try:
-            said = PARTS[name](ground, program.oracle(args.reveille, PLAYED, folder))
+            said = PARTS[name](ground, subprocesses.oracle(args.reveille, PLAYED, folder))
         except Cannot as why:
             said = f"left out: {why}"
         except Failure as failure:

@@ -1,19 +1,19 @@
-"""Faults: how they are drawn, and how they strike."""
+"""Draws faults and applies them to runs."""
 
 import signal
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import machine
-import program
-from games import TOLD
-from program import Failure
+import sandbox
+import subprocesses
+from bus_runs import TOLD
+from subprocesses import Failure
 
 SIGNALS = {"SIGTERM": signal.SIGTERM, "SIGHUP": signal.SIGHUP, "Ctrl-C": signal.SIGINT}
 ATTACKS = ["noise", "huge", "tokens", "clock", "deaf"]
 
-# Where each kind can strike.
+# The kinds of faults possible under `up`, and with device processes started by hand.
 UP = ["hosts", "station", "everything", "joining", "held", "freeze", "signal", "launcher", "strangers", "disk"]
 HAND = ["hosts", "station", "everything", "joining", "held", "freeze", "signal", "partition", "strangers"]
 KINDS = [*UP, "partition"]
@@ -21,7 +21,7 @@ KINDS = [*UP, "partition"]
 
 @dataclass
 class Fault:
-    """Something that goes wrong, so many seconds after what went wrong before it."""
+    """A fault, and its delay in seconds after the fault before it."""
 
     kind: str
     after: float
@@ -33,7 +33,7 @@ class Fault:
 
 
 def draw(random, kind):
-    """A fault by chance."""
+    """Draws the parameters of a fault."""
     how = {}
     match kind:
         case "hosts":
@@ -42,6 +42,7 @@ def draw(random, kind):
             how["killed"] = "+".join(random.choice(["host", "station"]) for _ in range(random.randint(1, 4)))
         case "freeze":
             how["whom"] = random.choice(["host", "station"])
+            # 35 s is more than the 30 s after which an unresponsive host counts as lost.
             how["for"] = 35.0 if random.random() < 0.03 else round(random.uniform(1, 8), 1)
             how["then"] = random.choice(["", "beside"])
         case "signal" | "held":
@@ -55,40 +56,41 @@ def draw(random, kind):
 
 
 def strike(fault, game, random):
-    """Lets a fault strike; whether it has hit a run that was going on. One that ended a run takes it up again."""
+    """Applies a fault and resumes the run if it ended. Returns whether the fault hit a run in progress."""
     return globals()[f"strike_{fault.kind}"](fault.how, game, random)
 
 
 def strike_hosts(how, game, random):
-    """SIGKILL of device processes, all at once or one after another."""
+    """Kills device processes with SIGKILL, together or in sequence."""
     struck = set()
     for number in range(how["killed"]):
         if number:
             game.ground.rest(how["within"] / how["killed"])
+        # A killed process can look alive for a moment.
         hosts = [pid for pid in game.hosts() if pid not in struck]
         if hosts and game.is_running():
             chosen = random.choice(hosts)
             struck.add(chosen)
-            program.send(chosen, signal.SIGKILL)
+            subprocesses.send(chosen, signal.SIGKILL)
     return len(struck)
 
 
 def strike_station(_, game, random):
-    """SIGKILL of the base station."""
+    """Kills the base station with SIGKILL."""
     hit = game.is_running()
     game.kill_station()
     return take_up(game, "SIGKILL of the base station") and hit
 
 
 def strike_everything(_, game, random):
-    """SIGKILL of all processes."""
+    """Kills all processes with SIGKILL."""
     hit = game.is_running()
     game.kill_everything()
     return take_up(game, "SIGKILL of everything") and hit
 
 
 def strike_joining(how, game, random):
-    """SIGKILL of everything, and of more while the run is being taken up."""
+    """Kills everything with SIGKILL, and kills more processes while the run resumes."""
     hit = game.is_running()
     game.kill_everything()
     if is_complete(game):
@@ -98,7 +100,7 @@ def strike_joining(how, game, random):
         game.ground.rest(random.uniform(0, 0.5))
         hosts = game.hosts()
         if whom == "host" and hosts:
-            program.send(random.choice(hosts), signal.SIGKILL)
+            subprocesses.send(random.choice(hosts), signal.SIGKILL)
             hit += 1
         elif whom == "station":
             game.kill_station()
@@ -111,13 +113,13 @@ def strike_joining(how, game, random):
 
 
 def is_complete(game):
-    """Whether there is nothing to take up."""
-    summary = program.read_summary(game.out)
+    """Whether the run is complete, so that there is nothing to resume."""
+    summary = subprocesses.read_summary(game.out)
     return summary is not None and summary["status"] == "complete"
 
 
 def take_up(game, why):
-    """Takes a run up that was ended, unless it had come to its end. Whether there was something to take up."""
+    """Resumes an ended run. Returns false if the run was complete."""
     if is_complete(game):
         return False
     game.go_on(why)
@@ -125,25 +127,25 @@ def take_up(game, why):
 
 
 def strike_freeze(how, game, random):
-    """SIGSTOP, and SIGCONT after a while."""
+    """Freezes a process with SIGSTOP and continues it later with SIGCONT."""
     hosts = game.hosts()
     pid = game.station.pid if how["whom"] == "station" or not hosts else random.choice(hosts)
     hit = game.is_running()
-    program.send(pid, signal.SIGSTOP)
-    last(how, game, lambda: program.send(pid, signal.SIGCONT))
+    subprocesses.send(pid, signal.SIGSTOP)
+    last(how, game, lambda: subprocesses.send(pid, signal.SIGCONT))
     return hit
 
 
 def last(how, game, end):
-    """Lets a fault last; what comes next comes after it, or beside it."""
+    """Lets a fault last. The next fault follows its end, or overlaps it if `then` is "beside"."""
     game.ground.later(how["for"], end)
     if not how["then"]:
-        # A little more, so that it is over.
-        game.ground.rest(how["for"] + 2 * program.LOOK)
+        # The margin ensures that the fault is over.
+        game.ground.rest(how["for"] + 2 * subprocesses.LOOK)
 
 
 def strike_signal(how, game, random):
-    """A signal that asks for the end."""
+    """Sends a signal that requests the end of the run, then resumes the run."""
     hit = game.is_running()
     if not game.told(SIGNALS[how["by"]], how["by"]):
         return False
@@ -151,38 +153,39 @@ def strike_signal(how, game, random):
 
 
 def strike_held(how, game, random):
-    """A signal that asks for the end while the clock is held for a frozen device process."""
+    """Sends a signal that requests the end while the clock is held for a frozen device process."""
     hosts, station = game.hosts(), game.station
     if not hosts or not game.is_running():
         return False
     before = station.err().count("the clock is held")
     pid = random.choice(hosts)
-    program.send(pid, signal.SIGSTOP)
+    subprocesses.send(pid, signal.SIGSTOP)
 
     def held():
         return station.err().count("the clock is held") > before or game.is_over()
 
     game.ground.wait("the clock to be held for a frozen process", held, within=TOLD)
     hit = not game.is_over()
-    # It ends in the middle of a TTI.
+    # The run ends in the middle of a TTI.
     is_told = game.told(SIGNALS[how["by"]], how["by"])
-    program.send(pid, signal.SIGCONT)
+    # The process continues only now, since the clock must be held when the signal arrives.
+    subprocesses.send(pid, signal.SIGCONT)
     return is_told and take_up(game, how["by"]) and hit
 
 
 def strike_launcher(_, game, random):
-    """SIGKILL of the shell that has started the run: the run goes on."""
+    """Kills the shell that started the run with SIGKILL; the run continues."""
     hit = game.is_running()
     shell = game.station.shell
     if shell is None or shell.poll() is not None:
         return False
-    program.send(shell.pid, signal.SIGKILL)
+    subprocesses.send(shell.pid, signal.SIGKILL)
     shell.wait()
     return hit
 
 
 def strike_partition(how, game, random):
-    """A link is cut, and mended after a while."""
+    """Cuts a link and restores it later."""
     hit = game.is_running()
     game.link.cut()
     last(how, game, game.link.mend)
@@ -190,8 +193,8 @@ def strike_partition(how, game, random):
 
 
 def strike_strangers(how, game, random):
-    """Another client of zenoh does what it can, to the end of the run."""
-    script = Path(__file__).with_name("stranger.py")
+    """Attacks the run from a foreign zenoh client until the run ends."""
+    script = Path(__file__).with_name("attacker.py")
     began = game.is_running()
     seed = random.randint(0, 10**6)
     command = [sys.executable, script, game.endpoint, game.name, how["doing"], seed]
@@ -200,7 +203,7 @@ def strike_strangers(how, game, random):
     def there():
         return "there" in stranger.out() or stranger.poll() is not None
 
-    # It is not waited for if the run ends before it is there.
+    # The run may end before the attacker has connected.
     game.ground.wait("a stranger to come", lambda: there() or game.is_over(), within=30)
     if stranger.poll() not in (None, 0) and not game.is_over():
         raise Failure(f"a stranger could not come: {stranger.err()[-1000:]}")
@@ -208,9 +211,9 @@ def strike_strangers(how, game, random):
 
 
 def strike_disk(_, game, random):
-    """The disk is full: the run ends with words, and is taken up once there is room."""
+    """Fills the disk: the run ends with an error, and resumes after space is freed."""
     hit = game.is_running()
-    ballast = machine.fill(game.out.parent)
+    ballast = sandbox.fill(game.out.parent)
     try:
         game.ground.wait("the end of a run on a full disk", lambda: game.station.poll() is not None, within=TOLD)
     finally:

@@ -1,4 +1,4 @@
-"""How runs end and do not end: closed terminals, signals, frozen processes, killed launchers."""
+"""How runs end or survive: closed terminals, signals, frozen processes, killed launchers."""
 
 import fcntl
 import os
@@ -13,12 +13,12 @@ import threading
 import time
 from pathlib import Path
 
-import games
-import program
+import bus_runs
+import subprocesses
 import scenario
-from program import GONE, Failure, Ground
+from subprocesses import GONE, Failure, Ground
 
-# Runs of about six seconds, one that learns among them.
+# Runs of about six seconds; one of them learns.
 RUNS = [
     scenario.Scenario("knn", 40, 3000, 11, 2),
     scenario.Scenario("q-learning", 40, 3000, 12, 2),
@@ -27,7 +27,7 @@ FROZEN = 30
 
 
 class Windowed:
-    """A command in a terminal of its own."""
+    """A command in a pseudo-terminal."""
 
     def __init__(self, command, ground):
         self.master, slave = pty.openpty()
@@ -46,14 +46,14 @@ class Windowed:
             preexec_fn=own,
         )
         os.close(slave)
-        program.STARTED.add(self.popen.pid)
+        subprocesses.STARTED.add(self.popen.pid)
         self.pid, self.name, self.shell, self.said = self.popen.pid, "terminal", None, b""
         self.is_open = True
         self.reader = threading.Thread(target=self._read, daemon=True)
         self.reader.start()
 
     def _read(self):
-        # A read that waits would hold the terminal when it is closed.
+        # A blocking read would keep the terminal open after it is closed.
         while self.is_open:
             if select.select([self.master], [], [], 0.05)[0]:
                 try:
@@ -62,28 +62,28 @@ class Windowed:
                     return
 
     def poll(self):
-        """The exit code; None while it lives."""
+        """Returns the exit code, or None while the process lives."""
         return self.popen.poll()
 
     def err(self):
-        """What was shown."""
+        """Returns the output on the terminal."""
         return self.said.decode(errors="replace")
 
     out = err
 
     def press(self, key):
-        """A key."""
+        """Presses a key."""
         os.write(self.master, key)
 
     def close(self):
-        """The window is closed: nobody holds the terminal any more."""
+        """Closes the terminal, so that no process holds it any more."""
         if self.is_open:
             self.is_open = False
             self.reader.join()
             os.close(self.master)
 
     def kill(self):
-        """Ends it."""
+        """Kills the process and closes the terminal."""
         if self.popen.poll() is None:
             self.popen.kill()
         self.popen.wait()
@@ -91,9 +91,9 @@ class Windowed:
 
 
 def ended(game, code, why):
-    """The run is to end with `code` and leave nobody; gives the seconds that took."""
+    """Checks that the run ends promptly with `code` and leaves no process; returns the seconds this took."""
     began = time.monotonic()
-    game.ground.wait(f"the end after {why}", lambda: game.station.poll() is not None, within=games.TOLD)
+    game.ground.wait(f"the end after {why}", lambda: game.station.poll() is not None, within=bus_runs.TOLD)
     took = time.monotonic() - began
     if took > GONE:
         raise Failure(f"after {why} it took {took:.1f} s to end")
@@ -104,21 +104,22 @@ def ended(game, code, why):
 
 
 def by_terminal(game, end, why):
-    """Starts a run in a terminal, does `end` to that, and takes the run up."""
+    """Starts a run in a terminal, calls `end` on the terminal, and resumes the run."""
     ground = game.ground
-    # The progress bar is for people, the summary for us.
+    # A user sees a progress bar in the terminal, so `--json` is left out here.
     options = [word for word in game.drive() if word != "--json"]
     command = [ground.reveille, "up", *game.scenario.args(), "-P", game.processes, *options, *game.place()]
     game.station = Windowed(command, ground)
     ground.processes.append(game.station)
     game.wait_until_running("a run in a terminal to begin")
+    # A mark is written after one second.
     ground.rest(1.5)
     hit = game.is_running()
     end(game.station)
     took = ended(game, 130, why)
     if not hit:
         raise Failure("the run was over before it was struck")
-    if program.read_summary(game.out)["status"] != "interrupted":
+    if subprocesses.read_summary(game.out)["status"] != "interrupted":
         raise Failure(f"after {why} the summary does not say interrupted")
     game.station.kill()
     return f"ended in {took:.2f} s, taken up in {game.go_on(why):.2f} s"
@@ -137,7 +138,7 @@ def by_signal(game, number, why):
     game.ground.rest(1.5)
     if not game.is_running():
         raise Failure("the run was over before it was struck")
-    program.send(game.station.pid, number)
+    subprocesses.send(game.station.pid, number)
     took = ended(game, 130, why)
     return f"ended in {took:.2f} s, taken up in {game.go_on(why):.2f} s"
 
@@ -151,11 +152,11 @@ def sighup(game):
 
 
 def killed(game):
-    """SIGKILL of `up`: its device processes do not outlive it."""
+    """Kills `up` with SIGKILL; its device processes must not outlive it."""
     game.begin()
     game.ground.rest(1.5)
     began = time.monotonic()
-    program.send(game.station.pid, signal.SIGKILL)
+    subprocesses.send(game.station.pid, signal.SIGKILL)
     game.station.kill()
     game.assert_nobody_left()
     took = time.monotonic() - began
@@ -163,11 +164,11 @@ def killed(game):
 
 
 def killed_shell(game):
-    """SIGKILL of the shell that started `up`: the run goes on to its end."""
+    """Kills the shell that started `up` with SIGKILL; the run continues to its end."""
     game.shell = True
     game.begin()
     game.ground.rest(1.5)
-    program.send(game.station.shell.pid, signal.SIGKILL)
+    subprocesses.send(game.station.shell.pid, signal.SIGKILL)
     game.station.shell.wait()
     game.ground.rest(1)
     if game.is_over():
@@ -176,19 +177,19 @@ def killed_shell(game):
 
 
 def frozen(game, whom):
-    """SIGSTOP for half a minute: the run waits, and goes on."""
+    """Freezes a process with SIGSTOP for half a minute; the run waits, then continues."""
     game.begin()
     game.ground.rest(1)
     pid = game.station.pid if whom == "the base station" else game.hosts()[0]
-    program.send(pid, signal.SIGSTOP)
+    subprocesses.send(pid, signal.SIGSTOP)
     game.ground.rest(1)
     before = game.mark()
     game.ground.rest(FROZEN - 1)
     after = game.mark()
-    # What was on its way is done.
+    # The open TTI may still have closed.
     if after - before > 1:
         raise Failure(f"the clock went on without {whom}: TTI {before} to {after}")
-    program.send(pid, signal.SIGCONT)
+    subprocesses.send(pid, signal.SIGCONT)
     thawed = time.monotonic()
 
     def goes_on():
@@ -219,7 +220,7 @@ PARTS = {
 
 
 def check(args):
-    """All of them, with each scenario. Whether all is well."""
+    """Runs the chosen parts with each scenario. Returns whether all passed."""
     chosen = args.only.split(",") if args.only else list(PARTS)
     is_well = True
     for played in RUNS:
@@ -228,8 +229,8 @@ def check(args):
             ground = Ground(args.reveille, folder, 150)
             said, failure = "", ""
             try:
-                expected = program.oracle(args.reveille, played, folder)
-                game = games.Up(ground, played, f"chaos-{folder.name}", 4, ["--audit", "on"])
+                expected = subprocesses.oracle(args.reveille, played, folder)
+                game = bus_runs.Up(ground, played, f"chaos-{folder.name}", 4, ["--audit", "on"])
                 said = PARTS[name](game)
                 summary = game.finish()
                 ground.assert_sane()

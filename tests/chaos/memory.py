@@ -1,4 +1,4 @@
-"""The memory of a base station and of device processes over a long run: does it grow?"""
+"""Checks that the memory of a base station and of device processes does not grow over a long run."""
 
 import math
 import shutil
@@ -6,25 +6,25 @@ import tempfile
 import time
 from pathlib import Path
 
-import games
-import program
+import bus_runs
+import subprocesses
 import scenario
-from program import Failure, Ground
+from subprocesses import Failure, Ground
 
 TTIS = 1_000_000
-# What comes before this share of the run is warm-up: tables and buffers fill.
+# The share of the run that counts as warm-up, in which tables and buffers fill.
 WARM = 0.1
-# Neighbouring samples depend on each other: means of so many blocks do so less.
+# Number of blocks whose means are fitted. They depend less on each other than neighbouring samples do.
 BLOCKS = 20
-# Student's t for 95 % with two less than so many degrees of freedom.
+# Student's t for 95 % and BLOCKS − 2 degrees of freedom.
 T_95 = 2.101
 EVERY = 0.2
-# kB for each million of TTIs: what is surely more than that is a leak.
+# kB per 10^6 TTIs: a slope whose whole interval lies above this is a leak.
 ALLOWED = 500
 
 
 def resident(pid):
-    """Resident memory in kB; None if the process has ended."""
+    """Returns the resident memory in kB, or None if the process has ended."""
     try:
         for line in Path(f"/proc/{pid}/status").read_text().splitlines():
             if line.startswith("VmRSS:"):
@@ -35,7 +35,7 @@ def resident(pid):
 
 
 def slope(points):
-    """The slope of y over x by least squares over means of blocks, with the half-width of its 95 % interval."""
+    """Returns the least-squares slope of y over x over block means, with the half-width of its 95 % interval."""
     size = len(points) / BLOCKS
     if size < 2:
         raise Failure(f"only {len(points)} samples")
@@ -49,14 +49,14 @@ def slope(points):
 
 
 def measure(args, policy, ttis):
-    """One run. Whether all is well."""
+    """Measures one run. Returns whether it passed."""
     folder = Path(tempfile.mkdtemp(prefix="chaos-")).resolve()
     ground = Ground(args.reveille, folder, 3600)
-    # As fast as it goes.
+    # Pace 0: no pacing.
     played = scenario.Scenario(policy, 50, ttis, 1, 0)
     samples, failed = {}, False
     try:
-        game = games.Up(ground, played, f"chaos-{folder.name}", 4)
+        game = bus_runs.Up(ground, played, f"chaos-{folder.name}", 4)
         game.window = ttis // 1000
         game.begin()
         while game.station.poll() is None:
@@ -69,7 +69,7 @@ def measure(args, policy, ttis):
                         samples.setdefault(name, []).append((at, kilobytes))
             time.sleep(EVERY)
         summary = game.finish()
-        expected = program.oracle(args.reveille, played, folder)
+        expected = subprocesses.oracle(args.reveille, played, folder)
         if summary["digest"] != expected:
             raise Failure(f"the digest is {summary['digest']} instead of {expected}")
     except Failure as failure:
@@ -91,7 +91,7 @@ def measure(args, policy, ttis):
             print(f"    {name}: FAILED: {failure}")
             is_flat = False
             continue
-        # In kB for each million of TTIs.
+        # kB per 10^6 TTIs.
         rise, half = rise * 1e6, half * 1e6
         fifths = [kept[len(kept) * fifth // 5][1] for fifth in range(5)] + [kept[-1][1]]
         print(
@@ -106,7 +106,7 @@ def measure(args, policy, ttis):
 
 
 def check(args):
-    """Runs of 10^6 TTIs, or of so many as `--runs` says."""
+    """Runs of 10^6 TTIs, or of the number that `--runs` gives. Returns whether all passed."""
     chosen = args.only.split(",") if args.only else ["knn", "q-learning"]
     ttis = args.runs if args.runs is not None else TTIS
     return all([measure(args, policy, ttis) for policy in chosen])

@@ -1,4 +1,4 @@
-"""Runs that go on without killed processes: what they came to follows from the outages that they have written down."""
+"""Runs that continue without killed processes. A replay of their logged outages must give the same results."""
 
 import json
 import random
@@ -7,10 +7,10 @@ import tempfile
 from pathlib import Path
 
 import faults
-import games
-import program
+import bus_runs
+import subprocesses
 import scenario
-from program import Failure, Ground
+from subprocesses import Failure, Ground
 
 RUNS = 30
 SECONDS = 2.0
@@ -18,15 +18,15 @@ TABLES = ["events.csv", "devices.csv", "windows.csv"]
 
 
 def strike(game, chance):
-    """Kills all but one process at the most, one after another, and at times everything. How many were killed."""
+    """Kills hosts in sequence, always leaving one, and sometimes everything. Returns the number of killed hosts."""
     killed = 0
     for _ in range(chance.randint(1, 3)):
         game.ground.rest(chance.uniform(0.05, 0.6))
-        # Two at once, now and then.
+        # Sometimes two are killed together.
         for _ in range(chance.choice([1, 1, 2])):
             hosts = game.hosts()
             if len(hosts) > 1 and game.is_running():
-                program.send(chance.choice(hosts), 9)
+                subprocesses.send(chance.choice(hosts), 9)
                 killed += 1
         if chance.random() < 0.25 and game.is_running():
             game.kill_everything()
@@ -37,13 +37,13 @@ def strike(game, chance):
 
 
 def window_of(out):
-    """The TTIs in a row of windows.csv. A run that was killed before its first mark has forgotten what it was told."""
+    """Returns the TTIs per row of windows.csv. A run killed before its first mark loses its `--window` option."""
     first, end = (out / "windows.csv").read_text().splitlines()[1].split(",")[:2]
     return int(end) - int(first)
 
 
 def check_again(ground, played, out, summary):
-    """A run in memory with these inputs comes to the same, table by table."""
+    """Checks that a run in memory with these inputs has the same digest and the same tables."""
     window = window_of(out)
     inputs = ["--inputs", out / "inputs.log"] if (out / "inputs.log").exists() else []
     done = ground.call(["run", *played.args(), *inputs, "--window", window, "--quiet", "--json", "--out", "again"])
@@ -58,7 +58,7 @@ def check_again(ground, played, out, summary):
 
 
 def play(args, seed):
-    """One run; how many processes were killed in it."""
+    """Plays one run and returns the number of killed processes, None on failure."""
     chance = random.Random(f"outages {seed}")
     policy = sorted(scenario.POLICIES)[seed % len(scenario.POLICIES)]
     played = scenario.draw(chance, SECONDS, policy, 48, (0, 2, 3))
@@ -66,8 +66,8 @@ def play(args, seed):
     ground = Ground(args.reveille, folder, 60 + played.seconds())
     try:
         options = ["--on-loss", "continue", "--audit", "on"]
-        game = games.Up(ground, played, f"chaos-{folder.name}", chance.randint(3, 8), options)
-        # The sums of every TTI, or of a few together.
+        game = bus_runs.Up(ground, played, f"chaos-{folder.name}", chance.randint(3, 8), options)
+        # Sums for every TTI, or for five together.
         game.window = chance.choice([1, 5])
         game.begin()
         killed = strike(game, chance)
@@ -90,7 +90,7 @@ def play(args, seed):
 
 
 def check(args):
-    """So many runs, each with a seed of its own."""
+    """Plays the given number of runs, each with its own seed. Returns whether all passed and a process was killed."""
     runs = args.runs if args.runs is not None else RUNS
     came = [play(args, args.seed + number) for number in range(runs)]
     killed = sum(filter(None, came))

@@ -21,18 +21,18 @@ import sys
 import time
 from pathlib import Path
 
-# Nothing is left behind.
+# Leaves no cached bytecode behind.
 sys.dont_write_bytecode = True
 
-import bars
+import suites
 import cases
 import faults
-import machine
-import program
+import sandbox
+import subprocesses
 
 
 def parse():
-    """The command line."""
+    """Parses the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("reveille", type=Path, metavar="BINARY")
     length = parser.add_mutually_exclusive_group()
@@ -40,13 +40,13 @@ def parse():
     length.add_argument("--runs", type=int, help="so many cases")
     parser.add_argument("--seed", type=int, help="of the first case; each has the next one [default: any]")
     parser.add_argument("--only", help=f"kinds of faults, of {', '.join(faults.KINDS)}; or parts of a bar")
-    parser.add_argument("--bar", choices=sorted(bars.BARS), help="a fixed set of cases instead")
+    parser.add_argument("--bar", choices=sorted(suites.BARS), help="a fixed set of cases instead")
     parser.add_argument("-j", "--jobs", type=int, default=1, help="cases at a time [default: 1]")
     return parser.parse_args()
 
 
 def possible_kinds(only):
-    """The kinds of faults that are asked for and can be had here."""
+    """Returns the requested kinds of faults that this machine supports."""
     kinds = only.split(",") if only else list(faults.KINDS)
     if unknown := [kind for kind in kinds if kind not in faults.KINDS]:
         sys.exit(f"--only {','.join(unknown)}: the kinds are {', '.join(faults.KINDS)}")
@@ -55,7 +55,7 @@ def possible_kinds(only):
         cannot["strangers"] = "they take eclipse-zenoh (pip install eclipse-zenoh)"
     if os.geteuid() != 0:
         cannot["disk"] = "a small disk takes root"
-    if not machine.has_networks():
+    if not sandbox.has_networks():
         cannot["partition"] = "a link that can be cut takes root and iproute2"
     for kind, why in cannot.items():
         if kind in kinds:
@@ -64,20 +64,20 @@ def possible_kinds(only):
 
 
 def replay(args, plan):
-    """The command that plays a case once more."""
+    """Returns the command that repeats a case."""
     command = [sys.executable, sys.argv[0], str(args.reveille), "--runs", "1", "--seed", str(plan.seed)]
     command += ["--only", args.only] if args.only else []
     return shlex.join(command + (["--bar", args.bar] if args.bar else []))
 
 
 def interrupt(*_):
-    """What asks for the end does so as Ctrl-C does, also where a shell has it ignored."""
-    program.stop.set()
+    """Handles every ending signal like Ctrl-C, even where a shell has set SIGINT to be ignored."""
+    subprocesses.stop.set()
     raise KeyboardInterrupt
 
 
 def plans(args):
-    """The cases that are asked for, one after another."""
+    """Draws the requested cases in order."""
     kinds = possible_kinds(args.only)
     if not kinds:
         sys.exit("nothing is left to do")
@@ -89,7 +89,7 @@ def plans(args):
 
 
 def play_all(args, plans):
-    """Plays cases, and says what each came to."""
+    """Plays the cases and prints the outcome of each."""
     outcomes = []
 
     def show(outcome):
@@ -117,7 +117,7 @@ def play_all(args, plans):
 
 
 def total(counts):
-    """Counts by kind, summed up and shown."""
+    """Sums counts by kind and formats them."""
     sums = {}
     for count in counts:
         for kind, number in count.items():
@@ -127,14 +127,14 @@ def total(counts):
 
 
 def spread(seconds):
-    """Median and worst of durations."""
+    """Formats the median and the maximum of durations."""
     if not seconds:
         return "none"
     return f"{len(seconds)}, median {statistics.median(seconds):.2f} s, worst {max(seconds):.2f} s"
 
 
 def conclude(args, outcomes, took):
-    """Sums up; whether all is well."""
+    """Prints the totals. Returns whether all cases passed and a fault hit a run."""
     failed = [outcome for outcome in outcomes if outcome.failure]
     print(f"\n{len(outcomes)} runs in {took:.0f} s; digests equal: {len(outcomes) - len(failed)} of {len(outcomes)}")
     print(f"faults that hit a run: {total(outcome.hits for outcome in outcomes)}")
@@ -165,13 +165,13 @@ def main():
     print(f"seed {args.seed}", flush=True)
     for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
         signal.signal(number, interrupt)
-    program.adopt_orphans()
+    subprocesses.adopt_orphans()
     began = time.monotonic()
     try:
-        if args.bar and args.bar in bars.CHECKS:
-            is_well = bars.CHECKS[args.bar](args)
+        if args.bar and args.bar in suites.CHECKS:
+            is_well = suites.CHECKS[args.bar](args)
         else:
-            outcomes = play_all(args, bars.kills(args) if args.bar else plans(args))
+            outcomes = play_all(args, suites.kills(args) if args.bar else plans(args))
             is_well = conclude(args, outcomes, time.monotonic() - began)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)

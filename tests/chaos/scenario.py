@@ -1,4 +1,4 @@
-"""Scenarios by chance."""
+"""Random scenarios."""
 
 from dataclasses import dataclass
 
@@ -10,13 +10,13 @@ POLICIES = {
     "random": [],
 }
 
-# TTIs that a busy machine plays in a second without a pace, where one grant may cover many.
+# TTIs per second on a busy machine without a pace, where one grant may cover many TTIs.
 FAST = {"knn": 4000, "q-learning": 300, "age-index": 1000, "dt": 150, "random": 600}
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """What is played, and at which pace; 0 is as fast as it goes."""
+    """A scenario and its pace in ms per TTI; pace 0 means no pacing."""
 
     policy: str
     devices: int
@@ -25,12 +25,12 @@ class Scenario:
     pace_ms: int
 
     def args(self):
-        """The options that choose it."""
+        """Returns the command-line options of the scenario."""
         chosen = ["--scenario", "paper", "--policy", self.policy, "--devices", self.devices, "--ttis", self.ttis]
         return [str(word) for word in [*chosen, "--seed", self.seed, *POLICIES[self.policy]]]
 
     def seconds(self):
-        """How long it lasts at the least."""
+        """Returns the minimum duration in seconds."""
         return self.ttis * self.pace_ms / 1000 if self.pace_ms else self.ttis / FAST[self.policy]
 
     def __str__(self):
@@ -39,12 +39,12 @@ class Scenario:
 
 
 def draw(random, seconds, policy=None, devices=None, paces=(0, 2, 3)):
-    """A scenario that lasts about so many seconds."""
+    """Draws a scenario that lasts about the given number of seconds."""
     policy = policy or random.choice(sorted(POLICIES))
     devices = devices or random.randint(20, 60)
     pace = random.choice(paces)
     if pace and policy == "dt":
-        # The transformer thinks for longer.
+        # The transformer takes longer to decide.
         pace += 1
     ttis = seconds * 1000 / pace if pace else seconds * FAST[policy]
     return Scenario(policy, devices, max(200, int(ttis)), random.randint(1, 10**6), pace)

@@ -1,8 +1,8 @@
-"""Metrics, by a real Prometheus: promtool finds nothing to complain of, and what was scraped is what the run came to.
+"""Checks metrics with a real Prometheus: promtool reports no problem, and the scraped values equal the run's results.
 
     python tests/monitoring/check.py target/release/reveille
 
-Needs `prometheus` with `promtool`, of Debian for one. Everything listens on loopback.
+Needs `prometheus` with `promtool`, for example from Debian. Everything listens on loopback.
 """
 
 import argparse
@@ -66,8 +66,9 @@ def check(reveille, here):
         assert query("reveille_hosts_alive") == 2
         assert query("sum(reveille_devices)") == 40
         assert query("reveille_devices_with_battery{at_most='100'}") == 40
+        # A pace of 2 ms allows 500 TTIs a second.
         wait(lambda: 100 < query("rate(reveille_ttis_total[4s])") < 600)
-        # The last that Prometheus has seen, and what a further look shows until the run ends.
+        # Reads the last metrics before the end of the run more often than Prometheus does.
         last, before = None, 0
         while run.poll() is None:
             try:

@@ -1,4 +1,4 @@
-//! `reveille analyse`: what it prints is what the machines do, and what it cannot study it refuses with a way out.
+//! `reveille analyse`: its output matches the machines, and it refuses inputs that it cannot study with a suggestion.
 
 use std::fs;
 use std::os::unix::fs::symlink;
@@ -6,7 +6,7 @@ use std::os::unix::fs::symlink;
 use reveille_tests::process::{Finished, Folder, assert_refused};
 use serde_json::Value;
 
-/// Runs `reveille analyse ARGS --json` and reads what it prints.
+/// Runs `reveille analyse ARGS --json` and parses its output.
 fn analyse(folder: &Folder, args: &str) -> Value {
     let end = folder.run(&format!("analyse {args} --json"));
     assert!(end.is_success(), "{end}");
@@ -21,7 +21,7 @@ fn number(row: &Value, column: &str) -> f64 {
     row[column].as_f64().unwrap_or_else(|| panic!("{column} of {row}"))
 }
 
-/// Checks a refusal that prints nothing that could be taken for a finding.
+/// Checks a refusal that prints no output that could be mistaken for a finding.
 fn assert_no_finding(end: &Finished, code: i32, parts: &[&str]) {
     assert_refused(end, code, parts);
     assert!(end.stdout.is_empty(), "{end}");
@@ -141,14 +141,14 @@ fn run_times_come_with_exponents() {
             .filter(|times| times["policy"] == row["policy"])
             .map(|times| number(times, column))
             .collect();
-        // Through three points of which each has four times the devices of the one before, the line of least squares
-        // is as steep as the one through the first and the last.
+        // For three points with four times as many devices each, the least-squares slope equals the slope from the
+        // first to the last.
         let expected = (times[2] / times[0]).ln() / 16f64.ln();
         assert!(
             (number(row, "exponent") - expected).abs() < 1e-9,
             "{row}, not {expected}"
         );
-        // How far the one in the middle is off, with the 97.5 % point of Student's t for one degree of freedom.
+        // Deviation of the middle point, with the 97.5 % point of Student's t for one degree of freedom.
         let bend = (times[1] * times[1] / (times[0] * times[2])).ln() / 6f64.sqrt();
         let half_width = 12.706 * bend.abs() / (2f64.sqrt() * 4f64.ln());
         let found = number(row, "half_width");

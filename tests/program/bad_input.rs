@@ -1,5 +1,5 @@
-//! What users get wrong: one paragraph that says what, where and what is allowed, a failing exit code, and no run
-//! folder that looks like a run.
+//! Invalid input: one paragraph with the fault, the place and the allowed values, a failing exit code, and no run
+//! folder.
 
 use std::fs;
 use std::net::TcpListener;
@@ -9,13 +9,13 @@ use std::process::Stdio;
 use reveille_tests::process::{Finished, Folder, Process, Summary, assert_refused, free_endpoint, unique_run};
 use rustix::process::Signal;
 
-/// Nothing in the folder but what the test put there.
+/// Checks that the folder contains only the test's own files.
 fn assert_untouched(folder: &Folder, before: &[&str]) {
     let now: Vec<String> = folder.list(".").into_iter().filter(|name| name != "runtime").collect();
     assert_eq!(now, before);
 }
 
-/// Runs `reveille ARGS` for each command that takes a scenario; all refuse it alike and leave nothing.
+/// Runs each command that takes a scenario and checks that all refuse it alike and leave no files.
 fn refused(folder: &Folder, scenario: &str, before: &[&str], parts: &[&str]) {
     for command in ["run", "up", "up -P 0 --out out", "bs --run x --listen tcp/127.0.0.1:0"] {
         assert_refused(&folder.run(&format!("{command} {scenario}")), 1, parts);
@@ -177,7 +177,7 @@ fn wrong_usage_is_code_2() {
     for (args, part) in [
         ("up --pace soon", "--pace"),
         ("up --pace 0ms", "--pace"),
-        ("up --pace -1ms", "a time above 0"),
+        ("up --pace -1ms", "a time from 1us"),
         ("up --run a/b", "--run"),
         ("up --run=-x", "the first of them no '-'"),
         ("up --window 0", "--window"),
@@ -322,7 +322,7 @@ fn a_place_that_cannot_be_written_is_named() {
     assert_refused(&end, 1, &["file"]);
     let end = folder.run("up -s quick --out file/below");
     assert_refused(&end, 1, &["file/below"]);
-    // The administrator writes everywhere but in a place like this one.
+    // Root can write everywhere except in a place like this one.
     let end = folder.run("bs -s quick --run x --listen tcp/127.0.0.1:0 --out /proc/reveille/run");
     assert_refused(&end, 1, &["/proc/reveille/run"]);
     fs::create_dir(folder.join("closed")).expect("writable");
@@ -407,7 +407,7 @@ fn a_run_that_cannot_be_noted_on_this_machine_goes_on() {
 #[test]
 fn an_error_that_nobody_reads_is_still_an_error() {
     let folder = Folder::new();
-    // Said by the command itself, and by the log, whose warning comes first.
+    // Printed by the command itself, and by the log, whose warning comes first.
     folder.write("spots.csv", "x,y\n1,1\n2,2\n");
     for (args, code) in [
         ("run -s nosuch", 1),

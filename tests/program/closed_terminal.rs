@@ -1,5 +1,4 @@
-//! A window that is closed while a command runs in it, and output that nobody reads: the command ends in order or goes
-//! on, and leaves nobody behind.
+//! Closed terminals and unread output: the command ends cleanly or continues, and leaves no process behind.
 
 use std::fs;
 use std::process::{Command, ExitStatus};
@@ -11,9 +10,9 @@ use reveille_tests::process::{
 use reveille_tests::terminal::Windowed;
 use rustix::process::Signal;
 
-/// A run that would take a minute.
+/// Options of a run that would take a minute.
 const LONG: &str = "-n 30 -k 12000 --pace 5ms";
-/// How long an end may take on a busy machine.
+/// Time limit for the end of a command on a busy machine.
 const SOON: Duration = Duration::from_secs(20);
 
 /// Waits until no device process of `run` is left.
@@ -27,7 +26,7 @@ fn assert_nobody_left(run: &str) {
 fn closed(window: &mut Windowed) -> ExitStatus {
     let pid = window.pid();
     window.close();
-    // The shell tells its commands as well as the kernel does.
+    // Both the shell and the kernel send SIGHUP to the commands.
     for _ in 0..3 {
         send_signal(pid, Signal::HUP);
         std::thread::sleep(Duration::from_millis(5));
@@ -35,7 +34,7 @@ fn closed(window: &mut Windowed) -> ExitStatus {
     window.finish_within(SOON)
 }
 
-/// The summary of a run that a closed window has ended.
+/// Checks the summary of a run that a closed terminal has ended.
 fn assert_interrupted(folder: &Folder, end: ExitStatus) {
     assert_eq!(end.code(), Some(130), "{end}");
     let files = folder.list("out");
@@ -72,14 +71,14 @@ fn a_closed_window_ends_bs_and_device_with_what_there_is() {
     assert_interrupted(&folder, end);
     assert!(device.finish_within(SOON).success(), "{}", device.shown());
 
-    // A device process alone: it has nothing to keep.
+    // A device process alone: it has nothing to save.
     let device = format!("device --connect {} --run {run} --count 30", free_endpoint());
     let mut device = Windowed::start(&folder.command(&device), true);
     wait_for_hang_up(device.pid());
     assert_eq!(closed(&mut device).code(), Some(130));
 }
 
-/// Waits until a process takes SIGHUP itself.
+/// Waits until a process has a SIGHUP handler.
 fn wait_for_hang_up(pid: u32) {
     wait_until("the process to take a signal", PATIENCE, || {
         let status = fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
@@ -118,7 +117,7 @@ fn a_closed_window_ends_a_sweep_and_a_recording() {
 fn a_run_that_is_not_told_goes_on_without_its_terminal() {
     let (folder, run) = (Folder::new(), unique_run("untold"));
     let expected = folder.summary("run -n 30 -k 900");
-    // With messages, so that it writes to the terminal after that is gone.
+    // With messages, so that it writes to the terminal after the terminal has closed.
     let up = format!("-vv up -P 2 -n 30 -k 900 --pace 3ms --out out --run {run}");
     let mut up = Windowed::start(&folder.command(&up), false);
     up.wait_for("TTI/s");
@@ -184,7 +183,7 @@ fn a_stopped_run_goes_on_as_if_nothing_had_been() {
     assert_eq!(run.finish().summary().digest(), expected.digest());
 }
 
-/// A shell in `folder`.
+/// Starts a shell in `folder`.
 fn sh(folder: &Folder, line: &str) -> Process {
     let mut command = Command::new("sh");
     command

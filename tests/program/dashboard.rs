@@ -1,4 +1,4 @@
-//! The dashboard as programs see it: what it tells, and whom it refuses.
+//! The HTTP interface of the dashboard: its answers and its access checks.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
@@ -8,14 +8,14 @@ use reveille_tests::process::{Folder, PATIENCE, Process, assert_refused, now, un
 use rustix::process::Signal;
 use serde_json::Value;
 
-/// A dashboard that is served: its address and its token.
+/// Address and token of a running dashboard.
 struct Page {
     address: String,
     token: String,
 }
 
 impl Page {
-    /// That of `process`, once it says where it is.
+    /// Reads the dashboard's address from `process` once it is printed.
     fn of(process: &Process) -> Self {
         process.wait_for_stderr("http://");
         let said = process.stderr();
@@ -31,7 +31,7 @@ impl Page {
         }
     }
 
-    /// Sends a request, with these headers besides; gives the status and the body.
+    /// Sends a request with these additional headers; returns the status and the body.
     fn ask(&self, method: &str, path: &str, headers: &[(&str, &str)]) -> (u16, String) {
         let mut stream = TcpStream::connect(&self.address).expect("a link");
         let host = headers
@@ -57,14 +57,14 @@ impl Page {
         (status, body.to_owned())
     }
 
-    /// What it tells of `path`.
+    /// Requests `path` and returns the answer.
     fn get(&self, path: &str) -> Value {
         let (status, body) = self.ask("GET", path, &[]);
         assert_eq!(status, 200, "{path}: {body}");
         serde_json::from_str(&body).expect("JSON")
     }
 
-    /// Drives the clock.
+    /// Sends a clock command.
     fn drive(&self, command: &str) -> Value {
         let (status, body) = self.ask(
             "POST",
@@ -119,7 +119,7 @@ fn a_run_is_followed_paused_and_stepped() {
     );
     let history = page.get("/api/device/3?from=20&end=120");
     assert_eq!(history["batteries"].as_array().map(Vec::len), Some(100));
-    // Another pace: 20 TTIs take 200 ms at the least.
+    // At another pace 20 TTIs take at least 200 ms.
     let paced = page.drive("pace?n=10000");
     assert_eq!(paced["status"]["pace"]["RealTime"], 10_000, "{paced}");
     let start = now();
@@ -129,7 +129,7 @@ fn a_run_is_followed_paused_and_stepped() {
     });
     assert!(start.elapsed() > Duration::from_millis(180), "{:?}", start.elapsed());
     assert!(folder.clock(&run, "status").contains("a TTI every 10ms"));
-    // A pause does not wait for a TTI that is a minute away.
+    // A pause does not wait for a TTI that is due in a minute.
     page.drive("pace?n=60000000");
     page.drive("resume");
     wait_until("TTI 172", PATIENCE, || {
@@ -200,7 +200,7 @@ fn a_run_that_dies_while_it_is_watched_is_shown_to_its_end() {
     folder.wait_for_tti(&run, 1);
     let watching = folder.start(&format!("dashboard --run {run} --listen 127.0.0.1:0"));
     let page = Page::of(&watching);
-    // Another at the same port is refused, and one beside it is not.
+    // A second dashboard at the same port is refused; at another port it is not.
     let again = folder.run(&format!("dashboard --run {run} --listen {}", page.address));
     assert_refused(&again, 1, &["--listen", &page.address, "free port"]);
     let second = folder.start(&format!("dashboard --run {run} --listen 127.0.0.1:0"));
@@ -283,7 +283,7 @@ fn two_runs_are_compared_side_by_side() {
             .is_some_and(|points| points.len() > 100)
     );
 
-    // A run that goes on, beside what it is to become.
+    // A live run, next to its expected final state.
     let name = unique_run("beside");
     let up = folder.start(&format!(
         "up -p age-index -n 25 -k 400 -P 2 --paused --run {name} --quiet --out live"
@@ -348,7 +348,7 @@ fn a_browser_that_never_reads_holds_nobody_up() {
     let folder = Folder::new();
     let up = folder.start("up -p random -n 20 -k 20000 -P 1 --quiet --out o --dashboard 127.0.0.1:0");
     let page = Page::of(&up);
-    // They ask, and some of them never read.
+    // Clients send requests, and some never read the answers.
     let silent: Vec<TcpStream> = (0..50)
         .map(|_| {
             let mut stream = TcpStream::connect(&page.address).expect("a link");

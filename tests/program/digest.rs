@@ -1,15 +1,15 @@
-//! One scenario and seed give one digest, however the run is driven: in memory or over the bus, in one process or many,
-//! with or without lookahead, paced, paused, stepped or watched.
+//! One scenario and seed give one digest, in memory or over the bus, in one process or many. Lookahead, pace, pauses,
+//! steps and observers do not change it.
 
 use std::fmt::Write as _;
 
 use reveille_bs::policy::registry::{self, POLICIES};
 use reveille_tests::process::{Folder, PATIENCE, Process, free_endpoint, unique_run, wait_until};
 
-/// Thirty devices and as many TTIs as show reports, failures and wake-ups.
+/// Thirty devices, and enough TTIs for reports, failures and wake-ups.
 const SMALL: &str = "-n 30 -k 400";
 
-/// The ways to drive a run that must not be told from one another.
+/// Ways to drive a run that must give the same result.
 const WAYS: [&str; 9] = [
     "run",
     "run --no-lookahead",
@@ -22,10 +22,10 @@ const WAYS: [&str; 9] = [
     "up -P 30",
 ];
 
-/// Four of them, for what is a variation of a policy that all are tried with.
+/// Four ways, for variations of a policy that is tested in all ways.
 const FEW_WAYS: [&str; 4] = ["run", "up -P 0", "up -P 4", "up -P 3 --no-lookahead --window 7"];
 
-/// Settings under which a policy or the world takes other paths, beside the ranking of wake-ups.
+/// Settings that exercise other code paths of a policy or the world, in addition to the ranking of wake-ups.
 const FURTHER: [(&str, &str); 8] = [
     (
         "q-learning",
@@ -56,7 +56,7 @@ const FURTHER: [(&str, &str); 8] = [
     ),
 ];
 
-/// Everything that the radio can do wrong at once.
+/// All radio failures together.
 const FAILING: &str = "--set radio.wake_miss=0.3 --set radio.false_wake=0.02 --set radio.uplink_loss=0.2 \
                        --set radio.plan_loss=0.2 --set radio.wake_latency=1 --set radio.interference=bursts \
                        --set bs.sync_interval=37";
@@ -65,7 +65,7 @@ fn digest(args: &str) -> String {
     Folder::new().summary(args).digest().to_owned()
 }
 
-/// The digest that all `ways` to drive one policy on one preset agree on.
+/// Checks that all `ways` to drive one policy on one preset give one digest, and returns it.
 fn agreed(preset: &str, policy: &str, ways: &[&str]) -> String {
     let scenario = format!("-s {preset} -p {policy} {SMALL}");
     let folder = Folder::new();
@@ -85,8 +85,8 @@ fn agreed(preset: &str, policy: &str, ways: &[&str]) -> String {
     digests.remove(0)
 }
 
-/// All ways agree on the policies whose places in the registry leave `remainder` on division by 2, and other scenarios
-/// have other digests.
+/// Checks all ways for the policies whose index in the registry modulo 2 is `remainder`, and that other scenarios have
+/// other digests.
 fn all_ways_agree_on_half(remainder: usize) {
     for policy in registry::names().skip(remainder).step_by(2) {
         let expected = agreed("paper", policy, &WAYS);
@@ -102,7 +102,7 @@ fn all_ways_agree_on_paper() {
     all_ways_agree_on_half(0);
 }
 
-// A test of its own: two threads do half each.
+// A separate test, so that two threads share the work.
 #[test]
 fn all_ways_agree_on_paper_too() {
     all_ways_agree_on_half(1);
@@ -117,10 +117,10 @@ fn ways_agree_on_paper_literal() {
 
 #[test]
 fn ways_agree_on_the_other_ranking() {
-    for policy in POLICIES.iter().filter(|policy| policy.profile().wakes) {
+    for policy in POLICIES.iter().filter(|policy| policy.wakes) {
         agreed(
             "paper",
-            &format!("{} --set bs.ranking=posterior", policy.name()),
+            &format!("{} --set bs.ranking=posterior", policy.name),
             &FEW_WAYS,
         );
     }
@@ -134,7 +134,7 @@ fn ways_agree_on_further_settings() {
     }
 }
 
-/// Classes by number, by place and by share under the sun; a trace of irradiance.
+/// Checks classes assigned by number, place and share with solar harvest, and a trace of irradiance.
 #[test]
 fn ways_agree_on_classes_and_panels() {
     let scenarios = concat!(env!("CARGO_MANIFEST_DIR"), "/../deploy/scenarios");
@@ -171,7 +171,7 @@ fn policies_and_presets_differ() {
     assert_eq!(digests.len(), count);
 }
 
-/// A base station and two device processes, each started by itself; `counts` are in the order in which they join.
+/// Runs a base station and two device processes, with `counts` in join order, and returns the digest.
 fn by_hand(counts: [u32; 2]) -> String {
     let (folder, run, endpoint) = (Folder::new(), unique_run("hand"), free_endpoint());
     let bs = folder.start(&format!("bs {SMALL} --run {run} --listen {endpoint} --json"));
@@ -229,7 +229,7 @@ fn a_spectator_does_not_matter() {
     let up = folder.start(&format!("up -P 4 {SMALL} --paused --no-lookahead --run {run} --json"));
     folder.wait_for_tti(&run, 0);
     let tail = folder.start(&format!("inspect tail --json --run {run}"));
-    // Steps that the spectator sees show that it watches.
+    // Steps until the observer shows a grant, which proves that it receives frames.
     wait_until("the spectator to see something", PATIENCE, || {
         folder.clock(&run, "step");
         tail.stdout().contains("Grant").then_some(())

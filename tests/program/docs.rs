@@ -1,4 +1,4 @@
-//! What README and docs tell users to type is there to be typed.
+//! Checks that commands in the README and the documentation exist.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use reveille_tests::process::Folder;
 
-/// README.md and the pages of docs/.
+/// Returns README.md and the pages of docs/.
 fn pages() -> Vec<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let docs = fs::read_dir(root.join("docs"))
@@ -19,7 +19,7 @@ fn pages() -> Vec<PathBuf> {
     pages
 }
 
-/// The code of a page: what is between backquotes, in a line or around a block of lines.
+/// Returns the code of a page: text between backquotes, inline or in blocks.
 fn code(text: &str) -> impl Iterator<Item = &str> {
     text.split('`')
         .skip(1)
@@ -27,13 +27,13 @@ fn code(text: &str) -> impl Iterator<Item = &str> {
         .chain(text.split("```").skip(1).step_by(2))
 }
 
-/// The two words after each `reveille` in a page's code.
+/// Returns the two words after each `reveille` in a page's code.
 fn commands(text: &str) -> Vec<(&str, Option<&str>)> {
     let is_word = |word: &&str| word.chars().all(|c| c.is_ascii_lowercase() || c == '-') && !word.starts_with('-');
     let lines = code(text).flat_map(str::lines);
     lines
         .filter_map(|line| {
-            // `cargo run -- up` starts the same command, as does a path to it.
+            // `cargo run -- up` and a path to the binary start the same command.
             let words: Vec<&str> = line.split_whitespace().collect();
             let is_start = |word: &str| word == "reveille" || word.ends_with("/reveille");
             let is_cargo = words.starts_with(&["cargo", "run"]);
@@ -46,13 +46,13 @@ fn commands(text: &str) -> Vec<(&str, Option<&str>)> {
         .collect()
 }
 
-/// The subcommands in the help of `reveille ARGS`, where it takes one and nothing else.
+/// Returns the subcommands in the help of `reveille ARGS`, if it requires a subcommand.
 fn subcommands(folder: &Folder, args: &str) -> BTreeSet<String> {
     let help = folder.run(&format!("{args} --help"));
     assert!(help.is_success(), "{help}");
     let usage = help.stdout.lines().find(|line| line.starts_with("Usage: "));
     if usage.is_none_or(|usage| !usage.ends_with("<COMMAND>")) {
-        // What follows may be an argument.
+        // The next word may be an argument.
         return BTreeSet::new();
     }
     let list = help.stdout.split("Commands:\n").nth(1).unwrap_or_default();
@@ -101,7 +101,7 @@ fn every_subcommand_that_is_named_exists() {
             );
             let below = subcommands(&folder, first);
             if let Some(second) = second.filter(|second| !below.is_empty() && !below.contains(*second)) {
-                // One for those who work on the command is not listed.
+                // Developer commands are not listed.
                 let help = folder.run(&format!("{first} {second} --help"));
                 assert!(
                     help.is_success(),

@@ -1,10 +1,10 @@
-//! The decision transformer at the command line: recordings, trainings, models, and clear words for what is none.
+//! The decision transformer on the command line: recordings, trainings, models, and clear errors for invalid files.
 
 use std::fs;
 
 use reveille_tests::process::{Folder, assert_refused};
 
-/// A small recording.
+/// Command for a small recording.
 const RECORD: &str =
     "train record -p age-index,knn -n 12 -k 400 --seeds 6 --set events.process=bursts --chunk 12 --every 40";
 
@@ -61,7 +61,7 @@ fn a_run_of_the_emulator_is_recorded_from_its_folder() {
     let end = folder.run("up -p genie -n 12 -k 60 --processes 1 --quiet --out seer");
     assert!(end.is_success(), "{end}");
     assert_refused(&folder.run("train record --from seer --out c.parquet"), 1, &["genie"]);
-    // With a grid, or another digest than the run had.
+    // With other settings or a digest that differs from the run's.
     assert_refused(
         &folder.run(&format!("{record} -n 50 --out c.parquet")),
         2,
@@ -116,7 +116,7 @@ mod transformer {
     use reveille_tests::process::{PATIENCE, wait_until};
     use rustix::process::Signal;
 
-    /// A small training.
+    /// Command for a small training.
     const TRAIN: &str = "train dt a.parquet --steps 600 --batch 600 --patience 99 --set policy.dt.width=8 \
         --set policy.dt.heads=1 --set policy.dt.memory=3";
 
@@ -141,7 +141,7 @@ mod transformer {
             });
             training.signal(signal);
             let end = training.finish();
-            // On a fast machine it may have ended before.
+            // On a fast machine the training may have ended before the signal.
             assert!(end.code() == code || end.is_success(), "{end}");
         }
         if !folder.join("killed.safetensors").exists() {

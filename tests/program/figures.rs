@@ -1,5 +1,5 @@
-//! `reveille figures` and `reveille report`: pictures and pages that are whole and the same each time, and clear words
-//! where there is nothing to draw.
+//! `reveille figures` and `reveille report`: complete, reproducible pictures and pages, and clear errors when there is
+//! nothing to draw.
 
 use std::fs;
 use std::path::Path;
@@ -7,7 +7,7 @@ use std::process::Command;
 
 use reveille_tests::process::{Folder, PATIENCE, Process, assert_refused, reveille};
 
-/// A small table at `NAME` in `folder`.
+/// Writes a small result table `name` in `folder`.
 fn sweep(folder: &Folder, name: &str, options: &str) {
     let end = folder.run(&format!(
         "sweep --policies knn,adjusted,random,genie --devices 10,100 --seeds 2 --ttis 300 --quiet \
@@ -16,7 +16,7 @@ fn sweep(folder: &Folder, name: &str, options: &str) {
     assert_eq!(end.code(), Some(0), "{end}");
 }
 
-/// Whether the folders `a` and `b` hold the same file `name`.
+/// Checks that the folders `a` and `b` hold the same file `name`.
 #[track_caller]
 fn assert_same(folder: &Folder, name: &str) {
     let [a, b] = ["a", "b"].map(|of| folder.bytes(&format!("{of}/{name}")));
@@ -374,14 +374,14 @@ fn tables_without_runs_or_of_another_version_are_refused_and_a_lone_one_is_enoug
 #[test]
 fn the_pictures_of_the_pages_can_be_drawn_again() {
     let folder = Folder::new();
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/pictures/make.sh");
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/figures/make.sh");
     let mut command = Command::new("bash");
     command
         .arg(script)
         .arg(reveille())
         .arg(folder.join("pictures"))
         .args(["1000", "2"]);
-    // It makes some three hundred runs, on machines that have others to make at the same time.
+    // The command makes about three hundred runs, on machines that run other tests at the same time.
     let end = Process::start(&mut command).finish_within(PATIENCE * 5);
     assert_eq!(end.code(), Some(0), "{end}");
     for name in [

@@ -1,5 +1,5 @@
-//! Peers that do not keep to the rules: what they send is refused or counted, and changes nothing. Those here have been
-//! let in as hosts, and know the run's secret; strangers do not come as far.
+//! Misbehaving peers: their messages are refused or counted, and change nothing. These peers were admitted as hosts and
+//! know the run's secret; strangers do not get that far.
 
 use std::time::Duration;
 
@@ -10,16 +10,16 @@ use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, EventId, HostId, Tti};
 use reveille_common::keys::Keys;
 use reveille_common::message::{
-    Answer, Clock, ClockCommand, Failure, JoinReply, JoinRequest, Membership, MessageKind, PlanUpdate, Report, Tick,
-    WakeUp,
+    BusCredentials, ClockCommand, ClockMessage, FailedTransmission, GrantMessage, HostAnswer, JoinReply, JoinRequest,
+    MessageKind, PlanUpdate, Report, WakeUp,
 };
 use reveille_common::plan::{DutyCycle, Plan};
-use reveille_common::secret::{HostPass, Secret};
+use reveille_common::secret::{HostCredential, Secret};
 use reveille_common::totals::{DeviceTotals, Ledger};
 use reveille_common::units::Energy;
 use reveille_tests::process::{Folder, PATIENCE, Process, Summary, ask, free_endpoint, unique_run};
 
-/// Opens a session of a peer that plays by its own rules.
+/// Opens a bus session for a misbehaving peer.
 async fn peer(endpoint: &str, run: &str) -> Bus {
     let run = run.parse().expect("a run name");
     Bus::connect(endpoint, run, PATIENCE)
@@ -27,9 +27,9 @@ async fn peer(endpoint: &str, run: &str) -> Bus {
         .expect("the base station listens")
 }
 
-/// A peer that was let in, told the run's secret, and left before the run began. It knows all keys, and its pass is
-/// worth nothing.
-async fn turncoat(endpoint: &str, run: &str) -> (Bus, HostPass) {
+/// Creates a peer that was admitted, received the run's secret, and left before the run began. It knows all keys, but
+/// its credential is no longer valid.
+async fn turncoat(endpoint: &str, run: &str) -> (Bus, HostCredential) {
     let bus = peer(endpoint, run).await;
     let request = JoinRequest {
         version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -41,14 +41,14 @@ async fn turncoat(endpoint: &str, run: &str) -> (Bus, HostPass) {
     let JoinReply::Welcome(assignment) = reply else {
         panic!("{reply:?}")
     };
-    let Membership { pass, secret } = assignment.membership;
+    let BusCredentials { pass, secret } = assignment.membership;
     let bus = bus.with_secret(secret);
     drop(bus.declare_alive(bus.keys().alive(pass)).expect("declared"));
     (bus, pass)
 }
 
-/// A paused run of 30 devices with two device processes, and a turncoat beside it.
-async fn testbed(folder: &Folder, run: &str, ttis: u32) -> (Process, [Process; 2], Bus, HostPass) {
+/// Starts a paused run of 30 devices with two device processes, and a turncoat.
+async fn testbed(folder: &Folder, run: &str, ttis: u32) -> (Process, [Process; 2], Bus, HostCredential) {
     let endpoint = free_endpoint();
     let pace = "--pace 3ms --paused --out out";
     let bs = folder.start(&format!("bs -n 30 -k {ttis} {pace} --run {run} --listen {endpoint}"));
@@ -84,13 +84,15 @@ async fn another_version_is_refused_in_words() {
         "{why}"
     );
     let text = codec::encode(&"not a request at all, but a text");
-    let reply = bus.ask_raw(bus.keys().of(MessageKind::Join), text, PATIENCE).await;
+    let reply = bus
+        .ask_raw(bus.keys().base_key(MessageKind::Join), text, PATIENCE)
+        .await;
     let why = reply.expect_err("refused").to_string();
     assert!(why.contains("malformed") || why.contains("bytes follow"), "{why}");
     bus.close().await;
 }
 
-/// Payloads that are no message of any kind: nothing, another wire version, too little, too much, endless lengths,
+/// Returns payloads that are not valid messages: empty, wrong wire version, truncated, too long, endless lengths,
 /// noise.
 fn garbage() -> Vec<Vec<u8>> {
     let noise: Vec<u8> = (0..4096_u32)
@@ -117,9 +119,9 @@ async fn garbage_on_every_key_changes_nothing() {
     let (bs, hosts, bus, pass) = testbed(&folder, &run, 1200).await;
     let tail = folder.start(&format!("inspect tail --run {run}"));
     let keys = bus.keys();
-    let mut all: Vec<String> = MessageKind::ALL.iter().map(|&kind| keys.of(kind)).collect();
+    let mut all: Vec<String> = MessageKind::ALL.iter().map(|&kind| keys.base_key(kind)).collect();
     for j in [0, 7, 29, 30, u32::MAX] {
-        let other = HostPass {
+        let other = HostCredential {
             host: HostId(j),
             ..pass
         };
@@ -127,7 +129,7 @@ async fn garbage_on_every_key_changes_nothing() {
         all.extend([MessageKind::Report, MessageKind::Answer].map(|kind| keys.uplink(kind, other)));
     }
     all.extend([MessageKind::Clock, MessageKind::Plan].map(|kind| keys.to_all(kind)));
-    all.extend([format!("{}/x/y", keys.of(MessageKind::Answer)), keys.tap()]);
+    all.extend([format!("{}/x/y", keys.base_key(MessageKind::Answer)), keys.tap()]);
     folder.clock(&run, "resume");
     for payload in garbage() {
         for key in &all {
@@ -135,7 +137,7 @@ async fn garbage_on_every_key_changes_nothing() {
         }
         for kind in [MessageKind::Join, MessageKind::Ready, MessageKind::Control] {
             let question = codec::encode(&(&payload, "and more"));
-            let reply = bus.ask_raw(keys.of(kind), question, Duration::from_secs(5)).await;
+            let reply = bus.ask_raw(keys.base_key(kind), question, Duration::from_secs(5)).await;
             assert!(reply.is_err(), "{kind:?}");
         }
     }
@@ -157,15 +159,15 @@ async fn garbage_on_every_key_changes_nothing() {
     }
 }
 
-/// Messages that decode well and cannot be true, each with its key.
-fn forgeries(keys: &Keys, pass: HostPass, tti: u64) -> Vec<(String, Vec<u8>)> {
-    let tick = |first, last| {
+/// Returns clock messages that decode but are impossible.
+fn forged_clock(tti: u64) -> [ClockMessage; 5] {
+    let grant = |first, last| {
         let stimulus = Some(Stimulus {
             event: EventId(1),
             epicentre: Point::new(5.0, 5.0),
         });
         let (first, last, plan) = (Tti(first), Tti(last), Tti(0));
-        Clock::Grant(Tick {
+        ClockMessage::Grant(GrantMessage {
             first,
             last,
             stimulus,
@@ -176,13 +178,17 @@ fn forgeries(keys: &Keys, pass: HostPass, tti: u64) -> Vec<(String, Vec<u8>)> {
             plans: 0,
         })
     };
-    let clock = [
-        tick(0, 0),
-        tick(u64::MAX / 2, u64::MAX),
-        tick(tti, 5),
-        Clock::Finish(Tti(3)),
-        Clock::Finish(Tti(u64::MAX)),
-    ];
+    [
+        grant(0, 0),
+        grant(u64::MAX / 2, u64::MAX),
+        grant(tti, 5),
+        ClockMessage::Finish(Tti(3)),
+        ClockMessage::Finish(Tti(u64::MAX)),
+    ]
+}
+
+/// Returns messages that decode but are impossible, each with its key.
+fn forgeries(keys: &Keys, pass: HostCredential, tti: u64) -> Vec<(String, Vec<u8>)> {
     let endless = DutyCycle {
         t_on: u32::MAX,
         t_drx: u32::MAX,
@@ -198,11 +204,11 @@ fn forgeries(keys: &Keys, pass: HostPass, tti: u64) -> Vec<(String, Vec<u8>)> {
         information,
         battery: Energy::ZERO,
     };
-    let done = |host, reports, drained| Answer::Done {
+    let done = |host, reports, drained| HostAnswer::Done {
         host: HostId(host),
         tti: Tti(tti),
         reports,
-        failures: vec![Failure {
+        failures: vec![FailedTransmission {
             device: DeviceId(0),
             drained: Energy::from_micro(drained),
         }],
@@ -210,21 +216,27 @@ fn forgeries(keys: &Keys, pass: HostPass, tti: u64) -> Vec<(String, Vec<u8>)> {
         views: None,
     };
     let ledgers = vec![(DeviceId(0), Ledger::default())];
-    let last = Answer::Final {
+    let last = HostAnswer::Final {
         host: HostId(0),
         ledgers,
     };
-    let downlinks = |kind| [keys.to_all(kind), keys.to_one_of_all(kind, HostId(1)), keys.of(kind)];
+    let downlinks = |kind| {
+        [
+            keys.to_all(kind),
+            keys.to_one_of_all(kind, HostId(1)),
+            keys.base_key(kind),
+        ]
+    };
     let mut all: Vec<(String, Vec<u8>)> = Vec::new();
     for key in downlinks(MessageKind::Clock) {
-        all.extend(clock.iter().map(|c| (key.clone(), codec::encode(c))));
+        all.extend(forged_clock(tti).map(|clock| (key.clone(), codec::encode(&clock))));
     }
     all.extend(downlinks(MessageKind::Plan).map(|key| (key, codec::encode(&plan))));
     for when in [tti, u64::MAX] {
         let wake = codec::encode(&WakeUp { tti: Tti(when) });
         all.extend([1, 2].map(|host| (keys.wake(HostId(host), DeviceId(0)), wake.clone())));
     }
-    let own = |host| HostPass {
+    let own = |host| HostCredential {
         host: HostId(host),
         ..pass
     };
@@ -248,7 +260,7 @@ fn forgeries(keys: &Keys, pass: HostPass, tti: u64) -> Vec<(String, Vec<u8>)> {
     all
 }
 
-/// What one who knows all keys but has no valid pass sends of the TTI that is open changes nothing.
+/// Messages for the open TTI from a peer that knows all keys but has no valid credential change nothing.
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn forged_messages_change_nothing() {
     let (folder, run) = (Folder::new(), unique_run("forged"));
@@ -271,7 +283,7 @@ async fn forged_messages_change_nothing() {
     assert!(hosts.into_iter().all(|host| host.finish().is_success()));
 }
 
-/// Who has not the run's key can neither stop its clock nor carry its devices.
+/// A client without the run's key can neither stop its clock nor run its devices.
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn without_the_key_nobody_commands_or_joins() {
     let (folder, run, endpoint) = (Folder::new(), unique_run("keyless"), free_endpoint());

@@ -1,4 +1,4 @@
-//! Looking at a run and driving its clock: what is shown is what happens, once, and every refusal says why.
+//! Observing a run and driving its clock: each message is shown once, and every refusal states its reason.
 
 use std::time::Duration;
 
@@ -8,21 +8,21 @@ use reveille_tests::process::{
 use rustix::process::Signal;
 use serde_json::Value;
 
-/// A run of 60 TTIs that is paused before the first.
+/// Starts a run of 60 TTIs that is paused before the first.
 fn paused(folder: &Folder, run: &str, args: &str) -> Process {
     let up = folder.start(&format!("up -k 60 --paused --run {run} --quiet --out out {args}"));
     folder.wait_for_tti(run, 0);
     up
 }
 
-/// A spectator of `run` that has connected.
+/// Starts an observer of `run` and waits until it has connected.
 fn tail(folder: &Folder, run: &str, args: &str) -> Process {
     let tail = folder.start(&format!("inspect tail --run {run} {args}"));
     tail.wait_for_stderr("connected to run");
     tail
 }
 
-/// The messages that a spectator with `--json` has shown, without those of operators.
+/// Parses the messages that an observer with `--json` has shown, without operator messages.
 fn messages(shown: &str) -> Vec<Value> {
     let lines = shown
         .lines()
@@ -30,8 +30,8 @@ fn messages(shown: &str) -> Vec<Value> {
     lines.filter(|message: &Value| message["kind"] != "control").collect()
 }
 
-/// What the spectator of a run with these processes is shown of the TTIs 20 to 49. The end of a run is not waited for
-/// by what copies its messages.
+/// Returns the messages that an observer shows for TTIs 20 to 49 of a run with this many processes. The observer's
+/// copies do not delay the end of the run.
 fn shown(processes: u32) -> Vec<Value> {
     let (folder, run) = (Folder::new(), unique_run("shown"));
     let up = paused(
@@ -122,7 +122,7 @@ fn help_lists_the_kinds_with_their_direction_and_the_exit_codes() {
         assert!(help.contains(part), "no {part:?}: {help}");
     }
     let help = folder.run("up --help").stdout;
-    assert!(help.contains("another one carries"), "{help}");
+    assert!(help.contains("takes over"), "{help}");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Ctrl-C and SIGTERM for runs and sweeps in memory: a prompt end with exit code 130, and nothing finished is lost.
+//! Ctrl-C and SIGTERM for runs and sweeps in memory: a prompt end with exit code 130, and no finished work is lost.
 
 use std::fs;
 use std::time::Duration;
@@ -6,22 +6,22 @@ use std::time::Duration;
 use reveille_tests::process::{Folder, PATIENCE, assert_refused, hosts_of, unique_run, wait_until};
 use rustix::process::Signal;
 
-/// A scenario whose search before the run takes hours.
+/// Options of a scenario whose search before the run takes hours.
 const SEARCH: &str = "--devices 200 --set policy.adjusted.pilot_ttis=900000000";
-/// How long an end may take: a sweep is given a second, the rest is for a machine that is busy.
+/// Time limit for the end of a command: one second for a sweep, and a margin for a busy machine.
 const SOON: Duration = Duration::from_secs(10);
 
 #[test]
 fn ctrl_c_ends_a_sweep_and_says_how_to_go_on() {
     let folder = Folder::new();
-    // One run of hours: it is given up in its middle.
+    // A run of hours is aborted midway.
     let endless = "sweep --devices 100 --ttis 1000000000 --seeds 2 --out s";
     for signal in [Signal::INT, Signal::TERM] {
         let sweep = folder.start(endless);
         wait_until("the sweep to begin", PATIENCE, || {
             folder.join("s/experiment.toml").exists().then_some(())
         });
-        std::thread::sleep(Duration::from_millis(300));
+        sweep.wait_for_work();
         sweep.signal(signal);
         let end = sweep.finish();
         assert_refused(
@@ -41,7 +41,7 @@ fn a_run_that_is_being_set_up_ends_at_once() {
         wait_until("the run to begin", PATIENCE, || {
             folder.join(&format!("{out}/windows.csv")).exists().then_some(())
         });
-        std::thread::sleep(Duration::from_millis(300));
+        run.wait_for_work();
         run.signal(signal);
         let end = run.finish_within(SOON);
         assert_eq!(end.code(), Some(130), "{end}");
@@ -74,7 +74,7 @@ fn a_base_station_that_is_being_set_up_ends_at_once_with_its_devices() {
                     .any(|name| name.starts_with(&run));
                 (is_known && hosts_of(&run).len() == hosts).then_some(())
             });
-            std::thread::sleep(Duration::from_millis(300));
+            bs.wait_for_work();
             bs.signal(signal);
             let end = bs.finish_within(SOON);
             assert_eq!(end.code(), Some(130), "{command}: {end}");
@@ -98,7 +98,7 @@ fn a_sweep_whose_runs_are_being_set_up_ends_soon_and_keeps_the_others() {
     let sweep = folder.start(&args);
     let runs = || fs::read_to_string(folder.join("s/runs.journal")).map_or(0, |text| text.matches('\n').count());
     wait_until("the runs of genie", PATIENCE, || (runs() == 1 + 3).then_some(()));
-    std::thread::sleep(Duration::from_millis(300));
+    sweep.wait_for_work();
     sweep.signal(Signal::INT);
     let end = sweep.finish_within(SOON);
     assert_eq!(end.code(), Some(130), "{end}");

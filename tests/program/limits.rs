@@ -1,23 +1,22 @@
-//! Where the system sets limits, a run takes what it may have, and says before it begins what is not enough.
+//! System limits: a run uses as much as the limits allow, and reports an insufficient limit before it begins.
 
 use std::fs;
 use std::net::TcpListener;
 use std::process::Command;
 use std::time::Duration;
 
-use reveille_tests::disk::{ReadOnly, SmallDisk};
-use reveille_tests::network::FewPorts;
+use reveille_tests::machine::{FewPorts, Mount, skipped};
 use reveille_tests::process::{
     Finished, Folder, Process, Summary, assert_refused, free_endpoint, reveille, unique_run,
 };
 
-/// How long a refusal may take on a busy machine; what it replaces took thirty seconds.
+/// Time limit for a refusal on a busy machine; it replaces a timeout of thirty seconds.
 const AT_ONCE: Duration = Duration::from_secs(10);
 
-/// How long device processes are started anew that end at once, with some for a busy machine.
+/// Time limit for restarts of device processes that end immediately, with a margin for a busy machine.
 const NOT_LATER: Duration = Duration::from_secs(20);
 
-/// Starts `reveille ARGS` with at most `files` open files, of which it has `now` to begin with.
+/// Starts `reveille ARGS` with a hard limit of `files` open files and a soft limit of `now`.
 fn limited(folder: &Folder, files: u32, now: u32, args: &str) -> Process {
     let line = format!(
         "ulimit -Sn {now}; ulimit -Hn {files}; exec {} {args}",
@@ -32,7 +31,7 @@ fn limited(folder: &Folder, files: u32, now: u32, args: &str) -> Process {
     Process::start(&mut command)
 }
 
-/// The end of a command that is refused before there is a run folder.
+/// Checks that a command is refused before it creates a run folder.
 fn refused(folder: &Folder, files: u32, args: &str, parts: &[&str]) {
     let end = limited(folder, files, files, args).finish_within(AT_ONCE);
     assert_refused(&end, 1, parts);
@@ -66,7 +65,7 @@ fn too_few_files_are_refused_before_the_run() {
 fn what_is_said_to_be_enough_is() {
     let folder = Folder::new();
     let expected = folder.summary("run -n 50 -k 200");
-    // As many as it asks for, and half of them to begin with: it takes what it may.
+    // The hard limit is as needed and the soft limit is half of it: the run raises its soft limit.
     for (processes, files) in [(16, 64), (4, 52), (0, 48)] {
         let run = unique_run("few");
         let up = limited(
@@ -91,7 +90,7 @@ fn what_is_said_to_be_enough_is() {
     assert_eq!(bs.finish().summary().digest(), expected.digest());
 }
 
-/// A refusal that leaves no run folder `out`, or one that says why it failed.
+/// Checks a refusal that leaves no run folder `out`, or one that states why the run failed.
 fn assert_clear(folder: &Folder, end: &Finished, parts: &[&str]) {
     assert_refused(end, 1, parts);
     let left = folder.list("out");
@@ -116,9 +115,9 @@ fn a_port_that_is_taken_is_named_before_the_run() {
 #[test]
 fn ports_that_are_used_up_are_named_soon() {
     let folder = Folder::new();
-    // One for the base station, and some for the first device processes.
+    // One port for the base station, and some for the first device processes.
     let Some(network) = FewPorts::make(&unique_run("ports"), 4) else {
-        eprintln!("not tested: a network of its own cannot be made here (it takes root)");
+        skipped("a separate network cannot be made here (root is needed)");
         return;
     };
     let mut up = network.command(reveille());
@@ -141,8 +140,8 @@ fn a_folder_that_cannot_be_written_to_is_named() {
     let folder = Folder::new();
     fs::create_dir(folder.join("disk")).expect("possible");
     let path = folder.join("disk");
-    let Some(_disk) = ReadOnly::mount(&path) else {
-        eprintln!("not tested: a folder cannot be mounted read-only here (it takes root)");
+    let Some(_disk) = Mount::read_only(&path) else {
+        skipped("a folder cannot be mounted read-only here (it takes root)");
         return;
     };
     for command in ["run", "up -P 1", "bs --run x --listen tcp/127.0.0.1:0"] {
@@ -155,8 +154,8 @@ fn a_folder_that_cannot_be_written_to_is_named() {
 fn a_run_on_a_full_disk_ends_with_words_and_can_be_replaced() {
     let folder = Folder::new();
     let path = folder.join("disk");
-    let Some(_disk) = SmallDisk::mount(&path) else {
-        eprintln!("not tested: a small tmpfs cannot be mounted here (it takes root)");
+    let Some(_disk) = Mount::small(&path) else {
+        skipped("a small tmpfs cannot be mounted here (it takes root)");
         return;
     };
     let expected = folder.summary("run -n 20 -k 400");
@@ -173,12 +172,12 @@ fn a_run_on_a_full_disk_ends_with_words_and_can_be_replaced() {
         assert!(!left.contains(&"summary.json".to_owned()), "{left:?}");
         let rows = String::from_utf8(folder.bytes("disk/out/windows.csv")).expect("text");
         assert!(rows.lines().count() > 100, "{rows}");
-        // What the disk has taken in is replaced.
+        // The partial output is replaced.
         let short = folder.summary(&format!("{command} -n 20 -k 400 --out disk/out --force"));
         assert_eq!(short.digest(), expected.digest());
         assert_eq!(Summary::read(&folder.join("disk/out")).digest(), expected.digest());
     }
-    // No room for the beginning: nothing is left that is in the way of the next run.
+    // Without space for the first files, the run leaves nothing that blocks the next run.
     fs::remove_dir_all(folder.join("disk/out")).expect("removable");
     let full = fs::write(folder.join("disk/ballast"), vec![0; 300 * 1024]);
     assert!(full.is_err(), "the disk is larger than it should be");

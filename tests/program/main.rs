@@ -1,11 +1,31 @@
-//! Tests that run the `reveille` command: every file of this folder is a module of this one binary.
-//!
-//! A new file is found by itself; touch this one if the binary is older. `cargo fmt` does not follow `automod`, so
-//! format a file here with `rustfmt --edition 2024 tests/program/FILE.rs`.
+//! Tests that run the `reveille` command. Every file of this folder is a module of this one binary.
 
-automod::dir!("../tests/program");
-
-#[test]
-fn every_file_is_in_this_binary() {
-    reveille_tests::found::assert_all_of(concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/program"));
-}
+mod analyse;
+mod bad_input;
+mod closed_terminal;
+mod dashboard;
+mod digest;
+mod docs;
+mod dt;
+mod figures;
+mod hostile_peer;
+mod inspect;
+mod interrupt;
+mod limits;
+mod many_processes;
+mod misbehaving_policy;
+mod monitoring;
+mod on_loss_continue;
+mod one_writer;
+mod policy_port;
+mod process_faults;
+mod recompute;
+mod recording;
+mod registry;
+mod run_folder;
+mod signals;
+mod sweep;
+mod sweep_seeds;
+mod takeover;
+mod train;
+mod tune;

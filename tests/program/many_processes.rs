@@ -1,15 +1,16 @@
-//! Many processes, and processes with many devices: the digest of a run in memory, a clean end, and nobody left behind.
+//! Many processes, and processes with many devices: the digest of a run in memory, a clean end, and no process left
+//! behind.
 
 use std::fs;
 
 use reveille_tests::process::{Folder, PATIENCE, Process, free_endpoint, hosts_of, unique_run, wait_until};
 
-/// More processes than are started at a time on any machine with less than eight cores.
+/// More processes than are started at a time on any machine with fewer than eight cores.
 const MANY: u32 = 120;
-/// Devices of two processes whose ledgers do not fit into the queue of a link.
+/// Number of devices whose ledgers, from two processes, exceed the queue of a link.
 const HEAVY: u32 = 3000;
 
-/// A run of `scenario` over the bus in `processes` processes, without a word, against the same in memory.
+/// Compares a run of `scenario` over the bus in `processes` processes, without warnings, with a run in memory.
 fn clean(scenario: &str, processes: u32) {
     let folder = Folder::new();
     let expected = folder.summary(&format!("run {scenario}"));
@@ -39,7 +40,7 @@ fn processes_with_many_devices_each() {
     clean(&format!("-n {HEAVY} -k 60 -p random"), 2);
 }
 
-/// All that sense an event report together.
+/// Many devices report an event in the same TTI.
 #[test]
 fn many_reports_at_once_from_one_process() {
     clean(
@@ -48,7 +49,7 @@ fn many_reports_at_once_from_one_process() {
     );
 }
 
-/// What `process` was given as the threads of zenoh.
+/// Returns the zenoh thread setting in the environment of a process.
 fn threads_said(pid: u32) -> Option<String> {
     let environment = fs::read(format!("/proc/{pid}/environ")).unwrap_or_default();
     let variables = environment.split(|&byte| byte == 0).map(String::from_utf8_lossy);
@@ -56,7 +57,7 @@ fn threads_said(pid: u32) -> Option<String> {
     said.next()
 }
 
-/// A run with two device processes, which goes on until it is dropped, and what they were given.
+/// Starts a run with two device processes, which continues until dropped, and returns their thread settings.
 fn threads_of_hosts(folder: &Folder, said: Option<&str>, args: &str) -> (Process, Vec<Option<String>>) {
     let run = unique_run("threads");
     let mut command = folder.command(&format!(

@@ -1,11 +1,11 @@
-//! Metrics of a run: they change nothing in it, and what cannot be served is said before it begins.
+//! Prometheus metrics of a run: they do not affect the run, and an unusable address is reported before it begins.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 
 use reveille_tests::process::{Folder, assert_refused, unique_run};
 
-/// What `address` answers to a request for `path` as `host`.
+/// Requests `path` from `address` with header `host`, and returns the answer.
 fn get(address: &str, path: &str, host: &str) -> String {
     let mut stream = TcpStream::connect(address).expect("a link");
     write!(

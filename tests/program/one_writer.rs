@@ -1,4 +1,4 @@
-//! A run folder, and a recording, has one writer: what goes on is never replaced, what was killed can be.
+//! A run folder or recording has one writer: active output is never replaced, output of a killed run can be.
 
 use std::fs;
 
@@ -7,7 +7,7 @@ use reveille_tests::process::{
 };
 use rustix::process::Signal;
 
-/// `up` with two device processes in the folder `out`, past its first TTIs.
+/// Starts `up` with two device processes in the folder `out`, and waits past its first TTIs.
 fn alive(folder: &Folder, run: &str, args: &str) -> Process {
     let up = folder.start(&format!(
         "up -P 2 -n 30 -k 12000 --pace 5ms --out out --run {run} {args}"
@@ -16,7 +16,7 @@ fn alive(folder: &Folder, run: &str, args: &str) -> Process {
     up
 }
 
-/// The next free name on this machine, with nobody left of it.
+/// Waits until no device process of `run` is left.
 fn gone(run: &str) {
     wait_until("the device processes to end", PATIENCE, || {
         hosts_of(run).is_empty().then_some(())
@@ -93,7 +93,7 @@ fn of_runs_that_begin_at_once_one_has_the_folder() {
         for end in lost {
             assert_refused(end, 1, &["--out new"]);
         }
-        // With --force a later one may replace one that has ended.
+        // With --force a later run may replace one that has ended.
         assert!(if force { !won.is_empty() } else { won.len() == 1 }, "{ends:?}");
         let kept = Summary::read(&folder.join("new"));
         assert!(won.iter().any(|end| end.summary().digest() == kept.digest()));
@@ -135,7 +135,7 @@ fn a_recording_that_grows_is_never_replaced_and_said_to_grow() {
     let end = folder.run("run -n 7 -k 50 --out other --record r.mcap --force");
     assert_refused(&end, 1, &["--record r.mcap", "is recording", "--force never"]);
     assert!(!folder.join("other").exists());
-    // The beginning of a recording may still be on its way.
+    // The start of a recording may not be written yet.
     wait_until("the recording to be readable", PATIENCE, || {
         let end = folder.run("inspect tail --from r.mcap --count 1");
         end.stderr.contains("r.mcap is still being written").then_some(())
@@ -160,7 +160,7 @@ fn a_killed_run_has_its_rows_whole_and_up_to_the_last_second() {
     folder.wait_for_tti(&run, 10);
     let began = now();
     let at = folder.wait_for_tti(&run, 400);
-    // A row may wait for a second; a machine may be busy.
+    // Rows are flushed once a second, and the machine may be busy.
     let rows = |name: &str| {
         let text = String::from_utf8(folder.bytes(&format!("out/{name}"))).expect("text");
         assert!(text.ends_with('\n'), "half a row: {text}");

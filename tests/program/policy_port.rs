@@ -1,20 +1,20 @@
-//! Decisions of another program over the bus: those of a policy of this program give its digest, whoever is killed or
-//! comes late, and a run that nobody decides for says so.
+//! External decisions over the bus: a built-in policy's decisions give its digest even if processes are killed or join
+//! late. A run without a policy process reports it.
 
 use std::time::Duration;
 
-use reveille_bs::host::port::client::{self, Introduction};
-use reveille_bs::policy::external::wire::{Asked, Said};
-use reveille_bs::policy::external::{Answer, Answered, Decision};
+use reveille_bs::policy::external::wire::{DecisionRequest, RequestKind};
+use reveille_bs::policy::external::{Decision, PlanDecision, RecordedDecision};
 use reveille_bs::policy::outside;
-use reveille_common::forms::Form;
+use reveille_bs::server::policy_port::client::{self, ClientIdentity};
+use reveille_common::encoding::Encoding;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::io::Disk;
 use reveille_common::message::LogPart;
 use reveille_common::plan::{DutyCycle, Plan};
 use reveille_common::scenario::{Override, load};
-use reveille_lab::inputs::{Input, first_line, line};
-use reveille_tests::deciding::{Decided, SMALL, answer, own};
+use reveille_lab::external_inputs::{ExternalInput, first_line, line};
+use reveille_tests::external_policy::{Decided, SMALL, answer, own};
 use reveille_tests::process::{
     Folder, PATIENCE, Process, Summary, hosts_of, lives, send_signal, unique_run, wait_until,
 };
@@ -24,12 +24,12 @@ use rustix::process::Signal;
 async fn the_decisions_of_a_policy_give_its_digest() {
     let reported = ["bs.battery_knowledge=reported", "bs.ranking=posterior"];
     let lossy = ["radio.uplink_loss=0.2", "radio.plan_loss=0.1", "radio.wake_latency=1"];
-    let cases: [(&str, &[&str], Form, &str); 5] = [
-        ("age-index", &[], Form::Json, "-P 3"),
-        ("q-learning", &reported, Form::Cbor, "-P 3"),
-        ("knn", &lossy, Form::Cbor, "-P 1 --no-lookahead"),
-        ("random", &[], Form::Json, "-P 0 --on-loss end"),
-        ("dt", &reported, Form::Cbor, "-P 30 --window 7"),
+    let cases: [(&str, &[&str], Encoding, &str); 5] = [
+        ("age-index", &[], Encoding::Json, "-P 3"),
+        ("q-learning", &reported, Encoding::Cbor, "-P 3"),
+        ("knn", &lossy, Encoding::Cbor, "-P 1 --no-lookahead"),
+        ("random", &[], Encoding::Json, "-P 0 --on-loss end"),
+        ("dt", &reported, Encoding::Cbor, "-P 30 --window 7"),
     ];
     for (policy, set, form, way) in cases {
         let (transcript, digest) = own(policy, set);
@@ -50,7 +50,7 @@ async fn the_decisions_of_a_policy_give_its_digest() {
             "{policy}: {decided}"
         );
 
-        // Without anybody to ask, in memory and on the bus, by the folder or by the scenario.
+        // Without a policy process, in memory and on the bus, by folder or by scenario.
         let kept = "--policy replay=out/inputs.log";
         for command in [
             format!("run {kept}"),
@@ -73,20 +73,20 @@ async fn killed_processes_cost_time_and_no_result() {
     let (transcript, digest) = own("age-index", &[]);
     let run = Decided::start("-P 4 --pace 4ms --audit on");
     let key = run.key();
-    let introduction = |name: &str| Introduction {
+    let introduction = |name: &str| ClientIdentity {
         name: name.to_owned(),
         key: Some(key),
-        form: Form::Cbor,
+        form: Encoding::Cbor,
     };
-    // The first one is gone in the middle, wherever that is.
+    // The first policy process leaves at an arbitrary point midway.
     let (bus, own_name) = (run.bus().await, introduction("the first"));
-    let mut first = |asked: &Asked| answer(&transcript, asked);
+    let mut first = |asked: &DecisionRequest| answer(&transcript, asked);
     let first = client::decide(&bus, &own_name, &mut first);
     let gone = tokio::time::timeout(Duration::from_millis(700), first).await;
     assert!(gone.is_err(), "the run is to be longer than that");
     bus.close().await;
     let victim = hosts_of(&run.run)[1];
-    let decider = run.decide(Form::Json, |asked| {
+    let decider = run.decide(Encoding::Json, |asked| {
         if asked.head.tti == 350 {
             send_signal(victim, Signal::KILL);
         }
@@ -109,7 +109,7 @@ async fn a_killed_base_station_is_taken_up_and_asks_only_for_what_is_new() {
     let run = Decided::start("-P 2 --pace 8ms");
     let asked_before = {
         let (folder, name) = (run.folder.path().to_owned(), run.run.clone());
-        let decider = run.decide(Form::Cbor, |asked| {
+        let decider = run.decide(Encoding::Cbor, |asked| {
             if asked.head.tti == 300 {
                 send_signal(run.process.pid(), Signal::KILL);
             }
@@ -128,7 +128,7 @@ async fn a_killed_base_station_is_taken_up_and_asks_only_for_what_is_new() {
     let again = Decided::start_in(folder, "up --resume out -P 3 --audit on");
     let mut first = None;
     again
-        .decide(Form::Cbor, |asked| {
+        .decide(Encoding::Cbor, |asked| {
             first.get_or_insert(asked.head.seq);
             answer(&transcript, asked)
         })
@@ -136,7 +136,7 @@ async fn a_killed_base_station_is_taken_up_and_asks_only_for_what_is_new() {
     let (folder, end) = again.finish();
     assert!(end.is_success(), "{end}");
     assert_eq!(Summary::read(&folder.join("out")).digest(), digest);
-    // The one over which it was killed may not have come.
+    // The request during which it was killed may not have arrived.
     assert!(
         first.is_some_and(|first| first + 3 >= asked_before),
         "{first:?} after {asked_before}"
@@ -145,16 +145,16 @@ async fn a_killed_base_station_is_taken_up_and_asks_only_for_what_is_new() {
     assert_eq!(kept.digest(), digest);
 }
 
-/// A recording that begins late, and one of the run itself, have all of it.
+/// A recording that begins late and one by the run itself are both complete.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_run_that_is_joined_late_is_whole() {
     let (transcript, digest) = own("age-index", &["bs.sync_interval=1000"]);
     let run = Decided::start("-P 2 --pace 3ms --record whole.mcap --set bs.sync_interval=1000");
     let mut late = None;
-    run.decide(Form::Json, |asked| {
+    run.decide(Encoding::Json, |asked| {
         if asked.head.tti == 150 && late.is_none() {
             let record = run.folder.start(&format!("inspect record late.mcap --run {}", run.run));
-            // Until it is answered, the clock stands.
+            // The clock stands until the request is answered.
             record.wait_for_stderr("connected to run");
             late = Some(record);
         }
@@ -172,23 +172,25 @@ async fn a_run_that_is_joined_late_is_whole() {
     assert!(verified.is_success() && verified.stdout.contains(&digest), "{verified}");
 }
 
-/// What was decided in it comes to more bytes than are told at a time.
+/// The input log is larger than one transfer.
 #[test]
 fn a_run_with_a_long_log_is_joined_late() {
     let (folder, run) = (Folder::new(), unique_run("long"));
     let set = ["policy.name=external", "devices=1000", "ttis=240"];
     let set = set.map(|set| Override::parse(set).expect("an override"));
-    let scenario = load("paper", &set, &outside::kinds(), &Disk).expect("a scenario");
+    let scenario = load("paper", &set, &outside::kinds_with_external(), &Disk)
+        .expect("a scenario")
+        .scenario;
     let asleep = |offset: u64| DutyCycle {
         t_on: 0,
         t_drx: DutyCycle::LONGEST,
         offset: (offset % u64::from(DutyCycle::LONGEST)) as u32,
     };
-    let plans = (0..scenario.ttis).map(|k| {
+    let plans = (0..scenario.run.ttis).map(|k| {
         let cycles = (0..1000).map(|j| asleep((k * 1000 + j) * 7_919_777)).collect();
         let (plan, next) = (Plan::Periodic(cycles), Tti(k + 1));
-        let answer = Answer::Plan(Decision { plan, next });
-        line(&Input::Decision(Answered { tti: Tti(k), answer }))
+        let answer = Decision::Plan(PlanDecision { plan, next });
+        line(&ExternalInput::Decision(RecordedDecision { tti: Tti(k), answer }))
     });
     let log = first_line(&scenario) + &plans.collect::<String>();
     assert!(log.len() as u64 > LogPart::LONGEST, "{} bytes", log.len());
@@ -208,7 +210,7 @@ fn a_run_with_a_long_log_is_joined_late() {
     assert!(same.is_success(), "{same}");
 }
 
-/// The base station is killed over a TTI in which devices were lost and whose wake-ups are not all decided.
+/// The base station is killed in a TTI with lost devices and undecided wake-ups.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_run_that_was_killed_within_a_ttis_wake_ups_goes_on_before_it() {
     let (transcript, _) = own("age-index", &[]);
@@ -216,8 +218,8 @@ async fn a_run_that_was_killed_within_a_ttis_wake_ups_goes_on_before_it() {
     run.key();
     let (bs, mut lost_in) = (run.process.pid(), None);
     let name = run.run.clone();
-    run.decide(Form::Cbor, |asked| {
-        let (tti, is_wake) = (asked.head.tti, asked.head.stage == Said::Wake);
+    run.decide(Encoding::Cbor, |asked| {
+        let (tti, is_wake) = (asked.head.tti, asked.head.stage == RequestKind::Wake);
         if is_wake && tti > 100 && lost_in.is_none() {
             lost_in = Some(tti);
             send_signal(hosts_of(&name)[0], Signal::KILL);
@@ -225,14 +227,14 @@ async fn a_run_that_was_killed_within_a_ttis_wake_ups_goes_on_before_it() {
                 (hosts_of(&name).len() == 2).then_some(())
             });
             std::thread::sleep(Duration::from_millis(300));
-            // Devices of the others, so that it is asked once more.
+            // Devices of other hosts, so that another request follows.
             let own = asked
                 .action_mask
                 .0
                 .iter()
                 .rposition(|bit| *bit == 2)
                 .expect("somebody sleeps");
-            return Answer::Wake(vec![DeviceId(own as u32)]);
+            return Decision::Wake(vec![DeviceId(own as u32)]);
         }
         if lost_in.is_some() {
             send_signal(bs, Signal::KILL);
@@ -242,14 +244,14 @@ async fn a_run_that_was_killed_within_a_ttis_wake_ups_goes_on_before_it() {
     .await;
     let (folder, _) = run.finish();
     let again = Decided::start_in(folder, "up --resume out -P 3 --audit on --on-loss continue");
-    again.decide(Form::Cbor, |asked| answer(&transcript, asked)).await;
+    again.decide(Encoding::Cbor, |asked| answer(&transcript, asked)).await;
     let (folder, end) = again.finish();
     assert!(end.is_success(), "{end}");
     let summary = Summary::read(&folder.join("out"));
     let kept = folder.summary("run --policy replay=out");
     assert_eq!((summary.digest(), summary.status()), (kept.digest(), "complete"));
 
-    // Logs that end too early: nothing is made up.
+    // With a truncated log no decision is invented.
     let log = String::from_utf8(folder.bytes("out/inputs.log")).expect("text");
     for lines in [2, 60, 101] {
         let torn: Vec<&str> = log.lines().take(lines).chain([""]).collect();
@@ -288,7 +290,7 @@ fn nobody_who_decides_is_named_and_waited_for_as_told() {
     run.process.signal(Signal::INT);
     let (folder, end) = run.finish();
     assert_eq!(end.code(), Some(130), "{end}");
-    // It can be gone on with, and told how long to wait.
+    // The run can be resumed with a decision timeout.
     let end = folder.run("up --resume out -P 1 --decision-timeout 200ms");
     assert!(
         end.code() == Some(1) && end.stderr.contains("no decision for TTI 0"),
@@ -314,14 +316,14 @@ fn a_command_that_decides_ends_with_the_run_and_the_run_with_it() {
         end.stderr.contains("the policy process") && end.stderr.contains("exit status: 4"),
         "{end}"
     );
-    // One that says nothing is ended with the run.
+    // A silent policy command ends with the run.
     let (run, own) = sleeper(&folder, "sleeps", "exec sleep 1000");
     run.signal(Signal::INT);
     assert_eq!(run.finish().code(), Some(130));
     assert!(!lives(own), "{own} lives on");
 }
 
-/// Neither a command that listens to nobody, nor what it has started, outlives a run that is gone without a word.
+/// Neither a policy command that ignores signals nor its children outlive a killed base station.
 #[test]
 fn a_command_that_decides_does_not_outlive_its_base_station() {
     let folder = Folder::new();
@@ -342,7 +344,7 @@ fn a_command_that_decides_does_not_outlive_its_base_station() {
     }
 }
 
-/// What a command has started may do what it does at its end, though the command itself has ended.
+/// Children of a policy command get time for cleanup, even if the command itself has ended.
 #[test]
 fn what_a_command_has_started_is_told_before_it_is_ended() {
     let folder = Folder::new();
@@ -360,7 +362,7 @@ fn what_a_command_has_started_is_told_before_it_is_ended() {
     assert!(folder.list("").contains(&"saved".to_owned()));
 }
 
-/// A run of this name in `folder` with a command that decides nothing, and the pid of that.
+/// Starts a run with a policy command that never decides; returns the run and the command's pid.
 fn sleeper(folder: &Folder, name: &str, command: &str) -> (Process, u32) {
     let _none_before = std::fs::remove_file(folder.join("pid")).is_err();
     let _none_before = std::fs::remove_file(folder.join("child")).is_err();
@@ -372,7 +374,7 @@ fn sleeper(folder: &Folder, name: &str, command: &str) -> (Process, u32) {
     (run, own)
 }
 
-/// The pid that a command has written to a file.
+/// Reads the pid that a command has written to a file.
 fn pid_in(folder: &Folder, file: &str) -> u32 {
     wait_until("the command to run", PATIENCE, || {
         std::fs::read_to_string(folder.join(file)).ok()?.trim().parse().ok()

@@ -1,11 +1,12 @@
-//! The metrics, computed once more from the tables of the run folder by a program in another language.
+//! Recomputes the metrics from the tables of the run folder with a program in another language.
 
 use std::path::Path;
 use std::process::Command;
 
+use reveille_tests::machine::missing;
 use reveille_tests::process::Folder;
 
-/// The scenarios that are recomputed: all policies, devices that run dry, device classes, hardly any event.
+/// Returns the recomputed scenarios: all policies, depleted devices, device classes, and very few events.
 fn runs() -> Vec<String> {
     let policies = reveille_bs::policy::registry::names();
     let plain = policies.map(|policy| format!("-p {policy} -n 30 -k 1500"));
@@ -25,8 +26,7 @@ fn metrics_are_what_the_tables_say() {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/recompute/recompute.py");
     let has_python = Command::new("python3").args(["-c", "import tomllib"]).status();
     if !has_python.is_ok_and(|status| status.success()) {
-        eprintln!("not checked: there is no python3 of version 3.11 or later here");
-        return;
+        return missing("metrics are not recomputed: there is no python3 of version 3.11 or later here");
     }
     let folder = Folder::new();
     let runs = runs();

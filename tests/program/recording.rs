@@ -1,4 +1,4 @@
-//! Recordings: whole, torn and foreign, of every kind of run; what they come to is what the run came to.
+//! Recordings of every kind of run: complete, truncated and foreign. Their reconstruction matches the run.
 
 use std::fs;
 use std::time::Duration;
@@ -7,7 +7,7 @@ use reveille_tests::process::{Folder, assert_refused, unique_run};
 use rustix::process::Signal;
 use serde_json::Value;
 
-/// What `tail --json` shows of a recording.
+/// Returns the messages that `tail --json` shows for a recording.
 fn shown(folder: &Folder, args: &str) -> Vec<Value> {
     let end = folder.run(&format!("inspect tail --json --from {args}"));
     assert!(end.is_success(), "{end}");
@@ -17,14 +17,14 @@ fn shown(folder: &Folder, args: &str) -> Vec<Value> {
         .collect()
 }
 
-/// How many messages `tail` shows of a torn recording.
+/// Returns how many messages `tail` shows for a truncated recording.
 fn shown_of_torn(folder: &Folder, file: &str) -> usize {
     let end = folder.run(&format!("inspect tail --json --from {file}"));
     assert_eq!(end.code(), Some(1), "{end}");
     end.stdout.lines().count()
 }
 
-/// Sums of squares that no number of 64 bits holds.
+/// The sums of squares exceed 64 bits.
 #[test]
 fn a_long_run_is_verified_too() {
     let folder = Folder::new();
@@ -37,7 +37,7 @@ fn a_long_run_is_verified_too() {
 #[test]
 fn memory_and_bus_record_the_same_air_and_truth() {
     are_the_same("-p knn -n 20 -k 400 --set events.alpha=0.4 --record-states 60 --quiet");
-    // Also where messages are lost, which recordings then tell.
+    // Also with lost messages, which the recordings contain.
     are_the_same(
         "-p knn -n 20 -k 400 --set events.alpha=0.4 --record-states 60 --quiet --set radio.wake_miss=0.2 \
          --set radio.uplink_loss=0.3 --set radio.false_wake=0.02 --set radio.plan_loss=0.3 --set radio.wake_latency=1 \
@@ -45,7 +45,7 @@ fn memory_and_bus_record_the_same_air_and_truth() {
     );
 }
 
-/// Whether the run with these options is recorded alike however it is driven, and can be verified.
+/// Checks that the run with these options is recorded alike however it is driven, and can be verified.
 fn are_the_same(run: &str) {
     let folder = Folder::new();
     let mut digests = Vec::new();
@@ -101,11 +101,11 @@ fn filters_and_joined_wake_ups_show_what_they_say() {
     let joined = shown(&folder, "r.mcap --join --kind wake");
     assert_eq!(joined.len(), wakes);
     assert!(joined.iter().all(|line| !line["message"]["outcome"].is_null()));
-    // Who is deaf does not hear, and nobody else does not.
+    // Exactly the unpowered devices do not receive wake-ups.
     let unheard = |line: &&Value| line["kind"] == "woken" && line["message"]["outcome"] == "Unheard";
     let deaf = shown(&folder, "r.mcap --state deaf --kind wake");
     assert_eq!(deaf.len(), all.iter().filter(unheard).count());
-    // Whoever is woken was asleep before, and is shown with what came of it.
+    // A device that is woken was asleep before, and its line shows the outcome.
     assert_eq!(shown(&folder, "r.mcap --join --state S4 --kind wake"), joined);
     // Every device is in one cluster.
     let clusters = folder.run("inspect tail --from r.mcap --cluster 999");
@@ -159,7 +159,7 @@ fn a_killed_run_leaves_a_recording_up_to_the_tear() {
     );
     let end = folder.run("inspect tail --from r.mcap --kind event -c 5");
     assert!(end.is_success() && end.stdout.lines().count() == 5, "{end}");
-    // Ctrl-C ends a run, and its recording is whole as far as it goes.
+    // Ctrl-C ends a run, and its recording is complete up to that point.
     let up = folder.start(&format!(
         "up -P 1 -n 30 -k 100000 --run {run} --record c.mcap --quiet --out p"
     ));
@@ -194,14 +194,14 @@ fn what_is_no_recording_is_refused() {
         for file in ["text.mcap", "empty.mcap", "none.mcap", "o"] {
             assert_refused(&folder.run(&format!("inspect {command} {file}")), 1, &[file]);
         }
-        // What is before the tear is shown.
+        // The messages before the truncation are shown.
         let end = folder.run(&format!("inspect {command} cut.mcap"));
         assert!(
             end.code() == Some(1) && end.stderr.contains("cut.mcap: is torn"),
             "{end}"
         );
     }
-    // As far as it goes, in one piece; what is replaced stays until there is something in its place.
+    // The readable part is exported in full. An existing file is replaced only when the new one is complete.
     let rows = String::from_utf8_lossy(&folder.bytes("cut.csv")).lines().count();
     assert_eq!(rows, 1 + shown_of_torn(&folder, "cut.mcap"));
     let end = folder.run("inspect export r.mcap --to csv --out r.mcap --force");
@@ -237,7 +237,7 @@ fn a_run_is_recorded_from_outside() {
         std::thread::sleep(Duration::from_millis(500));
         record
     };
-    // What was before the second joined follows from the scenario.
+    // The state before the second observer joined follows from the scenario.
     let early = start("early.mcap");
     folder.clock(&run, "run-to 137 --wait");
     let late = start("late.mcap");

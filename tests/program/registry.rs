@@ -1,18 +1,18 @@
-//! The folder in which runs on this machine are found is believed only where nobody else can write, and nobody
-//! else can read it.
+//! The registry of runs on this machine is trusted only if no other user can write to it. No other user can read it.
 
 use std::fs::{self, Permissions};
 use std::os::unix::fs::{PermissionsExt, chown, symlink};
 
+use reveille_tests::machine::skipped;
 use reveille_tests::process::{Folder, PATIENCE, Process, assert_refused, free_endpoint, unique_run, wait_until};
 use rustix::process::{Signal, getuid};
 
-/// The folder of entries.
+/// Folder of the registry entries.
 const REGISTRY: &str = "runtime/reveille";
-/// Somebody else.
+/// User id of another user.
 const NOBODY: u32 = 65_534;
 
-/// The permissions of something.
+/// Returns the permissions of an entry in the folder.
 fn mode(folder: &Folder, name: &str) -> u32 {
     let found = fs::symlink_metadata(folder.join(name)).expect("there");
     found.permissions().mode() & 0o777
@@ -37,16 +37,16 @@ fn entries_are_for_their_owner_alone() {
     });
     assert_eq!(mode(&folder, REGISTRY), 0o700);
     assert_eq!(mode(&folder, &format!("{REGISTRY}/{entry}")), 0o600);
-    // What was there before under this name is not written into.
     bs.wait_for_handlers();
     bs.signal(Signal::INT);
     assert_eq!(bs.finish().code(), Some(130));
 }
 
-/// A run goes on without the folder, and says so; `clock` does not believe what is in it, and touches nothing.
+/// Checks that a run continues without the registry and warns, and that `clock` does not trust its contents and changes
+/// nothing.
 fn is_not_believed(folder: &Folder, why: &str) {
     let (run, endpoint) = (unique_run("doubt"), free_endpoint());
-    // Of a process that lives: this one.
+    // An entry of a live process: this one.
     let entry = format!(
         r#"{{"run":"{run}","endpoint":"{endpoint}","pid":{}}}"#,
         std::process::id()
@@ -104,7 +104,7 @@ fn a_link_in_its_place_is_not_followed() {
 #[test]
 fn the_folder_of_another_user_is_not_believed() {
     if !getuid().is_root() {
-        eprintln!("not tested: to give a folder to another user takes root");
+        skipped("to give a folder to another user takes root");
         return;
     }
     let folder = Folder::new();

@@ -1,11 +1,10 @@
-//! A run folder has all that its run needs: it can be moved, and run again, when the files are gone that the scenario
-//! named.
+//! A run folder is self-contained: it can be moved and run again after the scenario's files are removed.
 
 use std::fs;
 
 use reveille_tests::process::Folder;
 
-/// A scenario whose layout, traces and tables are files, two of them of one name.
+/// Writes a scenario whose layout, traces and tables are files, two of them with the same name.
 fn with_files(folder: &Folder) {
     for name in ["a", "b"] {
         fs::create_dir(folder.join(name)).expect("a folder");
@@ -49,17 +48,17 @@ fn a_run_folder_that_was_moved_can_be_run_again() {
     fs::rename(folder.join("first"), folder.join("elsewhere/moved")).expect("a move");
     let again = folder.summary("run -s elsewhere/moved/scenario.toml --out again");
     assert_eq!(again.digest(), first.digest());
-    // In its own place: what it reads is what it replaces.
+    // In its own folder: the run replaces the files that it reads.
     let own = folder.summary("up -P 0 -s elsewhere/moved/scenario.toml --out elsewhere/moved --force");
     assert_eq!(own.digest(), first.digest());
     assert_eq!(folder.list("elsewhere/moved/inputs").len(), 4);
-    // A run without files takes the place of one with them.
+    // A run without files replaces a run with files.
     let plain = folder.summary("run -n 5 -k 50 --out again --force");
     assert_ne!(plain.digest(), first.digest());
     assert!(!folder.join("again/inputs").exists());
 }
 
-/// A model of the decision transformer, and traces in the form of tables of sweeps.
+/// Uses a model of the decision transformer, and traces in the formats of sweep tables.
 #[test]
 fn models_and_traces_of_other_forms_are_kept_as_well() {
     let folder = Folder::new();

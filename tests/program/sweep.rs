@@ -1,4 +1,4 @@
-//! Sweeps as their users see them: the same table whatever happens to them, and clear words for what cannot be.
+//! Sweeps from the user's view: the same table despite interruptions, and clear errors.
 
 use std::fs;
 use std::io::Read as _;
@@ -6,26 +6,26 @@ use std::path::Path;
 use std::time::Duration;
 
 use reveille_common::score::Metrics;
-use reveille_tests::disk::SmallDisk;
+use reveille_tests::machine::{Mount, skipped};
 use reveille_tests::process::{Folder, PATIENCE, assert_refused, now, wait_until};
 use rustix::process::Signal;
 use serde_json::Value;
 
-/// A sweep of some hundred short runs over all policies.
+/// Options of a sweep of about two hundred short runs over all policies.
 const GRID: &str = "--policies knn,random,adjusted,genie --devices 8,20 --ttis 600 --seeds 12 --first-seed 5 \
     --grid harvest.lambda=0.05,0.1 --set policy.adjusted.pilot_ttis=100 --set policy.adjusted.t_on=[1,2] \
     --set policy.adjusted.t_drx=[2,8]";
-/// Its runs.
+/// Number of runs of [`GRID`].
 const RUNS: usize = 4 * 2 * 12 * 2;
 
-/// Runs `reveille sweep ARGS --out OUT` and gives its table's bytes.
+/// Runs `reveille sweep ARGS --out OUT` and returns the bytes of its table.
 fn swept(folder: &Folder, args: &str, out: &str) -> Vec<u8> {
     let end = folder.run(&format!("sweep {args} --out {out} --quiet"));
     assert!(end.is_success(), "{end}");
     fs::read(folder.join(&format!("{out}/results.parquet"))).expect("a table")
 }
 
-/// The rows of a CSV file as names and values.
+/// Reads the rows of a CSV file as names and values.
 fn rows(path: &Path) -> Vec<Vec<(String, String)>> {
     let text = fs::read_to_string(path).expect("a table");
     let mut lines = text.lines();
@@ -114,7 +114,7 @@ fn rows_are_those_of_single_runs() {
         let metrics = summary["metrics"].as_object().expect("metrics");
         assert_eq!(metrics.len(), Metrics::ALL.len());
         for (name, value) in metrics {
-            // serde_json may read the last digit of a number otherwise.
+            // serde_json may read the last digit of a number differently.
             let same = match (value.as_f64(), get(name).parse::<f64>().ok()) {
                 (Some(a), Some(b)) => (a - b).abs() <= 2.0 * f64::EPSILON * a.abs(),
                 (a, b) => a == b,
@@ -124,7 +124,7 @@ fn rows_are_those_of_single_runs() {
     }
 }
 
-/// A number below `bound`, another one each time.
+/// Returns a random number below `bound`.
 fn random(bound: u64) -> u64 {
     let mut bytes = [0; 8];
     let mut source = fs::File::open("/dev/urandom").expect("Linux has it");
@@ -137,8 +137,8 @@ fn a_killed_sweep_goes_on_and_ends_the_same() {
     let folder = Folder::new();
     let grid = &GRID.replace("--ttis 600", "--ttis 60000");
     let expected = swept(&folder, grid, "undisturbed");
-    // Random moments: so many runs after the last one, that the machine's speed does not matter, and a while after
-    // that.
+    // Random moments, counted in runs after the last kill, so that the machine's speed does not matter, plus a random
+    // delay.
     let mut found = 0;
     for kill in 1..=10 {
         let (more, delay) = (random(12) as usize, Duration::from_micros(random(30_000)));
@@ -160,7 +160,7 @@ fn a_killed_sweep_goes_on_and_ends_the_same() {
     assert!(end.stderr.contains(" finished runs found in killed"), "{end}");
     let table = fs::read(folder.join("killed/results.parquet")).expect("a table");
     assert!(table == expected, "the table of a killed sweep differs");
-    // Once more, with nothing left to do.
+    // A repeated command finds nothing left to do.
     let end = folder.run(&format!("sweep {grid} --out killed --json"));
     let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
     assert_eq!(
@@ -179,7 +179,7 @@ fn a_table_is_whole_or_not_there_when_its_writer_is_killed() {
     let mut hits = 0;
     for kill in 1..=10 {
         fs::remove_file(&table).expect("there");
-        // All runs are there: nothing is left but the table.
+        // All runs are finished; only the table is missing.
         let writer = folder.start(&format!("sweep {sweep} --out s"));
         let delay = Duration::from_micros(random(1500));
         let deadline = now() + PATIENCE;
@@ -238,7 +238,7 @@ fn torn_and_garbled_rows_are_made_again() {
     assert_refused(
         &folder.run(&format!("sweep {GRID} --out notes")),
         1,
-        &["--out notes", "runs.journal that is none"],
+        &["--out notes", "runs.journal with a damaged first line"],
     );
     let notes = fs::read_to_string(folder.join("notes/runs.journal")).expect("there");
     assert_eq!(notes, "my precious notes");
@@ -286,7 +286,7 @@ fn a_table_of_another_version_is_not_merged() {
     fs::write(&side, text).expect("written");
     assert!(folder.run("merge s1 s2 --out m.csv").is_success());
 
-    // Parquet: cut off, and somebody else's.
+    // Parquet: a truncated file and a foreign file.
     let table = swept(&folder, "--devices 5 --ttis 50 --seeds 4 --shard 1/2", "p1");
     folder.write("p2.parquet", "not a table");
     assert_refused(
@@ -449,8 +449,8 @@ fn a_full_disk_loses_no_finished_run() {
     let folder = Folder::new();
     let expected = swept(&folder, GRID, "elsewhere");
     let path = folder.join("disk");
-    let Some(_disk) = SmallDisk::mount(&path) else {
-        eprintln!("not tested: a small tmpfs cannot be mounted here (it takes root)");
+    let Some(_disk) = Mount::small(&path) else {
+        skipped("a small tmpfs cannot be mounted here (it takes root)");
         return;
     };
     let ballast = path.join("ballast");
@@ -476,7 +476,7 @@ fn a_full_disk_loses_no_finished_run() {
     );
     assert!(fs::read(path.join("s/results.parquet")).expect("a table") == expected);
 
-    // Room for the journal, but not for the table: the runs are there, and so they are when there is room.
+    // Space for the journal, but not for the table: the runs are kept until there is space.
     fs::remove_file(path.join("s/results.parquet")).expect("there");
     let full = fs::write(&ballast, vec![0; 256 * 1024]);
     assert!(full.is_err(), "the disk is larger than it should be");

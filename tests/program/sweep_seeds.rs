@@ -1,19 +1,19 @@
-//! How many seeds a sweep takes: as few as make it narrow, and more in the same folder, where it ends as if it had
-//! begun with them and loses no finished run on the way.
+//! Number of seeds of a sweep: as few as give the wanted precision. With more seeds in the same folder, the sweep ends
+//! as if started with them and loses no finished run.
 
 use std::fs;
 use std::time::Duration;
 
-use reveille_tests::disk::SmallDisk;
+use reveille_tests::machine::{Mount, skipped};
 use reveille_tests::process::{Folder, PATIENCE, assert_refused, wait_until};
 use rustix::process::Signal;
 use serde_json::Value;
 
-/// Short runs over all policies, but for the number of seeds.
+/// Options of short runs over all policies, without the number of seeds.
 const GRID: &str = "--policies knn,random,adjusted,genie --devices 8,20 --ttis 600 --first-seed 5 \
     --set policy.adjusted.pilot_ttis=100 --set policy.adjusted.t_on=[1,2] --set policy.adjusted.t_drx=[2,8]";
 
-/// Runs `reveille sweep ARGS --out OUT`, and gives its table's bytes and how many runs it found.
+/// Runs `reveille sweep ARGS --out OUT`; returns the bytes of its table and the number of runs found.
 fn swept(folder: &Folder, args: &str, out: &str) -> (Vec<u8>, u64) {
     let end = folder.run(&format!("sweep {args} --out {out} --json"));
     assert!(end.is_success(), "{end}");
@@ -36,7 +36,7 @@ fn more_seeds_end_as_a_fresh_sweep() {
     assert_eq!(text("s"), text("fresh"));
 }
 
-/// `reveille sweep ARGS --json` without `--out`: runs, runs that were found, and the folder.
+/// Runs `reveille sweep ARGS --json` without `--out`; returns the runs, the runs found, and the folder.
 fn swept_by_default(folder: &Folder, args: &str) -> (u64, u64, String) {
     let end = folder.run(&format!("sweep {args} --json"));
     assert!(end.is_success(), "{end}");
@@ -55,7 +55,7 @@ fn a_quick_look_needs_no_name_and_can_be_gone_on_with() {
     assert!(long != short && (runs, found) == (2, 0), "{long}, {short}");
     let again = swept_by_default(&folder, &format!("{args} --seeds 2"));
     assert_eq!(again, (2, 2, short.clone()));
-    // By its own experiment file it goes on where it is; its seeds cannot be lowered.
+    // With its own experiment file the sweep continues in its folder; the number of seeds cannot be lowered.
     let more = swept_by_default(&folder, &format!("{short}/experiment.toml --seeds 4"));
     assert_eq!(more, (4, 2, short.clone()));
     let fewer = folder.run(&format!("sweep {short}/experiment.toml --seeds 3"));
@@ -100,7 +100,7 @@ fn a_table_of_fewer_seeds_is_not_taken_for_that_of_more() {
         assert_refused(&end, 1, &["runtime: the folder holds no table of a sweep"]);
     }
     assert!(!folder.join("c").exists());
-    // As if it had been killed before it took the table away.
+    // State after a kill before the removal of the table.
     let path = folder.join("s2/experiment.toml");
     let text = fs::read_to_string(&path).expect("there");
     fs::write(&path, text.replace("count = 3", "count = 5")).expect("written");
@@ -119,7 +119,7 @@ fn a_kill_between_the_journal_and_the_experiment_is_no_harm() {
                 let path = folder.join(&format!("s/{name}"));
                 (name, path.clone(), fs::read(path).expect("there"))
             });
-            // All else as it was before.
+            // Restores everything else.
             swept(&folder, &format!("{GRID} --seeds 4"), "s");
             for (name, path, before) in &files {
                 if *name != changed {
@@ -140,8 +140,8 @@ fn a_full_disk_while_seeds_are_raised_leaves_the_folder_as_it_was() {
     let folder = Folder::new();
     let (expected, _) = swept(&folder, &format!("{GRID} --seeds 12"), "fresh");
     let path = folder.join("disk");
-    let Some(_disk) = SmallDisk::mount(&path) else {
-        eprintln!("not tested: a small tmpfs cannot be mounted here (it takes root)");
+    let Some(_disk) = Mount::small(&path) else {
+        skipped("a small tmpfs cannot be mounted here (it takes root)");
         return;
     };
     swept(&folder, &format!("{GRID} --seeds 10"), "disk/s");
@@ -215,7 +215,7 @@ fn a_cell_stops_when_it_is_narrow_enough() {
     assert!(width <= 0.05 && cell["runs"].as_u64() < Some(400), "{report}");
     assert_eq!(report["not_narrow"], Value::Array(Vec::new()));
 
-    // Events that everybody sees, and energy in plenty: no miss, in no run.
+    // Every device can detect every event and has enough energy: no run has a misdetection.
     let args = "--policies random --devices 20 --ttis 500 --seeds 12 --min-seeds 4 --until-ci 50% \
         --set sensing.d_max=28 --set harvest.lambda=1 --ci-metrics misdetection_pct";
     let end = folder.run(&format!("sweep {args} --json --out none"));
@@ -233,7 +233,7 @@ fn a_cell_stops_when_it_is_narrow_enough() {
 #[test]
 fn a_cell_that_was_not_narrow_goes_on_with_more_seeds() {
     let folder = Folder::new();
-    // With 20 seeds the first look is at 20, with 200 at 30.
+    // With 20 seeds the first check is at 20, with 200 at 30.
     let args = "--policies genie,knn --devices 20 --ttis 500 --until-ci 8% --ci-metrics info_per_event";
     let (expected, _) = swept(&folder, &format!("{args} --seeds 200"), "fresh");
     swept(&folder, &format!("{args} --seeds 20"), "s");
@@ -279,7 +279,7 @@ fn a_kill_while_seeds_are_added_loses_no_run() {
     for more in 1..=10_u64 {
         let before = head();
         let sweep = folder.start(&format!("sweep {GRID} --seeds {} --threads 2 --out s", 20 + more));
-        // In half of the cases as soon as the journal is the new one, in the others somewhat before or after.
+        // In half of the cases immediately after the journal is replaced, otherwise slightly before or after.
         if more % 2 == 0 {
             wait_until("the seeds to be raised", PATIENCE, || (head() != before).then_some(()));
         } else {

@@ -1,5 +1,5 @@
-//! Training as its users see it: the same file whatever happens on the way, nothing overwritten unasked, and clear
-//! words for files that are none.
+//! Training from the user's view: the same file despite interruptions, no overwriting without --force, and clear errors
+//! for invalid files.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -9,17 +9,17 @@ use reveille_tests::process::{Folder, PATIENCE, assert_refused, wait_until};
 use rustix::process::Signal;
 use sha2::{Digest, Sha256};
 
-/// A training of some seconds, of weights that no file holds to the last digit.
+/// Options of a training of some seconds, with weights that have no exact decimal form.
 const TRAINING: &str = "train q-learning --quiet --devices 8,15,30 --windows 1,3 --episodes 4 --episode-ttis 1500 \
     --set policy.q-learning.zeta=0.97 --set policy.q-learning.mu1=11.3 --set area.width=17.3";
-/// A training of hours.
+/// Options of a training that takes hours.
 const ENDLESS: &str = "train q-learning --quiet --devices 20 --episodes 100000 --episode-ttis 300";
 
 fn bytes(folder: &Folder, name: &str) -> Vec<u8> {
     fs::read(folder.join(name)).unwrap_or_default()
 }
 
-/// A table for 10 and for 50 devices, trained hardly at all.
+/// Writes tables for 10 and 50 devices after minimal training.
 fn table(folder: &Folder) -> String {
     let args = "train q-learning --quiet --devices 10,50 --episodes 1 --episode-ttis 50 --out good.json";
     let end = folder.run(args);
@@ -39,7 +39,7 @@ fn threads_and_kills_leave_the_same_bytes() {
     assert!(bytes(&folder, "two.json") == expected, "2 threads");
 
     let mut killed = 0;
-    // A while of its own each, short beside an episode or about as long.
+    // A different delay each time, shorter than an episode or about as long.
     for (threads, wait) in [(1, 3), (2, 21), (2, 60), (1, 37), (1, 0)] {
         let before = bytes(&folder, "cut.json.checkpoint");
         let training = folder.start(&format!("{TRAINING} --threads {threads} --out cut.json"));
@@ -110,7 +110,7 @@ fn ctrl_c_keeps_what_was_learned() {
     }
     let end = folder.run("run -n 20 -k 60 --policy q-learning --set policy.q-learning.table=t.json.checkpoint --out r");
     assert_refused(&end, 1, &["t.json.checkpoint", "cut short"]);
-    // Before the first episode there is nothing to keep.
+    // Before the end of the first episode there is nothing to save.
     let training = folder.start(&format!(
         "{} --out u.json",
         ENDLESS.replace("-ttis 300", "-ttis 100000000")
@@ -163,7 +163,7 @@ fn the_checkpoint_of_another_training_is_refused() {
     assert_refused(&end, 1, &["t.json.checkpoint", "damaged"]);
 }
 
-/// The file with another body, as if it had been written so.
+/// Returns the file with a changed body and a matching checksum.
 fn sealed(text: &str, change: impl Fn(&str) -> String) -> String {
     let (_, rest) = text.split_once(",\"body\":").expect("a body");
     let body = rest.trim_end().strip_suffix('}').expect("an end");
@@ -176,7 +176,7 @@ fn sealed(text: &str, change: impl Fn(&str) -> String) -> String {
     format!("{{\"format\":\"reveille-q-table\",\"version\":3,\"sha256\":\"{sum}\",\"body\":{changed}}}\n")
 }
 
-/// Changes the first value of the file's first table.
+/// Replaces the first value of the file's first table.
 fn with_value(text: &str, value: &str) -> String {
     sealed(text, |body| {
         let (before, after) = body.split_once("\"q\":[[").expect("a table");
@@ -295,7 +295,7 @@ fn a_table_for_other_densities_or_weights_is_refused() {
              --set policy.q-learning.learn=true --out {out}"
         ));
         assert!(end.is_success(), "a policy that learns may weigh otherwise: {end}");
-        // What came of it says what it was begun with.
+        // The result names the tables that the training started from.
         let learned = fs::read_to_string(folder.join(&format!("{out}/learned.json"))).expect("a table");
         let from = "\"begun_from\":\"tables for N = 10, μ1 = 14, μ2 = 1, ζ = 0.95 and a window of 1 TTIs, \
             learned in 50 TTIs\"";
@@ -313,10 +313,10 @@ fn a_window_without_tables_is_answered_with_those_there_are() {
         let end = run(&format!("--set policy.q-learning.window={window}"));
         assert!(end.is_success() && end.stderr.is_empty(), "{end}");
     }
-    // How long events last is nothing that tables could be chosen by, or warn of.
+    // Tables are not chosen by the duration of events, so there is no warning about it.
     let end = run("--set events.duration=9");
     assert!(end.is_success() && end.stderr.is_empty(), "{end}");
-    // What no base station can know, and whoever asks for a delay should: three of four events are over before a look.
+    // The operator should learn a fact that no base station can know: three of four events end before a device senses.
     let end = run("--set policy.q-learning.window=4 --set events.duration=1");
     assert!(end.is_success(), "{end}");
     let told = ["policy.q-learning.window = 4", "events last 1 TTI: up to 75 %"];
@@ -370,7 +370,7 @@ fn a_window_without_tables_is_answered_with_those_there_are() {
         let end = folder.run(&format!("{train} {args}"));
         assert_refused(&end, 1, &["--windows", "ages"]);
     }
-    // The weight of misdetections with ages is another than with windows, and is that of the tables.
+    // The weight of misdetections differs between ages and windows; with ages it is the value of the tables.
     let end = folder.run(&format!("{train} --windows ages --out ages.json"));
     let learned = fs::read_to_string(folder.join("ages.json")).expect("tables");
     assert!(end.is_success() && learned.contains("\"mu1\":1.0"), "{end}");
@@ -380,7 +380,7 @@ fn a_window_without_tables_is_answered_with_those_there_are() {
         1,
         &["policy.q-learning.mu1 = 14", "must be 1", "--windows ages --set"],
     );
-    // Where nothing is worth a look, that is said: literally, a device alone is worth less than its sleep.
+    // A warning if sensing is never worthwhile: with the literal settings a device alone gains less than by sleep.
     let end = folder.run("run -s paper-literal -n 20 -k 200 --policy q-learning");
     assert!(
         end.is_success() && end.stderr.contains("no device is ever told to sense"),
@@ -440,7 +440,7 @@ fn nonsense_is_refused_before_anything_is_trained() {
         ),
         (
             "--devices 5 --set policy.q-learning.table=a.json",
-            &["begins with nothing"],
+            &["starts without tables"],
         ),
         (
             "--devices 5 --set policy.q-learning.rate_floor=0",

@@ -1,4 +1,4 @@
-//! `reveille tune`: the same history whatever happens to it, and clear words for what cannot be.
+//! `reveille tune`: the same history despite interruptions, and clear errors.
 
 #[cfg(not(feature = "tune"))]
 #[test]
@@ -20,14 +20,14 @@ mod with_the_feature {
     use rustix::process::Signal;
     use serde_json::Value;
 
-    /// A small tuning.
+    /// Options of a small tuning.
     const TUNE: &str = "tune -n 12 --design 3 --iterations 2 --episodes 2 --episode-ttis 200 --seeds 2 --ttis 1000";
 
     fn text(folder: &Folder, name: &str) -> String {
         fs::read_to_string(folder.join(name)).unwrap_or_default()
     }
 
-    /// Finished points in a history.
+    /// Counts the finished points in a history.
     fn points(folder: &Folder, name: &str) -> usize {
         let is_point = |line: &&str| line.starts_with(|c: char| c.is_ascii_digit());
         text(folder, name).lines().filter(is_point).count()
@@ -46,7 +46,7 @@ mod with_the_feature {
             assert!(end.stdout.contains(part), "no {part}: {end}");
         }
         assert_eq!(points(&folder, "whole.csv"), 5);
-        // Long enough to be killed in its middle.
+        // Long enough to be killed midway.
         let slow = format!("{TUNE} --threads 2 --out killed.csv");
         for (signal, code) in [(Signal::KILL, None), (Signal::INT, Some(130))] {
             let found = points(&folder, "killed.csv");
@@ -56,7 +56,7 @@ mod with_the_feature {
             });
             tuning.signal(signal);
             let end = tuning.finish();
-            // On a fast machine it may have ended before.
+            // On a fast machine the tuning may have ended before the signal.
             assert!(end.code() == code || end.is_success(), "{end}");
         }
         let end = folder.run(&format!("{slow} --json"));
@@ -65,7 +65,7 @@ mod with_the_feature {
         for ending in ["csv", "svg", "png"] {
             let bytes = |name: &str| fs::read(folder.join(&format!("{name}.{ending}"))).expect("written");
             let (whole, killed) = (bytes("whole"), bytes("killed"));
-            // The picture has its file's name inside.
+            // The picture contains its file name.
             assert!(ending == "svg" || whole == killed, "{ending}");
         }
         let json: Value = serde_json::from_str(&end.stdout).expect("JSON");

@@ -69,7 +69,7 @@ def causes(rows: list[dict[str, str]], devices: list[dict[str, str]], d_max: flo
             continue
         at = float(row["x_m"]), float(row["y_m"])
         nearest = min(math.dist(at, place) for place in places)
-        # Who detects an event is within reach, and who cannot report what it detected is a wrong activation.
+        # A device that detects an event is within reach; one that cannot report it is a wrong activation.
         cause = "out_of_reach" if nearest > d_max else "unpaid" if row["wrong_activations"] != "0" else "unseen"
         found[cause] += 1
     return found
@@ -128,7 +128,7 @@ def check(folder: Path) -> int:
         for name, value in computed.items()
         if not same(summary["metrics"][name], value)
     ]
-    # What devices did adds up to what came of the events.
+    # The acts of all devices add up to the tallies of the events.
     for own, of_all in (("reports", "reports"), ("wake_ups", "wake_ups"), ("wrong_activations", "wrong_activations")):
         by_device = sum(int(row[own]) for row in devices)
         by_event = sum(int(row[of_all]) for row in events if row["counted"] == "1")
@@ -137,7 +137,7 @@ def check(folder: Path) -> int:
     missed = causes(events, devices, scenario["sensing"]["d_max"])
     if missed != summary["totals"]["missed"]:
         wrong.append(f"{folder}: {summary['totals']['missed']} in the summary, and {missed} from the tables")
-    # Exactly: the sums by state are those of the totals.
+    # Exactly: the sums by state equal the totals.
     for state in STATES:
         by_device = sum(micro(row[f"{state}_units"]) for row in devices)
         if by_device != summary["totals"]["energy"]["spent"][state]:

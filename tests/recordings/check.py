@@ -1,9 +1,9 @@
-"""Recordings and exports, by programs that are not ours: what they read is what `reveille inspect tail --json` shows.
+"""Reads recordings and exports with third-party programs; the result must equal `reveille inspect tail --json`.
 
     python tests/recordings/check.py target/release/reveille
 
 `mcap` from PyPI reads the recording, tshark with the dissector the packets, the schema of Perfetto from PyPI the trace,
-pyarrow the table. A program that is not here is named, and the check ends with 1; with --allow-missing it goes on.
+and pyarrow the table. The check names a missing program and ends with 1; --allow-missing skips it.
 """
 
 import argparse
@@ -42,7 +42,7 @@ def main():
         sys.exit(0 if args.allow_missing else 1)
 
 
-# Policies that send few and many plans, devices that fail, states, in memory and over the bus.
+# Policies that send few and many plans, devices that fail, states; in memory and over the bus.
 RUNS = [
     "up -p knn -n 30 -k 1500 -P 3 --record-states 100",
     "run -p age-index -n 60 -k 800 --set harvest.e_b=2",
@@ -54,7 +54,7 @@ class Missing(Exception):
 
 
 class Run:
-    """A recorded run with its exports, and what `tail --json` shows of it."""
+    """A recorded run with its exports and its `tail --json` output."""
 
     def __init__(self, reveille, here, command):
         self.reveille, self.here = reveille, here
@@ -86,7 +86,7 @@ def mcap(run):
         assert reader.get_summary().statistics.message_count == len(run.lines)
         names = {attachment.name for attachment in reader.iter_attachments()}
         assert {"scenario.toml", "summary.json"} <= names, names
-        # In the order of the file: several messages have the same log time.
+        # File order, since several messages have the same log time.
         messages = list(reader.iter_messages(log_time_order=False))
     assert [json.loads(message.data) for _, _, message in messages] == run.lines
     for (schema, channel, message), line in zip(messages, run.lines):
@@ -104,7 +104,7 @@ def mcap(run):
 
 
 def flat(value, path):
-    """The fields of a message as the dissector names them, those of numbers and texts."""
+    """Yields the numbers and texts among a message's fields, with their dissector names."""
     if isinstance(value, dict):
         for key, inner in value.items():
             if inner is None:
@@ -194,12 +194,12 @@ def perfetto(run):
     told = [json.loads(text) for text in [json.dumps(line) for line in run.lines]]
     wakes = sum(line["kind"] == "wake" for line in told)
     assert len(starts) == wakes and starts == ends, (len(starts), wakes)
-    # A slice of S3 for every TTI in which a device reported; reports in a row are one.
+    # A slice of S3 covers every TTI in which a device reported; consecutive reports share a slice.
     for device, track in enumerate(devices):
         ttis = sorted({line["tti"] for line in told if line["kind"] == "report" and line["number"] == device})
         runs = sum(tti - 1 not in ttis for tti in ttis)
         assert slices[track.uuid, "S3 transmission"] == runs, (device, runs)
-    # Events that the end of the run has cut short stay open.
+    # Events still active at the end of the run have open slices.
     assert sum(open_slices.values()) <= 1, open_slices
 
 

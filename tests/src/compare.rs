@@ -1,72 +1,74 @@
-//! The emulator's run of a scenario in the form in which the reference gives its own.
+//! Runs a scenario on the emulator and returns the results in the form that the reference uses.
 
-use reveille_bs::observe::{Happening, Observer};
-use reveille_bs::outcome::Outcome;
+use reveille_bs::cycle::Outcome;
+use reveille_bs::observer::{Notification, Observer};
+use reveille_bs::scenario::Scenario;
 use reveille_common::event::EventRecord;
 use reveille_common::ids::Tti;
-use reveille_common::scenario::Scenario;
 use reveille_common::state::DeviceState;
 use reveille_common::totals::Ledger;
 use reveille_device::machine::Machine;
 use reveille_lab::preparation::start;
-use reveille_lab::run::Options;
+use reveille_lab::run::RunOptions;
 
 use crate::reference::State;
 
-/// An observer that keeps every event.
+/// Observer that keeps every ended event.
 #[derive(Clone, Debug, Default)]
 pub struct Collected {
-    /// The events.
+    /// Recorded events, in order.
     pub events: Vec<EventRecord>,
 }
 
 impl Observer for Collected {
-    fn see(&mut self, happening: &Happening<'_>) {
-        if let Happening::EventEnded(event) = happening {
+    fn notify(&mut self, happening: &Notification<'_>) {
+        if let Notification::EventEnded(event) = happening {
             self.events.push(**event);
         }
     }
 }
 
-/// The whole run: its outcome and its ended events.
+/// Returns the outcome and the ended events of the whole run.
 pub fn outcome(scenario: &Scenario, lookahead: bool, window: u64) -> (Outcome, Vec<EventRecord>) {
     let mut collected = Collected::default();
-    let options = Options { lookahead, window };
+    let options = RunOptions { lookahead, window };
     let outcome = start(scenario, options).finish(&mut collected);
     (outcome, collected.events)
 }
 
-/// The ledger of each device at the end of the run.
+/// Returns the ledger of each device at the end of the run.
 pub fn ledgers(scenario: &Scenario, lookahead: bool) -> Vec<Ledger> {
     let mut run = start(
         scenario,
-        Options {
+        RunOptions {
             lookahead,
-            ..Options::default()
+            ..RunOptions::default()
         },
     );
-    while run.cycle().next_tti() < Tti(scenario.ttis) {
+    while run.cycle().next_tti() < Tti(scenario.run.ttis) {
         run.grant(&mut ());
     }
     let settled = |machine: &Machine| {
+        // Advances a copy: the run advances its own machines later.
         let mut machine = machine.clone();
-        machine.settle(Tti(scenario.ttis));
+        machine.advance_to(Tti(scenario.run.ttis));
         machine.ledger()
     };
     run.machines().iter().map(settled).collect()
 }
 
-/// State and battery of each device at the end of each TTI.
+/// Returns state and battery of each device at the end of each TTI.
 pub fn trace(scenario: &Scenario) -> Vec<Vec<(State, u64)>> {
-    let options = Options {
+    let options = RunOptions {
         lookahead: false,
-        ..Options::default()
+        ..RunOptions::default()
     };
     let mut run = start(scenario, options);
     let mut trace = Vec::new();
-    for k in (0..scenario.ttis).map(Tti) {
+    for k in (0..scenario.run.ttis).map(Tti) {
         run.grant(&mut ());
         let now = |machine: &Machine| {
+            // Advances a copy: the run advances its own machines later.
             let mut machine = machine.clone();
             machine.begin(k);
             (translated(machine.state()), machine.battery().micro())
@@ -76,10 +78,10 @@ pub fn trace(scenario: &Scenario) -> Vec<Vec<(State, u64)>> {
     trace
 }
 
-/// A state in the reference's words.
+/// Converts a device state to the reference's [`State`].
 ///
 /// # Panics
-/// In S2, which no device is in at the end of a step.
+/// If the state is S2, in which no device is at the end of a step.
 pub fn translated(state: DeviceState) -> State {
     match state {
         DeviceState::Idle => State::Idle,

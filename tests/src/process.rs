@@ -1,4 +1,4 @@
-//! Running the `reveille` command as its users do, so that no test can hang and no process outlives its test.
+//! Runs the `reveille` command as users do. No test can hang, and no process outlives its test.
 
 use std::fs;
 use std::io::Read;
@@ -9,21 +9,25 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use reveille_common::bus::{Bus, BusError};
-use reveille_common::message::Question;
+use reveille_common::message::Query;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
-/// How long anything that should end by itself may take. Generous: it only bounds how long a broken test lasts.
+/// Time limit for anything that should end without help. Generous: it only bounds the duration of a failing test.
 pub const PATIENCE: Duration = Duration::from_mins(2);
 
-/// How long to wait between two looks at a condition.
+/// CPU time after which a process counts as working, in hundredths of a second.
+const WORK: u64 = 20;
+
+/// Interval between two checks of a condition.
 const LOOK: Duration = Duration::from_millis(10);
 
-/// The program under test: the one that the variable `REVEILLE` names, or else the one beside the running test. The
-/// tests that use it belong to the package of the command (`tests/program/`), so cargo has built it before they run.
+/// Returns the program under test: the path in the variable `REVEILLE`, or else the binary next to the running test.
+/// The tests that use it belong to the package of the command (`tests/program/`), so cargo has built it before they
+/// run.
 ///
 /// # Panics
-/// If it is not there.
+/// If the program does not exist.
 pub fn reveille() -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
     PROGRAM.get_or_init(|| std::env::var_os("REVEILLE").map_or_else(beside_the_test, PathBuf::from))
@@ -44,15 +48,15 @@ fn beside_the_test() -> PathBuf {
     program
 }
 
-/// A folder of one test, gone with it. What runs in it finds no other test's runs.
+/// Folder of one test, removed on drop. Commands that run in it do not see the runs of other tests.
 #[derive(Debug)]
 pub struct Folder(PathBuf);
 
 impl Folder {
-    /// A new, empty folder.
+    /// Creates a new, empty folder.
     ///
     /// # Panics
-    /// If it cannot be made.
+    /// If the folder cannot be created.
     pub fn new() -> Self {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
@@ -62,33 +66,34 @@ impl Folder {
         Self(path)
     }
 
-    /// The path of the folder.
+    /// Path of the folder.
     pub fn path(&self) -> &Path {
         &self.0
     }
 
-    /// The path of something in it.
+    /// Returns the path of an entry in the folder.
     pub fn join(&self, name: &str) -> PathBuf {
         self.0.join(name)
     }
 
-    /// Writes a file in it.
+    /// Writes a file in the folder and returns its path.
     ///
     /// # Panics
-    /// If it cannot.
+    /// If the file cannot be written.
     pub fn write(&self, name: &str, text: &str) -> PathBuf {
         let path = self.join(name);
         fs::write(&path, text).expect("a test's folder is writable");
         path
     }
 
-    /// The command `reveille ARGS`, to be run in this folder.
+    /// Returns the command `reveille ARGS` with this folder as working directory.
     pub fn command(&self, args: &str) -> Command {
         let mut command = Command::new(reveille());
         command
             .args(args.split_whitespace())
             .current_dir(&self.0)
             .env("XDG_RUNTIME_DIR", self.join("runtime"))
+            // The tester's own setting would change the output on standard error.
             .env_remove("RUST_LOG");
         command
     }
@@ -98,47 +103,48 @@ impl Folder {
         Process::start(&mut self.command(args))
     }
 
-    /// Runs `reveille ARGS` in this folder to its end.
+    /// Runs `reveille ARGS` in this folder and waits for its end.
     pub fn run(&self, args: &str) -> Finished {
         self.start(args).finish()
     }
 
-    /// Runs `reveille ARGS --json` in this folder and reads what it prints.
+    /// Runs `reveille ARGS --json` in this folder and parses the printed summary.
     ///
     /// # Panics
-    /// If it fails.
+    /// If the command fails.
     pub fn summary(&self, args: &str) -> Summary {
         self.run(&format!("{args} --json")).summary()
     }
 
-    /// Sends a command to the clock of `run`, and gives the answer.
+    /// Sends a command to the clock of `run` and returns the answer.
     ///
     /// # Panics
-    /// If nobody obeys.
+    /// If the command fails.
     pub fn clock(&self, run: &str, action: &str) -> String {
         let said = self.run(&format!("clock --run {run} {action}"));
         assert!(said.is_success(), "clock {action}: {said}");
         said.stdout
     }
 
-    /// Waits until the devices of `run` have joined and it is past `tti`, and gives the TTI that it is at.
+    /// Waits until the devices of `run` have joined and its TTI is at least `tti`; returns the current TTI.
     ///
     /// # Panics
-    /// If it does not get there.
+    /// If the run does not reach `tti` in time.
     pub fn wait_for_tti(&self, run: &str, tti: u64) -> u64 {
         wait_until(&format!("run {run} to pass TTI {tti}"), PATIENCE, || {
             let said = self.run(&format!("clock --run {run} status")).stdout;
             let words: Vec<&str> = said.split_whitespace().collect();
             let at = words.iter().position(|&word| word == "TTI")? + 1;
+            // The status also shows TTI 0 before the devices have joined.
             let has_begun = !said.contains("waiting for devices to join");
             words.get(at)?.parse().ok().filter(|&now| has_begun && now >= tti)
         })
     }
 
-    /// Waits until the clock of `run` answers, whether or not its devices have joined.
+    /// Waits until the clock of `run` answers, even before its devices have joined.
     ///
     /// # Panics
-    /// If it does not.
+    /// If the clock does not answer in time.
     pub fn wait_for_clock(&self, run: &str) {
         wait_until(&format!("run {run} to have a clock"), PATIENCE, || {
             let status = self.run(&format!("clock --run {run} status"));
@@ -153,21 +159,22 @@ impl Folder {
         bs
     }
 
-    /// The bytes of a file in it.
+    /// Reads the bytes of a file in the folder.
     ///
     /// # Panics
-    /// If it cannot be read.
+    /// If the file cannot be read.
     pub fn bytes(&self, name: &str) -> Vec<u8> {
         fs::read(self.join(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
     }
 
-    /// Finished runs in the journal of the sweep in the folder `out` within this one.
+    /// Counts the finished runs in the journal of the sweep in subfolder `out`.
     pub fn journal_lines(&self, out: &str) -> usize {
         let text = fs::read_to_string(self.join(&format!("{out}/runs.journal"))).unwrap_or_default();
+        // The first line names the sweep.
         text.matches('\n').count().saturating_sub(1)
     }
 
-    /// The names of what is in a folder within this one; none if it is not there.
+    /// Lists the entry names of a subfolder; empty if the subfolder does not exist.
     pub fn list(&self, name: &str) -> Vec<String> {
         let entries = fs::read_dir(self.join(name)).into_iter().flatten().flatten();
         let mut names: Vec<String> = entries.map(|e| e.file_name().to_string_lossy().into_owned()).collect();
@@ -184,14 +191,14 @@ impl Default for Folder {
 
 impl Drop for Folder {
     fn drop(&mut self) {
-        // Kept for a look after a failure.
+        // Keep the folder of a failed test for inspection.
         if !std::thread::panicking() {
             let _gone = fs::remove_dir_all(&self.0).is_err();
         }
     }
 }
 
-/// What a process has written so far.
+/// Output of a process so far.
 #[derive(Clone, Default)]
 struct Output {
     text: Arc<Mutex<Vec<u8>>>,
@@ -199,10 +206,11 @@ struct Output {
 }
 
 impl Output {
-    /// Gathers all that comes from `source`.
+    /// Collects all output of `source` on another thread.
     fn gather(mut source: impl Read + Send + 'static) -> Self {
         let output = Self::default();
         let filled = output.clone();
+        // A full pipe would block the process under test.
         std::thread::spawn(move || {
             let mut part = [0; 4096];
             while let Ok(n @ 1..) = source.read(&mut part) {
@@ -217,7 +225,8 @@ impl Output {
         String::from_utf8_lossy(&self.lock()).into_owned()
     }
 
-    /// Everything, once all writers have closed it: a child that outlives its parent holds it open.
+    /// Waits until all writers have closed the stream and returns everything. A child that outlives its parent holds it
+    /// open.
     fn all(&self) -> String {
         wait_until("the end of a process's output", PATIENCE, || {
             self.is_closed.load(Ordering::Acquire).then_some(())
@@ -230,7 +239,7 @@ impl Output {
     }
 }
 
-/// A running process, killed when dropped.
+/// Running process, killed on drop.
 pub struct Process {
     child: Child,
     stdout: Output,
@@ -241,7 +250,7 @@ impl Process {
     /// Starts `command`.
     ///
     /// # Panics
-    /// If it cannot.
+    /// If the command cannot be started.
     pub fn start(command: &mut Command) -> Self {
         command
             .stdin(Stdio::null())
@@ -253,41 +262,40 @@ impl Process {
         Self { child, stdout, stderr }
     }
 
-    /// Its process id.
+    /// Process id.
     pub fn pid(&self) -> u32 {
         self.child.id()
     }
 
-    /// Sends it a signal.
+    /// Sends a signal to the process.
     pub fn signal(&self, signal: Signal) {
         send_signal(self.pid(), signal);
     }
 
-    /// What it has written to standard output so far.
+    /// Standard output so far.
     pub fn stdout(&self) -> String {
         self.stdout.so_far()
     }
 
-    /// What it has written to standard error so far.
+    /// Standard error so far.
     pub fn stderr(&self) -> String {
         self.stderr.so_far()
     }
 
-    /// Waits until it has written `text` to standard error.
+    /// Waits until standard error contains `text`.
     ///
     /// # Panics
-    /// If it does not.
+    /// If the text does not appear in time.
     pub fn wait_for_stderr(&self, text: &str) {
         wait_until(&format!("{text:?} on standard error"), PATIENCE, || {
             self.stderr().contains(text).then_some(())
         });
     }
 
-    /// Waits until it takes SIGINT itself: before its handler is in place the signal ends it as well, but without a
-    /// word.
+    /// Waits until the process has a SIGINT handler. Before that, the signal ends the process without a message.
     ///
     /// # Panics
-    /// If that does not come in time.
+    /// If the condition is not met in time.
     pub fn wait_for_handlers(&self) {
         wait_until("the process to take a signal", PATIENCE, || {
             let status = fs::read_to_string(format!("/proc/{}/status", self.pid())).ok()?;
@@ -298,18 +306,39 @@ impl Process {
         });
     }
 
-    /// Waits for its end.
+    /// Waits until the process has used CPU time for a while, which shows that it has started its work.
     ///
     /// # Panics
-    /// If it does not end in time.
+    /// If the condition is not met in time.
+    pub fn wait_for_work(&self) {
+        let before = self.ticks();
+        wait_until("the process to work", PATIENCE, || {
+            (self.ticks() >= before + WORK).then_some(())
+        });
+    }
+
+    /// CPU time used by the process, in hundredths of a second.
+    fn ticks(&self) -> u64 {
+        let line = fs::read_to_string(format!("/proc/{}/stat", self.pid())).unwrap_or_default();
+        // The process name before it can contain spaces and parentheses.
+        let fields = line.rsplit_once(')').map_or("", |(_, fields)| fields);
+        // utime and stime, fields 14 and 15 of the whole line.
+        let times = fields.split_whitespace().skip(11).take(2);
+        times.filter_map(|ticks| ticks.parse::<u64>().ok()).sum()
+    }
+
+    /// Waits for the end of the process.
+    ///
+    /// # Panics
+    /// If the process does not end in time.
     pub fn finish(self) -> Finished {
         self.finish_within(PATIENCE)
     }
 
-    /// Waits for its end for at most `patience`.
+    /// Waits at most `patience` for the end of the process.
     ///
     /// # Panics
-    /// If it does not end in time.
+    /// If the process does not end in time.
     pub fn finish_within(mut self, patience: Duration) -> Finished {
         let deadline = now() + patience;
         let status = loop {
@@ -338,32 +367,32 @@ impl Drop for Process {
     }
 }
 
-/// A process that has ended.
+/// Ended process.
 #[derive(Debug)]
 pub struct Finished {
-    /// How the process ended.
+    /// Exit status of the process.
     pub status: ExitStatus,
-    /// All of its standard output.
+    /// Complete standard output.
     pub stdout: String,
-    /// All of its standard error.
+    /// Complete standard error.
     pub stderr: String,
 }
 
 impl Finished {
-    /// Its exit code, `None` if a signal ended it.
+    /// Exit code; `None` if a signal ended the process.
     pub fn code(&self) -> Option<i32> {
         self.status.code()
     }
 
-    /// Whether it ended well.
+    /// Whether the process succeeded.
     pub fn is_success(&self) -> bool {
         self.status.success()
     }
 
-    /// The summary that it has printed.
+    /// Parses the summary that the process printed.
     ///
     /// # Panics
-    /// If it has not.
+    /// If the process failed or printed no summary.
     pub fn summary(&self) -> Summary {
         assert!(self.is_success(), "{self}");
         Summary(serde_json::from_str(&self.stdout).expect("--json prints JSON"))
@@ -380,10 +409,10 @@ impl std::fmt::Display for Finished {
     }
 }
 
-/// Checks a refusal: its exit code, one paragraph with all of `parts`.
+/// Checks a refusal: the exit code, and one paragraph that contains all of `parts`.
 ///
 /// # Panics
-/// If it is another end.
+/// If the process ended in any other way.
 pub fn assert_refused(end: &Finished, code: i32, parts: &[&str]) {
     assert_eq!(end.code(), Some(code), "{end}");
     for part in parts {
@@ -396,7 +425,7 @@ pub fn assert_refused(end: &Finished, code: i32, parts: &[&str]) {
     }
 }
 
-/// A `summary.json`.
+/// Contents of a `summary.json`.
 #[derive(Clone, Debug)]
 pub struct Summary(Value);
 
@@ -404,41 +433,41 @@ impl Summary {
     /// Reads the summary in a run folder.
     ///
     /// # Panics
-    /// If there is none.
+    /// If the value is missing.
     pub fn read(folder: &Path) -> Self {
         let text = fs::read_to_string(folder.join("summary.json")).expect("the run folder has a summary");
         Self(serde_json::from_str(&text).expect("summary.json is JSON"))
     }
 
-    /// The run's fingerprint.
+    /// Digest of the run.
     ///
     /// # Panics
-    /// If there is none.
+    /// If the value is missing.
     pub fn digest(&self) -> &str {
         self.0["digest"].as_str().expect("a digest is text")
     }
 
-    /// `complete` or `interrupted`.
+    /// Status of the run: `complete` or `interrupted`.
     ///
     /// # Panics
-    /// If there is none.
+    /// If the value is missing.
     pub fn status(&self) -> &str {
         self.0["status"].as_str().expect("a status is text")
     }
 
-    /// The text at a path such as `audit`.
+    /// Text at a path such as `audit`.
     ///
     /// # Panics
-    /// If there is none.
+    /// If the value is missing.
     pub fn text(&self, path: &str) -> &str {
         let value = path.split('.').fold(&self.0, |value, name| &value[name]);
         value.as_str().unwrap_or_else(|| panic!("{path} is no text: {value}"))
     }
 
-    /// The whole number at a path such as `timing.malformed`.
+    /// Whole number at a path such as `timing.malformed`.
     ///
     /// # Panics
-    /// If there is none.
+    /// If the value is missing.
     pub fn number(&self, path: &str) -> u64 {
         let value = path.split('.').fold(&self.0, |value, name| &value[name]);
         value
@@ -446,20 +475,20 @@ impl Summary {
             .unwrap_or_else(|| panic!("{path} is no whole number: {value}"))
     }
 
-    /// The metric `name`.
+    /// Value of the metric `name`.
     ///
     /// # Panics
-    /// If there is none.
+    /// If the value is missing.
     pub fn metric(&self, name: &str) -> f64 {
         let value = &self.0["metrics"][name];
         value.as_f64().unwrap_or_else(|| panic!("{name} is no number: {value}"))
     }
 }
 
-/// Waits until `look` sees something.
+/// Waits until `look` returns a value.
 ///
 /// # Panics
-/// If it does not within `patience`; `what` says what was waited for.
+/// If `look` returns no value within `patience`; `what` names the awaited condition.
 pub fn wait_until<T>(what: &str, patience: Duration, mut look: impl FnMut() -> Option<T>) -> T {
     let deadline = now() + patience;
     loop {
@@ -471,17 +500,17 @@ pub fn wait_until<T>(what: &str, patience: Duration, mut look: impl FnMut() -> O
     }
 }
 
-/// Asks the base station behind `bus` until it answers: it listens a moment before it serves.
+/// Repeats a query to the base station behind `bus` until it answers: it listens shortly before it serves.
 ///
 /// # Errors
-/// As [`Bus::ask`].
+/// The errors of [`Bus::query`].
 ///
 /// # Panics
-/// If it does not answer.
-pub async fn ask<Q: Question<Address = ()>>(bus: &Bus, request: &Q) -> Result<Q::Reply, BusError> {
+/// If the base station does not answer.
+pub async fn ask<Q: Query<Address = ()>>(bus: &Bus, request: &Q) -> Result<Q::Reply, BusError> {
     let deadline = now() + PATIENCE;
     loop {
-        if let Some(reply) = bus.ask(request, PATIENCE).await? {
+        if let Some(reply) = bus.query(request, PATIENCE).await? {
             return Ok(reply);
         }
         assert!(now() < deadline, "waited {PATIENCE:?} for an answer");
@@ -489,25 +518,24 @@ pub async fn ask<Q: Question<Address = ()>>(bus: &Bus, request: &Q) -> Result<Q:
     }
 }
 
-/// The moment.
+/// Returns the current time.
 #[expect(clippy::disallowed_methods, reason = "tests give up after a while of real time")]
 pub fn now() -> Instant {
     Instant::now()
 }
 
-/// Sends a signal to a process that may have gone.
+/// Sends a signal to a process that may have ended.
 pub fn send_signal(pid: u32, signal: Signal) {
     let pid = i32::try_from(pid).ok().and_then(Pid::from_raw);
     let _gone = pid.is_some_and(|pid| kill_process(pid, signal).is_err());
 }
 
-/// Whether a process lives. One that has ended and was not waited for does not.
+/// Whether a process is alive. A zombie process is not.
 pub fn lives(pid: u32) -> bool {
     fs::read(format!("/proc/{pid}/cmdline")).is_ok_and(|line| !line.is_empty())
 }
 
-/// The living `reveille device` processes of a run, by their command lines. Those that have ended and were not waited
-/// for have none.
+/// Returns the ids of the live `reveille device` processes of a run, found by command line. Zombie processes have none.
 pub fn hosts_of(run: &str) -> Vec<u32> {
     let processes = fs::read_dir("/proc").into_iter().flatten().flatten();
     let pids = processes.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
@@ -522,17 +550,17 @@ fn carries(pid: u32, run: &str) -> bool {
     args.get(1) == Some(&&b"device"[..]) && args.contains(&format!("--run={run}").as_bytes())
 }
 
-/// A run name that no other test uses.
+/// Returns a run name that no other test uses.
 pub fn unique_run(name: &str) -> String {
     static NUMBER: AtomicU32 = AtomicU32::new(0);
     let number = NUMBER.fetch_add(1, Ordering::Relaxed);
     format!("{name}-{}-{number}", std::process::id())
 }
 
-/// An endpoint on this machine that was free a moment ago.
+/// Returns an endpoint on this machine that was free a moment ago.
 ///
 /// # Panics
-/// If there is none.
+/// If the value is missing.
 pub fn free_endpoint() -> String {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("there is a free port");
     format!("tcp/{}", listener.local_addr().expect("a bound socket has an address"))

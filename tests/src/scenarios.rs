@@ -1,31 +1,39 @@
-//! Random small scenarios, as TOML text that the emulator loads like any other.
+//! Random small scenarios as TOML text, which the emulator loads like any scenario file.
 
 use std::fmt::Write as _;
 use std::path::Path;
 
 use proptest::prelude::*;
-use reveille_bs::scenario::{Scenario, parse};
+use reveille_bs::scenario::{Loaded, Scenario, parse};
 
-/// The files that random scenarios name: `energy.csv`, units per TTI, and `points.csv`, a layout within the smallest
-/// area of random scenarios with two devices at the same place.
+/// Folder of the files that random scenarios name. `energy.csv` holds units per TTI. `points.csv` is a layout within
+/// the smallest random area and has two devices at the same place.
 const FILES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/data");
 
-/// The scenario of `text`, which may name the files of this package's `data` folder.
+/// Parses a scenario from `text`, which may name files of this package's `data` folder.
 ///
 /// # Panics
-/// If it is not a scenario.
+/// If `text` is not a valid scenario.
 pub fn scenario(text: &str) -> Scenario {
+    loaded(text).scenario
+}
+
+/// Parses a scenario like [`scenario`] and returns it with its warnings.
+///
+/// # Panics
+/// If `text` is not a valid scenario.
+pub fn loaded(text: &str) -> Loaded {
     parse(text, "test", Path::new(FILES), &[]).unwrap_or_else(|error| panic!("{error}\n{text}"))
 }
 
-/// Any small scenario.
+/// Generates any small scenario.
 pub fn small() -> impl Strategy<Value = String> {
     (shape(), world(), events(), radio(), policy(), energy_and_harvest()).prop_map(
         |(shape, world, events, radio, policy, energy)| format!("{shape}{world}{events}{radio}{policy}{energy}"),
     )
 }
 
-/// Any small scenario under the policy called `name`, one of those that [`small`] has.
+/// Generates a small scenario with the policy `name`, one of the policies that [`small`] uses.
 pub fn under(name: &'static str) -> impl Strategy<Value = String> {
     (shape(), world(), events(), policy(), energy_and_harvest()).prop_map(
         move |(shape, world, events, policy, energy)| {
@@ -36,19 +44,19 @@ pub fn under(name: &'static str) -> impl Strategy<Value = String> {
     )
 }
 
-/// Any small scenario, under any policy: also under one that has no second implementation to be compared with.
+/// Generates a small scenario with any policy, including policies without a second implementation.
 pub fn any_policy() -> impl Strategy<Value = String> {
     prop_oneof![3 => small().boxed(), 1 => learning().boxed()]
 }
 
-/// A small scenario in which no action can fail for lack of energy, so that all is as the policy would have it.
+/// Generates a small scenario with so much energy that no action can fail for lack of it.
 pub fn rich() -> impl Strategy<Value = String> {
     (shape(), world(), events(), policy()).prop_map(|(shape, world, events, policy)| {
         format!("{shape}{world}{events}{policy}[energy]\ne_max = 10000.0\ninitial = 10000.0\n")
     })
 }
 
-/// A scenario in which `knn` often has to wake several devices: many of them close together, most able to answer.
+/// Generates a scenario in which `knn` often wakes several devices: they are close together and most can answer.
 pub fn crowded() -> impl Strategy<Value = String> {
     let size = (6..=30u32, 1..=80u64, any::<u64>());
     let space = (4.0..9.0f64, 4.0..9.0f64, 1.2..3.5f64, 0.2..1.2f64);
@@ -125,7 +133,7 @@ fn events() -> impl Strategy<Value = String> {
     })
 }
 
-/// A kind of event process, and its fields.
+/// Generates the name of an event process and its fields.
 fn process() -> impl Strategy<Value = (&'static str, String)> {
     let share = || prop_oneof![1 => Just(0.0), 1 => Just(1.0), 3 => 0.1..0.9f64];
     let metres = |most: f64| prop_oneof![1 => Just(0.0), 4 => 0.1..most, 1 => Just(most)];
@@ -150,7 +158,7 @@ fn process() -> impl Strategy<Value = (&'static str, String)> {
     prop_oneof![uniform, hot_spots, aftershocks, bursts]
 }
 
-/// A radio that never fails, as often as not, or one that fails in some ways.
+/// Generates a radio section; about half of the radios never fail, the others fail in some ways.
 fn radio() -> impl Strategy<Value = String> {
     let p = || prop_oneof![3 => Just(0.0), 3 => 0.0..0.5f64, 1 => Just(1.0)];
     let ttis = || prop_oneof![1 => Just(1.0), 4 => 1.0..25.0f64];
@@ -182,7 +190,7 @@ fn policy() -> impl Strategy<Value = String> {
     })
 }
 
-/// A small scenario under `q-learning` from the optimistic start.
+/// Generates a small scenario with `q-learning` and optimistic initial values.
 fn learning() -> impl Strategy<Value = String> {
     let ranking = prop_oneof![Just("p42"), Just("posterior")];
     let knowledge = prop_oneof![Just("oracle"), Just("reported")];
@@ -199,8 +207,8 @@ fn learning() -> impl Strategy<Value = String> {
     )
 }
 
-/// Sections of energy and harvest: the defaults, and up to three classes that override some of them; without a class
-/// all devices follow the defaults.
+/// Generates the energy and harvest sections: the defaults, and up to three classes that override some of them. Without
+/// a class all devices use the defaults.
 fn energy_and_harvest() -> impl Strategy<Value = String> {
     let class = (
         0.1..1.0f64,
@@ -208,7 +216,7 @@ fn energy_and_harvest() -> impl Strategy<Value = String> {
         proptest::option::of(harvest()),
     );
     let classes = proptest::collection::vec(class, 0..=3);
-    // A class inherits what it leaves out, and `column` does not go with `columns`: all classes name the same one.
+    // A class inherits the fields that it omits, and `column` excludes `columns`: all classes use the same one.
     (energy(), harvest(), any::<bool>(), classes).prop_map(|(energy, harvest, shared, classes)| {
         let mut text = format!("[energy]\n{energy}{}", harvest.text("harvest", shared));
         let total: f64 = classes.iter().map(|(weight, ..)| weight).sum();
@@ -226,14 +234,14 @@ fn energy_and_harvest() -> impl Strategy<Value = String> {
     })
 }
 
-/// Energies as shares of `E_max`, from none to all, with micro-units that do not divide one another.
+/// Generates energies as shares of `E_max`, from 0 to 1, with micro-units that do not divide one another.
 fn energy() -> impl Strategy<Value = String> {
     let e_max = prop_oneof![Just(100.0), 0.5..30.0f64, Just(0.000_001)];
     let cheap = || prop_oneof![1 => Just(0.0), 3 => 0.0..0.05f64, 1 => 0.0..=1.0f64];
     let dear = prop_oneof![1 => Just(0.0), 4 => 0.02..0.4f64, 1 => 0.0..=1.0f64, 1 => Just(1.0)];
     let initial = prop_oneof![1 => Just(0.0), 2 => 0.0..=1.0f64, 1 => Just(1.0)];
     (e_max, cheap(), cheap(), dear, initial).prop_map(|(e_max, idle, wur, tx, initial)| {
-        // A micro-unit less than E_max where rounding might put a share above it.
+        // Shares round down and E_max rounds up, so that no share exceeds E_max.
         let part = |share: f64| (share * e_max * 1e6).floor() / 1e6;
         let (e_max, idle, wur) = ((e_max * 1e6).ceil() / 1e6, part(idle), part(wur));
         let (tx, initial) = (part(tx), part(initial));
@@ -241,11 +249,11 @@ fn energy() -> impl Strategy<Value = String> {
     })
 }
 
-/// A `[harvest]` section in parts.
+/// Parts of a `[harvest]` section.
 #[derive(Clone, Debug)]
 struct HarvestLines {
     source: String,
-    /// Of recorded energy alone.
+    /// Fields of recorded energy only.
     trace: Option<String>,
     column: &'static str,
     columns: &'static str,
@@ -307,14 +315,14 @@ fn harvest() -> impl Strategy<Value = HarvestLines> {
     )
 }
 
-/// The fields of a day, at most 60 TTIs long, and whether λ is to speak of its mean.
+/// Generates the fields of a day of at most 60 TTIs, and whether λ refers to the daily mean.
 fn day() -> impl Strategy<Value = (String, bool)> {
     let sky = prop_oneof![Just("vacuum"), Just("clear")];
     let known = prop_oneof![3 => Just("course"), 1 => Just("mean")];
     let latitude = prop_oneof![4 => -45.0..45.0f64, 1 => -90.0..90.0f64];
     (latitude, 1..=365u32, 0.0..24.0f64, 2..=60u32, sky, known, any::<bool>()).prop_map(
         |(latitude, day, hour, ttis, sky, known, is_mean)| {
-            // Else noon may be so far above the mean that an arrival would be more than certain then.
+            // Otherwise the arrival probability at noon could exceed 1, since noon is far above the mean.
             let is_mean = is_mean && latitude.abs() < 45.0 && ttis >= 12;
             let reference = if is_mean { "daily-mean" } else { "zenith" };
             let fields = [

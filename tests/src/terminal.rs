@@ -1,4 +1,4 @@
-//! A terminal that a command is started in, and that can be closed like a window.
+//! A terminal in which a command runs and that a test can close like a window.
 
 use std::fs::{File, OpenOptions};
 use std::io::Read;
@@ -15,22 +15,23 @@ use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 
 use crate::process::{PATIENCE, now, wait_until};
 
-/// A command in a terminal of its own; killed when dropped.
+/// Command in its own terminal; killed on drop.
 pub struct Windowed {
     child: Child,
     shown: Arc<Mutex<Vec<u8>>>,
     is_closed: Arc<AtomicBool>,
-    /// Keeps the terminal open while it reads from it.
+    /// Thread that reads from the terminal and thereby keeps it open.
     reader: Option<JoinHandle<()>>,
 }
 
 impl Windowed {
-    /// Starts `command` in a new terminal. `is_told` says whether the command is told when that is closed, as by
-    /// the terminal of a shell; otherwise it only cannot write any more.
+    /// Starts `command` in a new terminal. With `is_told` it receives SIGHUP when the terminal closes, as from a shell;
+    /// otherwise only its writes fail.
     ///
     /// # Panics
-    /// If there is no terminal to be had.
+    /// If no terminal is available.
     pub fn start(command: &Command, is_told: bool) -> Self {
+        // Neither end may become the controlling terminal of the test.
         let flags = OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC;
         let master = openpt(flags).expect("there are terminals");
         grantpt(&master).expect("the terminal is ours");
@@ -44,12 +45,14 @@ impl Windowed {
             .expect("the terminal can be opened");
         let copy = || Stdio::from(slave.try_clone().expect("a file can be opened twice"));
         let mut under = Command::new("setsid");
+        // SIGHUP goes to the session whose controlling terminal is closed.
         if is_told {
             under.arg("--ctty");
         }
         under
             .arg(command.get_program())
             .args(command.get_args())
+            // Without TERM, or on a dumb terminal, the program draws no bars.
             .env("TERM", "xterm");
         for (name, value) in command.get_envs() {
             match value {
@@ -71,12 +74,12 @@ impl Windowed {
         }
     }
 
-    /// Its process id: `setsid` becomes the command.
+    /// Process id of the command, which replaces `setsid`.
     pub fn pid(&self) -> u32 {
         self.child.id()
     }
 
-    /// What the terminal shows, as the command wrote it.
+    /// Raw output of the command in the terminal so far.
     pub fn shown(&self) -> String {
         let shown = self.shown.lock().unwrap_or_else(PoisonError::into_inner);
         String::from_utf8_lossy(&shown).into_owned()
@@ -85,7 +88,7 @@ impl Windowed {
     /// Waits until the terminal shows `text`.
     ///
     /// # Panics
-    /// If it does not.
+    /// If the text does not appear in time.
     pub fn wait_for(&self, text: &str) {
         wait_until(&format!("{text:?} in the terminal"), PATIENCE, || {
             self.shown().contains(text).then_some(())
@@ -95,9 +98,10 @@ impl Windowed {
     /// Closes the terminal.
     ///
     /// # Panics
-    /// If it cannot.
+    /// If the terminal cannot be read.
     pub fn close(&mut self) {
         self.is_closed.store(true, Ordering::Release);
+        // The terminal closes when its thread ends and drops the only handle.
         if let Some(reader) = self.reader.take() {
             reader.join().expect("the terminal can be read");
         }
@@ -127,8 +131,9 @@ impl Drop for Windowed {
     }
 }
 
-/// Gathers what is shown until the terminal is to be closed; it is when this ends.
+/// Collects terminal output until `is_closed` is set. The terminal closes when this function returns.
 fn read(master: OwnedFd, shown: &Mutex<Vec<u8>>, is_closed: &AtomicBool) {
+    // A read that blocks would keep the terminal open after `close`.
     rustix::fs::fcntl_setfl(&master, OFlags::NONBLOCK).expect("a flag of our own file");
     let (mut master, mut part) = (File::from(master), [0; 4096]);
     while !is_closed.load(Ordering::Acquire) {

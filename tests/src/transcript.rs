@@ -1,77 +1,77 @@
-//! What a base station commands in a run, to be commanded once more from outside.
+//! Records the commands of a base station, so that an external policy can repeat them.
 
 use std::collections::BTreeMap;
 
-use reveille_bs::observe::{Happening, Observer};
-use reveille_bs::policy::external::{Answer, Decision, Stage};
+use reveille_bs::observer::{Notification, Observer};
+use reveille_bs::policy::external::{Decision, DecisionStage, PlanDecision};
+use reveille_bs::scenario::Scenario;
 use reveille_common::event::EventRecord;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::plan::Plan;
-use reveille_common::scenario::Scenario;
 use reveille_common::score::Digest;
 use reveille_lab::preparation::prepare;
-use reveille_lab::run::{Options, Run};
+use reveille_lab::run::{Run, RunOptions};
 
-/// What a base station commands in a run, and the events of it.
+/// Commands of a base station and events of one run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Transcript {
-    /// By TTI, the plan that goes out in it.
+    /// Plan sent in each TTI.
     pub plans: BTreeMap<u64, Plan>,
-    /// By TTI, who is woken in it.
+    /// Devices woken in each TTI.
     pub wake_ups: BTreeMap<u64, Vec<DeviceId>>,
-    /// The events that have ended.
+    /// Ended events.
     pub events: Vec<EventRecord>,
 }
 
 impl Observer for Transcript {
-    fn see(&mut self, happening: &Happening<'_>) {
+    fn notify(&mut self, happening: &Notification<'_>) {
         match happening {
-            Happening::Plan { update, .. } => {
+            Notification::Plan { update, .. } => {
                 self.plans.insert(update.from.0, update.plan.clone());
             }
-            Happening::WakeUp { tti, device, .. } => self.wake_ups.entry(tti.0).or_default().push(*device),
-            Happening::EventEnded(event) => self.events.push(**event),
-            Happening::Granted(_)
-            | Happening::EventStarted(_)
-            | Happening::Reported(_)
-            | Happening::Lost(_)
-            | Happening::Gone(_)
-            | Happening::Failed { .. }
-            | Happening::Woken { .. }
-            | Happening::Believed { .. }
-            | Happening::Closed(_)
-            | Happening::States(_) => {}
+            Notification::WakeUp { tti, device, .. } => self.wake_ups.entry(tti.0).or_default().push(*device),
+            Notification::EventEnded(event) => self.events.push(**event),
+            Notification::Granted(_)
+            | Notification::EventStarted(_)
+            | Notification::Reported(_)
+            | Notification::Lost(_)
+            | Notification::Gone(_)
+            | Notification::Failed { .. }
+            | Notification::Woken { .. }
+            | Notification::Believed { .. }
+            | Notification::Closed(_)
+            | Notification::States(_) => {}
         }
     }
 }
 
 impl Transcript {
-    /// That of a run of `scenario` in memory, with its digest.
+    /// Runs `scenario` in memory and returns its transcript and digest.
     pub fn of(scenario: &Scenario) -> (Self, Digest) {
         let mut transcript = Self::default();
-        let outcome = Run::new(&prepare(scenario), Options::default()).finish(&mut transcript);
+        let outcome = Run::new(&prepare(scenario), RunOptions::default()).finish(&mut transcript);
         (transcript, outcome.digest)
     }
 
-    /// The plan that was in force in TTI `k`.
+    /// Returns the plan in effect in TTI `k`.
     ///
     /// # Panics
-    /// If there was none.
+    /// If no plan was sent up to TTI `k`.
     pub fn plan_at(&self, k: Tti) -> Plan {
         let (_, plan) = self.plans.range(..=k.0).next_back().expect("a plan in TTI 0");
         plan.clone()
     }
 
-    /// What was decided in TTI `k`: a plan for it alone, or all wake-ups that are `left`.
-    pub fn answer(&self, stage: Stage, k: Tti, left: impl Fn(DeviceId) -> bool) -> Answer {
+    /// Returns the decision of TTI `k`: a plan for this TTI only, or all wake-ups for which `left` holds.
+    pub fn answer(&self, stage: DecisionStage, k: Tti, left: impl Fn(DeviceId) -> bool) -> Decision {
         match stage {
-            Stage::Plan => Answer::Plan(Decision {
+            DecisionStage::Plan => Decision::Plan(PlanDecision {
                 plan: self.plan_at(k),
                 next: k + 1,
             }),
-            Stage::Wake => {
+            DecisionStage::Wake => {
                 let all = self.wake_ups.get(&k.0).map_or(&[][..], Vec::as_slice);
-                Answer::Wake(all.iter().copied().filter(|device| left(*device)).collect())
+                Decision::Wake(all.iter().copied().filter(|device| left(*device)).collect())
             }
         }
     }

@@ -1,36 +1,37 @@
-//! Adjusted duty cycling (Sec. V-A, first approach): what its search may know, how it judges, and whom it leaves blind.
+//! Adjusted duty cycling (Sec. V-A, first approach): the knowledge of its search, its choice, and coverage gaps.
 
+use std::any::Any;
 use std::collections::BTreeMap;
 
 use proptest::strategy::{Strategy, ValueTree};
 use proptest::test_runner::TestRunner;
-use reveille_bs::outcome::Outcome;
-use reveille_bs::policy::adjusted::search::DutyChoice;
-use reveille_bs::policy::contract::Opaque;
+use reveille_bs::cycle::Outcome;
+use reveille_bs::policy::adjusted::search::DutyCycleChoice;
 use reveille_bs::scenario::{Override, Scenario, load};
 use reveille_common::deployment::Deployment;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_lab::preparation::{prepare, run};
-use reveille_lab::run::{Options, Run};
+use reveille_lab::run::{Run, RunOptions};
 use reveille_tests::process::Folder;
 use reveille_tests::{reference, scenarios};
 
 fn scenario(set: &[&str]) -> Scenario {
     let set = ["policy.name=adjusted"].iter().chain(set);
     let overrides: Vec<Override> = set.map(|set| Override::parse(set).expect("an override")).collect();
-    load("paper", &overrides).expect("a scenario")
+    load("paper", &overrides).expect("a scenario").scenario
 }
 
 fn facts(outcome: &Outcome) -> BTreeMap<&'static str, f64> {
     outcome.facts.iter().copied().collect()
 }
 
-fn found(scenario: &Scenario) -> DutyChoice {
-    let findings = prepare(scenario).findings;
-    *findings.as_ref().and_then(Opaque::get).expect("a search")
+fn found(scenario: &Scenario) -> DutyCycleChoice {
+    let found = prepare(scenario).found.expect("a search");
+    let found: &dyn Any = &*found;
+    *found.downcast_ref().expect("a duty cycle")
 }
 
-/// Every sixteenth device of a 16 × 16 grid is a column of it: offsets by number leave all others blind for a TTI.
+/// Offsets by number would put a column of a 16 × 16 grid in S1 and leave all else uncovered for a TTI.
 #[test]
 fn on_a_grid_nobody_is_blind_for_a_stripe_of_sensing_devices() {
     for layout in ["grid", "hex", "jittered-grid"] {
@@ -59,7 +60,7 @@ fn as_many_devices_sense_in_each_tti_as_the_duty_cycle_says() {
         let set: Vec<&str> = set.iter().map(String::as_str).collect();
         let of = |seed: &str| {
             let scenario = scenario(&[&set[..], &[seed]].concat());
-            let mut run = Run::new(&prepare(&scenario), Options::default());
+            let mut run = Run::new(&prepare(&scenario), RunOptions::default());
             run.grant(&mut ());
             let plan = run.cycle().plan().clone();
             let sensing = |k| {
@@ -70,7 +71,7 @@ fn as_many_devices_sense_in_each_tti_as_the_duty_cycle_says() {
             (0..t_drx).map(sensing).collect::<Vec<Vec<u32>>>()
         };
         let sensing = of("seed=1");
-        // Each phase of the cycle is that of N/t_DRX devices, one more or less.
+        // Each phase of the cycle has N/t_DRX devices, plus or minus one.
         let share = u64::from(devices) / t_drx;
         for now in &sensing {
             let n = now.len() as u64;
@@ -98,7 +99,7 @@ fn pilots_run_until_they_hold_events_to_judge_by() {
         "{facts:?}"
     );
     assert!(facts["reaches_i_min"] > 0.0, "{facts:?}");
-    // Where events are many, nothing is added.
+    // With many events the pilot runs are not extended.
     let often = self::facts(&run(&scenario(&["devices=100", "ttis=400"])));
     assert!(often["pilot_events"] >= 30.0, "{often:?}");
     assert!((often["pilot_ttis"] - 2000.0).abs() < 0.5, "{often:?}");
@@ -119,17 +120,17 @@ fn a_search_without_events_to_judge_by_says_so() {
     for part in ["adjusted", "30 events", "policy.adjusted.pilot_limit", "3000"] {
         assert!(warning.contains(part), "{warning}");
     }
-    let outcome = Run::new(&prepared, Options::default()).finish(&mut ());
+    let outcome = Run::new(&prepared, RunOptions::default()).finish(&mut ());
     let facts = facts(&outcome);
     assert!(facts["pilot_events"] < 30.0, "{facts:?}");
     assert!((facts["pilot_ttis"] - 3000.0).abs() < 0.5, "{facts:?}");
-    // Without any event nothing is known but what the pairs spend.
+    // Without events the search knows only the energy that the pairs spend.
     assert!(facts["pilot_events"] < 0.5, "{facts:?}");
     assert_eq!((facts["t_on"] as u32, facts["t_drx"] as u32), (1, 32), "{facts:?}");
     assert!(prepare(&scenario(&["devices=50", "ttis=400"])).warnings.is_empty());
 }
 
-/// The same energy at other times: a search that knows the mean alone finds the same.
+/// Equal energy at other times: a search that knows only the mean finds the same pair.
 #[test]
 fn pilots_know_the_mean_of_a_trace_and_not_its_future() {
     let folder = Folder::new();
@@ -158,7 +159,7 @@ fn pilots_know_the_mean_of_a_trace_and_not_its_future() {
     };
     let (early, late) = (of("early.csv"), of("late.csv"));
     assert_eq!(early, late, "the same mean");
-    // An arrival in each TTI of what a trace brings on average.
+    // In each TTI an arrival of the trace's mean.
     let constant = found(&scenario(&[
         "devices=60",
         "harvest.kind=exp-minus-lambda",
@@ -168,7 +169,7 @@ fn pilots_know_the_mean_of_a_trace_and_not_its_future() {
     assert_eq!(early, constant);
 }
 
-/// The search of the emulator against one in the second implementation's own runs.
+/// Compares the emulator's search with a search in runs of the second implementation.
 #[test]
 fn the_search_takes_the_pair_that_the_second_implementation_takes() {
     let mut runner = TestRunner::deterministic();

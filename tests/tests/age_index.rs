@@ -1,17 +1,17 @@
-//! The `age-index` policy against the rule of its page, worked out place by place.
+//! Compares the `age-index` policy with the rule in its documentation, computed place by place.
 
 use proptest::prelude::*;
 use proptest::test_runner::Config;
-use reveille_bs::observe::{Happening, Observer};
+use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::scenario::{Scenario, parse};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_device::machine::Machine;
 use reveille_lab::preparation::prepare;
-use reveille_lab::run::{Options, Run};
+use reveille_lab::run::{Run, RunOptions};
 use reveille_tests::reference::AgeIndex;
 use reveille_tests::scenarios;
 
-/// What was commanded and heard in the TTI that was granted last.
+/// Commands and reports of the last granted TTI.
 #[derive(Default)]
 struct Heard {
     is_found: bool,
@@ -19,38 +19,38 @@ struct Heard {
 }
 
 impl Observer for Heard {
-    fn see(&mut self, happening: &Happening<'_>) {
+    fn notify(&mut self, happening: &Notification<'_>) {
         match happening {
-            Happening::Reported(_) => self.is_found = true,
-            Happening::WakeUp { device, .. } => self.woken.push(*device),
-            Happening::Plan { .. }
-            | Happening::Granted(_)
-            | Happening::EventStarted(_)
-            | Happening::EventEnded(_)
-            | Happening::Lost(_)
-            | Happening::Gone(_)
-            | Happening::Failed { .. }
-            | Happening::Woken { .. }
-            | Happening::Closed(_)
-            | Happening::Believed { .. }
-            | Happening::States(_) => {}
+            Notification::Reported(_) => self.is_found = true,
+            Notification::WakeUp { device, .. } => self.woken.push(*device),
+            Notification::Plan { .. }
+            | Notification::Granted(_)
+            | Notification::EventStarted(_)
+            | Notification::EventEnded(_)
+            | Notification::Lost(_)
+            | Notification::Gone(_)
+            | Notification::Failed { .. }
+            | Notification::Woken { .. }
+            | Notification::Closed(_)
+            | Notification::Believed { .. }
+            | Notification::States(_) => {}
         }
     }
 }
 
-/// One TTI of a run: who was told to sense, what was heard, and the batteries before, micro-units.
+/// One TTI of a run: sensing devices, reports, and the batteries before, micro-units.
 struct Played {
     sensing: Vec<usize>,
     heard: Heard,
     levels: Vec<u64>,
 }
 
-/// `scenario` TTI by TTI.
+/// Runs `scenario` TTI by TTI.
 fn play(scenario: &Scenario) -> Vec<Played> {
     let prepared = prepare(scenario);
-    let options = Options {
+    let options = RunOptions {
         lookahead: false,
-        ..Options::default()
+        ..RunOptions::default()
     };
     let mut run = Run::new(&prepared, options);
     let initial = prepared
@@ -59,14 +59,17 @@ fn play(scenario: &Scenario) -> Vec<Played> {
         .iter()
         .map(|device| device.energy.initial.micro());
     let mut levels: Vec<u64> = initial.collect();
-    (0..scenario.ttis)
+    (0..scenario.run.ttis)
         .map(|k| {
             let mut heard = Heard::default();
             run.grant(&mut heard);
             let plan = run.cycle().plan();
             let is_on = |&j: &usize| plan.duty_cycle(DeviceId(j as u32)).is_on(Tti(k));
             let sensing = (0..levels.len()).filter(is_on).collect();
-            let after = run.look().iter().map(|machine: &Machine| machine.battery().micro());
+            let after = run
+                .device_views()
+                .iter()
+                .map(|machine: &Machine| machine.battery().micro());
             Played {
                 sensing,
                 heard,
@@ -76,7 +79,7 @@ fn play(scenario: &Scenario) -> Vec<Played> {
         .collect()
 }
 
-/// How many TTIs of `scenario` under `price` were compared, and how many were too close to call.
+/// Returns how many TTIs of `scenario` under `price` were compared, and how many were too close to call.
 fn compare(scenario: &Scenario, price: f64) -> Result<[usize; 2], TestCaseError> {
     let deployment = prepare(scenario).deployment;
     let energies = deployment.devices.iter().map(|device| device.energy).collect();
@@ -108,7 +111,7 @@ proptest! {
     }
 }
 
-/// A denser deployment than random scenarios have, with swaps.
+/// Uses a denser deployment than random scenarios have, with swaps.
 #[test]
 fn plans_are_those_of_the_rule_where_devices_are_many() {
     let mut compared = [0; 2];
@@ -123,7 +126,7 @@ fn plans_are_those_of_the_rule_where_devices_are_many() {
     assert!(compared[0] > 100 && compared[1] < 20, "{compared:?}");
 }
 
-/// The knob goes from looking at all that can be seen in every TTI to looking nowhere, and says so at that end.
+/// The price ranges from sensing every coverable place in every TTI to sensing nowhere, which causes a warning.
 #[test]
 fn the_price_rules_how_much_is_looked_at() {
     let under = |price: f64| {
@@ -131,10 +134,10 @@ fn the_price_rules_how_much_is_looked_at() {
             "devices = 60\nttis = 400\n[energy]\ne_max = 10000.0\ninitial = 10000.0\n[policy]\nname = \"age-index\"\n\
              [policy.age-index]\nprice = {price}\n"
         );
-        scenarios::scenario(&text)
+        scenarios::loaded(&text)
     };
     let sensing = |price: f64| {
-        play(&under(price))
+        play(&under(price).scenario)
             .iter()
             .map(|played| played.sensing.len())
             .sum::<usize>()
@@ -150,7 +153,7 @@ fn the_price_rules_how_much_is_looked_at() {
     );
 }
 
-/// The least that a device must have left to be told to sense, whatever the price.
+/// Checks the minimum battery level of a sensing device, at any price.
 #[test]
 fn a_device_that_is_too_low_is_left_alone() {
     let text = "devices = 60\nttis = 600\n[energy]\ninitial = 12.0\n[policy]\nname = \"age-index\"\n\
@@ -166,22 +169,24 @@ fn a_device_that_is_too_low_is_left_alone() {
         }
     }
     assert!(low > 1000 && sensed > 1000, "{low} {sensed}");
-    // A battery that never holds so much.
+    // A battery whose capacity is below that level.
     let text = "devices = 5\n[energy]\ne_max = 11.0\ninitial = 11.0\n[policy]\nname = \"age-index\"\n";
-    let told = scenarios::scenario(text).warnings;
+    let told = scenarios::loaded(text).warnings;
     assert!(
         told.len() == 1 && told[0].contains("none of them ever senses"),
         "{told:?}"
     );
 }
 
-/// `bs.ranking` changes nothing: wake-ups go by the belief.
+/// `bs.ranking` has no effect: wake-ups follow the belief.
 #[test]
 fn the_ranking_of_the_scenario_is_not_asked() {
     let woken = |ranking: &str| {
         let text =
             format!("devices = 60\nttis = 1500\n[bs]\nranking = \"{ranking}\"\n[policy]\nname = \"age-index\"\n");
-        let scenario = parse(&text, "test", std::path::Path::new("."), &[]).expect("a scenario");
+        let scenario = parse(&text, "test", std::path::Path::new("."), &[])
+            .expect("a scenario")
+            .scenario;
         play(&scenario)
             .into_iter()
             .map(|played| played.heard.woken)

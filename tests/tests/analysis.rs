@@ -1,25 +1,25 @@
-//! What the analysis counts in the machines is what the reference implementation goes through.
+//! The analysis counts the same transitions in the machines as the reference implementation.
 
 use proptest::prelude::*;
 use proptest::test_runner::Config;
+use reveille_bs::scenario::Scenario;
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::scenario::Scenario;
 use reveille_lab::preparation::start;
-use reveille_lab::run::Options;
+use reveille_lab::run::RunOptions;
 use reveille_study::analysis::transitions::measure;
 use reveille_tests::reference::State;
 use reveille_tests::{reference, scenarios};
 
-/// Transitions by (m, n) in the measured TTIs of a run of the reference in which every action can be paid.
+/// Counts transitions by (m, n) in the measured TTIs of a reference run in which every action can be paid.
 fn brute(scenario: &Scenario, run: &reference::Run) -> [[u64; 5]; 5] {
-    let mut first = start(scenario, Options::default());
+    let mut first = start(scenario, RunOptions::default());
     first.grant(&mut ());
     let plan = first.cycle().plan().clone();
     let from = scenario.warm_up_end().0;
     let mut counts = [[0; 5]; 5];
-    for j in 0..scenario.devices {
+    for j in 0..scenario.run.devices {
         let mut last: Option<usize> = None;
-        for k in from..scenario.ttis {
+        for k in from..scenario.run.ttis {
             let start = if plan.duty_cycle(DeviceId(j)).is_on(Tti(k)) {
                 1
             } else {

@@ -1,56 +1,56 @@
-//! The audit compares what a run has noted with a replay: the same is whole, and a lie is found in its TTI, with who
-//! told it.
+//! The audit compares the records of a run with a replay: equal records pass, and a divergence is reported with its TTI
+//! and sender.
 
-use reveille_bs::observe::{Happening, Observer};
-use reveille_bs::prepared::Prepared;
+use reveille_bs::cycle::PreparedRun;
+use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::scenario::{Override, load};
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{Frame, Message, MessageKind, Report, States};
+use reveille_common::message::{DeviceStates, Frame, Message, MessageKind, Report};
 use reveille_common::units::Energy;
-use reveille_lab::inputs::Inputs;
+use reveille_lab::external_inputs::ExternalInputs;
 use reveille_lab::preparation::prepare;
-use reveille_lab::run::{Options, Run};
-use reveille_lab::shadow::{Difference, Noting, Shadow};
+use reveille_lab::replay::{DigestFrames, Divergence, Replay};
+use reveille_lab::run::{Run, RunOptions};
 
 const TTIS: u64 = 600;
 
-fn prepared(policy: &str, knowledge: &str) -> Prepared {
+fn prepared(policy: &str, knowledge: &str) -> PreparedRun {
     let set = [
         format!("ttis={TTIS}"),
         format!("policy.name={policy}"),
         format!("bs.battery_knowledge={knowledge}"),
     ];
     let set = set.map(|set| Override::parse(&set).expect("an override"));
-    prepare(&load("paper", &set).expect("a scenario"))
+    prepare(&load("paper", &set).expect("a scenario").scenario)
 }
 
-/// What a run notes, as its base station hands it to the audit.
+/// Records of a run, as the base station passes them to the audit.
 #[derive(Default)]
 struct Notes {
-    noting: Noting,
+    noting: DigestFrames,
     frames: Vec<Frame>,
 }
 
 impl Observer for Notes {
-    fn see(&mut self, happening: &Happening<'_>) {
+    fn notify(&mut self, happening: &Notification<'_>) {
         let Self { noting, frames } = self;
         noting.of(happening, |frame| frames.push(frame));
     }
 
-    fn told(&mut self, tti: Tti, batteries: &[Energy]) {
-        self.frames.push(Noting::told(tti, batteries));
+    fn batteries_revealed(&mut self, tti: Tti, batteries: &[Energy]) {
+        self.frames.push(DigestFrames::told(tti, batteries));
     }
 }
 
-fn noted(prepared: &Prepared) -> Vec<Frame> {
+fn noted(prepared: &PreparedRun) -> Vec<Frame> {
     let mut notes = Notes::default();
-    Run::new(prepared, Options::default()).finish(&mut notes);
+    Run::new(prepared, RunOptions::default()).finish(&mut notes);
     notes.frames
 }
 
-/// What a shadow finds that follows these notes, `step` TTIs at a time.
-fn audited(prepared: &Prepared, frames: &[Frame], step: u64) -> Result<(), Difference> {
-    let mut shadow = Shadow::new(prepared, &Inputs::default(), Tti::ZERO);
+/// Returns the result of a replay that follows these records, `step` TTIs at a time.
+fn audited(prepared: &PreparedRun, frames: &[Frame], step: u64) -> Result<(), Divergence> {
+    let mut shadow = Replay::new(prepared, &ExternalInputs::default(), Tti::ZERO);
     let mut rest = frames;
     for k in (step..=TTIS).step_by(step as usize) {
         let before = rest.iter().take_while(|frame| frame.tti < Tti(k)).count();
@@ -69,7 +69,7 @@ fn an_honest_run_is_whole() {
         let prepared = prepared(policy, knowledge);
         let frames = noted(&prepared);
         let told = frames.iter().filter(|frame| frame.kind == MessageKind::States).count() as u64;
-        // Nobody is told of batteries before the first TTI.
+        // Before the first TTI no batteries are passed to the policy.
         assert_eq!(told, if knowledge == "oracle" { TTIS - 1 } else { 0 }, "{policy}");
         for step in [1, 50, TTIS] {
             assert_eq!(audited(&prepared, &frames, step), Ok(()), "{policy}, by {step}");
@@ -91,7 +91,7 @@ fn who_lies_about_its_battery_is_named() {
     let honest = states.views[17].battery;
     states.views[17].battery = honest + Energy::from_micro(2_000_000);
     let held = honest.units();
-    frames[at] = Frame::of::<States>(Tti(321), (), &states);
+    frames[at] = Frame::of::<DeviceStates>(Tti(321), (), &states);
     let found = audited(&prepared, &frames, 50).expect_err("a lie");
     assert_eq!((found.tti, found.device), (Tti(321), Some(DeviceId(17))));
     let said = format!("said to hold {:.2} units before it, and held {held:.2}", held + 2.0);
@@ -116,7 +116,7 @@ fn who_lies_in_a_report_is_named() {
     frames[at] = Frame::of(report.tti, report.device, &lie);
     let found = audited(&prepared, &frames, 50).expect_err("a lie");
     assert_eq!((found.tti, found.device), (report.tti, Some(report.device)));
-    // One that is missing is no better.
+    // A missing report is a divergence as well.
     frames.remove(at);
     assert_eq!(audited(&prepared, &frames, 50).expect_err("a silence").tti, report.tti);
 }

@@ -1,15 +1,15 @@
-//! When events start in bursts, against what can be worked out on paper.
+//! Start times of events in bursts, against closed forms.
 
 use reveille_common::event::EventProcess;
 use reveille_common::ids::{MAX_TTIS, Tti};
 use reveille_common::rng::{Purpose, Stream};
 use reveille_tests::compare;
-use reveille_tests::laws::{BOUND, drawn, share_is};
+use reveille_tests::distributions::{BOUND, drawn, share_is};
 use reveille_tests::scenarios::scenario;
 
 const BURSTS: &str = "ttis = 1000000\n[events]\nprocess = \"bursts\"\n";
 
-/// Whether each of the first `ttis` TTIs is in a busy phase, of events that certainly start there and never elsewhere.
+/// Returns whether each of the first `ttis` TTIs is busy; events start in all busy TTIs and in no others.
 fn busy(fields: &str, seed: u64, ttis: u64) -> Vec<bool> {
     let certain = "busy_alpha = 1.0\nquiet_alpha = 0.0\n";
     let scenario = scenario(&format!("seed = {seed}\n{BURSTS}[events.bursts]\n{certain}{fields}"));
@@ -24,7 +24,7 @@ fn busy(fields: &str, seed: u64, ttis: u64) -> Vec<bool> {
 #[test]
 fn phases_end_after_each_of_their_ttis_with_the_same_probability() {
     let fields = "busy_ttis = 8.0\nquiet_ttis = 30.5\n";
-    // (is busy, TTIs that the phase has lasted, whether it ends now), of phases that were seen to begin.
+    // (is busy, TTIs since the start of the phase, whether it ends now), for phases whose start was observed.
     let mut seen = Vec::new();
     for seed in 0..12 {
         let phases = busy(fields, seed, 6000);
@@ -52,7 +52,7 @@ fn phases_end_after_each_of_their_ttis_with_the_same_probability() {
             );
         }
     }
-    // Each TTI is a phase of its own.
+    // Each TTI is a separate phase.
     let single = busy("busy_ttis = 1.0\nquiet_ttis = 1.0\n", 3, 500);
     assert!(single.windows(2).all(|pair| pair[0] != pair[1]));
 }
@@ -80,8 +80,8 @@ fn events_start_with_the_probability_of_the_phase() {
         let ttis = 12_000;
         let phases = busy("busy_ttis = 9.0\nquiet_ttis = 14.0\n", 21, ttis);
         let scenario = scenario(&text);
-        let mut process = EventProcess::new(scenario.seed, scenario.area, &scenario.events, Tti(ttis));
-        // (TTI without an event, whether one starts)
+        let mut process = EventProcess::new(scenario.run.seed, scenario.area, &scenario.events, Tti(ttis));
+        // (TTI without an active event, whether an event starts)
         let mut free = Vec::new();
         let mut k = 0;
         while k < ttis {
@@ -166,7 +166,7 @@ fn the_mean_start_probability_is_that_of_the_ttis_counted_one_by_one() {
             "{first} to {end}: {found}, not {counted}"
         );
     }
-    // In the long run it is α: the variance of a share of time in one of two phases.
+    // The long-run mean is α. The variance is the variance of the time share of one of two phases.
     let ttis = 2_000_000.0;
     let (busy_share, memory) = (0.2, 1.0 - 1.0 / 40.0 - 1.0 / 160.0);
     let variance = busy_share * (1.0 - busy_share) * (1.0 + memory) / (1.0 - memory) / ttis;

@@ -1,23 +1,27 @@
-//! Classes of devices: each field of energy and harvest acts on the devices of its class and on nobody else, in what
-//! the base station knows, in the books and in the digest; and devices get the class that the scenario says.
+//! Device classes: each field of energy and harvest affects only the devices of its class, in the base station's
+//! knowledge, the ledgers and the digest. Devices get the class that the scenario assigns.
 
 use std::path::Path;
 
-use reveille_bs::prepared::Prepared;
-use reveille_bs::scenario::{Override, parse};
+use reveille_bs::cycle::PreparedRun;
+use reveille_bs::scenario::{Loaded, Override, Scenario, parse};
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::scenario::{Scenario, assign_classes};
+use reveille_common::scenario::assign_classes;
 use reveille_common::score::Digest;
 use reveille_lab::preparation::prepare;
-use reveille_lab::run::{Options, Run};
+use reveille_lab::run::{Run, RunOptions};
 use reveille_tests::compare;
 
-/// Ten devices of the class `few`, the others of `rest`.
+/// Ten devices of class `few`, the others of class `rest`.
 const TWO: &str = "preset = \"paper\"\ndevices = 40\nttis = 1500\nwarm_up = 0\npolicy.name = \"random\"\n\
                    [[class]]\nname = \"few\"\ndevices = [0, 3, 5, 8, 13, 20, 21, 34, 38, 39]\n\
                    [[class]]\nname = \"rest\"\nshare = 1\n";
 
 fn load(text: &str, set: &[&str]) -> Scenario {
+    loaded(text, set).scenario
+}
+
+fn loaded(text: &str, set: &[&str]) -> Loaded {
     let set: Vec<Override> = set
         .iter()
         .map(|set| Override::parse(set).expect("an override"))
@@ -25,8 +29,8 @@ fn load(text: &str, set: &[&str]) -> Scenario {
     parse(text, "test", Path::new(""), &set).unwrap_or_else(|error| panic!("{error}"))
 }
 
-fn digest(prepared: &Prepared) -> Digest {
-    Run::new(prepared, Options::default()).finish(&mut ()).digest
+fn digest(prepared: &PreparedRun) -> Digest {
+    Run::new(prepared, RunOptions::default()).finish(&mut ()).digest
 }
 
 #[test]
@@ -54,14 +58,14 @@ fn every_override_acts_on_its_class_alone() {
                 |of: &reveille_bs::knowledge::Knowledge| of.expected_harvest(DeviceId(j), Tti(100), Tti(150));
             let is_same = (device.energy, device.mean_harvest) == (other.energy, other.mean_harvest)
                 && is_known(&known) == is_known(&others);
-            // The share of the time that mpp is on is that of eq5: its draws alone differ.
+            // mpp is on for the same share of time as eq5; only its draws differ.
             let differs = device.class == 0 && field != "harvest.kind=mpp";
             assert_eq!(is_same, !differs, "{field}, device {j}");
         }
     }
 }
 
-/// The books of two classes that have nothing in common.
+/// Compares the ledgers of two classes that share no setting.
 #[test]
 fn each_class_is_billed_by_its_own_costs() {
     let set = [
@@ -90,7 +94,7 @@ fn each_class_is_billed_by_its_own_costs() {
         if sums.failed_ttis + sums.dark_ttis > 0 {
             continue;
         }
-        let asleep = scenario.ttis - sums.sensing_ttis;
+        let asleep = scenario.run.ttis - sums.sensing_ttis;
         assert_eq!(sums.spent.sensing.micro(), e_idle * sums.sensing_ttis, "device {j}");
         assert_eq!(sums.spent.sleep.micro(), e_wur * asleep, "device {j}");
         reports[class] += sums.spent.report.micro() / e_tx;
@@ -184,7 +188,7 @@ fn errors_of_members_say_what_to_do() {
         let found = message(&text);
         assert!(found.contains(expected), "{found}, not {expected}");
     }
-    let nobody = load(
+    let nobody = loaded(
         "devices = 10\n[[class]]\nname = \"a\"\nnorth = 0\n[[class]]\nname = \"b\"\nshare = 1\n",
         &[],
     );

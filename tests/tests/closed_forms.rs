@@ -1,14 +1,13 @@
-//! Whole runs against what can be worked out on paper. Seeds are fixed: a run either is within three standard errors or
-//! is not.
+//! Whole runs against closed forms. Seeds are fixed: each result either is within three standard errors or is not.
 
 use reveille_bs::beliefs::ranking::i_min;
+use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
 use reveille_common::geometry::{Area, Point};
-use reveille_common::scenario::Scenario;
 use reveille_lab::preparation::run;
 use reveille_tests::scenarios::scenario;
 
-/// Every battery is full at every event.
+/// Settings with which every battery is full at every event.
 const RICH: &str = "[energy]\ne_max = 1000.0\ninitial = 1000.0\n[harvest]\nkind = \"exp-minus-lambda\"\nlambda = 0.0\n\
                     e_b = 1000.0\n";
 
@@ -35,7 +34,8 @@ fn the_genies_information_is_that_of_the_closest_device() {
     }
 }
 
-/// Mean and variance of the closest device's information over the area, and the share of the area where there is none.
+/// Returns mean and variance of the closest device's information over the area, and the share of the area without
+/// information.
 fn closest_over_area(scenario: &Scenario) -> (f64, f64, f64) {
     let positions = Deployment::new(scenario).positions();
     let (mut sum, mut squares, mut outside) = (0.0, 0.0, 0.0);
@@ -89,7 +89,7 @@ fn arrivals_have_the_mean_of_their_law() {
              harvest.kind = \"{kind}\"\nharvest.lambda = {lambda:?}\nharvest.e_b = {e_b:?}\n{off}"
         ));
         let rate: f64 = lambda * tau;
-        // The share of TTIs with an arrival, and how far one TTI tells of the next.
+        // Share of TTIs with an arrival, and correlation of consecutive TTIs.
         let (share, memory) = match (kind, off_mean) {
             ("exp-minus-lambda", _) => (libm::exp(-lambda), 0.0),
             ("mpp", Some(mean)) => {
@@ -97,7 +97,7 @@ fn arrivals_have_the_mean_of_their_law() {
                 (back / (back + lambda), libm::exp(-(back + lambda) * tau))
             }
             ("mpp", None) => {
-                // By default on for the share of Eq. (5), so that on and off rates stand in that proportion.
+                // By default the on share is the share of Eq. (5), which fixes the ratio of on and off rates.
                 let share = rate * libm::exp(-rate);
                 (share, libm::exp(-rate / (1.0 - share)))
             }
@@ -112,8 +112,8 @@ fn arrivals_have_the_mean_of_their_law() {
 
 #[test]
 fn recorded_energy_arrives_to_the_last_micro_unit() {
-    // Two devices. The columns of the test's file by half, where half a micro-unit rounds up: `rain` is 0, 0.000001,
-    // 40, 0, 0 units, `wind` 1.5, 0, 0.333334, 2, 0, `sun` 0, 3.25, 12.5, 0, 0.7. A row lasts 4 TTIs, the file 20.
+    // Two devices. The columns of the test file are halved, and half a micro-unit rounds up. `rain` is 0, 0.000001, 40,
+    // 0, 0 units, `wind` 1.5, 0, 0.333334, 2, 0, `sun` 0, 3.25, 12.5, 0, 0.7. A row lasts 4 TTIs, the file 20.
     let (rain, wind) = (4 * (1 + 20_000_000), 4 * (750_000 + 166_667 + 1_000_000));
     let sun = 4 * (1_625_000 + 6_250_000 + 350_000);
     for (end, ttis, columns, expected) in [
@@ -171,7 +171,7 @@ fn the_least_information_is_that_of_the_point_farthest_from_all_devices() {
                 .fold(0.0, f64::max);
             let cell = scenario.area.diagonal() / f64::from(CELLS);
             let d = -libm::log(i_min(&positions, scenario.area, &scenario.sensing)) / scenario.sensing.eta;
-            // Distances change by no more than one walks, and no point is farther than half a cell from a midpoint.
+            // Moving changes a distance by at most the way, and midpoints are within half a cell diagonal.
             assert!(
                 (farthest - 1e-9..=farthest + cell / 2.0 + 1e-9).contains(&d),
                 "{layout} {devices}: {d}, {farthest}"
@@ -180,7 +180,7 @@ fn the_least_information_is_that_of_the_point_farthest_from_all_devices() {
     }
 }
 
-/// `found` is within three standard errors of `expected`.
+/// Checks that `found` is within three standard errors of `expected`.
 fn near(what: &str, found: f64, expected: f64, error: f64) {
     let errors = (found - expected).abs() / error;
     assert!(

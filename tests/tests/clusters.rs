@@ -1,8 +1,8 @@
-//! Clusters and `I_min` against a second implementation that tries everything.
+//! Clusters and `I_min` against a second, exhaustive implementation.
 
 use proptest::prelude::*;
 use proptest::test_runner::Config;
-use reveille_bs::beliefs::clusters::{Clusters, Voting};
+use reveille_bs::beliefs::clusters::{ClusterSettings, Clusters};
 use reveille_bs::beliefs::ranking::i_min;
 use reveille_common::geometry::{Area, Layout, Point, place};
 use reveille_common::ids::DeviceId;
@@ -24,7 +24,7 @@ fn areas() -> impl Strategy<Value = Area> {
     (4.0..30.0f64, 4.0..30.0f64).prop_map(|(width, height)| Area { width, height })
 }
 
-fn emulated(points: &[Point], area: Area, d_max: f64, voting: Voting, start: Stream) -> Vec<Vec<usize>> {
+fn emulated(points: &[Point], area: Area, d_max: f64, voting: ClusterSettings, start: Stream) -> Vec<Vec<usize>> {
     let members = Clusters::form(points, area, d_max, voting, start).members;
     members
         .into_iter()
@@ -42,7 +42,7 @@ proptest! {
     ) {
         let points = place(&layout, area, n, seed);
         let start = || Stream::new(seed, Purpose::Clusters, 0);
-        let found = emulated(&points, area, d_max, Voting { neighbours, limit_radius }, start());
+        let found = emulated(&points, area, d_max, ClusterSettings { neighbours, limit_radius }, start());
         let expected = reference::clusters(&points, area, d_max, (neighbours as usize, limit_radius), start());
         prop_assert_eq!(found, expected);
     }
@@ -54,7 +54,7 @@ proptest! {
         let points: Vec<Point> = places.iter().map(|&(x, y)| Point::new(f64::from(x), f64::from(y))).collect();
         let area = Area { width: 20.0, height: 20.0 };
         let start = || Stream::new(seed, Purpose::Clusters, 0);
-        let found = emulated(&points, area, 1.5, Voting { neighbours, limit_radius }, start());
+        let found = emulated(&points, area, 1.5, ClusterSettings { neighbours, limit_radius }, start());
         let expected = reference::clusters(&points, area, 1.5, (neighbours as usize, limit_radius), start());
         prop_assert_eq!(found, expected);
     }
@@ -70,7 +70,7 @@ proptest! {
     }
 }
 
-/// The random deployments are not all alike: clusters are split, have nobody at first, and move.
+/// The random deployments cover all cases: clusters are split, start empty, and move.
 #[test]
 fn random_deployments_make_clusters_of_all_kinds() {
     let area = Area {

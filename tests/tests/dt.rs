@@ -1,4 +1,4 @@
-//! The decision transformer beside the policy that it is built on.
+//! The decision transformer compared with the `age-index` policy, on which it is built.
 
 use reveille_bs::policy::dt::settings::DtSettings;
 use reveille_bs::scenario::{Override, Scenario, load};
@@ -9,15 +9,16 @@ fn read(policy: &str, set: &[&str]) -> Result<Scenario, String> {
     let name = format!("policy.name={policy}");
     let all = by_default.iter().chain(set).copied().chain([name.as_str()]);
     let overrides: Vec<Override> = all.map(|set| Override::parse(set).expect("an override")).collect();
-    load("paper", &overrides).map_err(|error| error.to_string())
+    let loaded = load("paper", &overrides).map_err(|error| error.to_string())?;
+    Ok(loaded.scenario)
 }
 
 fn scenario(policy: &str, set: &[&str]) -> Scenario {
     read(policy, set).expect("a scenario")
 }
 
-/// Protects: what a model changes is what it has learned. One that expects nothing but what age and α say decides as
-/// `age-index` does, bit by bit, where no wake-up is charged for being in vain.
+/// Protects: a model changes only learned decisions. A model that predicts exactly the value from age and α decides
+/// like `age-index`, bit by bit, if failed wake-ups are not charged.
 #[test]
 fn a_model_that_says_nothing_is_age_index() {
     let mut are_others_woken = false;
@@ -50,7 +51,7 @@ fn a_scenario_names_the_shape_that_the_model_must_have() {
         "policy.dt.heads=3",
     ];
     let settled = scenario("dt", &asked);
-    let settings: &DtSettings = settled.policy.settings().expect("its settings");
+    let settings: &DtSettings = settled.policy.settings().downcast_ref().expect("its settings");
     let shape = settings.weights.shape();
     assert_eq!((shape.memory, shape.width, shape.heads), (5, 24, 3));
     assert!(read("dt", &["policy.dt.memory=8", "policy.dt.width=32", "policy.dt.heads=2"]).is_ok());

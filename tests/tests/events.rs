@@ -1,12 +1,12 @@
-//! How long events last and where they are, against what can be worked out on paper.
+//! Durations and epicentres of events, against closed forms.
 
 use reveille_common::event::{ActiveEvent, EventRecord};
 use reveille_common::geometry::{Area, Point};
 use reveille_tests::compare;
-use reveille_tests::laws::{cells_are, drawn, mean_is, share_is};
+use reveille_tests::distributions::{cells_are, drawn, mean_is, share_is};
 use reveille_tests::scenarios::scenario;
 
-/// A coordinate.
+/// Accessor of a coordinate.
 type Axis = fn(&Point) -> f64;
 
 fn epicentres(text: &str, n: usize) -> (Area, Vec<Point>) {
@@ -45,7 +45,7 @@ fn durations_have_the_mean_and_the_tail_of_their_law() {
 
 #[test]
 fn hot_spots_have_their_share_of_the_events() {
-    // Without spread an event at a hot spot is where others are, to the last bit; elsewhere no two meet.
+    // Without spread, events of a hot spot have equal coordinates, to the last bit; other events never coincide.
     for (places, share) in [(3, 0.7), (1, 0.25), (8, 0.5)] {
         let spots = format!("[events.hot-spots]\nplaces = {places}\nshare = {share:?}\nsigma = 0.0\n");
         let (_, events) = epicentres(&format!("seed = 8\n[events]\nprocess = \"hot-spots\"\n{spots}"), 20_000);
@@ -69,7 +69,7 @@ fn hot_spots_have_their_share_of_the_events() {
 
 #[test]
 fn events_spread_normally_around_a_hot_spot() {
-    // No edge is near.
+    // The area is so large that its edges have no effect.
     let text = |sigma: f64| {
         format!(
             "seed = 4\n[area]\nwidth = 1e6\nheight = 1e6\n[events]\nprocess = \"hot-spots\"\n\
@@ -116,7 +116,7 @@ fn the_edges_of_the_area_are_mirrors() {
         let below = |x: f64| 0.5 * (1.0 + libm::erf((x - along(&place)) / (sigma * 2.0_f64.sqrt())));
         let cells = 10;
         let edge = |i: usize| side * i as f64 / cells as f64;
-        // Every image of a cell: shifted by twice the side, and mirrored at 0.
+        // Sums over every image of a cell: shifted by twice the side, and mirrored at 0.
         let probability = |i: usize| -> f64 {
             let (from, to) = (edge(i), edge(i + 1));
             let shifts = (-30..=30).map(|m| 2.0 * side * f64::from(m));
@@ -169,7 +169,7 @@ fn aftershocks_are_anywhere_within_their_radius() {
     }
     cells_are("rings of the same surface", &rings, &[0.1; 10]);
     cells_are("sectors", &sectors, &[1.0 / 12.0; 12]);
-    // Whether an event is an aftershock does not depend on the one before.
+    // Whether an event is an aftershock does not depend on the previous event.
     let is_after: Vec<bool> = steps.iter().map(is_near).collect();
     let again = is_after.windows(2).filter(|pair| pair[0]).map(|pair| pair[1]);
     share_is("aftershocks of aftershocks", again, probability);
@@ -190,8 +190,7 @@ fn aftershocks_at_the_edge_are_uniform_on_what_is_left_of_their_circle() {
     let cells: Vec<Point> = (0..side * side)
         .map(|i| Point::new(middle(i / side, area.width), middle(i % side, area.height)))
         .collect();
-    // What an event adds to x, y and the squared distance from the one before, less the mean over all points that it
-    // could have been at.
+    // Deviation of x, y and the squared distance from the previous event, from their mean over all possible points.
     let mut surplus = [const { Vec::new() }; 3];
     for pair in events.windows(2) {
         let (before, at) = (pair[0], pair[1]);
@@ -229,7 +228,7 @@ fn a_radius_beyond_the_area_leaves_no_trace_of_the_event_before() {
     }
 }
 
-/// What a policy does decides over the TTIs in which events start and end, and over nothing else of them.
+/// A policy affects only the TTIs in which events start and end, and no other property of events.
 #[test]
 fn every_policy_meets_the_same_events() {
     for process in ["uniform", "hot-spots", "aftershocks", "bursts"] {

@@ -1,14 +1,15 @@
-//! Decisions from outside: runs that stand at a question, answered with what a policy of this program decided, and with
+//! External decisions: runs that wait at a decision request, answered with a built-in policy's decisions and with
 //! nonsense.
 
-use reveille_bs::policy::external::wire::{Asked, Hello};
-use reveille_bs::policy::external::{Answer, Answered, DEVICE, Decision, GLOBAL, Question, Stage};
-use reveille_bs::policy::outside::{self, EXTERNAL};
-use reveille_bs::policy::registry;
-use reveille_bs::prepared::Prepared;
+use reveille_bs::cycle::PreparedRun;
+use reveille_bs::policy::external::wire::{DecisionRequest, Hello};
+use reveille_bs::policy::external::{
+    DEVICE, Decision, DecisionContext, DecisionStage, GLOBAL, PlanDecision, RecordedDecision,
+};
+use reveille_bs::policy::{outside, registry};
 use reveille_bs::scenario::{Override, Scenario, load};
+use reveille_common::encoding::Encoding;
 use reveille_common::event::{EventProcess, ScriptedEvent};
-use reveille_common::forms::Form;
 use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::io::Disk;
@@ -16,9 +17,9 @@ use reveille_common::plan::{DutyCycle, Plan};
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::score::Digest;
 use reveille_common::world::World;
-use reveille_lab::inputs::Inputs;
-use reveille_lab::run::{Options, Run};
-use reveille_lab::stepping::Stepping;
+use reveille_lab::external_inputs::ExternalInputs;
+use reveille_lab::run::{Run, RunOptions};
+use reveille_lab::stepped_run::SteppedRun;
 use reveille_tests::transcript::Transcript;
 
 fn overrides(policy: &str, set: &[&str]) -> Vec<Override> {
@@ -28,37 +29,39 @@ fn overrides(policy: &str, set: &[&str]) -> Vec<Override> {
     all.map(|set| Override::parse(set).expect("an override")).collect()
 }
 
-/// The scenario in which somebody outside decides.
+/// Creates the scenario with an external policy.
 fn external(set: &[&str]) -> Scenario {
     let overrides = overrides("external", set);
-    reveille_common::scenario::load("paper", &overrides, &outside::kinds(), &Disk).expect("a scenario")
+    reveille_common::scenario::load("paper", &overrides, &outside::kinds_with_external(), &Disk)
+        .expect("a scenario")
+        .scenario
 }
 
-fn stepping(scenario: &Scenario, world: World, options: Options) -> Stepping<Transcript> {
-    let prepared = Prepared::with_policies(scenario, EXTERNAL);
-    Stepping::with_world(&prepared, world, options, Transcript::default())
+fn stepping(scenario: &Scenario, world: World, options: RunOptions) -> SteppedRun<Transcript> {
+    let prepared = PreparedRun::without_pilots(scenario);
+    SteppedRun::with_world(&prepared, world, options, Transcript::default())
 }
 
 fn own_world(scenario: &Scenario) -> World {
-    let prepared = Prepared::with_policies(scenario, EXTERNAL);
+    let prepared = PreparedRun::without_pilots(scenario);
     World::new(scenario, &prepared.deployment)
 }
 
-/// The digest of a run that is answered with what `first` did; wake-ups all at once, or `at_a_time` after another.
-fn replayed(scenario: &Scenario, first: &Transcript, options: Options, at_a_time: usize) -> Digest {
+/// Returns the digest of a run answered with the decisions of `first`, `at_a_time` wake-ups per answer or all together.
+fn replayed(scenario: &Scenario, first: &Transcript, options: RunOptions, at_a_time: usize) -> Digest {
     let mut stepping = stepping(scenario, own_world(scenario), options);
     let mut given = 0_usize;
-    while let Some(question) = stepping.question() {
+    while let Some(question) = stepping.pending_decision() {
         let k = question.seen.now;
         match question.stage {
-            Stage::Plan => {
+            DecisionStage::Plan => {
                 given = 0;
-                stepping.decide(Decision {
+                stepping.decide(PlanDecision {
                     plan: first.plan_at(k),
                     next: k + 1,
                 });
             }
-            Stage::Wake => {
+            DecisionStage::Wake => {
                 let all = first.wake_ups.get(&k.0).map_or(&[][..], Vec::as_slice);
                 let until = all.len().min(given.saturating_add(at_a_time));
                 stepping.wake(&all[given..until]);
@@ -98,19 +101,19 @@ fn what_a_policy_decides_gives_its_digest_when_it_comes_from_outside() {
                 .collect(),
             _ => set.to_vec(),
         };
-        let own = load("paper", &overrides(policy, &set)).expect("a scenario");
+        let own = load("paper", &overrides(policy, &set)).expect("a scenario").scenario;
         let (first, own_digest) = Transcript::of(&own);
         wake_ups += first.wake_ups.len();
         let set: Vec<&str> = set.into_iter().filter(|set| !set.starts_with("policy.")).collect();
         let scenario = external(&set);
-        let one_by_one = Options {
+        let one_by_one = RunOptions {
             lookahead: false,
-            ..Options::default()
+            ..RunOptions::default()
         };
         for (options, at_a_time) in [
-            (Options::default(), usize::MAX),
+            (RunOptions::default(), usize::MAX),
             (one_by_one, 1),
-            (Options::default(), 2),
+            (RunOptions::default(), 2),
         ] {
             let digest = replayed(&scenario, &first, options, at_a_time);
             assert_eq!(digest, own_digest, "{policy} {set:?} {options:?} {at_a_time}");
@@ -119,23 +122,23 @@ fn what_a_policy_decides_gives_its_digest_when_it_comes_from_outside() {
     assert!(wake_ups > 200, "{wake_ups} TTIs with wake-ups");
 }
 
-/// A plan that holds on is asked for once, and gives the same run.
+/// A plan that stays valid is requested once, and the run is the same.
 #[test]
 fn a_plan_that_holds_is_asked_for_no_more() {
     let scenario = external(&[]);
-    let own = load("paper", &overrides("knn", &[])).expect("a scenario");
+    let own = load("paper", &overrides("knn", &[])).expect("a scenario").scenario;
     let (first, digest) = Transcript::of(&own);
-    let mut stepping = stepping(&scenario, own_world(&scenario), Options::default());
+    let mut stepping = stepping(&scenario, own_world(&scenario), RunOptions::default());
     let mut plans = 0;
-    while let Some(question) = stepping.question() {
+    while let Some(question) = stepping.pending_decision() {
         let k = question.seen.now;
         match question.stage {
-            Stage::Plan => {
+            DecisionStage::Plan => {
                 plans += 1;
                 let (plan, next) = (first.plan_at(k), Tti::NEVER);
-                stepping.decide(Decision { plan, next });
+                stepping.decide(PlanDecision { plan, next });
             }
-            Stage::Wake => {
+            DecisionStage::Wake => {
                 let all: Vec<DeviceId> = first.wake_ups.get(&k.0).cloned().unwrap_or_default();
                 let left: Vec<DeviceId> = all.into_iter().filter(|j| question.may_wake(*j)).collect();
                 stepping.wake(&left);
@@ -145,8 +148,8 @@ fn a_plan_that_holds_is_asked_for_no_more() {
     assert_eq!((plans, stepping.finish().0.digest), (1, digest));
 }
 
-/// All that a question says, as text.
-fn said(question: &Question<'_>) -> String {
+/// Returns the full content of a decision request as text.
+fn said(question: &DecisionContext<'_>) -> String {
     let seen = &question.seen;
     let n = question.seen.known.n() as u32;
     let each = |j| {
@@ -161,28 +164,28 @@ fn said(question: &Question<'_>) -> String {
     question.write_global(&mut row);
     question.write_mask(&mut mask);
     let numbers = (rows, row, mask);
-    // What goes over the bus.
+    // The decision request in its bus form.
     let known = Hello::new("run".to_owned(), seen.known);
-    let asked = (Asked::new(question, 0, "somebody"), known);
-    let asked = String::from_utf8(Form::Json.encode(&asked)).expect("JSON");
+    let asked = (DecisionRequest::new(question, 0, "somebody"), known);
+    let asked = String::from_utf8(Encoding::Json.encode(&asked)).expect("JSON");
     format!(
         "{asked} {at:?} {:?} {:?} {:?} {devices:?} {numbers:?}",
         seen.batteries, question.heard, question.woken
     )
 }
 
-/// Answers by draws that depend on nothing but what was asked before.
-fn drawn(stepping: &mut Stepping<Transcript>, stream: &mut Stream) -> Vec<String> {
+/// Answers with random draws that depend only on the earlier requests.
+fn drawn(stepping: &mut SteppedRun<Transcript>, stream: &mut Stream) -> Vec<String> {
     let mut heard = Vec::new();
-    while let Some(question) = stepping.question() {
+    while let Some(question) = stepping.pending_decision() {
         heard.push(said(&question));
         let (n, k) = (question.seen.known.n() as u64, question.seen.now);
         match question.stage {
-            Stage::Plan => stepping.decide(Decision {
+            DecisionStage::Plan => stepping.decide(PlanDecision {
                 plan: Plan::from_bits((0..n).map(|_| stream.below(12) == 0)),
                 next: k + 1 + stream.below(3),
             }),
-            Stage::Wake => {
+            DecisionStage::Wake => {
                 let count = stream.below(4);
                 let devices: Vec<DeviceId> = (0..count).map(|_| DeviceId(stream.below(n + 5) as u32)).collect();
                 stepping.wake(&devices);
@@ -195,15 +198,15 @@ fn drawn(stepping: &mut Stepping<Transcript>, stream: &mut Stream) -> Vec<String
 #[test]
 fn wake_ups_that_cannot_be_are_dropped_and_end_nothing_else() {
     let scenario = external(&["ttis=400"]);
-    let mut stepping = stepping(&scenario, own_world(&scenario), Options::default());
+    let mut stepping = stepping(&scenario, own_world(&scenario), RunOptions::default());
     let mut rounds = 0;
-    while let Some(question) = stepping.question() {
+    while let Some(question) = stepping.pending_decision() {
         let n = question.seen.known.n() as u32;
         let all: Vec<DeviceId> = (0..n).map(DeviceId).collect();
         match question.stage {
-            Stage::Plan => {
+            DecisionStage::Plan => {
                 assert!(all.iter().all(|j| !question.may_wake(*j)));
-                // One bit too many, and as a cycle that is none.
+                // A plan with one bit too many, or with an invalid cycle.
                 let odd = question.seen.now.0 % 2 == 1;
                 let one = (question.seen.now.0 % u64::from(n)) as usize;
                 let plan = if odd {
@@ -219,9 +222,9 @@ fn wake_ups_that_cannot_be_are_dropped_and_end_nothing_else() {
                     Plan::Periodic(cycles)
                 };
                 let next = Tti::ZERO;
-                stepping.decide(Decision { plan, next });
+                stepping.decide(PlanDecision { plan, next });
             }
-            Stage::Wake => {
+            DecisionStage::Wake => {
                 let k = question.seen.now;
                 let before = stepping.observer().wake_ups.get(&k.0).cloned().unwrap_or_default();
                 let on: Vec<DeviceId> = all.iter().copied().filter(|j| !question.seen.is_asleep(*j)).collect();
@@ -229,7 +232,7 @@ fn wake_ups_that_cannot_be_are_dropped_and_end_nothing_else() {
                 let own = all.iter().copied().filter(|j| question.may_wake(*j));
                 let two: Vec<DeviceId> = own.take(2).collect();
                 assert!(!two.is_empty() && two.iter().all(|j| !on.contains(j) && !before.contains(j)));
-                // Devices in S1, beyond the last, woken before, and each one twice.
+                // Devices in S1, out of range or already woken, each of them twice.
                 let beyond = [DeviceId(n), DeviceId(u32::MAX)];
                 let nonsense: Vec<DeviceId> = [&on, &beyond[..], &before].concat();
                 let answer = match before.len() {
@@ -257,43 +260,45 @@ fn wake_ups_that_cannot_be_are_dropped_and_end_nothing_else() {
     }
 }
 
-/// A log that ends too early is noticed at the decision that is missing, be it within a TTI; nothing is made up.
+/// A truncated input log is reported at the missing decision, also within a TTI; no decision is invented.
 #[test]
 fn a_run_stands_where_its_log_ends() {
     for hold in [1, 40] {
         let scenario = external(&["ttis=300"]);
-        let mut stepping = stepping(&scenario, own_world(&scenario), Options::default());
-        let (mut stream, mut all) = (Stream::new(9, Purpose::Training, 0), Inputs::default());
-        while let Some(question) = stepping.question() {
+        let mut stepping = stepping(&scenario, own_world(&scenario), RunOptions::default());
+        let (mut stream, mut all) = (Stream::new(9, Purpose::Training, 0), ExternalInputs::default());
+        while let Some(question) = stepping.pending_decision() {
             let (tti, n) = (question.seen.now, question.seen.known.n() as u64);
             let answer = match question.stage {
-                Stage::Plan => Answer::Plan(Decision {
+                DecisionStage::Plan => Decision::Plan(PlanDecision {
                     plan: Plan::from_bits((0..n).map(|_| stream.below(9) == 0)),
                     next: tti + hold,
                 }),
-                Stage::Wake => Answer::Wake((0..stream.below(3)).map(|_| DeviceId(stream.below(n) as u32)).collect()),
+                DecisionStage::Wake => {
+                    Decision::Wake((0..stream.below(3)).map(|_| DeviceId(stream.below(n) as u32)).collect())
+                }
             };
             match answer.clone() {
-                Answer::Plan(decision) => stepping.decide(decision),
-                Answer::Wake(devices) => stepping.wake(&devices),
+                Decision::Plan(decision) => stepping.decide(decision),
+                Decision::Wake(devices) => stepping.wake(&devices),
             }
-            all.decisions.push(Answered { tti, answer });
+            all.decisions.push(RecordedDecision { tti, answer });
         }
         let digest = stepping.finish().0.digest;
-        let prepared = Prepared::with_policies(&scenario, EXTERNAL);
-        let end = Tti(scenario.ttis);
-        let wakes = |at: usize| all.decisions.get(at).map(|next| next.answer.stage()) == Some(Stage::Wake);
+        let prepared = PreparedRun::without_pilots(&scenario);
+        let end = Tti(scenario.run.ttis);
+        let wakes = |at: usize| all.decisions.get(at).map(|next| next.answer.stage()) == Some(DecisionStage::Wake);
         assert!((0..all.decisions.len()).filter(|at| wakes(*at)).count() > 20);
         for length in 0..=all.decisions.len() {
-            let mut run = Run::new(&prepared, Options::default());
-            run.expect_all(&Inputs {
+            let mut run = Run::new(&prepared, RunOptions::default());
+            run.schedule_inputs(&ExternalInputs {
                 decisions: all.decisions[..length].to_vec(),
-                ..Inputs::default()
+                ..ExternalInputs::default()
             });
             let goes_on = run.advance(end, &mut ());
             let next = all.decisions.get(length).map(|next| next.tti);
             assert_eq!(
-                (run.undecided(), goes_on),
+                (run.missing_decision(), goes_on),
                 (next, next.is_none()),
                 "{length} of {}",
                 all.decisions.len()
@@ -310,16 +315,16 @@ fn a_run_stands_where_its_log_ends() {
 fn a_branch_goes_on_by_itself() {
     let scenario = external(&["ttis=300", "bs.battery_knowledge=reported"]);
     for answers in [120, 121, 122, 123, 124] {
-        let mut trunk = stepping(&scenario, own_world(&scenario), Options::default());
+        let mut trunk = stepping(&scenario, own_world(&scenario), RunOptions::default());
         for _ in 0..answers {
-            let question = trunk.question().expect("a question");
+            let question = trunk.pending_decision().expect("a question");
             let (k, n) = (question.seen.now, question.seen.known.n() as u64);
             match question.stage {
-                Stage::Plan => trunk.decide(Decision {
+                DecisionStage::Plan => trunk.decide(PlanDecision {
                     plan: Plan::from_bits((0..n).map(|j| (j + k.0) % 9 == 0)),
                     next: k + 1,
                 }),
-                Stage::Wake => trunk.wake(&[DeviceId((k.0 % n) as u32)]),
+                DecisionStage::Wake => trunk.wake(&[DeviceId((k.0 % n) as u32)]),
             }
         }
         let branches = [1, 1, 2].map(|seed| {
@@ -335,7 +340,7 @@ fn a_branch_goes_on_by_itself() {
     }
 }
 
-/// Events every few TTIs at random places.
+/// Generates events every few TTIs at random places.
 fn script(scenario: &Scenario) -> Vec<ScriptedEvent> {
     let mut stream = Stream::new(77, Purpose::Epicentre, 0);
     let event = |i: u64| ScriptedEvent {
@@ -346,18 +351,18 @@ fn script(scenario: &Scenario) -> Vec<ScriptedEvent> {
             stream.unit() * scenario.area.height,
         ),
     };
-    (0..scenario.ttis / 6).map(event).collect()
+    (0..scenario.run.ttis / 6).map(event).collect()
 }
 
 #[test]
 fn where_an_event_is_that_nobody_reports_changes_nothing_that_is_asked() {
     for knowledge in ["reported", "oracle"] {
         let scenario = external(&["ttis=600", &format!("bs.battery_knowledge={knowledge}")]);
-        let prepared = Prepared::with_policies(&scenario, EXTERNAL);
+        let prepared = PreparedRun::without_pilots(&scenario);
         let play = |script: &[ScriptedEvent]| {
             let process = EventProcess::scripted(script.to_vec());
             let world = World::with_events(&scenario, &prepared.deployment, process);
-            let mut stepping = stepping(&scenario, world, Options::default());
+            let mut stepping = stepping(&scenario, world, RunOptions::default());
             let heard = drawn(&mut stepping, &mut Stream::new(5, Purpose::Training, 0));
             (heard, stepping.finish().1)
         };
@@ -394,7 +399,7 @@ fn where_an_event_is_that_nobody_reports_changes_nothing_that_is_asked() {
             "{knowledge}: {count} unseen events were moved, and a question tells"
         );
         assert_ne!(transcript.events, second.events);
-        // The same check finds a seen one.
+        // The check detects a visible event.
         let seen = transcript
             .events
             .iter()
@@ -405,7 +410,7 @@ fn where_an_event_is_that_nobody_reports_changes_nothing_that_is_asked() {
     }
 }
 
-/// It cannot be run by its name alone.
+/// The external policy cannot be run by name only.
 #[test]
 fn nobody_lists_it() {
     assert!(registry::names().all(|name| name != "external"));

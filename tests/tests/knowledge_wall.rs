@@ -1,26 +1,26 @@
-//! A policy cannot see ground truth: what no base station can know, and what changes nothing that it can, changes no
-//! plan and no wake-up. The genie aside, which is told of events.
+//! A policy cannot see ground truth. A change that no base station can observe changes no plan and no wake-up. The
+//! genie is the exception: it receives events.
 
-use reveille_bs::observe::{Happening, Observer};
+use reveille_bs::cycle::PreparedRun;
+use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::policy::registry;
-use reveille_bs::prepared::Prepared;
 use reveille_bs::scenario::{Override, load};
 use reveille_common::event::{EventProcess, EventRecord, ScriptedEvent};
 use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::Likely;
+use reveille_common::message::WeightedPoint;
 use reveille_common::plan::Plan;
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::world::World;
 use reveille_lab::preparation::prepare;
-use reveille_lab::run::{Options, Run};
+use reveille_lab::run::{Run, RunOptions};
 
-/// All that a base station commands in a run, and what it believes of events.
+/// Commands of a base station in a run, and its beliefs about events.
 #[derive(Debug, Default, PartialEq)]
 struct Transcript {
     plans: Vec<(Tti, Plan)>,
     wake_ups: Vec<(Tti, DeviceId)>,
-    beliefs: Vec<(Tti, Vec<Likely>)>,
+    beliefs: Vec<(Tti, Vec<WeightedPoint>)>,
 }
 
 #[derive(Default)]
@@ -30,21 +30,21 @@ struct Watch {
 }
 
 impl Observer for Watch {
-    fn see(&mut self, happening: &Happening<'_>) {
+    fn notify(&mut self, happening: &Notification<'_>) {
         match happening {
-            Happening::Plan { update, .. } => self.transcript.plans.push((update.from, update.plan.clone())),
-            Happening::WakeUp { tti, device, .. } => self.transcript.wake_ups.push((*tti, *device)),
-            Happening::Believed { tti, places } => self.transcript.beliefs.push((*tti, places.to_vec())),
-            Happening::EventEnded(event) => self.events.push(**event),
-            Happening::Granted(_)
-            | Happening::EventStarted(_)
-            | Happening::Reported(_)
-            | Happening::Lost(_)
-            | Happening::Gone(_)
-            | Happening::Failed { .. }
-            | Happening::Woken { .. }
-            | Happening::Closed(_)
-            | Happening::States(_) => {}
+            Notification::Plan { update, .. } => self.transcript.plans.push((update.from, update.plan.clone())),
+            Notification::WakeUp { tti, device, .. } => self.transcript.wake_ups.push((*tti, *device)),
+            Notification::Believed { tti, places } => self.transcript.beliefs.push((*tti, places.to_vec())),
+            Notification::EventEnded(event) => self.events.push(**event),
+            Notification::Granted(_)
+            | Notification::EventStarted(_)
+            | Notification::Reported(_)
+            | Notification::Lost(_)
+            | Notification::Gone(_)
+            | Notification::Failed { .. }
+            | Notification::Woken { .. }
+            | Notification::Closed(_)
+            | Notification::States(_) => {}
         }
     }
 
@@ -53,16 +53,16 @@ impl Observer for Watch {
     }
 }
 
-fn play(prepared: &Prepared, script: &[ScriptedEvent]) -> Watch {
+fn play(prepared: &PreparedRun, script: &[ScriptedEvent]) -> Watch {
     let process = EventProcess::scripted(script.to_vec());
     let world = World::with_events(&prepared.scenario, &prepared.deployment, process);
     let mut watch = Watch::default();
-    Run::with_world(prepared, world, Options::default()).finish(&mut watch);
+    Run::with_world(prepared, world, RunOptions::default()).finish(&mut watch);
     watch
 }
 
-fn prepared(policy: &str, set: &[&str]) -> Prepared {
-    let mut overrides = vec![Override::flag("--policy", "policy.name", policy).expect("an override")];
+fn prepared(policy: &str, set: &[&str]) -> PreparedRun {
+    let mut overrides = vec![Override::from_flag("--policy", "policy.name", policy).expect("an override")];
     let always = ["devices=40", "ttis=1500", "events.duration=3"];
     overrides.extend(
         always
@@ -70,14 +70,14 @@ fn prepared(policy: &str, set: &[&str]) -> Prepared {
             .chain(set)
             .map(|set| Override::parse(set).expect("an override")),
     );
-    prepare(&load("paper", &overrides).expect("a scenario"))
+    prepare(&load("paper", &overrides).expect("a scenario").scenario)
 }
 
-/// Events every few TTIs at random places, with gaps in which some can be made longer.
-fn script(prepared: &Prepared) -> Vec<ScriptedEvent> {
+/// Generates events every few TTIs at random places, with gaps in which some can be extended.
+fn script(prepared: &PreparedRun) -> Vec<ScriptedEvent> {
     let mut stream = Stream::new(77, Purpose::Epicentre, 0);
     let (width, height) = (prepared.scenario.area.width, prepared.scenario.area.height);
-    (0..prepared.scenario.ttis / 8)
+    (0..prepared.scenario.run.ttis / 8)
         .map(|i| ScriptedEvent {
             start: Tti(8 * i + stream.below(3)),
             duration: 1 + stream.below(3),
@@ -86,9 +86,9 @@ fn script(prepared: &Prepared) -> Vec<ScriptedEvent> {
         .collect()
 }
 
-/// Whether an event at `epicentre` that lasts from `start` for `duration` TTIs has nobody in S1 within d_max under the
-/// plans of `transcript`.
-fn is_unseen(prepared: &Prepared, transcript: &Transcript, epicentre: Point, start: Tti, duration: u64) -> bool {
+/// Whether no device within d_max of `epicentre` is in S1 from `start` for `duration` TTIs under the plans of
+/// `transcript`.
+fn is_unseen(prepared: &PreparedRun, transcript: &Transcript, epicentre: Point, start: Tti, duration: u64) -> bool {
     let d_max = prepared.scenario.sensing.d_max;
     (start.0..start.0 + duration).map(Tti).all(|k| {
         let at = transcript.plans.partition_point(|(from, _)| *from <= k);
@@ -99,10 +99,10 @@ fn is_unseen(prepared: &Prepared, transcript: &Transcript, epicentre: Point, sta
     })
 }
 
-/// The settings to try `policy` with, each a list.
+/// Returns the lists of settings to test `policy` with.
 fn settings(policy: &str) -> Vec<&'static [&'static str]> {
     match policy {
-        // Some ground stays out of range, so that there are events to move.
+        // Part of the area is out of range, so that some events can be moved.
         "knn" => vec![
             &["sensing.d_max=3.5"],
             &["sensing.d_max=3.5", "bs.ranking=posterior"],
@@ -122,7 +122,7 @@ fn settings(policy: &str) -> Vec<&'static [&'static str]> {
                 "bs.ranking=posterior",
             ],
         ],
-        // Looks that leave some events alone.
+        // Sensing that misses some events.
         "q-learning" => vec![
             &["policy.q-learning.window=4"],
             &["policy.q-learning.ages=true", "sensing.d_max=3"],
@@ -145,7 +145,7 @@ fn settings(policy: &str) -> Vec<&'static [&'static str]> {
                 "bs.battery_knowledge=reported",
             ],
         ],
-        // So dear that places get old enough for events to be missed.
+        // A price so high that places get old enough for missed events.
         "age-index" => vec![
             &["policy.age-index.price=3"],
             &["policy.age-index.price=3", "bs.battery_knowledge=reported"],
@@ -166,7 +166,7 @@ fn settings(policy: &str) -> Vec<&'static [&'static str]> {
     }
 }
 
-/// Of the events a base station knows α, and nothing else.
+/// The base station knows α and nothing else about events.
 #[test]
 fn the_event_process_does_not_pass_the_wall() {
     let known = |set: &[&str]| {
@@ -196,19 +196,30 @@ fn the_event_process_does_not_pass_the_wall() {
     assert_ne!(known(&["events.alpha=0.26"]), (knowledge, site));
 }
 
-/// Every policy of the registry but the genie, which is told of events.
-fn policies() -> Vec<Prepared> {
+/// Ground truth has one interface, which only the genie uses.
+#[test]
+fn only_the_genie_has_the_door_for_ground_truth() {
+    for policy in registry::POLICIES {
+        let prepared = prepared(policy.name, settings(policy.name)[0]);
+        let has_door = prepared.policy(&prepared.knowledge()).oracle().is_some();
+        assert_eq!(has_door, policy.name == "genie", "{}", policy.name);
+        assert_eq!(has_door, policy.is_bound, "{}", policy.name);
+    }
+}
+
+/// Returns every policy of the registry except the genie, which receives events.
+fn policies() -> Vec<PreparedRun> {
     let names = registry::names().filter(|name| *name != "genie");
     names
         .flat_map(|name| settings(name).into_iter().map(move |set| prepared(name, set)))
         .collect()
 }
 
-/// The run of `script`, in which a policy that can wake devices does: one that wakes nobody would hide nothing.
-fn first(prepared: &Prepared, script: &[ScriptedEvent]) -> Watch {
+/// Runs `script` and checks that a policy that can wake devices does, since the test is vacuous otherwise.
+fn first(prepared: &PreparedRun, script: &[ScriptedEvent]) -> Watch {
     let watch = play(prepared, script);
     let name = prepared.scenario.policy.name();
-    let can_wake = registry::named(name).expect("a policy").profile().wakes;
+    let can_wake = registry::named(name).expect("a policy").wakes;
     let count = watch.transcript.wake_ups.len();
     assert_eq!(
         count > 0,

@@ -1,21 +1,22 @@
-//! What holds in every TTI of every run, checked on the emulator alone while it is stepped one grant at a time.
+//! Invariants of every TTI of every run, checked on the emulator alone, one grant at a time.
 
 use proptest::prelude::*;
 use proptest::test_runner::Config;
-use reveille_bs::policy::knn::settings::KnnSettings;
+use reveille_bs::policy::knn::KnnSettings;
+use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::rng::{Purpose, Stream};
-use reveille_common::scenario::{EnergyModel, Scenario};
+use reveille_common::scenario::EnergyModel;
 use reveille_common::state::DeviceState;
 use reveille_common::totals::DeviceTotals;
 use reveille_device::machine::Machine;
 use reveille_lab::preparation::start;
-use reveille_lab::run::Options;
+use reveille_lab::run::RunOptions;
 use reveille_tests::{compare, reference, scenarios};
 
-/// One TTI at a time.
-const STEPPED: Options = Options {
+/// Options for one TTI per grant.
+const STEPPED: RunOptions = RunOptions {
     lookahead: false,
     window: u64::MAX,
 };
@@ -26,7 +27,7 @@ proptest! {
     #[test]
     fn the_books_balance_in_every_tti(text in scenarios::any_policy()) {
         let scenario = scenarios::scenario(&text);
-        // Unbidden, and once more when it is woken too late.
+        // A false wake-up, and a wake-up that comes too late.
         let for_nothing = [scenario.radio.false_wake > 0.0, scenario.radio.wake_latency > 0];
         let for_nothing = for_nothing.map(u64::from).iter().sum();
         each_tti(&scenario, |step| {
@@ -52,7 +53,7 @@ proptest! {
     fn under_knn_one_member_of_each_cluster_senses(text in scenarios::under("knn")) {
         let scenario = scenarios::scenario(&text);
         let clusters = clusters(&scenario);
-        prop_assert_eq!(clusters.iter().map(Vec::len).sum::<usize>(), scenario.devices as usize);
+        prop_assert_eq!(clusters.iter().map(Vec::len).sum::<usize>(), scenario.run.devices as usize);
         each_tti(&scenario, |step| {
             for cluster in &clusters {
                 let sensing = |member: &&DeviceId| step.devices[member.index()].delta;
@@ -91,8 +92,8 @@ proptest! {
     #[test]
     fn a_device_that_is_left_alone_ends_as_one_that_is_stepped(text in scenarios::any_policy()) {
         let scenario = scenarios::scenario(&text);
-        // A window per TTI brings every device up to date in every TTI; without windows a sleeper is touched when
-        // needed.
+        // With a window per TTI every device advances in every TTI; without windows a sleeping device advances only
+        // when needed.
         let (lazy, events) = compare::outcome(&scenario, true, u64::MAX);
         let (stepped, same) = compare::outcome(&scenario, false, 1);
         prop_assert_eq!(&lazy.digest, &stepped.digest);
@@ -113,22 +114,22 @@ proptest! {
     }
 }
 
-/// What one TTI did to one device.
+/// Effect of one TTI on one device.
 struct Passed {
     costs: EnergyModel,
     /// δ.
     delta: bool,
-    /// DeviceState and battery after steps 1 and 2.
+    /// State and battery after steps 1 and 2.
     before: DeviceState,
     level: u64,
-    /// DeviceState at the end.
+    /// State at the end of the TTI.
     after: DeviceState,
     /// Ledgers before and after the TTI.
     opened: DeviceTotals,
     closed: DeviceTotals,
 }
 
-/// What one TTI did.
+/// Effects of one TTI.
 struct Step {
     k: Tti,
     devices: Vec<Passed>,
@@ -136,25 +137,25 @@ struct Step {
 
 type Checked = Result<(), TestCaseError>;
 
-/// Runs `scenario` and shows every TTI to `check`.
+/// Runs `scenario` and calls `check` for every TTI.
 fn each_tti(scenario: &Scenario, mut check: impl FnMut(&Step) -> Checked) -> Checked {
     let deployment = Deployment::new(scenario);
     let mut run = start(scenario, STEPPED);
-    for k in (0..scenario.ttis).map(Tti) {
+    for k in (0..scenario.run.ttis).map(Tti) {
         let unstepped = run.machines().to_vec();
         run.grant(&mut ());
         prop_assert_eq!(run.cycle().next_tti(), k + 1);
         let passed = |(mut before, after): (Machine, &Machine)| {
-            // The device's own: it may have missed the plan in force.
+            // The device's own δ: it may have missed the current plan.
             let duty = after.duty();
-            before.settle(k);
+            before.advance_to(k);
             let opened = before.totals();
             before.set_duty(k, duty);
             before.begin(k);
             let mut ended = after.clone();
             ended.begin(k);
             let state = ended.state();
-            ended.settle(k + 1);
+            ended.advance_to(k + 1);
             Passed {
                 costs: deployment.devices[after.id().index()].energy,
                 delta: duty.is_on(k),
@@ -171,7 +172,7 @@ fn each_tti(scenario: &Scenario, mut check: impl FnMut(&Step) -> Checked) -> Che
     Ok(())
 }
 
-/// `for_nothing` is how often it may wake for nothing in a TTI.
+/// Checks the energy balance of a device; `for_nothing` is the maximum number of fruitless wake-ups in a TTI.
 fn balanced(device: &Passed, for_nothing: u64) -> Checked {
     let Passed {
         costs, opened, closed, ..
@@ -218,7 +219,7 @@ fn consistent(device: &Passed, wakes_late: bool) -> Checked {
     }
     match after {
         DeviceState::Transmission => {
-            // A sensing device that detected, or a sleeper that could hear: nobody else reports.
+            // Only a sensing device that detected, or a sleeping one with a powered wake-up radio, reports.
             prop_assert!(
                 !matches!(before, DeviceState::Sleep { powered: false }),
                 "reported without power"
@@ -228,7 +229,7 @@ fn consistent(device: &Passed, wakes_late: bool) -> Checked {
         DeviceState::Sleep { powered: false } => prop_assert_eq!(end, 0, "a failed action leaves nothing"),
         DeviceState::Idle | DeviceState::Sleep { powered: true } => {
             prop_assert_eq!(after, before);
-            // Who is woken too late pays for that, and sleeps again.
+            // A device that is woken too late pays for it and sleeps again.
             let is_late = wakes_late && end + costs.e_idle.micro() == *level;
             prop_assert!(end == *level || is_late, "{} of {} left", end, level);
         }
@@ -237,18 +238,22 @@ fn consistent(device: &Passed, wakes_late: bool) -> Checked {
     Ok(())
 }
 
-/// The clusters of a scenario under `knn`, by the second implementation.
+/// Returns the `knn` clusters of a scenario, from the second implementation.
 fn clusters(scenario: &Scenario) -> Vec<Vec<DeviceId>> {
     let positions = Deployment::new(scenario).positions();
-    let settings = scenario.policy.settings::<KnnSettings>().expect("settings of knn");
+    let settings = scenario
+        .policy
+        .settings()
+        .downcast_ref::<KnnSettings>()
+        .expect("settings of knn");
     let how = (settings.neighbours as usize, settings.limit_radius);
-    let start = Stream::new(scenario.seed, Purpose::Clusters, 0);
+    let start = Stream::new(scenario.run.seed, Purpose::Clusters, 0);
     let clusters = reference::clusters(&positions, scenario.area, scenario.sensing.d_max, how, start);
     let devices = |cluster: Vec<usize>| cluster.into_iter().map(|j| DeviceId(j as u32)).collect();
     clusters.into_iter().map(devices).collect()
 }
 
-/// Whether the run is long enough for every duty cycle to come to its TTI in S1.
+/// Whether the run is long enough for every duty cycle to reach a TTI in S1.
 fn can_sense(scenario: &Scenario) -> bool {
-    scenario.ttis >= 12
+    scenario.run.ttis >= 12
 }

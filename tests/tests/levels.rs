@@ -1,15 +1,15 @@
-//! What a base station makes of batteries that it is not told (`bs.battery_knowledge = reported`): it cannot know that
-//! the energy that it counts on does not come any more, but it can find out.
+//! Battery estimates of a base station that gets only reported levels (`bs.battery_knowledge = reported`). It cannot
+//! know that expected energy no longer arrives, but it can detect that.
 
-use reveille_bs::observe::{Happening, Observer};
+use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::scenario::{Override, load};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::plan::Plan;
 use reveille_lab::preparation::start;
-use reveille_lab::run::Options;
+use reveille_lab::run::RunOptions;
 use reveille_tests::process::Folder;
 
-/// How many devices sense in each TTI, and the events that ended, with whether they were reported.
+/// Number of sensing devices in each TTI, and the ended events with whether they were reported.
 struct Watch {
     devices: u32,
     plan: Plan,
@@ -30,29 +30,29 @@ impl Watch {
 }
 
 impl Observer for Watch {
-    fn see(&mut self, happening: &Happening<'_>) {
+    fn notify(&mut self, happening: &Notification<'_>) {
         match happening {
-            Happening::Plan { update, .. } => self.plan = update.plan.clone(),
-            Happening::EventEnded(event) => self.events.push((event.start, event.tally.reports > 0)),
-            Happening::Closed(k) => {
+            Notification::Plan { update, .. } => self.plan = update.plan.clone(),
+            Notification::EventEnded(event) => self.events.push((event.start, event.tally.reports > 0)),
+            Notification::Closed(k) => {
                 let is_on = |j: &u32| self.plan.duty_cycle(DeviceId(*j)).is_on(*k);
                 self.sensing.push((0..self.devices).filter(is_on).count());
             }
-            Happening::Granted(_)
-            | Happening::EventStarted(_)
-            | Happening::Reported(_)
-            | Happening::Lost(_)
-            | Happening::Gone(_)
-            | Happening::Failed { .. }
-            | Happening::WakeUp { .. }
-            | Happening::Woken { .. }
-            | Happening::Believed { .. }
-            | Happening::States(_) => {}
+            Notification::Granted(_)
+            | Notification::EventStarted(_)
+            | Notification::Reported(_)
+            | Notification::Lost(_)
+            | Notification::Gone(_)
+            | Notification::Failed { .. }
+            | Notification::WakeUp { .. }
+            | Notification::Woken { .. }
+            | Notification::Believed { .. }
+            | Notification::States(_) => {}
         }
     }
 }
 
-/// 40 devices under `q-learning` whose energy is `rows`, units a TTI.
+/// Runs 40 devices under `q-learning` with harvest `rows`, units per TTI.
 fn watch(folder: &Folder, knowledge: &str, rows: impl Iterator<Item = u32>) -> Watch {
     let rows: Vec<String> = rows.map(|units| units.to_string()).collect();
     let file = folder.write("energy.csv", &format!("e\n{}\n", rows.join("\n")));
@@ -78,11 +78,11 @@ fn watch(folder: &Folder, knowledge: &str, rows: impl Iterator<Item = u32>) -> W
         sensing: Vec::new(),
         events: Vec::new(),
     };
-    let one_by_one = Options {
+    let one_by_one = RunOptions {
         lookahead: false,
-        ..Options::default()
+        ..RunOptions::default()
     };
-    start(&load("paper", &overrides).expect("a scenario"), one_by_one).finish(&mut watch);
+    start(&load("paper", &overrides).expect("a scenario").scenario, one_by_one).finish(&mut watch);
     assert_eq!(watch.sensing.len(), 12_000);
     watch
 }

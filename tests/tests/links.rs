@@ -1,4 +1,4 @@
-//! Pages link to what is there.
+//! Checks that links in pages have existing targets.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// The pages at the top, and all in and below the folders that hold pages.
+/// Returns the pages in the root folder, and all pages in and below the documentation folders.
 fn pages() -> Vec<PathBuf> {
     let mut pages = pages_in(&root(), false);
     for folder in ["docs", "deploy", "tests"] {
@@ -26,7 +26,7 @@ fn pages() -> Vec<PathBuf> {
     pages
 }
 
-/// The pages in `folder`; with `deep` those below it too, but for what is built.
+/// Returns the pages in `folder`; with `deep` also in subfolders, except build output.
 fn pages_in(folder: &Path, deep: bool) -> Vec<PathBuf> {
     let mut pages = Vec::new();
     for entry in fs::read_dir(folder).expect("a folder") {
@@ -41,13 +41,13 @@ fn pages_in(folder: &Path, deep: bool) -> Vec<PathBuf> {
     pages
 }
 
-/// The text without what is code: there `](` is no link.
+/// Returns the text without code, in which `](` is not a link.
 fn prose(text: &str) -> String {
     let outside_blocks: String = text.split("```").step_by(2).collect();
     outside_blocks.split('`').step_by(2).collect()
 }
 
-/// The targets of all links in a page, of pictures too.
+/// Returns the targets of all links in a page, including pictures.
 fn targets(text: &str) -> Vec<String> {
     let text = prose(text);
     let ends = text
@@ -58,7 +58,7 @@ fn targets(text: &str) -> Vec<String> {
     ends.chain(sources).map(str::to_owned).collect()
 }
 
-/// The anchor that a heading gets: lower case, spaces as hyphens, punctuation left out.
+/// Returns the anchor of a heading: lower case, spaces as hyphens, without punctuation.
 fn anchor(heading: &str) -> String {
     let heading = heading.trim_start_matches('#').trim().to_lowercase().replace(' ', "-");
     heading
@@ -67,7 +67,7 @@ fn anchor(heading: &str) -> String {
         .collect()
 }
 
-/// Protects: a reader who follows a link arrives. Only links within the tree are looked at.
+/// Protects: readers, from broken links. Checks only links within the tree.
 #[test]
 fn links_lead_somewhere() {
     let (mut seen, mut broken) = (0, Vec::new());

@@ -1,14 +1,13 @@
-//! How many TTIs go in one grant, and that it changes nothing.
+//! Lookahead: the number of TTIs in a grant does not change the result.
 
-use reveille_bs::outcome::Outcome;
-use reveille_bs::prepared::Prepared;
+use reveille_bs::cycle::{Outcome, PreparedRun};
 use reveille_bs::scenario::{Override, load};
 use reveille_lab::preparation::prepare;
-use reveille_lab::run::{Options, Run};
+use reveille_lab::run::{Run, RunOptions};
 
 const TTIS: u64 = 1500;
 
-fn prepared(policy: &str, knowledge: &str) -> Prepared {
+fn prepared(policy: &str, knowledge: &str) -> PreparedRun {
     let set = [
         "devices=30".to_owned(),
         format!("ttis={TTIS}"),
@@ -16,16 +15,16 @@ fn prepared(policy: &str, knowledge: &str) -> Prepared {
         format!("bs.battery_knowledge={knowledge}"),
     ];
     let set = set.map(|set| Override::parse(&set).expect("an override"));
-    prepare(&load("paper", &set).expect("a scenario"))
+    prepare(&load("paper", &set).expect("a scenario").scenario)
 }
 
-/// The number of grants, and what the run came to.
-fn grants(prepared: &Prepared, lookahead: bool) -> (u64, Outcome) {
+/// Returns the number of grants and the outcome of the run.
+fn grants(prepared: &PreparedRun, lookahead: bool) -> (u64, Outcome) {
     let mut run = Run::new(
         prepared,
-        Options {
+        RunOptions {
             lookahead,
-            ..Options::default()
+            ..RunOptions::default()
         },
     );
     let mut grants = 0;
@@ -36,7 +35,7 @@ fn grants(prepared: &Prepared, lookahead: bool) -> (u64, Outcome) {
     (grants, run.finish(&mut ()))
 }
 
-/// No more grants than TTIs in which somebody may hear of an event, and the ends of windows.
+/// Grants at most once per TTI in which a device may detect an event, and once per end of a window.
 #[test]
 fn a_policy_that_decides_in_every_tti_decides_ahead() {
     for policy in ["age-index", "q-learning", "random", "dt", "knn"] {
@@ -45,12 +44,12 @@ fn a_policy_that_decides_in_every_tti_decides_ahead() {
         let (plain, same) = grants(&prepared, false);
         assert_eq!(outcome, same, "{policy}");
         assert_eq!(plain, TTIS, "{policy}");
-        // At α = 0.2 no more than one event starts in five TTIs. Each brings some TTIs in which somebody may detect it.
+        // At α = 0.2 at most one event starts in five TTIs. A device may detect it only in some of its TTIs.
         assert!(ahead < TTIS / 2, "{policy}: {ahead} grants");
     }
 }
 
-/// Who is told what batteries hold has to wait for them.
+/// A policy that receives true battery levels has to wait for them.
 #[test]
 fn true_batteries_are_not_foreseen() {
     let prepared = prepared("q-learning", "oracle");

@@ -1,24 +1,25 @@
-//! What an observer sees is the same in memory and over the bus: every plan, grant, report, failure, wake-up, outcome,
-//! close and state, in the same order.
+//! An observer sees the same in memory and over the bus: every plan, grant, report, failure, wake-up, outcome, close
+//! and state, in the same order.
 
 use std::sync::Arc;
 use std::time::Duration;
 
-use reveille_bs::host::{Course, Decisions, OnLoss, Progress, Settings, dismiss, serve};
-use reveille_bs::observe::{Happening, Observer};
-use reveille_bs::policy::kind::Registered;
+use reveille_bs::cycle::PreparedRun;
+use reveille_bs::observer::{Notification, Observer};
+use reveille_bs::policy::factory::PolicyEntry;
 use reveille_bs::policy::registry::POLICIES;
-use reveille_bs::prepared::Prepared;
 use reveille_bs::scenario::{Override, load};
+use reveille_bs::server::{OnLoss, RunProgress, RunSpec, ServerConfig, dismiss_hosts, serve};
+use reveille_bs::session::Session;
 use reveille_common::bus::Bus;
 use reveille_common::message::Pace;
-use reveille_device::host::{Offer, carry};
+use reveille_device::host::{HostConfig, run_host};
 use reveille_lab::preparation::prepare;
-use reveille_lab::run::{Options, Run};
+use reveille_lab::run::{Run, RunOptions};
 
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// Writes down everything, and asks for the states after every fifth grant.
+/// Records every notification, and requests the states after every fifth grant.
 #[derive(Default)]
 struct Record {
     lines: Vec<String>,
@@ -26,8 +27,8 @@ struct Record {
 }
 
 impl Observer for Record {
-    fn see(&mut self, happening: &Happening<'_>) {
-        self.closed += u64::from(matches!(happening, Happening::Closed(_)));
+    fn notify(&mut self, happening: &Notification<'_>) {
+        self.closed += u64::from(matches!(happening, Notification::Closed(_)));
         self.lines.push(format!("{happening:?}"));
     }
 
@@ -40,37 +41,37 @@ impl Observer for Record {
     }
 }
 
-fn prepared(set: &[&str]) -> Prepared {
+fn prepared(set: &[&str]) -> PreparedRun {
     let overrides: Vec<Override> = set
         .iter()
         .map(|set| Override::parse(set).expect("an override"))
         .collect();
-    prepare(&load("paper", &overrides).expect("a scenario"))
+    prepare(&load("paper", &overrides).expect("a scenario").scenario)
 }
 
-fn in_memory(prepared: &Prepared, lookahead: bool) -> Vec<String> {
-    let options = Options {
+fn in_memory(prepared: &PreparedRun, lookahead: bool) -> Vec<String> {
+    let options = RunOptions {
         lookahead,
-        ..Options::default()
+        ..RunOptions::default()
     };
     let mut record = Record::default();
     Run::new(prepared, options).finish(&mut record);
     record.lines
 }
 
-async fn over_the_bus(prepared: &Prepared, lookahead: bool, hosts: u32) -> Vec<String> {
+async fn over_the_bus(prepared: &PreparedRun, lookahead: bool, hosts: u32) -> Vec<String> {
     let run = "observer-test";
     let bus = Bus::listen("tcp/127.0.0.1:0", run.parse().expect("a name"))
         .await
         .expect("a port");
-    let devices = prepared.scenario.devices;
+    let devices = prepared.scenario.run.devices;
     for host in 0..hosts {
         let endpoint = bus.endpoint().to_owned();
         tokio::spawn(async move {
             let own = Bus::connect(&endpoint, run.parse().expect("a name"), PATIENCE)
                 .await
                 .expect("a link");
-            let offer = Offer {
+            let offer = HostConfig {
                 count: devices.div_ceil(hosts),
                 name: format!("host {host} of a test"),
                 key: None,
@@ -78,10 +79,10 @@ async fn over_the_bus(prepared: &Prepared, lookahead: bool, hosts: u32) -> Vec<S
                 stands_by: false,
                 hands_over: false,
             };
-            carry(&own, offer, &|_| {}).await
+            run_host(&own, offer, &|_| {}).await
         });
     }
-    let settings = Settings {
+    let settings = ServerConfig {
         lookahead,
         pace: Pace::Max,
         on_loss: OnLoss::End,
@@ -92,26 +93,27 @@ async fn over_the_bus(prepared: &Prepared, lookahead: bool, hosts: u32) -> Vec<S
         key: None,
         members_only: false,
     };
-    let course = Course {
+    let course = RunSpec {
         prepared,
-        taken: None,
+        session: Session::new(prepared, settings.window),
+        resumption: None,
         replay: None,
-        decisions: Decisions::default(),
+        patience: None,
     };
     let mut record = Record::default();
-    let progress = Arc::new(Progress::default());
+    let progress = Arc::new(RunProgress::default());
     serve(&bus, course, &settings, &progress, &mut record)
         .await
         .expect("a run");
-    dismiss(&bus, None).expect("a bus");
+    dismiss_hosts(&bus, None).expect("a bus");
     record.lines
 }
 
-/// `policy` with short pilot runs, for one that makes them.
-fn settings(policy: &dyn Registered, others: &[&str]) -> Prepared {
-    let name = format!("policy.name={}", policy.name());
+/// Prepares a run of `policy`, with short pilot runs if the policy makes them.
+fn settings(policy: &PolicyEntry, others: &[&str]) -> PreparedRun {
+    let name = format!("policy.name={}", policy.name);
     let mut set = vec![name.as_str()];
-    if policy.name() == "adjusted" {
+    if policy.name == "adjusted" {
         set.push("policy.adjusted.pilot_ttis=200");
     }
     set.extend(others);
@@ -120,7 +122,7 @@ fn settings(policy: &dyn Registered, others: &[&str]) -> Prepared {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn memory_and_bus_show_the_same() {
-    // Batteries run low and are not told, so that wake-ups fail and go unheard.
+    // Batteries run low and the levels are not known, so that wake-ups fail or are not received.
     let poor = [
         "devices=40",
         "ttis=400",
@@ -129,10 +131,10 @@ async fn memory_and_bus_show_the_same() {
         "events.alpha=0.4",
         "bs.battery_knowledge=reported",
     ];
-    let looking_ahead = POLICIES.iter().map(|policy| (*policy, true));
-    let plain = POLICIES.iter().take(1).map(|policy| (*policy, false));
+    let looking_ahead = POLICIES.iter().map(|policy| (policy, true));
+    let plain = POLICIES.iter().take(1).map(|policy| (policy, false));
     for (policy, lookahead) in looking_ahead.chain(plain) {
-        let name = policy.name();
+        let name = policy.name;
         let prepared = settings(policy, &poor);
         let memory = in_memory(&prepared, lookahead);
         let bus = over_the_bus(&prepared, lookahead, 3).await;
@@ -145,7 +147,7 @@ async fn memory_and_bus_show_the_same() {
             assert!(count(kind) > 0, "{name}: no {kind}");
         }
         for kind in ["WakeUp", "Woken"] {
-            assert_eq!(count(kind) > 0, policy.profile().wakes, "{name}: {kind}");
+            assert_eq!(count(kind) > 0, policy.wakes, "{name}: {kind}");
         }
     }
 }
@@ -153,10 +155,10 @@ async fn memory_and_bus_show_the_same() {
 #[test]
 fn an_observer_changes_nothing() {
     for policy in POLICIES {
-        let prepared = settings(*policy, &["devices=30", "ttis=800"]);
-        let plain = Run::new(&prepared, Options::default()).finish(&mut ());
+        let prepared = settings(policy, &["devices=30", "ttis=800"]);
+        let plain = Run::new(&prepared, RunOptions::default()).finish(&mut ());
         let mut both = (Record::default(), Record::default());
-        let seen = Run::new(&prepared, Options::default()).finish(&mut both);
+        let seen = Run::new(&prepared, RunOptions::default()).finish(&mut both);
         assert_eq!(plain, seen);
         assert_eq!(both.0.lines, both.1.lines);
     }

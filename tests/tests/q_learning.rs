@@ -1,8 +1,8 @@
-//! Who senses under `q-learning`: the choice of the policy beside that of the second implementation.
+//! Choice of sensing devices under `q-learning`, compared with the second implementation.
 
 use proptest::prelude::*;
-use reveille_bs::policy::q_learning::duty::{Duty, Terms};
-use reveille_bs::policy::q_learning::learned::{AREAS, DutyTable, Lookback, Schedule, Weights};
+use reveille_bs::policy::q_learning::duty::{Duty, DutyTerms};
+use reveille_bs::policy::q_learning::learned::{AREAS, DutyTable, Lookback, QWeights, Schedule};
 use reveille_bs::policy::q_learning::settings::QLearningSettings;
 use reveille_bs::scenario::{EnergyModel, Override, load};
 use reveille_common::geometry::{Area, Layout, place};
@@ -27,10 +27,10 @@ fn energy() -> EnergyModel {
     }
 }
 
-fn terms(lookback: Lookback) -> Terms {
-    Terms {
+fn terms(lookback: Lookback) -> DutyTerms {
+    DutyTerms {
         schedule: Schedule::default(),
-        weights: Weights {
+        weights: QWeights {
             mu1: 10.0,
             mu2: 1.0,
             zeta: 0.9,
@@ -41,8 +41,8 @@ fn terms(lookback: Lookback) -> Terms {
     }
 }
 
-/// A table in which each value is drawn at random; sensing is worth more the more is covered, in some tables hardly
-/// anything and in some nearly everything.
+/// Returns a table with random values. The value of sensing rises with the covered area; in some tables it is near 0,
+/// in some almost always positive.
 fn table(stream: &mut Stream, bias: f64) -> DutyTable {
     let mut table = DutyTable::optimistic(0.0, |_| 1.0);
     for (index, cell) in table.q.iter_mut().enumerate() {
@@ -55,7 +55,7 @@ fn table(stream: &mut Stream, bias: f64) -> DutyTable {
     table
 }
 
-/// One in five cannot sense.
+/// Returns random battery levels; one device in five cannot sense.
 fn levels(devices: usize, stream: &mut Stream) -> Vec<Energy> {
     let level = |u: f64| units(if u < 0.2 { 50.0 * u } else { 100.0 * u });
     (0..devices).map(|_| level(stream.unit())).collect()
@@ -96,7 +96,7 @@ proptest! {
     }
 }
 
-/// With the tables that come with the program, at full size.
+/// Uses the shipped tables, at full size.
 #[test]
 fn shipped_tables_choose_as_the_second_implementation_does() {
     let mut sensing_devices = 0;
@@ -107,8 +107,12 @@ fn shipped_tables_choose_as_the_second_implementation_does() {
             format!("policy.q-learning.window={window}"),
         ];
         let set = set.map(|text| Override::parse(&text).expect("an override"));
-        let scenario = load("paper", &set).expect("a scenario");
-        let settings = scenario.policy.settings::<QLearningSettings>().expect("q-learning");
+        let scenario = load("paper", &set).expect("a scenario").scenario;
+        let settings = scenario
+            .policy
+            .settings()
+            .downcast_ref::<QLearningSettings>()
+            .expect("q-learning");
         let (area, sensing, energy) = (scenario.area, &scenario.sensing, scenario.classes[0].energy);
         let points = place(&scenario.layout, area, devices, 9);
         let table = settings.start.duty.clone();
@@ -133,7 +137,7 @@ fn shipped_tables_choose_as_the_second_implementation_does() {
     assert!(sensing_devices > 60, "{sensing_devices} are too few to tell");
 }
 
-/// With ages, from the rule, the table and plain sums over places.
+/// Uses ages, computed from the rule, the table and plain sums over places.
 #[test]
 fn with_ages_the_choice_is_that_of_the_second_implementation() {
     let mut compared = [0; 2];
@@ -148,7 +152,7 @@ fn with_ages_the_choice_is_that_of_the_second_implementation() {
             "sensing.eta=0.3".to_owned(),
         ];
         let set = set.map(|text| Override::parse(&text).expect("an override"));
-        let scenario = load("paper", &set).expect("a scenario");
+        let scenario = load("paper", &set).expect("a scenario").scenario;
         let mut stream = Stream::new(seed, Purpose::Training, 2);
         let devices = 2 + stream.below(30) as u32;
         let points = place(&Layout::Uniform, scenario.area, devices, seed);

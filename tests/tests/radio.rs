@@ -1,14 +1,13 @@
-//! A radio that fails: what it takes away, who may know of it, and that it is told apart from the rest.
+//! An unreliable radio: its effects, who can know of them, and the metric of each failure.
 
 use std::collections::BTreeMap;
 
-use reveille_bs::cycle::Cycle;
+use reveille_bs::base_station::Station;
+use reveille_bs::cycle::{Cycle, PreparedRun};
 use reveille_bs::knowledge::Knowledge;
-use reveille_bs::observe::{Happening, Observer};
+use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::policy::registry;
-use reveille_bs::prepared::Prepared;
 use reveille_bs::scenario::{Override, load};
-use reveille_bs::station::Station;
 use reveille_common::event::{EventProcess, ScriptedEvent};
 use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, Tti};
@@ -18,41 +17,41 @@ use reveille_common::radio::{Air, Link};
 use reveille_common::world::World;
 use reveille_device::machine::Machine;
 use reveille_lab::preparation::prepare;
-use reveille_lab::run::{Options, Run};
+use reveille_lab::run::{Run, RunOptions};
 
-fn prepared(set: &[&str]) -> Prepared {
+fn prepared(set: &[&str]) -> PreparedRun {
     let parse = |set: &&str| Override::parse(set).expect("an override");
     let overrides: Vec<Override> = set.iter().map(parse).collect();
-    prepare(&load("paper", &overrides).expect("a scenario"))
+    prepare(&load("paper", &overrides).expect("a scenario").scenario)
 }
 
-/// What a base station decided, and what came of it.
+/// Decisions of a base station and their outcomes.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Watch {
     plans: Vec<(Tti, Plan)>,
     wake_ups: Vec<(Tti, DeviceId)>,
-    /// By what it was: how often, and the last TTI.
+    /// By kind of notification: the count, and the last TTI.
     seen: BTreeMap<&'static str, u64>,
-    /// TTIs and senders of reports, by whether they were lost.
+    /// TTIs and senders of reports: arrived, lost.
     reports: [Vec<(Tti, DeviceId)>; 2],
-    /// TTIs and devices of wake-ups that were not heard.
+    /// TTIs and devices of wake-ups that were not received.
     unheard: Vec<(Tti, DeviceId)>,
-    /// Events, with whether they were reported, and reports of theirs that were lost.
+    /// Events: whether each was reported, and the number of its lost reports.
     events: Vec<(bool, u64)>,
     lost: u64,
 }
 
 impl Observer for Watch {
-    fn see(&mut self, happening: &Happening<'_>) {
+    fn notify(&mut self, happening: &Notification<'_>) {
         match happening {
-            Happening::Plan { update, .. } => self.plans.push((update.from, update.plan.clone())),
-            Happening::Reported(report) => self.reports[0].push((report.tti, report.device)),
-            Happening::Lost(report) => {
+            Notification::Plan { update, .. } => self.plans.push((update.from, update.plan.clone())),
+            Notification::Reported(report) => self.reports[0].push((report.tti, report.device)),
+            Notification::Lost(report) => {
                 self.lost += 1;
                 self.reports[1].push((report.tti, report.device));
             }
-            Happening::WakeUp { tti, device, .. } => self.wake_ups.push((*tti, *device)),
-            Happening::Woken { tti, device, outcome } => match outcome {
+            Notification::WakeUp { tti, device, .. } => self.wake_ups.push((*tti, *device)),
+            Notification::Woken { tti, device, outcome } => match outcome {
                 WakeOutcome::Reported(_) => self.reports[0].push((*tti, *device)),
                 WakeOutcome::Lost(_) => {
                     self.lost += 1;
@@ -62,25 +61,25 @@ impl Observer for Watch {
                 WakeOutcome::Late { .. } => *self.seen.entry("late").or_default() += 1,
                 WakeOutcome::Failed(_) => *self.seen.entry("failed").or_default() += 1,
             },
-            Happening::EventStarted(_) => self.lost = 0,
-            Happening::EventEnded(record) => self.events.push((record.tally.reports > 0, self.lost)),
-            Happening::Failed { .. } => *self.seen.entry("failed").or_default() += 1,
-            Happening::Granted(_)
-            | Happening::Gone(_)
-            | Happening::Believed { .. }
-            | Happening::Closed(_)
-            | Happening::States(_) => {}
+            Notification::EventStarted(_) => self.lost = 0,
+            Notification::EventEnded(record) => self.events.push((record.tally.reports > 0, self.lost)),
+            Notification::Failed { .. } => *self.seen.entry("failed").or_default() += 1,
+            Notification::Granted(_)
+            | Notification::Gone(_)
+            | Notification::Believed { .. }
+            | Notification::Closed(_)
+            | Notification::States(_) => {}
         }
     }
 }
 
-fn watch(prepared: &Prepared) -> Watch {
+fn watch(prepared: &PreparedRun) -> Watch {
     let mut watch = Watch::default();
-    Run::new(prepared, Options::default()).finish(&mut watch);
+    Run::new(prepared, RunOptions::default()).finish(&mut watch);
     watch
 }
 
-/// What is lost is what the draws say, no more and no less, whatever the policy does.
+/// Exactly the drawn messages are lost, under every policy.
 #[test]
 fn reports_and_wake_ups_are_lost_as_they_are_drawn() {
     for policy in registry::names() {
@@ -96,7 +95,7 @@ fn reports_and_wake_ups_are_lost_as_they_are_drawn() {
             "bs.sync_interval=20",
         ]);
         let seen = watch(&prepared);
-        let mut air = Air::new(prepared.scenario.seed, &prepared.scenario.radio);
+        let mut air = Air::new(prepared.scenario.run.seed, &prepared.scenario.radio);
         let mut all: Vec<(Tti, DeviceId, bool)> = Vec::new();
         for (place, reports) in seen.reports.iter().enumerate() {
             all.extend(reports.iter().map(|&(tti, device)| (tti, device, place == 1)));
@@ -110,13 +109,13 @@ fn reports_and_wake_ups_are_lost_as_they_are_drawn() {
             );
         }
         let lost = seen.reports[1].len() as f64 / all.len() as f64;
-        // More than between bursts, since an event goes on while nobody hears of it.
+        // The share exceeds the loss rate between bursts, since an event lasts longer while its reports are lost.
         assert!(
             all.len() > 60 && (0.2..0.6).contains(&lost),
             "{policy}: {lost} of {}",
             all.len()
         );
-        let mut air = Air::new(prepared.scenario.seed, &prepared.scenario.radio);
+        let mut air = Air::new(prepared.scenario.run.seed, &prepared.scenario.radio);
         for &(tti, device) in &seen.wake_ups {
             let is_missed = air.at(tti).misses_wake_up(device);
             let is_unheard = seen.unheard.contains(&(tti, device));
@@ -125,19 +124,19 @@ fn reports_and_wake_ups_are_lost_as_they_are_drawn() {
     }
 }
 
-/// With every report lost, nothing gets in, and each event that could be missed is.
+/// If every report is lost, none arrives, and each event that can be missed is missed.
 #[test]
 fn events_whose_reports_are_all_lost_stay_open_and_are_missed() {
     let prepared = prepared(&["ttis=2000", "radio.uplink_loss=1", "energy.initial=100"]);
     let seen = watch(&prepared);
     assert!(seen.events.iter().all(|(is_reported, _)| !is_reported));
     let most = seen.events.iter().map(|(_, lost)| *lost).max();
-    // A device that is in S1 in several TTIs of an event reports it in each.
+    // A device in S1 in several TTIs of an event reports in each of them.
     assert!(
         most > Some(4) && seen.reports[0].is_empty() && seen.wake_ups.is_empty(),
         "{most:?}"
     );
-    let outcome = Run::new(&prepared, Options::default()).finish(&mut ());
+    let outcome = Run::new(&prepared, RunOptions::default()).finish(&mut ());
     let missed = outcome.totals.missed;
     let [missed_pct, lost_pct] = [outcome.metrics.misdetection_pct, outcome.metrics.lost_reports_pct];
     assert!((missed_pct - 100.0).abs() < 1e-12 && (lost_pct - 100.0).abs() < 1e-12);
@@ -145,7 +144,7 @@ fn events_whose_reports_are_all_lost_stay_open_and_are_missed() {
     assert!(missed.lost > 20 * missed.unpaid.max(1), "{missed:?}");
 }
 
-/// Where the first report is lost, a later one ends the event.
+/// If the first report is lost, a later report ends the event.
 #[test]
 fn an_event_is_reported_after_a_report_was_lost() {
     let prepared = prepared(&["ttis=3000", "radio.uplink_loss=0.5", "events.duration=6"]);
@@ -158,28 +157,24 @@ fn an_event_is_reported_after_a_report_was_lost() {
     assert!(late > 50, "{late}");
 }
 
-/// A device that misses plans does what it was told before: lookahead or not, it comes to the same.
+/// A device that misses plans keeps the previous one, with and without lookahead.
 #[test]
 fn devices_that_miss_plans_keep_the_old_one() {
     for policy in ["knn", "age-index", "q-learning"] {
         let name = format!("policy.name={policy}");
         let set = [&*name, "ttis=1500", "radio.plan_loss=0.4", "bs.sync_interval=200"];
         let prepared = prepared(&set);
-        let mut run = Run::new(&prepared, Options::default());
+        let mut run = Run::new(&prepared, RunOptions::default());
         let mut watch = Watch::default();
-        let mut air = Air::new(prepared.scenario.seed, &prepared.scenario.radio);
+        let mut air = Air::new(prepared.scenario.run.seed, &prepared.scenario.radio);
         let mut heard: Vec<_> = run.machines().iter().map(Machine::duty).collect();
         let mut differing = 0_u64;
         while run.cycle().next_tti() < Tti(1500) {
             let before = watch.plans.len();
             run.grant(&mut watch);
             for (from, plan) in &watch.plans[before..] {
-                let now = air.at(*from);
-                for (duty, device) in heard.iter_mut().zip((0..).map(DeviceId)) {
-                    if !now.misses_plan(device) {
-                        *duty = plan.duty_cycle(device);
-                    }
-                }
+                let devices = heard.len();
+                air.deliver_plan(*from, plan, DeviceId(0), devices, |j, cycle| heard[j] = cycle);
             }
             for (machine, duty) in run.machines().iter().zip(&heard) {
                 assert_eq!(machine.duty(), *duty, "{policy}: device {}", machine.id());
@@ -187,16 +182,16 @@ fn devices_that_miss_plans_keep_the_old_one() {
             }
         }
         assert!(differing > 0, "{policy}");
-        let one_by_one = Options {
+        let one_by_one = RunOptions {
             lookahead: false,
-            ..Options::default()
+            ..RunOptions::default()
         };
-        let digests = [Options::default(), one_by_one].map(|how| Run::new(&prepared, how).finish(&mut ()).digest);
+        let digests = [RunOptions::default(), one_by_one].map(|how| Run::new(&prepared, how).finish(&mut ()).digest);
         assert_eq!(digests[0], digests[1], "{policy}");
     }
 }
 
-/// The wall: what is lost on its way is as if it had never been sent, whatever was in it.
+/// Knowledge wall: a lost message has the same effect as a message never sent, whatever its content.
 #[test]
 fn a_base_station_knows_nothing_of_what_was_lost() {
     for policy in registry::names().filter(|policy| *policy != "genie") {
@@ -216,15 +211,15 @@ fn a_base_station_knows_nothing_of_what_was_lost() {
             });
             let process = EventProcess::scripted(script.collect());
             let world = World::with_events(&prepared.scenario, &prepared.deployment, process);
-            // A base station that takes its radio for a perfect one: one that knew would not look at all.
+            // A base station that assumes a perfect radio: one that knew of the losses would not plan any sensing.
             let known = Knowledge {
                 radio: Link::default(),
                 ..prepared.knowledge()
             };
-            let mind = prepared.mind(&known);
-            let cycle = Cycle::with_station(&prepared, world, Station::new(known, mind));
+            let policy = prepared.policy(&known);
+            let cycle = Cycle::with_station(&prepared, world, Station::new(known, policy));
             let mut watch = Watch::default();
-            Run::with_cycle(&prepared, cycle, Options::default()).finish(&mut watch);
+            Run::with_cycle(&prepared, cycle, RunOptions::default()).finish(&mut watch);
             watch
         };
         let one = play(&|i| Point::new(1.0 + (i % 19) as f64, 10.0));
@@ -234,7 +229,7 @@ fn a_base_station_knows_nothing_of_what_was_lost() {
     }
 }
 
-/// Each thing that fails shows in its own metric, and only there.
+/// Each kind of failure shows in its own metric, and only there.
 #[test]
 fn every_failure_has_its_metric() {
     let names = [
@@ -244,7 +239,7 @@ fn every_failure_has_its_metric() {
         "false_wakes_pct",
     ];
     let fields = ["uplink_loss=0.2", "wake_miss=0.2", "plan_loss=0.2", "false_wake=0.2"];
-    // Batteries that never run out: what is not heard was missed.
+    // Batteries never run out, so a wake-up without an answer was missed by the radio.
     let always = [
         "ttis=4000",
         "energy.e_max=10000",
@@ -257,7 +252,7 @@ fn every_failure_has_its_metric() {
         let field = format!("radio.{field}");
         let mut set = always.to_vec();
         set.push(&field);
-        let metrics = Run::new(&prepared(&set), Options::default()).finish(&mut ()).metrics;
+        let metrics = Run::new(&prepared(&set), RunOptions::default()).finish(&mut ()).metrics;
         for (place, name) in names.iter().enumerate() {
             let value = metrics.value(name).expect("a metric");
             if place == at {
@@ -269,21 +264,21 @@ fn every_failure_has_its_metric() {
     }
 }
 
-/// What happened to the wake-ups of each event: its start, then when each was sent and what came of it.
+/// Wake-ups of the current event: its start, and for each wake-up the TTI sent and its outcome.
 #[derive(Default)]
 struct Calls {
     start: Tti,
     sent: Vec<Tti>,
-    /// TTIs from the event's start until the device was awake, and what came of it.
+    /// TTIs from the event's start until the device was awake, and the outcome.
     came: Vec<(u64, WakeOutcome)>,
     latency: u64,
 }
 
 impl Observer for Calls {
-    fn see(&mut self, happening: &Happening<'_>) {
+    fn notify(&mut self, happening: &Notification<'_>) {
         match happening {
-            Happening::EventStarted(event) => self.start = event.start,
-            Happening::WakeUp { tti, sent, .. } => {
+            Notification::EventStarted(event) => self.start = event.start,
+            Notification::WakeUp { tti, sent, .. } => {
                 assert_eq!(
                     sent.0,
                     tti.0 + self.sent.len() as u64 * self.latency,
@@ -291,25 +286,25 @@ impl Observer for Calls {
                 );
                 self.sent.push(*sent);
             }
-            Happening::Woken { outcome, .. } => {
+            Notification::Woken { outcome, .. } => {
                 let awake = self.sent[self.sent.len() - 1].0 + self.latency;
                 self.came.push((awake - self.start.0, **outcome));
             }
-            Happening::Closed(_) => self.sent.clear(),
-            Happening::Plan { .. }
-            | Happening::Granted(_)
-            | Happening::Reported(_)
-            | Happening::Lost(_)
-            | Happening::Failed { .. }
-            | Happening::Believed { .. }
-            | Happening::Gone(_)
-            | Happening::EventEnded(_)
-            | Happening::States(_) => {}
+            Notification::Closed(_) => self.sent.clear(),
+            Notification::Plan { .. }
+            | Notification::Granted(_)
+            | Notification::Reported(_)
+            | Notification::Lost(_)
+            | Notification::Failed { .. }
+            | Notification::Believed { .. }
+            | Notification::Gone(_)
+            | Notification::EventEnded(_)
+            | Notification::States(_) => {}
         }
     }
 }
 
-/// An event of 6 TTIs that was reported in its first is there for who is awake up to 5 TTIs later, and for nobody else.
+/// An event of 6 TTIs that was reported in its first TTI is found only by devices awake at most 5 TTIs later.
 #[test]
 fn who_wakes_when_the_event_is_over_finds_nothing() {
     for (policy, latency) in [
@@ -331,7 +326,7 @@ fn who_wakes_when_the_event_is_over_finds_nothing() {
             latency,
             ..Calls::default()
         };
-        let outcome = Run::new(&prepared, Options::default()).finish(&mut calls);
+        let outcome = Run::new(&prepared, RunOptions::default()).finish(&mut calls);
         let (mut in_time, mut late) = (0, 0);
         for (after, came) in &calls.came {
             match came {
@@ -370,7 +365,7 @@ fn who_wakes_when_the_event_is_over_finds_nothing() {
     }
 }
 
-/// False wakes cost what they are said to: E_idle each, in S4.
+/// Each false wake-up costs E_idle, in S4.
 #[test]
 fn false_wakes_are_paid_for_in_s4() {
     let rich = [
@@ -381,7 +376,7 @@ fn false_wakes_are_paid_for_in_s4() {
     ];
     let total = |extra: &[&str]| {
         let set: Vec<&str> = rich.iter().chain(extra).copied().collect();
-        Run::new(&prepared(&set), Options::default())
+        Run::new(&prepared(&set), RunOptions::default())
             .finish(&mut ())
             .totals
             .energy

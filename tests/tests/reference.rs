@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::{Config, TestRunner};
+use reveille_bs::scenario::Scenario;
 use reveille_common::event::EventRecord;
-use reveille_common::scenario::Scenario;
-use reveille_common::score::{Acts, Metrics};
-use reveille_common::totals::{DeviceTotals, Losses, Totals};
+use reveille_common::score::{EventActivity, Metrics};
+use reveille_common::totals::{DeviceTotals, RadioLosses, Totals};
 use reveille_tests::reference::Run;
 use reveille_tests::{compare, reference, scenarios};
 
@@ -28,18 +28,18 @@ proptest! {
         prop_assert_eq!(events, expected.events.clone(), "events\n{}", text);
         prop_assert_eq!(compare::ledgers(&scenario, lookahead), expected.ledgers.clone(), "ledgers\n{}", text);
         let acts = outcome.devices.iter().map(|device| {
-            let Acts { reports, wake_ups, heard, wrong_activations } = device.acts;
+            let EventActivity { reports, wake_ups, heard, wrong_activations } = device.acts;
             [reports, wake_ups, heard, wrong_activations]
         });
         prop_assert_eq!(acts.collect::<Vec<_>>(), expected.acts.clone(), "what devices did\n{}", text);
         prop_assert_eq!(outcome.totals.energy, expected.measured, "measured energy\n{}", text);
         prop_assert_eq!(outcome.totals.losses, expected.losses, "what was lost\n{}", text);
         prop_assert_eq!(outcome.totals.events, expected.totals, "event totals\n{}", text);
-        prop_assert_eq!(outcome.totals.devices, u64::from(scenario.devices));
-        prop_assert_eq!(outcome.totals.ttis, scenario.ttis - warm_up_end(&scenario));
+        prop_assert_eq!(outcome.totals.devices, u64::from(scenario.run.devices));
+        prop_assert_eq!(outcome.totals.ttis, scenario.run.ttis - warm_up_end(&scenario));
         let messages = expected.wake_ups + synchronisations(&scenario);
         prop_assert_eq!(outcome.totals.control.messages, messages, "control messages\n{}", text);
-        prop_assert!(outcome.complete && outcome.ttis_done == scenario.ttis);
+        prop_assert!(outcome.complete && outcome.ttis_done == scenario.run.ttis);
         same_metrics(&scenario, &expected, &outcome.totals, &outcome.metrics)?;
     }
 
@@ -59,7 +59,7 @@ fn any_scenario() -> impl Strategy<Value = String> {
     prop_oneof![2 => scenarios::small(), 1 => scenarios::crowded()]
 }
 
-/// The random scenarios are not all alike: everything that can happen does, often enough to be compared.
+/// The random scenarios cover every kind of outcome often enough for the comparison.
 #[test]
 fn random_scenarios_come_to_everything() {
     let mut runner = TestRunner::deterministic();
@@ -67,19 +67,19 @@ fn random_scenarios_come_to_everything() {
     for _ in 0..300 {
         let text = any_scenario().new_tree(&mut runner).expect("a scenario").current();
         let whole = scenarios::scenario(&text);
-        let asked = whole.ttis;
+        let asked = whole.run.ttis;
         let Some((scenario, run)) = decided(whole) else {
             continue;
         };
         let mut add = |what, n| *seen.entry(what).or_default() += n;
         add("cases", 1);
-        add("cut short", u64::from(scenario.ttis < asked));
+        add("cut short", u64::from(scenario.run.ttis < asked));
         add(scenario.policy.name(), 1);
         add(scenario.events.process.kind().name(), 1);
         add(scenario.events.duration_kind.name(), 1);
         add("counted events", run.totals.events);
         add("misdetected", run.totals.misdetected);
-        // Of energies and of device-TTIs, the runs that have any: a single one may have millions.
+        // For energies and device-TTIs, counts the runs with any: a single run may have millions.
         add("runs that waste energy", u64::from(run.totals.wasted.micro() > 0));
         add("runs that overflow", u64::from(run.measured.overflow.micro() > 0));
         add("runs with low batteries", u64::from(run.measured.low_ttis > 0));
@@ -121,35 +121,35 @@ fn random_scenarios_come_to_everything() {
     }
 }
 
-/// `scenario`, cut short before the first decision that is too close to call, and what the reference makes of it.
+/// Returns `scenario`, cut short before the first decision that is too close to call, and its reference run.
 fn decided(mut scenario: Scenario) -> Option<(Scenario, reference::Run)> {
     loop {
         let run = reference::simulate(&scenario);
         match run.ambiguous {
             None => return Some((scenario, run)),
             Some(0) => return None,
-            Some(k) => scenario.ttis = k,
+            Some(k) => scenario.run.ttis = k,
         }
     }
 }
 
 fn warm_up_end(scenario: &Scenario) -> u64 {
-    (scenario.ttis as f64 * scenario.warm_up).floor() as u64
+    (scenario.run.ttis as f64 * scenario.run.warm_up).floor() as u64
 }
 
-/// Broadcasts of δ in the measured part: one at the start and one every `sync_interval`.
+/// Counts the broadcasts of δ in the measured part: one at the start and one every `sync_interval`.
 fn synchronisations(scenario: &Scenario) -> u64 {
     let is_due = |k: &u64| k.is_multiple_of(scenario.bs.sync_interval);
-    (warm_up_end(scenario)..scenario.ttis).filter(is_due).count() as u64
+    (warm_up_end(scenario)..scenario.run.ttis).filter(is_due).count() as u64
 }
 
-/// The metrics are their definitions' arithmetic on what the reference saw, traffic aside.
+/// Checks that the metrics equal their definitions applied to the reference run, except for traffic.
 fn same_metrics(scenario: &Scenario, run: &Run, totals: &Totals, metrics: &Metrics) -> Result<(), TestCaseError> {
     let counted: Vec<_> = run.events.iter().filter(|record| record.counted).collect();
     let seen: Vec<_> = counted.iter().filter(|record| record.tally.reports > 0).collect();
     let (n, ttis) = (
-        f64::from(scenario.devices),
-        (scenario.ttis - warm_up_end(scenario)) as f64,
+        f64::from(scenario.run.devices),
+        (scenario.run.ttis - warm_up_end(scenario)) as f64,
     );
     let mut rows = information(&counted, &seen, run.start_probability * ttis);
     rows.extend(energy(run, n, ttis));
@@ -172,7 +172,7 @@ fn same_metrics(scenario: &Scenario, run: &Run, totals: &Totals, metrics: &Metri
 }
 
 fn lost(run: &Run, n: f64, ttis: f64) -> Vec<Row> {
-    let Losses {
+    let RadioLosses {
         reports,
         wake_ups,
         unheard,
@@ -188,7 +188,7 @@ fn lost(run: &Run, n: f64, ttis: f64) -> Vec<Row> {
         ("late_wake_ups_pct", pct(late, wake_ups)),
         ("missed_plans_pct", pct(missed_plans, plans)),
         ("false_wakes_pct", pct(run.measured.false_wakes, asleep)),
-        // Nobody loses a process in memory.
+        // A run in memory loses no process.
         ("gone_pct", 0.0),
     ]
 }
@@ -201,7 +201,7 @@ fn information(counted: &[&EventRecord], seen: &[&&EventRecord], expected_events
     let information = sum(&|record| record.tally.information_pico as f64 * 1e-12);
     let mut delays: Vec<u64> = seen.iter().map(|record| record.last.0 - record.start.0).collect();
     delays.sort_unstable();
-    // The first that at least 95 % do not exceed.
+    // The smallest delay that at least 95 % of the delays do not exceed.
     let p95 = delays
         .iter()
         .find(|&&delay| delays.iter().filter(|&&other| other <= delay).count() as f64 >= 0.95 * reported);

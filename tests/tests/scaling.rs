@@ -1,16 +1,16 @@
-//! Ψ is a unit: a run in which every report is worth three times as much, or a tenth, commands the same, and its
-//! information is scaled (Eq. (1)).
+//! Ψ is a unit: a run whose reports are worth three times as much, or a tenth, has the same commands and scaled
+//! information (Eq. (1)).
 
-use reveille_bs::observe::{Happening, Observer};
-use reveille_bs::outcome::Outcome;
+use reveille_bs::cycle::Outcome;
+use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::scenario::{Override, load};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::plan::Plan;
 use reveille_common::totals::PICO_PER_INFORMATION;
 use reveille_lab::preparation::start;
-use reveille_lab::run::Options;
+use reveille_lab::run::RunOptions;
 
-/// What was commanded, and who reported how much.
+/// Commands, and senders and information of reports.
 #[derive(Default)]
 struct Heard {
     plans: Vec<(Tti, Plan)>,
@@ -20,24 +20,24 @@ struct Heard {
 }
 
 impl Observer for Heard {
-    fn see(&mut self, happening: &Happening<'_>) {
+    fn notify(&mut self, happening: &Notification<'_>) {
         match happening {
-            Happening::Plan { update, .. } => self.plans.push((update.from, update.plan.clone())),
-            Happening::WakeUp { tti, device, .. } => self.wake_ups.push((*tti, *device)),
-            Happening::Reported(report) => self.reports.push((report.tti, report.device, report.information)),
-            Happening::EventEnded(event) => {
+            Notification::Plan { update, .. } => self.plans.push((update.from, update.plan.clone())),
+            Notification::WakeUp { tti, device, .. } => self.wake_ups.push((*tti, *device)),
+            Notification::Reported(report) => self.reports.push((report.tti, report.device, report.information)),
+            Notification::EventEnded(event) => {
                 self.ended
                     .push(event.tally.information_pico as f64 / PICO_PER_INFORMATION);
             }
-            Happening::Granted(_)
-            | Happening::EventStarted(_)
-            | Happening::Lost(_)
-            | Happening::Gone(_)
-            | Happening::Failed { .. }
-            | Happening::Woken { .. }
-            | Happening::Closed(_)
-            | Happening::Believed { .. }
-            | Happening::States(_) => {}
+            Notification::Granted(_)
+            | Notification::EventStarted(_)
+            | Notification::Lost(_)
+            | Notification::Gone(_)
+            | Notification::Failed { .. }
+            | Notification::Woken { .. }
+            | Notification::Closed(_)
+            | Notification::Believed { .. }
+            | Notification::States(_) => {}
         }
     }
 }
@@ -47,7 +47,11 @@ fn run(set: &[&str], psi: f64) -> (Outcome, Heard) {
     let set = set.iter().copied().chain([psi.as_str()]);
     let overrides: Vec<Override> = set.map(|set| Override::parse(set).expect("an override")).collect();
     let mut heard = Heard::default();
-    let outcome = start(&load("paper", &overrides).expect("a scenario"), Options::default()).finish(&mut heard);
+    let outcome = start(
+        &load("paper", &overrides).expect("a scenario").scenario,
+        RunOptions::default(),
+    )
+    .finish(&mut heard);
     (outcome, heard)
 }
 

@@ -1,32 +1,32 @@
-//! The policy of the page docs/writing-a-policy.md: its code is compiled here as it stands there, and runs.
+//! Compiles and runs the policy code of docs/writing-a-policy.md exactly as printed there.
 
 use std::path::Path;
 
-use reveille_bs::policy::kind::Registered;
-use reveille_bs::policy::registry::{POLICIES, Registry};
-use reveille_bs::prepared::Prepared;
+use reveille_bs::cycle::PreparedRun;
+use reveille_bs::policy::prelude::*;
+use reveille_bs::policy::registry::{self, POLICIES};
 use reveille_common::io::Disk;
-use reveille_common::scenario::{Override, PolicyKind, ScenarioError, load};
+use reveille_common::scenario::{Override, ScenarioError, load};
 use reveille_lab::preparation::run as run_here;
-use reveille_lab::run::{Options, Run};
+use reveille_lab::run::{Run, RunOptions};
 
-#[path = "../../docs/patrol/mod.rs"]
+#[path = "../../docs/patrol.rs"]
+#[expect(unreachable_pub, reason = "the page shows a policy of a separate crate")]
 mod patrol;
 
-use patrol::PatrolKind;
+use patrol::PATROL;
 
-const OWN: Registry = &[&PatrolKind];
-
-fn prepared(set: &[&str]) -> Result<Prepared, ScenarioError> {
-    let always = ["policy.name=patrol", "devices=60", "ttis=2000"];
+fn prepared(set: &[&str]) -> Result<PreparedRun, ScenarioError> {
+    let always = ["devices=60", "ttis=2000", "policy.name=patrol"];
     let overrides: Vec<Override> = always
         .iter()
         .chain(set)
         .map(|set| Override::parse(set).expect("an override"))
         .collect();
-    let kinds: Vec<&'static dyn PolicyKind> = POLICIES.iter().chain(OWN).map(|policy| *policy as _).collect();
-    let scenario = load("paper", &overrides, &kinds, &Disk)?;
-    Ok(Prepared::with_policies(&scenario, OWN))
+    let mut kinds = registry::kinds();
+    kinds.extend([&PATROL, &STUCK]);
+    let scenario = load("paper", &overrides, &kinds, &Disk)?.scenario;
+    Ok(PreparedRun::without_pilots(&scenario))
 }
 
 #[test]
@@ -38,22 +38,20 @@ fn the_page_shows_the_code_that_is_tested() {
         .skip(1)
         .filter_map(|rest| rest.split("```").next())
         .collect();
-    for file in ["settings.rs", "mod.rs"] {
-        let code = std::fs::read_to_string(docs.join("patrol").join(file)).expect("the code");
-        assert!(
-            blocks.contains(&code.as_str()),
-            "writing-a-policy.md does not show docs/patrol/{file} as it is"
-        );
-    }
+    let code = std::fs::read_to_string(docs.join("patrol.rs")).expect("the code");
+    assert!(
+        blocks.contains(&code.as_str()),
+        "writing-a-policy.md does not show docs/patrol.rs as it is"
+    );
 }
 
 #[test]
 fn it_runs_alike_with_and_without_lookahead_and_wakes_its_helpers() {
     let prepared = prepared(&[]).expect("a scenario");
     let outcome = |lookahead| {
-        let options = Options {
+        let options = RunOptions {
             lookahead,
-            ..Options::default()
+            ..RunOptions::default()
         };
         Run::new(&prepared, options).finish(&mut ())
     };
@@ -70,10 +68,10 @@ fn it_runs_alike_with_and_without_lookahead_and_wakes_its_helpers() {
 #[test]
 fn more_devices_that_sense_see_more_events() {
     let missed = |every: u32| {
-        // With energy enough that nobody runs dry.
+        // Enough energy for every device.
         let every = format!("policy.patrol.every={every}");
         let prepared = prepared(&[&every, "harvest.lambda=0.5", "harvest.e_b=50"]).expect("a scenario");
-        Run::new(&prepared, Options::default())
+        Run::new(&prepared, RunOptions::default())
             .finish(&mut ())
             .metrics
             .misdetection_pct
@@ -94,9 +92,54 @@ fn its_settings_are_checked_like_any_others() {
         .expect_err("no such field")
         .to_string();
     assert!(error.contains("did you mean `every`"), "{error}");
-    // The program itself does not know it.
-    assert!(POLICIES.iter().all(|policy| policy.name() != PatrolKind.name()));
+    // The program's own registry does not contain the policy.
+    assert!(POLICIES.iter().all(|policy| policy.name != PATROL.name));
     let random = Override::parse("policy.name=random").expect("an override");
-    run_here(&reveille_bs::scenario::load("quick", &[random]).expect("a scenario"));
-    assert_eq!(PatrolKind.profile().series, 7);
+    run_here(
+        &reveille_bs::scenario::load("quick", &[random])
+            .expect("a scenario")
+            .scenario,
+    );
+}
+
+declare! {
+    /// Wakes one device without end.
+    #[derive(Clone, Copy, Debug)]
+    struct StuckSettings in "policy.stuck" {
+        /// The device.
+        device: u32 = declare::whole(0, 1_000_000, 3),
+    }
+}
+
+const STUCK: PolicyEntry = PolicyEntry::of::<StuckSettings>();
+
+impl PolicyFactory for StuckSettings {
+    fn build(&self, _: &Knowledge) -> Box<dyn Policy> {
+        Box::new(*self)
+    }
+}
+
+impl Policy for StuckSettings {
+    fn decide(&mut self, seen: &Observation<'_>) -> Plan {
+        Plan::from_bits((0..seen.known.n()).map(|j| j % 2 == 0))
+    }
+
+    fn next_wake_up(&mut self, _: &Observation<'_>) -> Option<DeviceId> {
+        Some(DeviceId(self.device))
+    }
+}
+
+/// Protects: policy authors, from a run that never ends or differs between memory and bus.
+#[test]
+#[should_panic(expected = "at most once per TTI")]
+fn a_policy_that_wakes_a_device_twice_in_a_tti_is_refused() {
+    let prepared = prepared(&["policy.name=stuck"]).expect("a scenario");
+    Run::new(&prepared, RunOptions::default()).finish(&mut ());
+}
+
+#[test]
+#[should_panic(expected = "does not exist")]
+fn a_policy_that_wakes_an_unknown_device_is_refused() {
+    let prepared = prepared(&["policy.name=stuck", "policy.stuck.device=60"]).expect("a scenario");
+    Run::new(&prepared, RunOptions::default()).finish(&mut ());
 }

@@ -1,7 +1,7 @@
-//! Two runs beside each other: where they first differ.
+//! Comparison of two runs: the first difference in each kind of message.
 //!
-//! What happens is compared, kind by kind: events, δ, reports, failures, wake-ups and what came of them. How it got
-//! there is not: a run with lookahead has other grants and answers, and is the same run.
+//! Only outcomes are compared: events, δ, reports, failures, wake-ups and their outcomes. Grants and answers are
+//! ignored, so a run with lookahead equals the same run without it.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::io::{Read, Seek};
@@ -11,11 +11,11 @@ use reveille_common::message::{Frame, Message, MessageKind};
 use reveille_common::plan::Plan;
 use toml::{Table, Value};
 
-use crate::line::{Line, whose};
-use crate::recording::{Reader, RecordingError};
+use crate::frame_line::{FrameLine, owner};
+use crate::recording::{RecordingError, RecordingReader};
 
-/// The kinds that are compared, in the order in which they come about in a TTI.
-pub const COMPARED: [MessageKind; 8] = [
+/// The kinds that are compared, in the order of their occurrence in a TTI.
+pub(crate) const COMPARED: [MessageKind; 8] = [
     MessageKind::Plan,
     MessageKind::Event,
     MessageKind::Gone,
@@ -28,14 +28,14 @@ pub const COMPARED: [MessageKind; 8] = [
 
 /// One of the two runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Side {
-    /// The one that is looked at.
+pub enum RunSide {
+    /// The run under examination.
     This,
-    /// The one that it is compared with.
+    /// The run that it is compared with.
     Other,
 }
 
-impl Side {
+impl RunSide {
     const fn opposite(self) -> Self {
         match self {
             Self::This => Self::Other,
@@ -44,34 +44,35 @@ impl Side {
     }
 }
 
-/// Where two runs first differ in messages of a kind.
+/// First difference between two runs in messages of one kind.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Difference {
-    /// The TTI.
+pub struct FirstDifference {
+    /// TTI of the difference.
     pub tti: Tti,
-    /// The kind.
+    /// Kind of message.
     pub kind: MessageKind,
-    /// The message of this run, where it has one there.
+    /// Message of this run at that place, if any.
     pub this: Option<Frame>,
-    /// The message of the other run, where it has one there.
+    /// Message of the other run at that place, if any.
     pub other: Option<Frame>,
 }
 
-impl Difference {
-    /// What the run on `side` says there, in words; in all of its fields where both runs say the same in words.
-    pub fn says(&self, side: Side) -> String {
+impl FirstDifference {
+    /// Describes the message of the run on `side`. If both messages read alike, the description lists all fields as
+    /// JSON.
+    pub fn describe(&self, side: RunSide) -> String {
         let (own, others) = match side {
-            Side::This => (&self.this, &self.other),
-            Side::Other => (&self.other, &self.this),
+            RunSide::This => (&self.this, &self.other),
+            RunSide::Other => (&self.other, &self.this),
         };
         match (own, others) {
             (None, _) => "nothing".to_owned(),
-            (Some(own), Some(others)) if words(own) == words(others) => Line::of(own).to_json(),
+            (Some(own), Some(others)) if words(own) == words(others) => FrameLine::of(own).to_json(),
             (Some(own), _) => words(own),
         }
     }
 
-    /// The devices that one plan lets sense where the other does not, where the difference is one of plans.
+    /// Devices with different δ in the two plans; empty if the difference is not between plans.
     pub fn devices(&self) -> Vec<DeviceId> {
         let plan = |frame: &Option<Frame>| match frame.as_ref()?.message() {
             Ok(Message::Plan(update)) => Some(update.plan),
@@ -87,7 +88,7 @@ impl Difference {
 }
 
 fn words(frame: &Frame) -> String {
-    let (whose, says) = (whose(frame.kind, frame.number), Line::of(frame).says());
+    let (whose, says) = (owner(frame.kind, frame.number), FrameLine::of(frame).text());
     if whose.is_empty() {
         says
     } else {
@@ -95,7 +96,7 @@ fn words(frame: &Frame) -> String {
     }
 }
 
-/// The devices that a plan can say something of, or up to seven more.
+/// Number of devices that a plan covers, rounded up to a multiple of eight for a bit map.
 fn reach(plan: &Plan) -> usize {
     match plan {
         Plan::Bits { bits } => bits.len() * 8,
@@ -106,29 +107,31 @@ fn reach(plan: &Plan) -> usize {
 /// Messages of one kind.
 #[derive(Debug, Default)]
 struct Kind {
-    /// Those of the run on the side beside that are not compared yet: the other run has not come as far.
+    /// Messages of the run that is ahead, which wait for their counterparts from the other run.
     waiting: VecDeque<Frame>,
-    ahead: Option<Side>,
-    first: Option<Difference>,
+    ahead: Option<RunSide>,
+    first: Option<FirstDifference>,
 }
 
-/// Two runs of which the frames come in one after the other, from either side.
+/// Comparison of two runs whose frames arrive interleaved.
 #[derive(Debug, Default)]
-pub struct Comparison {
+pub struct RunComparison {
     kinds: BTreeMap<MessageKind, Kind>,
-    /// The TTI that each run has come to.
+    /// The TTI that each run has reached.
     reached: [Tti; 2],
 }
 
-impl Comparison {
-    /// Takes in a frame of the run on `side`.
-    pub fn take(&mut self, side: Side, frame: &Frame) {
+impl RunComparison {
+    /// Adds a frame of the run on `side`.
+    pub fn push(&mut self, side: RunSide, frame: &Frame) {
+        // First, so that older messages of the other run without a counterpart are found before this one is matched.
         self.reach(side, frame.tti);
         if !COMPARED.contains(&frame.kind) {
             return;
         }
         let has_passed = self.reached[side.opposite() as usize] > frame.tti;
         let kind = self.kinds.entry(frame.kind).or_default();
+        // After a first difference, later messages of the kind have no certain counterparts.
         if kind.first.is_some() {
             return;
         }
@@ -139,7 +142,7 @@ impl Comparison {
                 kind.differ(Some((side.opposite(), before)), Some((side, frame.clone())));
             }
         } else if has_passed {
-            // The other run has said nothing of the kind there.
+            // The other run is past this TTI without such a message.
             kind.differ(Some((side, frame.clone())), None);
         } else {
             kind.ahead = Some(side);
@@ -147,29 +150,30 @@ impl Comparison {
         }
     }
 
-    /// The run on `side` says nothing more.
-    pub fn end(&mut self, side: Side) {
+    /// Marks the run on `side` as ended.
+    pub fn end(&mut self, side: RunSide) {
         self.reach(side, Tti::NEVER);
     }
 
-    /// The TTIs before this one are compared.
+    /// End of the compared TTIs, exclusive.
     pub fn compared(&self) -> Tti {
         self.reached[0].min(self.reached[1])
     }
 
-    /// The first difference of each kind that has one, the first of all in front.
-    pub fn differences(&self) -> Vec<&Difference> {
-        let mut all: Vec<&Difference> = self.kinds.values().filter_map(|kind| kind.first.as_ref()).collect();
-        let order = |of: &Difference| COMPARED.iter().position(|kind| *kind == of.kind);
+    /// First difference of each kind that has one, ordered by TTI and then by kind.
+    pub fn differences(&self) -> Vec<&FirstDifference> {
+        let mut all: Vec<&FirstDifference> = self.kinds.values().filter_map(|kind| kind.first.as_ref()).collect();
+        let order = |of: &FirstDifference| COMPARED.iter().position(|kind| *kind == of.kind);
         all.sort_by_key(|difference| (difference.tti, order(difference)));
         all
     }
 
-    /// The run on `side` has come to `tti`: what the other one says before that has no counterpart.
-    fn reach(&mut self, side: Side, tti: Tti) {
+    /// Advances the run on `side` to `tti`. Earlier messages of the other run then have no counterpart.
+    fn reach(&mut self, side: RunSide, tti: Tti) {
         self.reached[side as usize] = tti;
         for kind in self.kinds.values_mut() {
             if kind.first.is_none() && kind.ahead == Some(side.opposite()) {
+                // One frame is enough: `differ` clears the queue.
                 let lone = kind.waiting.pop_front_if(|frame| frame.tti < tti);
                 if let Some(frame) = lone {
                     kind.differ(Some((side.opposite(), frame)), None);
@@ -180,8 +184,8 @@ impl Comparison {
 }
 
 impl Kind {
-    /// The two do not fit; the earlier one has no counterpart where their TTIs are not the same.
-    fn differ(&mut self, one: Option<(Side, Frame)>, two: Option<(Side, Frame)>) {
+    /// Records the first difference. If the TTIs differ, only the earlier message is kept, without a counterpart.
+    fn differ(&mut self, one: Option<(RunSide, Frame)>, two: Option<(RunSide, Frame)>) {
         let Some(tti) = one.iter().chain(&two).map(|(_, frame)| frame.tti).min() else {
             return;
         };
@@ -189,32 +193,32 @@ impl Kind {
         let (mut this, mut other) = (None, None);
         for (side, frame) in one.into_iter().chain(two).filter(|(_, frame)| frame.tti == tti) {
             match side {
-                Side::This => this = Some(frame),
-                Side::Other => other = Some(frame),
+                RunSide::This => this = Some(frame),
+                RunSide::Other => other = Some(frame),
             }
         }
-        self.first = kind.map(|kind| Difference { tti, kind, this, other });
+        self.first = kind.map(|kind| FirstDifference { tti, kind, this, other });
         self.waiting = VecDeque::new();
     }
 }
 
-/// Goes through two recordings beside each other, from where they stand. A recording that is torn is compared up to the
-/// tear; why it cannot be read any further comes with its side.
+/// Compares two recordings from their current positions. A torn recording is compared up to the tear; the error is
+/// returned with its side.
 pub fn recordings<R: Read + Seek>(
-    this: &mut Reader<R>,
-    other: &mut Reader<R>,
-) -> (Comparison, Option<(Side, RecordingError)>) {
-    let mut comparison = Comparison::default();
+    this: &mut RecordingReader<R>,
+    other: &mut RecordingReader<R>,
+) -> (RunComparison, Option<(RunSide, RecordingError)>) {
+    let mut comparison = RunComparison::default();
     while comparison.compared() < Tti::NEVER {
-        // The one that is behind goes on, so that hardly a message has to wait for its counterpart.
+        // The run that is behind is read next, so that few messages wait for their counterparts.
         let [own, others] = comparison.reached;
         let (side, reader) = if own <= others {
-            (Side::This, &mut *this)
+            (RunSide::This, &mut *this)
         } else {
-            (Side::Other, &mut *other)
+            (RunSide::Other, &mut *other)
         };
         match reader.next_frame() {
-            Ok(Some(frame)) => comparison.take(side, &frame),
+            Ok(Some(frame)) => comparison.push(side, &frame),
             Ok(None) => comparison.end(side),
             Err(error) => return (comparison, Some((side, error))),
         }
@@ -222,14 +226,14 @@ pub fn recordings<R: Read + Seek>(
     (comparison, None)
 }
 
-/// A field of a scenario that differs: its name, and both values.
-pub type Field = (String, String, String);
+/// A scenario field that differs: its name, this value and the other value.
+pub type FieldDifference = (String, String, String);
 
-/// The fields in which two scenario files differ, sorted by name. A field that one of them has not is `none` there.
+/// Lists the fields in which two scenario files differ, sorted by name. A missing field has the value `none`.
 ///
 /// # Errors
-/// If one of the texts is not in TOML.
-pub fn fields(this: &str, other: &str) -> Result<Vec<Field>, toml::de::Error> {
+/// If one of the texts is not valid TOML.
+pub fn fields(this: &str, other: &str) -> Result<Vec<FieldDifference>, toml::de::Error> {
     let (mut these, mut others) = (BTreeMap::new(), BTreeMap::new());
     flatten("", this.parse()?, &mut these);
     flatten("", other.parse()?, &mut others);
@@ -261,42 +265,42 @@ fn flatten(path: &str, table: Table, into: &mut BTreeMap<String, String>) {
 
 #[cfg(test)]
 mod tests {
-    use reveille_bs::observe::frames::Framed;
+    use reveille_bs::observer::frames::FrameObserver;
     use reveille_bs::scenario::{Override, load};
     use reveille_lab::preparation::prepare;
-    use reveille_lab::run::{Options, Run};
+    use reveille_lab::run::{Run, RunOptions};
 
     use super::*;
 
     fn frames(set: &[&str], lookahead: bool) -> Vec<Frame> {
         let set = ["devices=30", "ttis=300", "policy.name=age-index"].iter().chain(set);
         let set: Vec<Override> = set.map(|set| Override::parse(set).expect("an override")).collect();
-        let scenario = load("paper", &set).expect("a scenario");
+        let scenario = load("paper", &set).expect("a scenario").scenario;
         let mut frames = Vec::new();
-        let options = Options {
+        let options = RunOptions {
             lookahead,
-            ..Options::default()
+            ..RunOptions::default()
         };
-        Run::new(&prepare(&scenario), options).finish(&mut Framed::new(0, |frame| frames.push(frame)));
+        Run::new(&prepare(&scenario), options).finish(&mut FrameObserver::new(0, |frame| frames.push(frame)));
         frames
     }
 
-    /// All of the frames of both, `stride` at a time from either.
-    fn compared(this: &[Frame], other: &[Frame], stride: usize) -> Comparison {
-        let mut comparison = Comparison::default();
+    /// Compares all frames of both runs, feeding `stride` frames of each side at a time.
+    fn compared(this: &[Frame], other: &[Frame], stride: usize) -> RunComparison {
+        let mut comparison = RunComparison::default();
         for at in (0..this.len().max(other.len())).step_by(stride) {
-            for (side, frames) in [(Side::This, this), (Side::Other, other)] {
+            for (side, frames) in [(RunSide::This, this), (RunSide::Other, other)] {
                 for frame in frames.iter().skip(at).take(stride) {
-                    comparison.take(side, frame);
+                    comparison.push(side, frame);
                 }
             }
         }
-        comparison.end(Side::This);
-        comparison.end(Side::Other);
+        comparison.end(RunSide::This);
+        comparison.end(RunSide::Other);
         comparison
     }
 
-    /// The first TTI and kind that differ, by a look at all frames of each TTI.
+    /// Finds the first TTI and kind that differ by searching all frames of each TTI.
     fn brute_force(this: &[Frame], other: &[Frame]) -> Option<(Tti, MessageKind)> {
         (0..300).map(Tti).find_map(|tti| {
             let of = |frames: &[Frame], kind| -> Vec<Frame> {
@@ -322,9 +326,9 @@ mod tests {
             let expected = brute_force(&this, &other).expect("they differ");
             for stride in [1, 7, 1_000_000] {
                 let comparison = compared(&this, &other, stride);
-                // Whichever comes first.
+                // The result must not depend on which run is `this`.
                 let mirrored = compared(&other, &this, stride);
-                let kinds = |of: &Comparison| -> Vec<(Tti, MessageKind)> {
+                let kinds = |of: &RunComparison| -> Vec<(Tti, MessageKind)> {
                     of.differences().into_iter().map(|one| (one.tti, one.kind)).collect()
                 };
                 assert_eq!(kinds(&comparison), kinds(&mirrored), "{set:?}, {stride}");
@@ -362,7 +366,7 @@ mod tests {
             };
             assert_eq!((only.tti, only.kind), (this[at].tti, kind));
             assert_eq!(
-                (only.this.as_ref(), only.says(Side::Other)),
+                (only.this.as_ref(), only.describe(RunSide::Other)),
                 (Some(&this[at]), "nothing".to_owned())
             );
         }

@@ -1,4 +1,4 @@
-//! Which frames are shown.
+//! Filters for frames.
 
 use std::ops::RangeInclusive;
 
@@ -6,37 +6,38 @@ use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Frame, Message, MessageKind, Plane};
 use reveille_common::state::DeviceState;
 
-/// What is asked for. Without any of it every frame passes.
+/// Criteria for frames; the default passes every frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Filter {
-    /// Messages of this plane.
+    /// Plane of the messages.
     pub plane: Option<Plane>,
-    /// Messages of one of these kinds; of all where none is named.
+    /// Kinds of messages; empty for all.
     pub kinds: Vec<MessageKind>,
-    /// Messages to, from or about one of these devices, and those to all of them; of all where none is named.
+    /// Devices that a message comes from, goes to or concerns. Messages to all devices pass too. `None` for all
+    /// messages.
     pub devices: Option<Vec<DeviceId>>,
-    /// Messages of these TTIs.
+    /// TTIs of the messages.
     pub ttis: Option<RangeInclusive<u64>>,
-    /// Messages to or from a device that is in one of these states; of all where none is named.
-    pub states: Vec<Named>,
+    /// States of the device that a message comes from or goes to; empty for all.
+    pub states: Vec<StateName>,
 }
 
-/// The state of a device, as it is named on the command line.
+/// State of a device, as named on the command line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Named {
+pub enum StateName {
     /// S1: sensing.
     S1,
     /// S2: about to transmit.
     S2,
     /// S3: has transmitted.
     S3,
-    /// S4: asleep, whether the wake-up radio has power or not.
+    /// S4: asleep, with or without power for the wake-up radio.
     S4,
     /// S4 without power for the wake-up radio.
     Deaf,
 }
 
-impl Named {
+impl StateName {
     /// Every state, with its name.
     pub const ALL: [(&'static str, Self); 5] = [
         ("S1", Self::S1),
@@ -46,7 +47,7 @@ impl Named {
         ("deaf", Self::Deaf),
     ];
 
-    /// Whether it is `state`.
+    /// Whether this name covers `state`.
     pub fn is(self, state: DeviceState) -> bool {
         match self {
             Self::S1 => state == DeviceState::Idle,
@@ -59,8 +60,8 @@ impl Named {
 }
 
 impl Filter {
-    /// Whether `frame`, in which `message` was read, is asked for. `state` is that of the device at the end of its key,
-    /// where it is known.
+    /// Whether `frame`, whose decoded content is `message`, passes. `state` belongs to the device at the end of the
+    /// frame's key, if known.
     pub fn passes(&self, frame: &Frame, message: Option<&Message>, state: Option<DeviceState>) -> bool {
         let Self {
             plane,
@@ -85,15 +86,15 @@ impl Filter {
         self.ttis.as_ref().is_some_and(|ttis| tti.0 > *ttis.end())
     }
 
-    /// The first TTI of which a frame may pass.
+    /// First TTI whose frames may pass.
     pub fn first(&self) -> Tti {
         Tti(self.ttis.as_ref().map_or(0, |ttis| *ttis.start()))
     }
 
-    /// What keeps any frame from passing, in words of the command line.
+    /// Checks that the criteria do not exclude every frame.
     ///
     /// # Errors
-    /// There is such a thing.
+    /// If they do; the message uses the terms of the command line.
     pub fn check(&self) -> Result<(), String> {
         let Some(plane) = self.plane else { return Ok(()) };
         match self.kinds.iter().find(|kind| kind.plane() != plane) {
@@ -110,7 +111,7 @@ impl Filter {
 
 #[cfg(test)]
 mod tests {
-    use reveille_common::message::{Failure, Report, WakeOutcome, WakeUp, Woken};
+    use reveille_common::message::{FailedTransmission, Report, WakeOutcome, WakeUp, WakeUpResult};
     use reveille_common::units::Energy;
 
     use super::*;
@@ -122,8 +123,8 @@ mod tests {
             information: 0.5,
             battery: Energy::ZERO,
         };
-        let failed = Woken {
-            outcome: WakeOutcome::Failed(Failure {
+        let failed = WakeUpResult {
+            outcome: WakeOutcome::Failed(FailedTransmission {
                 device: DeviceId(2),
                 drained: Energy::ZERO,
             }),
@@ -136,10 +137,10 @@ mod tests {
         ]
     }
 
-    /// Which of the frames pass, by their place.
+    /// Indices of the frames that pass.
     fn passing(filter: &Filter) -> Vec<usize> {
         let frames = frames();
-        // The second wake-up found the device without power.
+        // The second wake-up found the device unpowered.
         let states = [DeviceState::Transmission, DeviceState::Sleep { powered: false }];
         let state = |at: usize| states[usize::from(frames[at].tti == Tti(5))];
         let passes = |at: &usize| filter.passes(&frames[*at], frames[*at].message().ok().as_ref(), Some(state(*at)));
@@ -188,21 +189,21 @@ mod tests {
             ),
             (
                 Filter {
-                    states: vec![Named::Deaf],
+                    states: vec![StateName::Deaf],
                     ..all.clone()
                 },
                 vec![1, 2],
             ),
             (
                 Filter {
-                    states: vec![Named::S1, Named::S4],
+                    states: vec![StateName::S1, StateName::S4],
                     ..all.clone()
                 },
                 vec![1, 2],
             ),
             (
                 Filter {
-                    states: vec![Named::S3],
+                    states: vec![StateName::S3],
                     ttis: Some(0..=4),
                     ..all.clone()
                 },

@@ -1,20 +1,18 @@
-//! Looking at runs: what an observer of a run is told, frame by frame, live or from a recording, and what can be made
-//! of it.
+//! Observation of runs: frames, live or from a recording, and the states, metrics and exports computed from them.
 //!
-//! A [`Frame`](reveille_common::message::Frame) is the one thing that all of this reads. Frames come from the observer
-//! of a run in memory, from the tap of a run on the bus, or from a [recording], and nobody who reads them need know
-//! which.
+//! The common input is the [`Frame`](reveille_common::message::Frame). Frames come from the observer of a run in
+//! memory, from the tap of a run on the bus, or from a [recording]. Consumers do not depend on the source.
 
-pub mod batches;
+pub mod batch_receiver;
 pub mod compare;
+pub mod device_mirror;
 pub mod export;
 pub mod filter;
-pub mod forms;
-pub mod join;
-pub mod line;
+pub mod frame_line;
+pub mod history;
 pub mod metrics;
-pub mod mirror;
+pub mod reconstruction;
 pub mod recording;
-pub mod replay;
-pub mod story;
+pub mod schemas;
 pub mod traffic;
+pub mod wake_up_pairs;

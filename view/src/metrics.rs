@@ -1,4 +1,4 @@
-//! Metrics of a run that goes on, for Prometheus. Their names are stable; docs/monitoring.md lists them.
+//! Prometheus metrics of a running run. Their names are stable; docs/monitoring.md lists them.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -10,21 +10,21 @@ use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::Registry;
-use reveille_bs::observe::{Happening, Observer};
-use reveille_common::message::{EventNews, Frame, Message, MessageKind};
-use reveille_common::scenario::Scenario;
+use reveille_bs::observer::{Notification, Observer};
+use reveille_bs::scenario::Scenario;
+use reveille_common::message::{EventUpdate, Frame, Message, MessageKind};
 use reveille_common::score::WindowRecord;
 use reveille_common::state::{DeviceState, DeviceView};
-use reveille_common::totals::Spent;
+use reveille_common::totals::EnergyByState;
 use reveille_common::units::Energy;
 
-/// Upper bounds of the buckets of delays, TTIs.
+/// Upper bounds of the delay buckets, TTIs.
 const DELAYS: [f64; 9] = [0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 16.0, 32.0];
-/// Steps in which batteries are counted, from empty to the largest E_max.
+/// Number of battery buckets, from empty to the largest E_max.
 const STEPS: u64 = 10;
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
-struct OfRun {
+struct RunLabels {
     run: String,
     policy: String,
     preset: String,
@@ -34,12 +34,12 @@ struct OfRun {
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
-struct OfKind {
+struct KindLabels {
     plane: &'static str,
     kind: &'static str,
 }
 
-impl OfKind {
+impl KindLabels {
     const fn of(kind: MessageKind) -> Self {
         Self {
             plane: kind.plane().name(),
@@ -49,45 +49,45 @@ impl OfKind {
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
-struct OfState {
+struct StateLabels {
     state: &'static str,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
-struct AtMost {
+struct BucketLabels {
     at_most: String,
 }
 
 type Float = Gauge<f64, AtomicU64>;
 
-/// What the processes of a run say of themselves, as far as this one knows.
+/// Statistics of the processes of a run, as known to this process.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Process {
-    /// Hosts that carry devices and are not lost.
+pub struct ProcessStats {
+    /// Hosts that run devices and are not lost.
     pub hosts: u64,
     /// TTIs that began late under a real-time pace.
     pub late_ttis: u64,
-    /// The largest delay, seconds.
+    /// Largest delay of a TTI, seconds.
     pub max_late_s: f64,
-    /// Seconds that the run has waited for its recording.
+    /// Time that the run has spent waiting until its recording caught up, seconds.
     pub recorder_waited_s: f64,
-    /// Frames that observers on the bus were not sent, because they could not keep up.
+    /// Frames dropped for observers on the bus that were too slow.
     pub left_out: u64,
 }
 
-/// The metrics of a run.
-pub struct Metrics {
+/// Metrics of a run.
+pub struct PrometheusMetrics {
     registry: Registry,
     handles: Handles,
-    /// Whether somebody has asked since the batteries were looked at last.
+    /// Whether metrics were requested since the last battery count.
     is_asked: AtomicBool,
-    /// The largest E_max of the run.
+    /// Largest E_max in the run.
     e_max: Energy,
-    /// What was said of the processes last, so that counters only grow.
-    process: Mutex<Process>,
+    /// Last process statistics, from which the counters' increments are computed.
+    process: Mutex<ProcessStats>,
 }
 
-/// What is counted, each known to the registry.
+/// Registered metrics.
 struct Handles {
     tti: Gauge,
     ttis: Counter,
@@ -96,14 +96,14 @@ struct Handles {
     missed: Counter,
     information: Counter<f64, AtomicU64>,
     wrong: Counter,
-    messages: Family<OfKind, Counter>,
-    bytes: Family<OfKind, Counter>,
-    /// The counters of both, a pair for each kind in the order of [`MessageKind::ALL`]: a frame finds its own at once.
+    messages: Family<KindLabels, Counter>,
+    bytes: Family<KindLabels, Counter>,
+    /// Message and byte counters of each kind, in the order of [`MessageKind::ALL`], for lookup by index.
     by_kind: Vec<(Counter, Counter)>,
-    spent: Family<OfState, Counter<f64, AtomicU64>>,
+    spent: Family<StateLabels, Counter<f64, AtomicU64>>,
     harvested: Counter<f64, AtomicU64>,
-    states: Family<OfState, Gauge>,
-    batteries: Family<AtMost, Gauge>,
+    states: Family<StateLabels, Gauge>,
+    batteries: Family<BucketLabels, Gauge>,
     mean_battery: Float,
     hosts: Gauge,
     late: Counter,
@@ -116,10 +116,10 @@ struct Handles {
 impl Handles {
     fn new() -> Self {
         let (messages, bytes) = (Family::default(), Family::default());
-        // Every series is there from the first, so that what has not happened yet is 0.
+        // Every series exists from the start, so that Prometheus reads 0 before the first message of a kind.
         let by_kind = MessageKind::ALL.iter().map(|kind| {
-            let of = OfKind::of(*kind);
-            let counter = |family: &Family<OfKind, Counter>| family.get_or_create(&of).clone();
+            let of = KindLabels::of(*kind);
+            let counter = |family: &Family<KindLabels, Counter>| family.get_or_create(&of).clone();
             (counter(&messages), counter(&bytes))
         });
         Self {
@@ -228,25 +228,25 @@ impl Handles {
     }
 }
 
-impl Metrics {
-    /// The metrics of the run called `run`, of `scenario`, before TTI 0.
+impl PrometheusMetrics {
+    /// Creates the metrics of `scenario` under the run name `run`, before TTI 0.
     pub fn new(run: &str, scenario: &Scenario) -> Arc<Self> {
         let mut registry = Registry::with_prefix("reveille");
         let handles = Handles::new();
         handles.register(&mut registry);
-        let about: Family<OfRun, Gauge> = Family::default();
-        let of = OfRun {
+        let about: Family<RunLabels, Gauge> = Family::default();
+        let of = RunLabels {
             run: run.to_owned(),
             policy: scenario.policy.name().to_owned(),
-            preset: scenario.preset.clone(),
-            seed: scenario.seed,
-            devices: scenario.devices,
+            preset: scenario.run.preset.clone(),
+            seed: scenario.run.seed,
+            devices: scenario.run.devices,
             version: env!("CARGO_PKG_VERSION").to_owned(),
         };
         about.get_or_create(&of).set(1);
         registry.register("run_info", "The run, always 1", about);
         let length: Gauge = Gauge::default();
-        length.set(scenario.ttis.cast_signed());
+        length.set(scenario.run.ttis.cast_signed());
         registry.register("run_length_ttis", "Length of the run", length);
         let e_max = scenario.classes.iter().map(|class| class.energy.e_max).max();
         let metrics = Self {
@@ -260,17 +260,19 @@ impl Metrics {
         Arc::new(metrics)
     }
 
-    /// Every series is there from the first, so that what has not happened yet is 0.
+    /// Creates every series, so that Prometheus reads 0 before the first occurrence.
     fn begin(&self) {
         for state in ["sensing", "sleep", "report"] {
-            drop(self.handles.spent.get_or_create(&OfState { state }));
+            drop(self.handles.spent.get_or_create(&StateLabels { state }));
         }
+        // `look` clears the request, but the first states are wanted before any request.
         self.look(&[]);
         self.is_asked.store(true, Ordering::Relaxed);
     }
 
     /// Counts a frame.
     pub fn count(&self, frame: &Frame) {
+        // `ALL` lists the kinds in the order of declaration, so the discriminant is the index.
         let (messages, bytes) = &self.handles.by_kind[frame.kind as usize];
         messages.inc();
         bytes.inc_by(frame.payload.len() as u64);
@@ -282,7 +284,7 @@ impl Metrics {
             self.handles.tti.set((world.last + 1).0.cast_signed());
         }
         if frame.kind == MessageKind::Event
-            && let Ok(Message::Event(EventNews::Ended(record))) = frame.message()
+            && let Ok(Message::Event(EventUpdate::Ended(record))) = frame.message()
             && record.counted
         {
             self.handles.events.inc();
@@ -295,10 +297,11 @@ impl Metrics {
         }
     }
 
-    /// What Prometheus is told, where the processes are as `process` says; in the form of OpenMetrics, or in the text
-    /// form of Prometheus before it.
-    pub fn tell(&self, process: Process, is_open: bool) -> String {
+    /// Encodes the metrics with the process statistics `process`, in the OpenMetrics format if `is_open`, otherwise in
+    /// the older Prometheus text format.
+    pub fn encode(&self, process: ProcessStats, is_open: bool) -> String {
         self.is_asked.store(true, Ordering::Relaxed);
+        // Held over all increments; otherwise two parallel requests would count them twice.
         let mut before = self.process.lock().unwrap_or_else(PoisonError::into_inner);
         let own = &self.handles;
         own.hosts.set(process.hosts.cast_signed());
@@ -316,8 +319,9 @@ impl Metrics {
 
     fn look(&self, views: &[DeviceView]) {
         self.is_asked.store(false, Ordering::Relaxed);
-        let of = |state| OfState { state };
+        let of = |state| StateLabels { state };
         let states = [
+            // Devices leave S2 within the TTI in which they enter it, so no view shows S2.
             ("S1", DeviceState::Idle),
             ("S3", DeviceState::Transmission),
             ("S4", DeviceState::Sleep { powered: true }),
@@ -333,33 +337,33 @@ impl Metrics {
             let at_most = most.units().to_string();
             self.handles
                 .batteries
-                .get_or_create(&AtMost { at_most })
+                .get_or_create(&BucketLabels { at_most })
                 .set(count.cast_signed());
         }
-        // An empty sum of floating-point numbers is -0.
+        // `sum` gives -0 for an empty sequence, which would be exported with its sign.
         let sum = views.iter().fold(0.0, |sum, view| sum + view.battery.units());
         self.handles.mean_battery.set(sum / views.len().max(1) as f64);
     }
 
     fn spend(&self, window: &WindowRecord) {
-        let Spent { sensing, sleep, report } = window.energy.spent;
+        let EnergyByState { sensing, sleep, report } = window.energy.spent;
         for (state, energy) in [("sensing", sensing), ("sleep", sleep), ("report", report)] {
             self.handles
                 .spent
-                .get_or_create(&OfState { state })
+                .get_or_create(&StateLabels { state })
                 .inc_by(energy.units());
         }
         self.handles.harvested.inc_by(window.energy.harvested.units());
     }
 }
 
-/// Looks at the run for its metrics.
+/// Observer that updates the metrics.
 #[derive(Clone)]
-pub struct Gauged(pub Arc<Metrics>);
+pub struct MetricsObserver(pub Arc<PrometheusMetrics>);
 
-impl Observer for Gauged {
-    fn see(&mut self, happening: &Happening<'_>) {
-        if let Happening::States(views) = happening {
+impl Observer for MetricsObserver {
+    fn notify(&mut self, happening: &Notification<'_>) {
+        if let Notification::States(views) = happening {
             self.0.look(views);
         }
     }
@@ -368,20 +372,21 @@ impl Observer for Gauged {
         self.0.is_asked.load(Ordering::Relaxed)
     }
 
-    fn window(&mut self, window: &WindowRecord) -> bool {
+    fn window_closed(&mut self, window: &WindowRecord) -> bool {
         self.0.spend(window);
         true
     }
 }
 
-/// OpenMetrics in the older text form of Prometheus: a counter's name has its ending in its description too, and there
-/// is no end mark.
+/// Converts OpenMetrics to the older Prometheus text format: counter names keep their suffix in descriptions, and the
+/// end mark is missing.
 fn plain(open: &str) -> String {
     let counters: Vec<&str> = open
         .lines()
         .filter_map(|line| line.strip_prefix("# TYPE ")?.strip_suffix(" counter"))
         .collect();
     let line = |line: &str| {
+        // At most four parts: a description contains spaces.
         let mut parts = line.splitn(4, ' ');
         match (parts.next(), parts.next(), parts.next(), parts.next()) {
             (Some("#"), Some("EOF" | "UNIT"), ..) => String::new(),
@@ -396,17 +401,17 @@ fn plain(open: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use reveille_bs::observe::frames::Framed;
+    use reveille_bs::observer::frames::FrameObserver;
     use reveille_bs::scenario::{Override, load};
     use reveille_lab::preparation::prepare;
-    use reveille_lab::run::{Options, Run};
+    use reveille_lab::run::{Run, RunOptions};
 
     use super::*;
 
     fn scenario() -> Scenario {
         let set = ["devices=30", "ttis=500", "policy.name=knn", "events.alpha=0.4"];
         let set = set.map(|set| Override::parse(set).expect("an override"));
-        load("paper", &set).expect("a scenario")
+        load("paper", &set).expect("a scenario").scenario
     }
 
     /// Name, type and help of every metric.
@@ -423,7 +428,7 @@ mod tests {
 
     #[test]
     fn the_page_on_monitoring_has_every_metric() {
-        let text = Metrics::new("r", &scenario()).tell(Process::default(), false);
+        let text = PrometheusMetrics::new("r", &scenario()).encode(ProcessStats::default(), false);
         let table = markdown(&text);
         let page = include_str!("../../docs/monitoring.md");
         assert!(
@@ -435,23 +440,23 @@ mod tests {
     #[test]
     fn metrics_are_those_of_the_run() {
         let scenario = scenario();
-        let metrics = Metrics::new("r", &scenario);
+        let metrics = PrometheusMetrics::new("r", &scenario);
         let counted = Arc::clone(&metrics);
         let mut observers = (
-            Framed::new(0, move |frame| counted.count(&frame)),
-            Gauged(Arc::clone(&metrics)),
+            FrameObserver::new(0, move |frame| counted.count(&frame)),
+            MetricsObserver(Arc::clone(&metrics)),
         );
-        let options = Options {
+        let options = RunOptions {
             window: 100,
-            ..Options::default()
+            ..RunOptions::default()
         };
         let outcome = Run::new(&prepare(&scenario), options).finish(&mut observers);
-        let process = Process {
+        let process = ProcessStats {
             hosts: 3,
             left_out: 7,
-            ..Process::default()
+            ..ProcessStats::default()
         };
-        let text = metrics.tell(process, false);
+        let text = metrics.encode(process, false);
         let value = |name: &str| -> f64 {
             let line = text
                 .lines()
@@ -474,21 +479,21 @@ mod tests {
         close(value("reveille_observer_messages_left_out_total "), 7.0);
         let of = |state: &str| value(&format!("reveille_devices{{state=\"{state}\"}} "));
         close(["S1", "S3", "S4", "S4 deaf"].map(of).iter().sum(), 30.0);
-        let spent: Spent = outcome
+        let spent: EnergyByState = outcome
             .devices
             .iter()
             .map(|device| device.ledger.whole.spent)
-            .fold(Spent::default(), |a, b| a + b);
+            .fold(EnergyByState::default(), |a, b| a + b);
         let of = |state: &str| value(&format!("reveille_energy_spent_units_total{{state=\"{state}\"}} "));
         close(of("sensing"), spent.sensing.units());
         close(of("report"), spent.report.units());
-        // Counters do not fall, and what was told once is not told twice.
-        let again = metrics.tell(process, false);
+        // Counters never fall, and a second request does not count an increment again.
+        let again = metrics.encode(process, false);
         assert!(
             again.contains("reveille_observer_messages_left_out_total 7\n"),
             "{again}"
         );
-        let open = metrics.tell(process, true);
+        let open = metrics.encode(process, true);
         assert!(
             open.ends_with("# EOF\n") && open.contains("# TYPE reveille_ttis counter\n"),
             "{open}"

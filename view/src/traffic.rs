@@ -1,4 +1,4 @@
-//! How many messages there are, and how many bytes: by kind and plane, a TTI, a device.
+//! Traffic statistics: messages and bytes by kind, plane, TTI and device.
 
 use std::collections::BTreeMap;
 
@@ -6,16 +6,16 @@ use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Addressee, Frame, Message, MessageKind, Plane};
 use serde::Serialize;
 
-/// Messages and their bytes, as encoded.
+/// Number of messages and of their encoded bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Count {
-    /// Messages; one to many is one.
+pub struct MessageCount {
+    /// Messages; a broadcast counts once.
     pub messages: u64,
-    /// Their bytes.
+    /// Encoded bytes.
     pub bytes: u64,
 }
 
-impl Count {
+impl MessageCount {
     fn add(&mut self, bytes: usize) {
         self.messages += 1;
         self.bytes += bytes as u64;
@@ -29,17 +29,17 @@ impl Count {
     }
 }
 
-/// The traffic of a run, or of a part of it.
+/// Traffic of a run or part of a run.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Traffic {
-    kinds: BTreeMap<MessageKind, Count>,
-    /// By device, of the kinds that have one in their keys.
-    devices: BTreeMap<DeviceId, BTreeMap<MessageKind, Count>>,
+pub struct TrafficStats {
+    kinds: BTreeMap<MessageKind, MessageCount>,
+    /// Counts by device, for kinds with a device in their keys.
+    devices: BTreeMap<DeviceId, BTreeMap<MessageKind, MessageCount>>,
     first: Option<Tti>,
     last: Option<Tti>,
 }
 
-impl Traffic {
+impl TrafficStats {
     /// Counts `frame`.
     pub fn count(&mut self, frame: &Frame) {
         let bytes = frame.payload.len();
@@ -48,7 +48,7 @@ impl Traffic {
             let device = self.devices.entry(DeviceId(number)).or_default();
             device.entry(frame.kind).or_default().add(bytes);
         }
-        // Nothing needs to be heard of the TTIs that devices go through.
+        // A grant can cover TTIs without messages, so its last TTI counts.
         let last = match (frame.kind == MessageKind::World).then(|| frame.message()) {
             Some(Ok(Message::World(world))) => world.last,
             Some(Ok(_) | Err(_)) | None => frame.tti,
@@ -57,7 +57,7 @@ impl Traffic {
         self.last = Some(self.last.map_or(last, |before| before.max(last)));
     }
 
-    /// The TTIs from that of the first message to that of the last, both counted; 0 where there was none.
+    /// Number of TTIs from the first to the last message, inclusive; 0 without messages.
     pub fn ttis(&self) -> u64 {
         self.first.zip(self.last).map_or(0, |(first, last)| last - first + 1)
     }
@@ -67,47 +67,47 @@ impl Traffic {
         self.first.zip(self.last)
     }
 
-    /// By kind, those that there were.
-    pub fn kinds(&self) -> impl Iterator<Item = (MessageKind, Count)> {
+    /// Counts by kind, for kinds with messages.
+    pub fn kinds(&self) -> impl Iterator<Item = (MessageKind, MessageCount)> {
         self.kinds.iter().map(|(kind, count)| (*kind, *count))
     }
 
-    /// Of one kind.
-    pub fn kind(&self, kind: MessageKind) -> Count {
+    /// Count of one kind.
+    pub fn kind(&self, kind: MessageKind) -> MessageCount {
         self.kinds.get(&kind).copied().unwrap_or_default()
     }
 
-    /// Of a plane.
-    pub fn plane(&self, plane: Plane) -> Count {
-        Count::sum(
+    /// Count of a plane.
+    pub fn plane(&self, plane: Plane) -> MessageCount {
+        MessageCount::sum(
             self.kinds()
                 .filter(|(kind, _)| kind.plane() == plane)
                 .map(|(_, count)| count),
         )
     }
 
-    /// What the BS puts on the air: plans and wake-ups.
-    pub fn control(&self) -> Count {
-        Count::sum(
+    /// Count of the base station's messages on the air: plans and wake-ups.
+    pub fn control(&self) -> MessageCount {
+        MessageCount::sum(
             [MessageKind::Plan, MessageKind::Wake]
                 .map(|kind| self.kind(kind))
                 .into_iter(),
         )
     }
 
-    /// What the devices put on the air: reports.
-    pub fn uplink(&self) -> Count {
+    /// Count of the devices' messages on the air: reports.
+    pub fn uplink(&self) -> MessageCount {
         self.kind(MessageKind::Report)
     }
 
-    /// Control bytes as a share of all bytes on the air, `[0, 1]`; nothing where there are none.
+    /// Control bytes as a share of all bytes on the air, `[0, 1]`; `None` without such bytes.
     pub fn control_share(&self) -> Option<f64> {
         let all = self.plane(Plane::Air).bytes;
         (all > 0).then(|| self.control().bytes as f64 / all as f64)
     }
 
-    /// By device, those that there was something of: its messages by kind.
-    pub fn devices(&self) -> impl Iterator<Item = (DeviceId, &BTreeMap<MessageKind, Count>)> {
+    /// Counts by device and kind, for devices with messages.
+    pub fn devices(&self) -> impl Iterator<Item = (DeviceId, &BTreeMap<MessageKind, MessageCount>)> {
         self.devices.iter().map(|(device, kinds)| (*device, kinds))
     }
 }
@@ -124,7 +124,7 @@ mod tests {
     fn messages_are_counted_by_kind_plane_and_device() {
         let plan = PlanUpdate {
             from: Tti(3),
-            plan: Plan::from_chosen(8, &[DeviceId(1)]),
+            plan: Plan::from_devices(8, &[DeviceId(1)]),
         };
         let report = |tti, device| {
             let report = Report {
@@ -142,12 +142,12 @@ mod tests {
             report(4, 2),
             report(12, 1),
         ];
-        let mut traffic = Traffic::default();
+        let mut traffic = TrafficStats::default();
         for frame in &frames {
             traffic.count(frame);
         }
         let bytes = |of: &[usize]| of.iter().map(|at| frames[*at].payload.len() as u64).sum::<u64>();
-        let count = |of: &[usize]| Count {
+        let count = |of: &[usize]| MessageCount {
             messages: of.len() as u64,
             bytes: bytes(of),
         };
@@ -155,7 +155,7 @@ mod tests {
         assert_eq!(traffic.control(), count(&[0, 2]));
         assert_eq!(traffic.uplink(), count(&[1, 3, 4]));
         assert_eq!(traffic.plane(Plane::Air), count(&[0, 1, 2, 3, 4]));
-        assert_eq!(traffic.plane(Plane::Emu), Count::default());
+        assert_eq!(traffic.plane(Plane::Emu), MessageCount::default());
         let share = bytes(&[0, 2]) as f64 / bytes(&[0, 1, 2, 3, 4]) as f64;
         assert!((traffic.control_share().expect("there is traffic") - share).abs() < 1e-12);
         let second: Vec<_> = traffic
@@ -167,6 +167,6 @@ mod tests {
             .copied()
             .collect();
         assert_eq!(second, [count(&[2]), count(&[3])]);
-        assert_eq!(Traffic::default().control_share(), None);
+        assert_eq!(TrafficStats::default().control_share(), None);
     }
 }

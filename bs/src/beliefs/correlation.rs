@@ -1,43 +1,43 @@
-//! How likely a device is to have sensed an event that another device reported (Sec. III).
+//! The probability that a device has sensed an event that another device reported (Sec. III).
 
 use std::f64::consts::{LOG2_E, PI};
 use std::sync::Arc;
 
 use reveille_common::sensing::Sensing;
 
-use crate::grids::{Band, Bounds, Grids};
+use crate::bounds_cache::{Band, BoundsCache, CorrelationBounds};
 
-/// Points that are computed side by side.
+/// Points computed in parallel.
 const LANES: usize = 2;
 
-/// Points of the quadrature for η·`d_max` up to [`DECAY`].
+/// Quadrature points for η·`d_max` up to [`DECAY`].
 const NODES: f64 = 18.0;
 
-/// η times the step of the grid of bounds, unless that makes too many rows of d.
+/// η times the step of the grid of bounds, unless d would get too many rows.
 const STEP_DECAY: f64 = 0.1;
 const MOST_ROWS: f64 = 100.0;
 /// Upper bound on the error of [`Correlation::p42`].
 const QUADRATURE_ERROR: f64 = 1e-6;
 
-/// Beyond this η·`d_max` the peak of the integrand is so narrow that more points are needed.
+/// Largest η·`d_max` for [`NODES`] points; beyond it the peak of the integrand is narrower and needs more points.
 const DECAY: f64 = 8.0;
 
-/// The wake-up correlation of Eq. (`cosine_rule2`), ready to be averaged over the unknown direction φ of the event.
+/// The wake-up correlation of Eq. (`cosine_rule2`), prepared for the mean over the unknown direction φ of the event.
 #[derive(Clone, Debug)]
 pub struct Correlation {
     sensing: Sensing,
     /// 2 (1 − cos φ) and the weight of each node φ on [0, π], [`LANES`] at a time; the weights add up to 1. The nodes
-    /// are those of the Gauss-Legendre rule in t ∈ [0, 1] with φ = πt³: where γ is close to d the integrand is all but
-    /// a kink at φ = 0, and the cube gathers nodes there. The plain rule needs three times as many for the same error.
+    /// follow the Gauss-Legendre rule in t ∈ [0, 1] with φ = πt³. Where γ is close to d the integrand nearly has a kink
+    /// at φ = 0, and the cube gathers nodes there. The plain rule needs three times as many nodes for the same error.
     versines: Vec<[f64; LANES]>,
     weights: Vec<[f64; LANES]>,
     threshold: f64,
-    bounds: Arc<Bounds>,
+    bounds: Arc<CorrelationBounds>,
 }
 
 impl Correlation {
-    /// The correlation of devices that sense as `sensing` says. Its grid of bounds is taken from `grids`, or put there.
-    pub fn new(sensing: &Sensing, grids: &Grids) -> Self {
+    /// Creates the correlation for the given sensing model. The grid of bounds comes from the cache `grids`.
+    pub fn new(sensing: &Sensing, grids: &BoundsCache) -> Self {
         let narrower = (sensing.eta * sensing.d_max / DECAY).max(1.0);
         let count = (NODES * narrower.sqrt()).ceil().min(1024.0) as usize;
         // A node of weight 0 fills the last lane.
@@ -61,17 +61,19 @@ impl Correlation {
         correlation
     }
 
-    /// The bands, best first, for each d of a grid. A step of h in d or in γ moves the event by at most h against the
-    /// device, and so changes ln p by at most ηh. A pair is at most half a step from its grid point in each of the two,
-    /// which makes ηh in all.
-    fn make_grid(&self) -> Bounds {
+    /// Computes the bands in descending order of bound, for each d of a grid. A step of h in d or in γ moves the event
+    /// by at most h relative to the device, so ln p changes by at most ηh. A pair is at most half a step from its grid
+    /// point in each coordinate, so the total change is at most ηh.
+    fn make_grid(&self) -> CorrelationBounds {
         let Sensing { eta, d_max, .. } = self.sensing;
         let step = (STEP_DECAY / eta).max(d_max / MOST_ROWS);
         let rows = (d_max / step).round() as usize + 1;
         let columns = (2.0 * d_max / step).round() as usize + 2;
+        // exp(ηh) bounds the change within a grid cell; the other factor covers the rounding of the bound.
         let factor = libm::exp(eta * step) * (1.0 + 1e-9);
         let value = |i: usize, j: usize| {
             let bound = (self.p42(i as f64 * step, j as f64 * step) + QUADRATURE_ERROR) * factor;
+            // For a steep decay the factor is large, but no probability exceeds 1.
             bound.min(1.0)
         };
         let band = |i: usize, column: usize| Band {
@@ -84,34 +86,39 @@ impl Correlation {
             bands.sort_by(|a, b| b.bound.total_cmp(&a.bound));
             bands
         };
-        Bounds {
+        CorrelationBounds {
             scale: 1.0 / step,
             columns,
             bands: (0..rows).map(row).collect(),
         }
     }
 
-    /// The bands of γ that can hold a candidate if the reporter is `d` metres from the event, by falling bound.
+    /// Returns the bands of γ that can hold a candidate for a reporter `d` metres from the event, the highest bound
+    /// first.
     pub(crate) fn bands(&self, d: f64) -> &[Band] {
-        let Bounds { scale, bands, .. } = &*self.bounds;
+        let CorrelationBounds { scale, bands, .. } = &*self.bounds;
+        // Rounding can place a reporter just beyond the last row.
         &bands[((d * scale + 0.5) as usize).min(bands.len() - 1)]
     }
 
-    /// Bands per metre, and how many there are.
+    /// Returns the number of bands per metre and the number of bands.
     pub(crate) fn banding(&self) -> (f64, usize) {
         (self.bounds.scale, self.bounds.columns)
     }
 
-    /// Pr(`S_j` = S3 | `S_h` = S3), `[0, 1]`: the mean of p(√(d² + γ² − 2dγ cos φ)) over φ uniform on [0, 2π), for a
-    /// reporter h at distance `d` from the event and a device j at distance `gamma` from h, metres. The absolute error
+    /// Returns Pr(`S_j` = S3 | `S_h` = S3), `[0, 1]`: the mean of p(√(d² + γ² − 2dγ cos φ)) over φ uniform on [0, 2π).
+    /// Reporter h is at distance `d` from the event and device j at distance `gamma` from h, metres. The absolute error
     /// is below 1e-6 for `d` up to `d_max` and `gamma` up to 2 `d_max`.
     pub fn p42(&self, d: f64, gamma: f64) -> f64 {
         let product = d * gamma;
+        // If d or γ is 0, the distance does not depend on φ.
         if product == 0.0 {
             return self.sensing.p(d + gamma);
         }
+        // d² + γ² − 2dγ cos φ as a sum of non-negative terms, so that rounding cannot make it negative.
         let difference = (d - gamma) * (d - gamma);
         let eta = self.sensing.eta;
+        // One sum per lane and a fixed order of lanes, so the result does not depend on the vector width.
         let mut sums = [0.0; LANES];
         for (versines, weights) in self.versines.iter().zip(&self.weights) {
             for lane in 0..LANES {
@@ -122,19 +129,19 @@ impl Correlation {
         sums.iter().sum()
     }
 
-    /// The least probability for which a device is woken, p(`d_max`) (Algorithm 1, line 8).
+    /// Smallest probability for which a device is woken, p(`d_max`) (Algorithm 1, line 8).
     pub fn threshold(&self) -> f64 {
         self.threshold
     }
 }
 
-/// exp(-x) for `x` ≥ 0 to 15 digits, in a form of which the compiler makes several at a time. Beyond 708, where normal
-/// doubles end, it stays at exp(-708), less than any p(d_max) that a scenario may have.
+/// Returns exp(-x) for `x` ≥ 0 to 15 digits, in a form that the compiler can vectorise. Beyond 708, where normal
+/// doubles end, it stays at exp(-708), which is less than any valid p(d_max).
 #[inline]
 pub(crate) fn decay(x: f64) -> f64 {
-    // Adding it leaves the nearest whole number in the lowest bits.
+    // Adding this constant leaves the nearest whole number in the lowest bits.
     const ROUND: f64 = (3_u64 << 51) as f64;
-    // ln 2 in two parts, the first with so few digits that its multiples are exact.
+    // ln 2 in two parts; the first has so few digits that its multiples are exact.
     const LN2_HIGH: f64 = 0.693_147_180_369_123_8;
     const LN2_LOW: f64 = 1.908_214_929_270_587_7e-10;
     let x = if x < LONGEST_DECAY { x } else { LONGEST_DECAY };
@@ -143,11 +150,12 @@ pub(crate) fn decay(x: f64) -> f64 {
     let r = (-x - n * LN2_HIGH) - n * LN2_LOW;
     // The series of exp to r¹² / 12!, |r| ≤ ln 2 / 2.
     let series = INVERSE_FACTORIALS.iter().rev().fold(0.0, |sum, term| sum * r + term);
+    // Puts the whole number into the exponent bits, which are offset by 1023.
     let power = f64::from_bits((shifted.to_bits() << 52).wrapping_add(1023 << 52));
     series * power
 }
 
-/// The largest exponent of [`decay`].
+/// Largest exponent of [`decay`].
 const LONGEST_DECAY: f64 = 708.0;
 
 /// 1 / k! for k = 0, 1, …
@@ -167,12 +175,12 @@ const INVERSE_FACTORIALS: [f64; 13] = [
     1.0 / 479_001_600.0,
 ];
 
-/// The nodes t on [-1, 1], falling, and weights of the Gauss-Legendre rule with `count` points.
+/// Returns the nodes t on [-1, 1], in descending order, and weights of the Gauss-Legendre rule with `count` points.
 fn gauss_legendre(count: usize) -> impl Iterator<Item = (f64, f64)> {
     let n = count as f64;
     (0..count).map(move |i| {
         let mut t = libm::cos(PI * (i as f64 + 0.75) / (n + 0.5));
-        // Newton's method doubles the digits of a start that has three.
+        // Newton's method doubles the correct digits, and the start value has three.
         for _ in 0..6 {
             let (value, slope) = legendre(count, t);
             t -= value / slope;
@@ -182,7 +190,7 @@ fn gauss_legendre(count: usize) -> impl Iterator<Item = (f64, f64)> {
     })
 }
 
-/// The Legendre polynomial of degree `n` ≥ 1 at |`t`| < 1, and its derivative.
+/// Returns the Legendre polynomial of degree `n` ≥ 1 at |`t`| < 1, and its derivative.
 fn legendre(n: usize, t: f64) -> (f64, f64) {
     let (mut before, mut value) = (1.0, t);
     for k in 2..=n {
@@ -209,13 +217,13 @@ mod tests {
         }
     }
 
-    /// The same mean by adaptive Simpson integration over the full circle, from the cosine rule as the paper has it.
+    /// Computes the mean by adaptive Simpson integration over the full circle, with the cosine rule as in the paper.
     fn reference(sensing: &Sensing, d: f64, gamma: f64) -> f64 {
         let f = |phi: f64| {
             let squared = d * d + gamma * gamma - 2.0 * d * gamma * libm::cos(phi);
             libm::exp(-sensing.eta * squared.max(0.0).sqrt())
         };
-        // Pieces of unequal width, so that no symmetry of the integrand can fool the error estimate.
+        // Unequal widths, so that no symmetry of the integrand distorts the error estimate.
         let cuts = [0.0, 0.01, 0.1, 0.7, 2.1, PI, 4.0, 5.3, 6.0, 6.25, 2.0 * PI];
         let pieces = cuts.windows(2).map(|w| {
             let (a, b) = (w[0], w[1]);
@@ -236,10 +244,10 @@ mod tests {
             + adaptive(f, [m, b], [fm, right, fb], 0.5 * tolerance, depth - 1)
     }
 
-    /// The largest error over a grid, over random places and over places near γ = d, where the integrand has a kink.
+    /// Returns the largest error over a grid, random points, and points near γ = d, where the integrand has a kink.
     fn worst_error(eta: f64, d_max: f64) -> (f64, f64, f64) {
         let (model, mut worst) = (sensing(eta, d_max), (0.0, 0.0, 0.0));
-        let correlation = Correlation::new(&model, &Grids::default());
+        let correlation = Correlation::new(&model, &BoundsCache::default());
         let mut check = |d: f64, gamma: f64| {
             let error = (correlation.p42(d, gamma) - reference(&model, d, gamma)).abs();
             if error > worst.0 {
@@ -295,19 +303,19 @@ mod tests {
     #[test]
     fn without_a_direction_p42_is_p() {
         let model = sensing(1.0, 4.0);
-        let correlation = Correlation::new(&model, &Grids::default());
+        let correlation = Correlation::new(&model, &BoundsCache::default());
         for distance in [0.0, 1e-9, 0.7, 4.0, 8.0] {
             assert!((correlation.p42(0.0, distance) - model.p(distance)).abs() < f64::EPSILON);
             assert!((correlation.p42(distance, 0.0) - model.p(distance)).abs() < f64::EPSILON);
         }
-        // The rule itself, right next to the special case.
+        // Compares the quadrature itself, right next to the special case.
         assert!((correlation.p42(1e-12, 2.0) - model.p(2.0)).abs() < 1e-11);
     }
 
     #[test]
     fn p42_lies_between_its_bounds() {
         let model = sensing(1.0, 4.0);
-        let correlation = Correlation::new(&model, &Grids::default());
+        let correlation = Correlation::new(&model, &BoundsCache::default());
         let mut stream = Stream::new(5, Purpose::Epicentre, 0);
         for _ in 0..10_000 {
             let (d, gamma) = (4.0 * stream.unit(), 8.0 * stream.unit());

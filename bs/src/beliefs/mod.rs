@@ -1,13 +1,13 @@
-//! What a base station makes of what it knows: structures that several policies share.
+//! Models that several policies share: ages, coverage, clusters, rankings and beliefs about events.
 
 pub mod ages;
-pub mod aim;
 pub mod candidates;
 pub mod clusters;
 pub mod correlation;
 pub mod coverage;
+pub(crate) mod grid;
+pub(crate) mod information_target;
 mod neighbours;
 pub mod posterior;
 pub mod ranking;
-pub(crate) mod raster;
 pub mod reward;

@@ -1,10 +1,10 @@
-//! Who stands how far from a device, in bands of distance.
+//! Neighbours of each device in bands of distance.
 
 use reveille_common::geometry::{Area, Buckets, Point};
 use reveille_common::ids::DeviceId;
 
-/// The neighbours of each device up to a range, by bands of equal width around whole multiples of it: band i holds
-/// those whose distance is nearest to i widths. A device's list is made when it is first asked for.
+/// Neighbours of each device up to a range, in bands of equal width. Band i holds the devices whose distance is nearest
+/// to i widths. A device's list is computed on first use.
 #[derive(Clone, Debug)]
 pub(crate) struct Neighbours {
     buckets: Buckets,
@@ -12,18 +12,18 @@ pub(crate) struct Neighbours {
     /// Bands per metre.
     scale: f64,
     bands: usize,
-    lists: Vec<Option<List>>,
+    lists: Vec<Option<NeighbourList>>,
 }
 
-/// The neighbours of one device: those of band i are `devices[starts[i] .. starts[i + 1]]`, by rising number.
+/// Neighbours of one device: band i is `devices[starts[i] .. starts[i + 1]]`, in ascending order.
 #[derive(Clone, Debug)]
-struct List {
+struct NeighbourList {
     starts: Box<[u32]>,
     devices: Box<[DeviceId]>,
 }
 
 impl Neighbours {
-    /// Of the devices at `positions` in `area`, in `bands` bands, `scale` of them a metre.
+    /// Creates the lists for devices at `positions` in `area`: `bands` bands, with `scale` bands per metre.
     pub(crate) fn new(positions: &[Point], area: Area, scale: f64, bands: usize) -> Self {
         Self {
             buckets: Buckets::new(positions, area, 0.5 * bands as f64 / scale),
@@ -34,12 +34,12 @@ impl Neighbours {
         }
     }
 
-    /// Where a device stands.
+    /// Returns the position of a device.
     pub(crate) fn position(&self, device: DeviceId) -> Point {
         self.positions[device.index()]
     }
 
-    /// The devices in band `band` of `device`, itself included in the first.
+    /// Returns the devices in band `band` of `device`. The first band includes the device itself.
     pub(crate) fn band(&mut self, device: DeviceId, band: usize) -> &[DeviceId] {
         let Self {
             buckets,
@@ -48,17 +48,18 @@ impl Neighbours {
             bands,
             lists,
         } = self;
-        let list =
-            lists[device.index()].get_or_insert_with(|| List::new(buckets, positions[device.index()], *scale, *bands));
+        let list = lists[device.index()]
+            .get_or_insert_with(|| NeighbourList::new(buckets, positions[device.index()], *scale, *bands));
         &list.devices[list.starts[band] as usize..list.starts[band + 1] as usize]
     }
 }
 
-impl List {
+impl NeighbourList {
     fn new(buckets: &Buckets, centre: Point, scale: f64, bands: usize) -> Self {
         let mut found: Vec<(u32, DeviceId)> = Vec::new();
         buckets.within(centre, bands as f64 / scale, |index, distance| {
             let band = (distance * scale + 0.5) as usize;
+            // A distance within half a band of the range rounds up to a band that does not exist.
             if band < bands {
                 found.push((band as u32, DeviceId(index as u32)));
             }

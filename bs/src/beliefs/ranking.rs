@@ -1,4 +1,4 @@
-//! Which sleeping device the base station wakes next, and how much information it asks for (Sec. III and V-A).
+//! Selection of the next device to wake, and the information required per event (Sec. III and V-A).
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -7,38 +7,38 @@ use reveille_common::geometry::{Area, Point, farthest_cell_vertex};
 use reveille_common::ids::DeviceId;
 use reveille_common::sensing::Sensing;
 
+use super::neighbours::Neighbours;
 pub use crate::beliefs::correlation::Correlation;
-use crate::beliefs::neighbours::Neighbours;
 
-/// The information per event that a deployment can give wherever the event is, `I_min` = Ψ p(d*), `[0, Ψ]`: the report
-/// of the closest device in the worst place, of which d* is the distance (Eq. (`E_Info3`); on a grid Eq. (`E_Info1`)).
-/// The paper leaves Ψ = 1 out; I_min is compared with reports, which have it (Eq. (1)).
+/// Returns the information per event that a deployment can always provide, `I_min` = Ψ p(d*), `[0, Ψ]`. The distance
+/// from the worst place to its closest device is d* (Eq. (`E_Info3`); on a grid Eq. (`E_Info1`)). The paper leaves out
+/// Ψ = 1; I_min includes it because reports do (Eq. (1)).
 pub fn i_min(points: &[Point], area: Area, sensing: &Sensing) -> f64 {
     sensing.psi * sensing.p(farthest_cell_vertex(points, area))
 }
 
-/// The wake-up candidates of one event after another, each event's by falling `P_4,2` = max over its reporters h of
-/// Pr(`S_j` = S3 | `S_h` = S3), ties by device number.
+/// Wake-up candidates of one event at a time, in descending order of `P_4,2` = max over the event's reporters h of
+/// Pr(`S_j` = S3 | `S_h` = S3). Ties are broken by device number.
 ///
-/// An event begins with [`Ranking::start`]; every report goes to [`Ranking::add_reporter`]; [`Ranking::next`] gives
-/// the candidate to wake next. Reports may be added between two candidates.
+/// [`Ranking::start`] begins an event, `Ranking::add_reporter` adds a report, and [`Ranking::next`] returns the next
+/// candidate to wake. Reports may be added between two candidates.
 ///
-/// Most integrals are never computed: candidates wait by whole bands of distance from a reporter under a cheap upper
-/// bound, and are evaluated only when nobody else is known to be better than that bound.
+/// Most integrals are never computed. Candidates wait in whole bands of distance from a reporter under a cheap upper
+/// bound. A band is evaluated only when no known candidate reaches its bound.
 #[derive(Clone, Debug)]
 pub struct Ranking {
     correlation: Correlation,
     neighbours: Neighbours,
-    queue: BinaryHeap<Entry>,
-    /// This event's reporters, and how far it is from each, metres.
+    queue: BinaryHeap<QueueEntry>,
+    /// Reporters of the event and their distances from it, metres.
     reporters: Vec<(DeviceId, f64)>,
-    /// The number of the last event for which each device was given out.
+    /// Number of the last event for which each device was returned.
     given_out: Vec<u64>,
     event: u64,
 }
 
 impl Ranking {
-    /// A ranking of the devices at `points` in `area`.
+    /// Creates a ranking of the devices at `points` in `area`.
     pub fn new(points: &[Point], area: Area, correlation: Correlation) -> Self {
         let (scale, bands) = correlation.banding();
         Self {
@@ -51,33 +51,36 @@ impl Ranking {
         }
     }
 
-    /// Begins an event: forgets all reporters and candidates.
+    /// Begins an event and clears all reporters and candidates.
     pub fn start(&mut self) {
         self.queue.clear();
         self.reporters.clear();
+        // A new event number releases all returned devices without a pass over them.
         self.event += 1;
     }
 
-    /// Takes in the report of `device`, which is `d` metres, 0 ..= `d_max`, from the event. A device that was already
-    /// given out for this event is not given out again.
-    pub fn add_reporter(&mut self, device: DeviceId, d: f64) {
+    /// Adds the report of `device`, which is `d` metres, 0 ..= `d_max`, from the event. Devices already returned for
+    /// this event are not returned again.
+    pub(crate) fn add_reporter(&mut self, device: DeviceId, d: f64) {
         let reporter = self.reporters.len() as u32;
         self.reporters.push((device, d));
         self.await_band(reporter, 0);
     }
 
-    /// `device` is not to be given out for this event.
-    pub fn take_out(&mut self, device: DeviceId) {
+    /// Excludes `device` for this event.
+    pub(crate) fn exclude(&mut self, device: DeviceId) {
         self.given_out[device.index()] = self.event;
     }
 
-    /// Gives out the candidate with the largest `P_4,2` for which `is_candidate` holds (one in S4 that the policy may
-    /// wake), if any has at least p(`d_max`), with that probability to eight digits.
+    /// Returns the candidate with the largest `P_4,2`, and this probability to eight digits. Only devices in S4 that
+    /// the policy may wake (`is_candidate`) and with at least p(`d_max`) count.
     pub fn next(&mut self, is_candidate: impl Fn(DeviceId) -> bool) -> Option<(DeviceId, f64)> {
-        while let Some(Entry { bound, waiting, number }) = self.queue.pop() {
+        // A device may be queued once per reporter. Its largest value comes first and is its maximum over all
+        // reporters.
+        while let Some(QueueEntry { bound, waiting, number }) = self.queue.pop() {
             match waiting {
-                Waiting::Band { reporter } => self.open(reporter, number, &is_candidate),
-                Waiting::Evaluated => {
+                QueueItem::Band { reporter } => self.open(reporter, number, &is_candidate),
+                QueueItem::Evaluated => {
                     let device = DeviceId(number);
                     if self.given_out[device.index()] != self.event && is_candidate(device) {
                         self.given_out[device.index()] = self.event;
@@ -89,7 +92,7 @@ impl Ranking {
         None
     }
 
-    /// Evaluates the candidates of the `turn`-th band of `reporter`; those of the next wait for theirs.
+    /// Evaluates the candidates of the `turn`-th band of `reporter`, and queues its next band.
     fn open(&mut self, reporter: u32, turn: u32, is_candidate: impl Fn(DeviceId) -> bool) {
         let (device, d) = self.reporters[reporter as usize];
         let column = self.correlation.bands(d)[turn as usize].column;
@@ -100,7 +103,7 @@ impl Ranking {
         self.await_band(reporter, turn + 1);
     }
 
-    /// Puts the first band of `reporter` from the `turn`-th on that holds anyone into the queue.
+    /// Queues the first non-empty band of `reporter` from the `turn`-th on.
     fn await_band(&mut self, reporter: u32, turn: u32) {
         let Self {
             correlation,
@@ -114,9 +117,9 @@ impl Ranking {
         let next = bands
             .into_iter()
             .find(|(_, band)| !neighbours.band(device, band.column).is_empty());
-        queue.extend(next.map(|(turn, band)| Entry {
+        queue.extend(next.map(|(turn, band)| QueueEntry {
             bound: Rounded::above(band.bound),
-            waiting: Waiting::Band { reporter },
+            waiting: QueueItem::Band { reporter },
             number: turn,
         }));
     }
@@ -129,31 +132,32 @@ impl Ranking {
         let gamma = self.neighbours.position(device).distance(self.neighbours.position(j));
         let value = self.correlation.p42(d, gamma);
         if value >= self.correlation.threshold() {
-            self.queue.push(Entry {
+            self.queue.push(QueueEntry {
                 bound: Rounded::nearest(value),
-                waiting: Waiting::Evaluated,
+                waiting: QueueItem::Evaluated,
                 number: j.0,
             });
         }
     }
 }
 
-/// A probability to eight digits, however small it is: the order of far candidates counts as much as that of near ones.
-/// Probabilities that are closer are equal: on a grid, devices that stand alike differ only in the last bits of their
-/// distances, and the lower number is to come first.
+/// A probability rounded to eight digits, so that even far candidates with tiny values are ordered. Closer
+/// probabilities are equal: on a grid, symmetric devices differ only in the last bits of their distances, and the lower
+/// number must win.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Rounded(u64);
 
 impl Rounded {
-    /// Bits of a floating-point number that are left out; without them its bits are a whole number that rises with it.
+    /// Number of low bits dropped. The remaining bits are a whole number that grows with the probability.
     const LEFT_OUT: u32 = 25;
 
-    /// The nearest to `p`, which is not negative.
+    /// Rounds `p`, which is not negative, to the nearest value.
     fn nearest(p: f64) -> Self {
+        // A carry into the exponent is correct, since positive numbers and their bits have the same order.
         Self((p.to_bits() + (1 << (Self::LEFT_OUT - 1))) >> Self::LEFT_OUT)
     }
 
-    /// One above the nearest to `p`, and so above that of any smaller probability.
+    /// Returns a value above the rounded `p`, and so above every smaller probability.
     fn above(p: f64) -> Self {
         Self(Self::nearest(p).0 + 1)
     }
@@ -163,27 +167,27 @@ impl Rounded {
     }
 }
 
-/// What an entry of the queue stands for, and what its number means.
+/// Kind of a queue entry, which determines the meaning of its number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Waiting {
-    /// A candidate with its probability; the number is the device's.
+enum QueueItem {
+    /// A candidate with its probability; the number is the device number.
     Evaluated,
-    /// All candidates in one band of distances from a reporter, with an upper bound on their probabilities; the number
-    /// is the band's place among the reporter's.
+    /// All candidates in one band of distances from a reporter, with an upper bound on their probabilities. The number
+    /// is the index of the band in the reporter's list.
     Band { reporter: u32 },
 }
 
-/// Candidates, and a probability that they do not exceed.
+/// Candidates and an upper bound on their probability.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Entry {
+struct QueueEntry {
     bound: Rounded,
-    waiting: Waiting,
+    waiting: QueueItem,
     number: u32,
 }
 
-impl Ord for Entry {
-    /// The largest value comes first. At equal values bounds come before probabilities, as they may hide a device with
-    /// a lower number; then lower numbers come first.
+impl Ord for QueueEntry {
+    /// The largest value comes first. At equal values, bounds precede probabilities, as a band may hold a device with a
+    /// lower number. Then lower numbers come first.
     fn cmp(&self, other: &Self) -> Ordering {
         (self.bound, self.waiting)
             .cmp(&(other.bound, other.waiting))
@@ -191,7 +195,7 @@ impl Ord for Entry {
     }
 }
 
-impl PartialOrd for Entry {
+impl PartialOrd for QueueEntry {
     fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
         Some(self.cmp(other))
     }
@@ -206,7 +210,7 @@ mod tests {
     use reveille_common::sensing::{DetectionKind, Fusion};
 
     use super::*;
-    use crate::grids::Grids;
+    use crate::bounds_cache::BoundsCache;
 
     const AREA: Area = Area {
         width: 20.0,
@@ -230,22 +234,22 @@ mod tests {
     }
 
     fn ranking(points: &[Point]) -> Ranking {
-        Ranking::new(points, AREA, Correlation::new(&paper(), &Grids::default()))
+        Ranking::new(points, AREA, Correlation::new(&paper(), &BoundsCache::default()))
     }
 
-    /// Points of the midpoint rule of the definition.
+    /// Points of the midpoint rule for the definition.
     const POINTS: u32 = 4000;
 
-    /// Pr(`S_j` = S3 | `S_h` = S3) by its definition, the mean of p over the directions φ of the event, in the form
-    /// (p(|d − γ|), the mean of p/p(|d − γ|)): both count where p itself is too small for differences to. Where the
-    /// integrand has its peak, at φ = 0, the points φ = π t⁴ stand close together.
+    /// Computes Pr(`S_j` = S3 | `S_h` = S3) by definition, as the mean of p over the directions φ of the event. The
+    /// result is (ln p(|d − γ|), the mean of p/p(|d − γ|)), since p itself may be too small for differences. The points
+    /// φ = π t⁴ are dense near the peak of the integrand at φ = 0.
     fn mean_over_directions(sensing: &Sensing, d: f64, gamma: f64) -> (f64, f64) {
         let gap = (d - gamma).abs();
         let (mut sum, mut weights) = (0.0, 0.0);
         for i in 0..POINTS {
             let t = (f64::from(i) + 0.5) / f64::from(POINTS);
             let (phi, weight) = (PI * t.powi(4), t.powi(3));
-            // The cosine rule, in which nothing cancels.
+            // A form of the cosine rule without cancellation.
             let half = libm::sin(0.5 * phi);
             let distance = (gap * gap + 4.0 * d * gamma * half * half).sqrt();
             sum += weight * libm::exp(-sensing.eta * (distance - gap));
@@ -254,17 +258,17 @@ mod tests {
         (-sensing.eta * gap, sum / weights)
     }
 
-    /// ln Pr(`S_j` = S3 | `S_h` = S3).
+    /// Returns ln Pr(`S_j` = S3 | `S_h` = S3).
     fn log_p42(sensing: &Sensing, d: f64, gamma: f64) -> f64 {
         let (log_peak, mean) = mean_over_directions(sensing, d, gamma);
         log_peak + libm::log(mean)
     }
 
-    /// The candidates by the definition, ln `P_4,2` of each.
+    /// The candidates by definition, with ln `P_4,2` of each.
     struct Definition<'a> {
         sensing: &'a Sensing,
         points: &'a [Point],
-        /// ln of the largest probability of each device, and the reporter and distance γ that it comes from.
+        /// ln of the largest probability of each device, with its reporter and distance γ.
         best: Vec<Option<(f64, u32, f64)>>,
     }
 
@@ -287,9 +291,9 @@ mod tests {
             }
         }
 
-        /// Checks that `next` is the best of those that are `free`, as far as an integral that is right to the share
-        /// `error` can tell: no other is better by more than that, and of those that have the same value by symmetry
-        /// it has the lowest number.
+        /// Checks that `next` is the best `free` device, within the relative `error` of the integral. No other device
+        /// may be better by more than that. Among devices of equal value by symmetry, `next` must have the lowest
+        /// number.
         fn check(&self, next: Option<(DeviceId, f64)>, free: impl Fn(DeviceId) -> bool, error: f64, case: &str) {
             let floor = -self.sensing.eta * self.sensing.d_max;
             let all = (0..self.points.len() as u32).map(DeviceId).filter(|&j| free(j));
@@ -326,13 +330,13 @@ mod tests {
         }
     }
 
-    /// Compares [`Ranking`] with the definition over three events on random points.
+    /// Compares [`Ranking`] with the definition for three events on random points.
     fn compare((sensing, correlation): (&Sensing, &Correlation), case: u64, stream: &mut Stream) {
         let decay = sensing.eta * sensing.d_max;
-        // The rule of integration is right to a millionth, and for the steepest decays to the last digits that a
-        // floating-point number has so close to its end.
+        // The quadrature error is below one millionth. For the steepest decays only the last digits near the smallest
+        // doubles remain.
         let error = if decay > 500.0 { 5e-3 } else { 2e-6 };
-        // A grid of devices that report from their own cell makes ties by the dozen.
+        // On a grid, devices that report from their own cell cause many ties.
         let layout = [Layout::Uniform, Layout::Grid, Layout::Hex, Layout::JitteredGrid][case as usize % 4].clone();
         let points = place(&layout, AREA, 1 + (case % 90) as u32, case);
         let mut ranking = Ranking::new(&points, AREA, correlation.clone());
@@ -364,7 +368,7 @@ mod tests {
     #[test]
     fn gives_the_order_of_a_full_sort_also_between_reports() {
         let mut stream = Stream::new(6, Purpose::Epicentre, 0);
-        let correlation = Correlation::new(&paper(), &Grids::default());
+        let correlation = Correlation::new(&paper(), &BoundsCache::default());
         for case in 0..200 {
             compare((&paper(), &correlation), case, &mut stream);
         }
@@ -375,7 +379,7 @@ mod tests {
         let mut stream = Stream::new(7, Purpose::Epicentre, 0);
         for eta in [2.0, 5.5, 10.0, 37.5, 75.0, 175.0] {
             let steep = Sensing { eta, ..paper() };
-            let correlation = Correlation::new(&steep, &Grids::default());
+            let correlation = Correlation::new(&steep, &BoundsCache::default());
             for case in 0..24 {
                 compare((&steep, &correlation), case, &mut stream);
             }
@@ -404,7 +408,7 @@ mod tests {
 
     #[test]
     fn devices_that_stand_alike_come_in_the_order_of_their_numbers() {
-        // The four corners around the middle, where the distances differ by rounding alone.
+        // Four corners around the middle; their distances differ only by rounding.
         let points: Vec<Point> = [(0.1, 0.1), (0.3, 0.3), (0.3, 0.1), (0.1, 0.3), (0.1 + 0.1, 0.2)]
             .map(|(x, y)| Point::new(x, y))
             .to_vec();

@@ -1,28 +1,28 @@
-//! The rewards of Sec. V-B, which learning policies maximise and which trajectories and environments show.
+//! The rewards of Sec. V-B, which learning policies maximise and which trajectories and environments report.
 //!
-//! Whether an event was missed is not known in its TTI, and hangs on chance; so r(k) is taken with the expectation over
-//! the place of an event that starts in TTI k: the part of the area that nobody looks at.
+//! Whether an event is missed depends on chance and is unknown in its TTI. So r(k) uses the expectation over the
+//! epicentre of an event that starts in TTI k, which is the uncovered share of the area.
 
 use super::coverage::Union;
 use crate::knowledge::Knowledge;
 
-/// The weight μ1 of misdetections, where nothing else is asked for.
+/// Default weight μ1 of misdetections.
 pub const MU1: f64 = 14.0;
-/// The weight μ2 of information, where nothing else is asked for.
+/// Default weight μ2 of information.
 pub const MU2: f64 = 1.0;
 
-/// What a choice of devices in S1 is worth.
+/// The coverage terms of the reward for a set of devices in S1.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Looked {
-    /// The share of the devices that sleep, `[0, 1]`: the first term of r(k).
+pub struct CoverageReward {
+    /// Share of the devices that sleep, `[0, 1]`: the first term of r(k).
     pub asleep: f64,
-    /// The share of the area that nobody looks at, `[0, 1]`: of events that start in this TTI, those that are missed in
-    /// it.
+    /// Uncovered share of the area, `[0, 1]`: the share of events starting in this TTI that are missed in it.
     pub uncovered: f64,
 }
 
-impl Looked {
-    /// Of devices that are in S1 where `on` says so, in the order of ids; `union` is that of all.
+impl CoverageReward {
+    /// Computes the terms for the devices in S1, those with a true value in `on`, by device id. `union` covers all
+    /// devices.
     pub fn of(union: &mut Union, on: &[bool]) -> Self {
         let sensing = || on.iter().enumerate().filter(|(_, on)| **on).map(|(j, _)| j);
         Self {
@@ -31,19 +31,19 @@ impl Looked {
         }
     }
 
-    /// r(k), with the probability `alpha` that an event starts and the weight `mu1`.
+    /// Returns r(k) for the probability `alpha` that an event starts and the weight `mu1`.
     pub fn reward(&self, alpha: f64, mu1: f64) -> f64 {
         self.asleep - alpha * mu1 * self.uncovered
     }
 }
 
-/// What is covered by whom, for [`Looked`].
+/// Creates the coverage model for [`CoverageReward`].
 pub fn union(known: &Knowledge) -> Union {
     Union::new(&known.positions(), known.area, &known.sensing)
 }
 
-/// The share of r*(k) of wake-ups of `woken` out of `n` devices that have brought `brought` more of Î, a share of Ψ:
-/// what it is worth, and what it costs, ≤ 0. Those of a TTI add up to r*(k).
+/// Returns the terms of r*(k) for `woken` wake-ups out of `n` devices: their value, and their cost, ≤ 0. The wake-ups
+/// raise Î by `brought`, as a share of Ψ. The terms of a TTI add up to r*(k).
 pub fn of_wake_ups(mu2: f64, brought: f64, woken: u32, n: usize) -> [f64; 2] {
     [mu2 * brought, -f64::from(woken) / n as f64]
 }

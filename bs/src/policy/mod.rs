@@ -1,22 +1,56 @@
-//! Who senses, and whom to wake.
+//! Policies: which devices sense, and which to wake.
 //!
-//! A policy answers with a δ plan and says when it next wants to decide; when a report has come it names one sleeping
-//! device after another to be woken ([`contract`]). A policy is a folder: its settings, its algorithm, and what it
-//! tells of itself ([`kind`]). To add one: a folder here and a line in [`registry::POLICIES`].
-//! [`external`] is none: it asks somebody outside, and comes with those who can answer ([`outside`]).
+//! A policy returns a δ plan and the TTI of its next decision; after a report it names the sleeping devices to wake,
+//! one by one ([`interface`]). Each policy is a folder or a file with its settings, its algorithm and its entry
+//! ([`factory`]). To add a policy, add a module here and an entry in [`registry::POLICIES`]. The policy [`external`]
+//! sends decision requests to another program; [`outside`] registers it for the programs that can serve them.
 
 pub mod adjusted;
 pub mod age_index;
-pub mod contract;
 pub mod dt;
 pub mod external;
+pub mod factory;
 pub mod genie;
-pub mod kind;
+pub mod interface;
 pub mod knn;
-pub mod mind;
 pub mod outside;
-pub mod pilots;
 pub mod q_learning;
 pub mod random;
 pub mod registry;
-mod tally;
+
+use reveille_common::ids::DeviceId;
+use reveille_common::plan::Plan;
+
+/// Number of decisions so far, and of the devices that sense in them.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct SensingCount {
+    decisions: u64,
+    sensing: u64,
+}
+
+impl SensingCount {
+    /// Returns the plan for `devices` devices in which the `chosen` ones, in ascending order, sense. Counts it.
+    pub fn plan(&mut self, devices: usize, chosen: &[DeviceId]) -> Plan {
+        self.decisions += 1;
+        self.sensing += chosen.len() as u64;
+        Plan::from_devices(devices, chosen)
+    }
+
+    /// Returns the mean number of devices that sense per TTI, for the summary.
+    pub fn fact(&self) -> (&'static str, f64) {
+        ("sensing_per_tti", self.sensing as f64 / self.decisions.max(1) as f64)
+    }
+}
+
+/// Names that most policies need: `use reveille_bs::policy::prelude::*`.
+pub mod prelude {
+    pub use reveille_common::declare;
+    pub use reveille_common::ids::{DeviceId, Tti};
+    pub use reveille_common::message::Report;
+    pub use reveille_common::plan::{DutyCycle, Plan};
+
+    pub use super::factory::{PolicyEntry, PolicyFactory};
+    pub use super::interface::Policy;
+    pub use crate::knowledge::Knowledge;
+    pub use crate::observation::Observation;
+}

@@ -1,74 +1,53 @@
-//! The policy `external`, which those bring who can answer for it. It is none of
-//! [`POLICIES`](super::registry::POLICIES): nobody lists it, sweeps over it or runs it by its name alone.
+//! The policy `external`, for programs that can serve decision requests. [`POLICIES`](super::registry::POLICIES) leaves
+//! it out: no list or sweep contains it, and it cannot run by its name alone.
 
 use std::sync::Arc;
 
-use reveille_common::declare::{Reader, ScenarioError};
-use reveille_common::scenario::{NoSettings, PolicyChoice, PolicyKind, PolicySettings, Site};
+use reveille_common::declare::{FieldSink, Visit};
+use reveille_common::scenario::PolicyChoice;
 
-use super::contract::Opaque;
 use super::external::External;
-use super::kind::{Profile, Registered};
-use super::mind::Mind;
-use super::registry::{self, Registry};
+use super::factory::{PolicyEntry, PolicyFactory};
+use super::interface::Policy;
+use super::registry;
 use crate::beliefs::ages;
 use crate::knowledge::Knowledge;
 
-/// Its name in a scenario.
+/// Name of the policy in a scenario.
 pub const NAME: &str = "external";
 
-/// The registry of those who can answer.
-pub const EXTERNAL: Registry = &[&ExternalKind];
+/// The policy `external`.
+pub(crate) const EXTERNAL: PolicyEntry = PolicyEntry::without_settings(
+    NAME,
+    "Makes no decisions itself: each decision request goes to a policy process.",
+    |reader, site| {
+        ages::check_cells(NAME, reader, site)?;
+        Ok(Arc::new(ExternalFactory))
+    },
+);
 
 /// Whether `choice` is `external`.
-pub fn is_external(choice: &PolicyChoice) -> bool {
+pub fn is_external(choice: &PolicyChoice<PolicyEntry>) -> bool {
     choice.name() == NAME
 }
 
-/// The registry with the policy that `choice` names.
-pub fn registry_of(choice: &PolicyChoice) -> Registry {
-    if is_external(choice) {
-        EXTERNAL
-    } else {
-        registry::POLICIES
-    }
-}
-
-/// The policies of this program and `external`, as a scenario names them.
-pub fn kinds() -> Vec<&'static dyn PolicyKind> {
+/// Returns the policies of this program and `external`, as a scenario names them.
+pub fn kinds_with_external() -> Vec<&'static PolicyEntry> {
     let mut kinds = registry::kinds();
-    kinds.push(&ExternalKind);
+    kinds.push(&EXTERNAL);
     kinds
 }
 
-/// The policy `external`.
-#[derive(Clone, Copy, Debug)]
-pub struct ExternalKind;
+/// Builds the policy.
+#[derive(Debug)]
+struct ExternalFactory;
 
-impl PolicyKind for ExternalKind {
-    fn name(&self) -> &'static str {
-        NAME
-    }
-
-    fn about(&self) -> &'static str {
-        "Decides nothing itself: another program is asked for each decision."
-    }
-
-    fn settle(&self, reader: &Reader<'_>, site: &Site<'_>) -> Result<Arc<dyn PolicySettings>, ScenarioError> {
-        ages::check_cells(self.name(), reader, site)?;
-        Ok(Arc::new(NoSettings))
-    }
+impl Visit for ExternalFactory {
+    fn visit(&self, _: &mut dyn FieldSink) {}
 }
 
-impl Registered for ExternalKind {
-    fn profile(&self) -> Profile {
-        Profile {
-            wakes: true,
-            ..Profile::plain(7)
-        }
-    }
-
-    fn build(&self, _: &PolicyChoice, known: &Knowledge, _: Option<&Opaque>) -> Mind {
-        Mind::External(Box::new(External::new(known)))
+impl PolicyFactory for ExternalFactory {
+    fn build(&self, known: &Knowledge) -> Box<dyn Policy> {
+        Box::new(External::new(known))
     }
 }

@@ -1,32 +1,33 @@
-//! Scenarios whose files are on this machine's disk.
+//! Scenarios with files on the local disk.
 
 use std::path::Path;
 
 use reveille_common::io::Disk;
-use reveille_common::scenario::{Override, Scenario, ScenarioError};
+use reveille_common::scenario::{Override, ScenarioError};
 
+use super::Loaded;
 use crate::policy::{outside, registry};
 
-/// Loads the scenario `source`, a preset's name or the path of a scenario file, with `overrides` on top.
+/// Loads the scenario `source`, a preset's name or the path of a scenario file, with `overrides` applied.
 ///
 /// # Errors
-/// As [`reveille_common::scenario::load`].
-pub fn load(source: &str, overrides: &[Override]) -> Result<Scenario, ScenarioError> {
+/// See [`reveille_common::scenario::load`].
+pub fn load(source: &str, overrides: &[Override]) -> Result<Loaded, ScenarioError> {
     reveille_common::scenario::load(source, overrides, &registry::kinds(), &Disk)
 }
 
-/// As [`load`], of a run that somebody may decide for: its policy can be `external` as well.
+/// Loads a scenario like [`load`], but also accepts the policy `external` of a policy process.
 ///
 /// # Errors
-/// As [`load`].
-pub fn load_outside(source: &str, overrides: &[Override]) -> Result<Scenario, ScenarioError> {
-    reveille_common::scenario::load(source, overrides, &outside::kinds(), &Disk)
+/// See [`load`].
+pub fn load_with_external(source: &str, overrides: &[Override]) -> Result<Loaded, ScenarioError> {
+    reveille_common::scenario::load(source, overrides, &outside::kinds_with_external(), &Disk)
 }
 
-/// The scenario of the TOML `text`, as [`reveille_common::scenario::parse`] reads it.
+/// Parses a scenario from the TOML `text`; see [`reveille_common::scenario::parse`].
 ///
 /// # Errors
-/// As there.
-pub fn parse(text: &str, origin: &str, base_dir: &Path, overrides: &[Override]) -> Result<Scenario, ScenarioError> {
+/// See there.
+pub fn parse(text: &str, origin: &str, base_dir: &Path, overrides: &[Override]) -> Result<Loaded, ScenarioError> {
     reveille_common::scenario::parse(text, origin, base_dir, overrides, &registry::kinds(), &Disk)
 }

@@ -1,11 +1,11 @@
-//! What can go wrong on the bus.
+//! Errors of the bus.
 
 use std::time::Duration;
 
 use crate::codec::CodecError;
 use crate::keys::RunName;
 
-/// What can go wrong on the bus.
+/// An error on the bus.
 #[derive(Debug, thiserror::Error)]
 pub enum BusError {
     /// A text that is not an endpoint.
@@ -22,29 +22,29 @@ pub enum BusError {
     Connect {
         /// The endpoint.
         endpoint: String,
-        /// How long the connection was tried.
+        /// Time for which the client tried to connect.
         patience: Duration,
     },
-    /// This machine cannot connect, whoever listens.
+    /// This machine cannot connect, whichever process listens.
     #[error("cannot connect to {0}: {1}")]
     Hindered(String, String),
-    /// The BS is there, but does not answer for this run.
+    /// A base station answers, but does not serve this run.
     #[error("nobody answers for run {run} at {endpoint}. {hint}")]
     NoRun {
         /// The endpoint.
         endpoint: String,
-        /// The run asked for.
+        /// The requested run.
         run: RunName,
-        /// The runs that there are.
+        /// The runs that the endpoint serves.
         hint: String,
     },
-    /// A reply that cannot be read.
+    /// A reply that cannot be decoded.
     #[error("the reply cannot be read: {0}")]
     Reply(#[from] CodecError),
-    /// The other side will not answer the question, or could not read it.
+    /// The other side refused the query or could not decode it.
     #[error("the base station refused: {0}")]
     Refused(String),
-    /// Anything else that zenoh reports.
+    /// Any other error that zenoh reports.
     #[error("zenoh: {0}")]
     Zenoh(String),
 }

@@ -1,14 +1,14 @@
-//! The bus: zenoh sessions and typed topics. The only file tree that opens a session.
+//! The bus: zenoh sessions and typed topics. No other module opens a session.
 //!
-//! The BS listens as a zenoh router, everything else connects to it as a client over TCP. Links are reliable and
-//! blocking: losses and delays of the modelled radio never come from here. See [`crate::message`] for what travels: a
-//! payload's type names its kind, and with it the key, so that no type travels on another's key. What a peer may do on
-//! a run's bus is in `access`.
+//! The BS listens as a zenoh router; all other processes connect to it as clients over TCP. Links are reliable and
+//! blocking, so only the modelled radio causes losses and delays. [`crate::message`] defines the
+//! messages: a payload's type determines its kind and its key, so no two types share a key. The module `access`
+//! defines the rights of a peer.
 
 mod access;
-mod alive;
 mod error;
-mod port;
+mod liveliness;
+mod policy_port;
 mod query;
 mod raw;
 mod session;
@@ -31,36 +31,36 @@ use crate::codec::{self, CodecError};
 use crate::ids::{DeviceId, HostId, Tti};
 use crate::keys::{self, Keys};
 use crate::message::{Frame, MessageKind, Payload, Plane, TapBatch, WakeUp};
-use crate::secret::{HostPass, Secret};
+use crate::secret::{HostCredential, Secret};
 
 pub use error::BusError;
-pub use port::{Heard, PolicyQuestion, PolicyQuestions, Replies};
+pub use policy_port::{PolicyQuestion, PolicyQuestions, PortReply, Replies};
 pub use raw::RawTopic;
-pub use session::{allowed, draw_nonce, draw_secret, free_to_listen};
-pub use tap::{Sink, Tap};
+pub use session::{draw_nonce, draw_secret, resolve_listen_endpoint, scaled_timeout};
+pub use tap::{FrameSink, Tap};
 
-/// Time between two looks at what is to be sent to observers.
+/// Interval at which the queue of frames for observers is checked.
 const DRAINING: Duration = Duration::from_millis(2);
 
-/// One session on one run.
+/// A session on one run.
 #[derive(Clone)]
 pub struct Bus {
     session: zenoh::Session,
     keys: Arc<Keys>,
     endpoint: Arc<str>,
-    /// What is shown with questions that not everybody may ask.
+    /// The secret sent with queries that need authorisation.
     key: Option<Secret>,
     malformed: Arc<AtomicU64>,
     tap: Option<Arc<Tap>>,
 }
 
-/// A declaration on the session, which is undone when this is dropped.
-pub struct Declared {
+/// A declaration on the session, undone when the guard is dropped.
+pub struct DeclarationGuard {
     _entity: Box<dyn std::any::Any + Send + Sync>,
 }
 
-/// Takes in the key and the bytes of a message.
-type Take = dyn Fn(&str, &[u8]) + Send + Sync;
+/// A callback that receives the key and the bytes of a message.
+type PayloadHandler = dyn Fn(&str, &[u8]) + Send + Sync;
 
 impl Bus {
     fn new(session: zenoh::Session, keys: Keys, endpoint: &str) -> Self {
@@ -80,7 +80,7 @@ impl Bus {
         &self.keys
     }
 
-    /// This session with what a member of the run is told: the keys of all hosts.
+    /// Returns this session with the secret of the run's members, which gives access to the keys of all hosts.
     #[must_use]
     pub fn with_secret(&self, secret: Secret) -> Self {
         Self {
@@ -89,68 +89,68 @@ impl Bus {
         }
     }
 
-    /// This session of somebody who has the run's key, and shows it with every question.
+    /// Returns this session with the run's key, which it then sends with every query.
     #[must_use]
     pub fn with_key(&self, key: Option<Secret>) -> Self {
         Self { key, ..self.clone() }
     }
 
-    /// Where the BS listens.
+    /// The endpoint on which the BS listens.
     pub fn endpoint(&self) -> &str {
         &self.endpoint
     }
 
-    /// How many payloads were dropped because they were not messages.
+    /// The number of payloads dropped because they were not valid messages.
     pub fn malformed(&self) -> u64 {
         self.malformed.load(Ordering::Relaxed)
     }
 
-    /// Tells the tap which TTI it is.
+    /// Sets the TTI with which the tap labels frames.
     pub fn set_tti(&self, tti: Tti) {
         if let Some(tap) = &self.tap {
             tap.set_tti(tti);
         }
     }
 
-    /// Hands every copy of the BS's traffic to `sink`, in the order in which it is sent or heard; the run waits for it.
-    /// There is one such place. False if it is taken, or this is no BS's session.
-    pub fn copy_to(&self, sink: Box<Sink>) -> bool {
+    /// Passes every copy of the BS's traffic to `sink`, in the order of sending and receiving; the run waits for the
+    /// sink. Returns false if a sink exists already or if this session is not the BS's.
+    pub fn set_local_sink(&self, sink: Box<FrameSink>) -> bool {
         self.tap.as_ref().is_some_and(|tap| tap.copy_to(sink))
     }
 
-    /// Copies that observers were not sent, because they could not keep up.
-    pub fn left_out(&self) -> u64 {
+    /// The number of frames dropped because observers were too slow.
+    pub fn dropped_frames(&self) -> u64 {
         self.tap.as_ref().map_or(0, |tap| tap.left_out())
     }
 
-    /// Waits until observers have been sent all copies so far, `patience` at most.
-    pub async fn drain(&self, patience: Duration) {
+    /// Waits until observers have received all frames so far, for at most `patience`.
+    pub async fn flush_observers(&self, patience: Duration) {
         let Some(tap) = &self.tap else { return };
         let sent = async {
             while !tap.is_empty() {
                 tokio::time::sleep(DRAINING).await;
             }
         };
-        // Who cannot keep up is not waited for any longer.
+        // A slower observer misses the remaining frames; the run does not wait longer.
         let _in_time = tokio::time::timeout(patience, sent).await.is_ok();
     }
 
-    /// Whether somebody wants copies of the BS's traffic.
+    /// Whether any observer is connected or a local sink is set.
     pub fn is_observed(&self) -> bool {
         self.tap.as_ref().is_some_and(|tap| tap.is_observed())
     }
 
-    /// Tells observers of what is on the air and of what the world does.
-    pub fn tell(&self, frame: Frame) {
+    /// Sends observers a frame of the air plane or of the ground truth.
+    pub fn publish_frame(&self, frame: Frame) {
         if let Some(tap) = &self.tap {
-            tap.tell(frame);
+            tap.forward(frame);
         }
     }
 
-    /// This session for devices in the BS's own process: what they send and hear is not copied to observers, as the BS
-    /// hears and sends it all.
+    /// Returns this session for devices in the BS's own process. It copies nothing to observers, because the BS
+    /// already copies its messages in both directions.
     #[must_use]
-    pub fn untapped(&self) -> Self {
+    pub fn without_tap(&self) -> Self {
         Self {
             malformed: Arc::default(),
             tap: None,
@@ -158,46 +158,47 @@ impl Bus {
         }
     }
 
-    /// The topic of messages of type `P` to all hosts.
+    /// Returns the topic of messages of type `P` to all hosts.
     ///
     /// # Errors
     /// If zenoh refuses.
     pub fn publisher<P: Payload<Address = ()>>(&self) -> Result<Topic<P>, BusError> {
         let publisher = self.session.declare_publisher(self.keys.to_all(P::KIND));
-        let way = Way::Published(publisher.congestion_control(CongestionControl::Block).wait()?);
+        // By default zenoh drops a message under congestion; only the modelled radio may lose messages.
+        let way = Delivery::Published(publisher.congestion_control(CongestionControl::Block).wait()?);
         Ok(Topic::new(way, None, self.tap.clone()))
     }
 
-    /// Wakes `device`, which `host` carries. Waits while the link is congested.
+    /// Sends a wake-up to `device`, which `host` runs. Blocks while the link is congested.
     ///
     /// # Errors
     /// If the session is closed.
     pub fn wake(&self, host: HostId, device: DeviceId, wake: &WakeUp) -> Result<(), BusError> {
         let payload = codec::encode(wake);
         if let Some(tap) = &self.tap {
-            tap.see(MessageKind::Wake, Some(device.0), &payload);
+            tap.copy_emulation(MessageKind::Wake, Some(device.0), &payload);
         }
-        // Thousands of keys, each of which is hardly ever used: declared, zenoh would look through all that there are
-        // for each new one.
+        // Thousands of these keys exist, each rarely used. If declared, zenoh would search all of them for each new
+        // one.
         let put = self.session.put(self.keys.wake(host, device), payload);
         Ok(put.congestion_control(CongestionControl::Block).wait()?)
     }
 
-    /// The topic of messages of type `P` from the host with this pass.
+    /// Returns the topic of messages of type `P` from the host with this credential.
     ///
     /// # Errors
     /// If zenoh refuses.
-    pub fn uplink<P: Payload>(&self, pass: HostPass) -> Result<Topic<P>, BusError> {
+    pub fn uplink<P: Payload>(&self, pass: HostCredential) -> Result<Topic<P>, BusError> {
         let key = self.session.declare_keyexpr(self.keys.uplink(P::KIND, pass)).wait()?;
-        let way = Way::Named(self.session.clone(), key);
+        let way = Delivery::Named(self.session.clone(), key);
         Ok(Topic::new(way, Some(pass.host.0), self.tap.clone()))
     }
 
-    /// Calls `handle` with each message of type `P` to all hosts, of which this is `host`. It must not block.
+    /// Calls `handle` with each message of type `P` that `host` receives on a topic for all hosts. It must not block.
     ///
     /// # Errors
     /// If zenoh refuses.
-    pub fn subscribe<P, F>(&self, host: HostId, handle: F) -> Result<Declared, BusError>
+    pub fn subscribe<P, F>(&self, host: HostId, handle: F) -> Result<DeclarationGuard, BusError>
     where
         P: Payload<Address = ()>,
         F: Fn(P) + Send + Sync + 'static,
@@ -208,11 +209,11 @@ impl Bus {
         })
     }
 
-    /// Calls `handle` with each wake-up for a device that `host` carries. It must not block.
+    /// Calls `handle` with each wake-up for a device that `host` runs. The callback must not block.
     ///
     /// # Errors
     /// If zenoh refuses.
-    pub fn subscribe_wakes<F>(&self, host: HostId, handle: F) -> Result<Declared, BusError>
+    pub fn subscribe_wakes<F>(&self, host: HostId, handle: F) -> Result<DeclarationGuard, BusError>
     where
         F: Fn(DeviceId, WakeUp) + Send + Sync + 'static,
     {
@@ -222,40 +223,43 @@ impl Bus {
         })
     }
 
-    /// Calls `handle` with each message of type `P` from any host, and with the pass that its key shows. It must not
+    /// Calls `handle` with each message of type `P` from any host, and with the credential in its key. It must not
     /// block.
     ///
     /// # Errors
     /// If zenoh refuses.
-    pub fn subscribe_uplinks<P, F>(&self, handle: F) -> Result<Declared, BusError>
+    pub fn subscribe_uplinks<P, F>(&self, handle: F) -> Result<DeclarationGuard, BusError>
     where
         P: Payload,
-        F: Fn(HostPass, P) + Send + Sync + 'static,
+        F: Fn(HostCredential, P) + Send + Sync + 'static,
     {
         self.listen_on(self.keys.uplinks(P::KIND), move |key, message| {
-            HostPass::at_end_of(key).map(|pass| handle(pass, message)).is_some()
+            HostCredential::at_end_of(key)
+                .map(|pass| handle(pass, message))
+                .is_some()
         })
     }
 
-    /// Calls `handle` with the copies of the BS's traffic. It must not block.
+    /// Calls `handle` with the copies of the BS's traffic. The callback must not block.
     ///
     /// # Errors
     /// If zenoh refuses.
-    pub fn observe(&self, handle: impl Fn(TapBatch) + Send + Sync + 'static) -> Result<Declared, BusError> {
+    pub fn observe(&self, handle: impl Fn(TapBatch) + Send + Sync + 'static) -> Result<DeclarationGuard, BusError> {
         self.listen_on(self.keys.tap(), move |_, batch| {
             handle(batch);
             true
         })
     }
 
-    /// Calls `handle` with the key and the message of each sample; it says whether the key can be one of such messages.
-    fn listen_on<T, F>(&self, key: String, handle: F) -> Result<Declared, BusError>
+    /// Calls `handle` with the key and message of each sample; it returns false if the key is invalid for the message.
+    fn listen_on<T, F>(&self, key: String, handle: F) -> Result<DeclarationGuard, BusError>
     where
         T: DeserializeOwned,
         F: Fn(&str, T) -> bool + Send + Sync + 'static,
     {
         let bus = self.clone();
         let take = move |key: &str, payload: &[u8]| {
+            // Copied before decoding, so that observers also see malformed messages of the emulation plane.
             bus.see(key, payload);
             if !bus.read(key, payload).is_some_and(|message| handle(key, message)) {
                 bus.see_malformed(key, payload);
@@ -264,17 +268,17 @@ impl Bus {
         self.listen_for_bytes(key, Box::new(take))
     }
 
-    /// As [`Self::listen_on`], in bytes. It stands apart so that zenoh's generic code is compiled here and once.
-    fn listen_for_bytes(&self, key: String, take: Box<Take>) -> Result<Declared, BusError> {
+    /// Subscribes like [`Self::listen_on`], in bytes. Not generic, so zenoh's code is compiled only here, once.
+    fn listen_for_bytes(&self, key: String, take: Box<PayloadHandler>) -> Result<DeclarationGuard, BusError> {
         let on_sample = move |sample: Sample| take(sample.key_expr().as_str(), &sample.payload().to_bytes());
-        Ok(Declared::new(
+        Ok(DeclarationGuard::new(
             self.session.declare_subscriber(key).callback(on_sample).wait()?,
         ))
     }
 
-    /// Ends the session; everything declared on it goes.
+    /// Closes the session and undoes all its declarations.
     pub async fn close(self) {
-        // Boxed so that zenoh's part of it is compiled here and once.
+        // Boxed, so that zenoh's generic code is compiled only once, in this crate.
         let closing: Pin<Box<dyn Future<Output = zenoh::Result<()>> + Send>> =
             Box::pin(async move { self.session.close().await });
         if let Err(error) = closing.await {
@@ -283,21 +287,23 @@ impl Bus {
     }
 
     fn see(&self, key: &str, payload: &[u8]) {
+        // Checked first, so that an unobserved run does not parse keys.
         if let Some(tap) = self.tap.as_ref().filter(|tap| tap.is_observed())
             && let Some((kind, number)) = keys::classify(key)
         {
-            tap.see(kind, number, payload);
+            tap.copy_emulation(kind, number, payload);
         }
     }
 
-    /// Copies what was heard on the air plane and is no message: the run tells nothing of it.
+    /// Copies malformed payloads of the air plane, for which the run publishes no frame.
     fn see_malformed(&self, key: &str, payload: &[u8]) {
+        // On the emulation plane `see` has copied the payload already.
         if let Some(tap) = self.tap.as_ref().filter(|tap| tap.is_observed())
             && let Some((kind, _)) = keys::classify(key)
             && kind.plane() != Plane::Emu
         {
-            // Whose it is nobody knows: the key names a host.
-            tap.tell_bytes(kind, None, payload);
+            // The device is unknown, as the key names only its host.
+            tap.forward_bytes(kind, None, payload);
         }
     }
 
@@ -308,13 +314,14 @@ impl Bus {
     }
 
     fn count_malformed(&self, key: &str, error: &CodecError) {
+        // Logged only once, because a broken peer could otherwise fill the log.
         if self.malformed.fetch_add(1, Ordering::Relaxed) == 0 {
             tracing::warn!(key, %error, "dropped a payload that is no message; further ones are only counted");
         }
     }
 }
 
-impl Declared {
+impl DeclarationGuard {
     fn new(entity: impl Send + Sync + 'static) -> Self {
         Self {
             _entity: Box::new(entity),
@@ -322,25 +329,25 @@ impl Declared {
     }
 }
 
-/// How messages get on their way.
-enum Way {
-    /// By a publisher, to which zenoh tells all that are interested.
+/// The way in which a topic sends messages.
+enum Delivery {
+    /// By a publisher. zenoh informs it of all subscribers.
     Published(Publisher<'static>),
-    /// On a key that has a short name on the link, to the BS whether it is interested or not. A publisher of each host
-    /// would have to be told of all that the other hosts hear.
+    /// On a key with a short name on the link. The message reaches the BS whether it subscribes or not. With a
+    /// publisher for each host, zenoh would inform each host of all subscriptions of the others.
     Named(zenoh::Session, KeyExpr<'static>),
 }
 
-/// Where messages of type `P` are published, on one key.
+/// The topic of messages of type `P`, published on one key.
 pub struct Topic<P> {
-    way: Way,
+    way: Delivery,
     number: Option<u32>,
     tap: Option<Arc<Tap>>,
     _payload: PhantomData<fn(&P)>,
 }
 
 impl<P: Payload> Topic<P> {
-    const fn new(way: Way, number: Option<u32>, tap: Option<Arc<Tap>>) -> Self {
+    const fn new(way: Delivery, number: Option<u32>, tap: Option<Arc<Tap>>) -> Self {
         Self {
             way,
             number,
@@ -349,18 +356,19 @@ impl<P: Payload> Topic<P> {
         }
     }
 
-    /// Publishes `message`. Waits while the link is congested.
+    /// Publishes `message`. Blocks while the link is congested.
     ///
     /// # Errors
     /// If the session is closed.
-    pub fn put(&self, message: &P) -> Result<(), BusError> {
+    pub fn publish(&self, message: &P) -> Result<(), BusError> {
         let payload = codec::encode(message);
         if let Some(tap) = &self.tap {
-            tap.see(P::KIND, self.number, &payload);
+            // Copied before sending: another thread may copy the answer as soon as the message is sent.
+            tap.copy_emulation(P::KIND, self.number, &payload);
         }
         match &self.way {
-            Way::Published(publisher) => publisher.put(payload).wait()?,
-            Way::Named(session, key) => {
+            Delivery::Published(publisher) => publisher.put(payload).wait()?,
+            Delivery::Named(session, key) => {
                 let put = session.put(key, payload);
                 put.congestion_control(CongestionControl::Block).wait()?;
             }

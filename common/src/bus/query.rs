@@ -1,50 +1,50 @@
-//! Questions and answers between sessions.
+//! Queries and replies between sessions.
 
 use std::pin::Pin;
 use std::time::Duration;
 
 use zenoh::Wait;
-use zenoh::query::{ConsolidationMode, Query, QueryTarget};
+use zenoh::query::{ConsolidationMode, Query as ZenohQuery, QueryTarget};
 
-use super::{Bus, BusError, Declared};
+use super::{Bus, BusError, DeclarationGuard};
 use crate::codec;
-use crate::message::Question;
+use crate::message::Query;
 use crate::secret::Secret;
 
-/// How long one try of a repeated question may take.
+/// Timeout of one attempt of a repeated query.
 const ONE_TRY: Duration = Duration::from_secs(2);
-/// The pause between two tries.
+/// Pause between two attempts.
 const BETWEEN_TRIES: Duration = Duration::from_millis(200);
 
-/// What is said of a request that is no message, before it is counted.
+/// The error reply to a malformed request.
 const MALFORMED: &str = "the request is no message of its kind";
 
-/// Makes an encoded reply of an encoded request and of what the asker shows with it; `Err` says why not.
-type Answer = dyn Fn(&[u8], Option<Secret>) -> Result<Vec<u8>, String> + Send + Sync;
-/// An encoded reply, if there comes one.
-type Reply<'b> = Pin<Box<dyn Future<Output = Result<Option<Vec<u8>>, BusError>> + Send + 'b>>;
+/// Encodes the reply to an encoded request and the secret sent with it; `Err` holds the reason of a refusal.
+type QueryHandler = dyn Fn(&[u8], Option<Secret>) -> Result<Vec<u8>, String> + Send + Sync;
+/// A future of an encoded reply, or of `None` without one.
+type ReplyFuture<'b> = Pin<Box<dyn Future<Output = Result<Option<Vec<u8>>, BusError>> + Send + 'b>>;
 
 impl Bus {
-    /// Answers queries of type `Q`: `answer` gets the request, says how to reply, and is called on zenoh's threads.
+    /// Serves queries of type `Q`: `answer` maps each request to its reply. zenoh's threads call it.
     ///
     /// # Errors
     /// If zenoh refuses.
-    pub fn serve<Q, F>(&self, answer: F) -> Result<Declared, BusError>
+    pub fn serve<Q, F>(&self, answer: F) -> Result<DeclarationGuard, BusError>
     where
-        Q: Question<Address = ()>,
+        Q: Query<Address = ()>,
         F: Fn(Q) -> Q::Reply + Send + Sync + 'static,
     {
-        self.serve_shown(move |request, _| Ok(answer(request)))
+        self.serve_with_secret(move |request, _| Ok(answer(request)))
     }
 
-    /// As [`Self::serve`], for questions that not everybody may ask: `answer` gets what the asker shows besides, or
-    /// says why not.
+    /// Serves queries that need authorisation: `answer` also receives the secret sent with the request, and may refuse
+    /// with a reason.
     ///
     /// # Errors
     /// If zenoh refuses.
-    pub fn serve_shown<Q, F>(&self, answer: F) -> Result<Declared, BusError>
+    pub fn serve_with_secret<Q, F>(&self, answer: F) -> Result<DeclarationGuard, BusError>
     where
-        Q: Question<Address = ()>,
+        Q: Query<Address = ()>,
         F: Fn(Q, Option<Secret>) -> Result<Q::Reply, String> + Send + Sync + 'static,
     {
         let bus = self.clone();
@@ -55,14 +55,15 @@ impl Bus {
             })?;
             Ok(codec::encode(&answer(request, shown)?))
         };
-        self.serve_bytes(self.keys.of(Q::KIND), Box::new(reply))
+        self.serve_bytes(self.keys.base_key(Q::KIND), Box::new(reply))
     }
 
-    /// As [`Self::serve_shown`], in bytes. It stands apart so that zenoh's generic code is compiled here and once.
-    fn serve_bytes(&self, key: String, answer: Box<Answer>) -> Result<Declared, BusError> {
+    /// Serves like [`Self::serve_with_secret`], in bytes. Not generic, so zenoh's code is compiled only here, once.
+    fn serve_bytes(&self, key: String, answer: Box<QueryHandler>) -> Result<DeclarationGuard, BusError> {
         let bus = self.clone();
-        let on_query = move |query: Query| {
+        let on_query = move |query: ZenohQuery| {
             let payload = query.payload().map(|p| p.to_bytes().into_owned()).unwrap_or_default();
+            // An attachment that is not a valid secret counts as absent.
             let shown = query.attachment().and_then(|a| a.try_to_string().ok()?.parse().ok());
             let key = query.key_expr().as_str();
             bus.see(key, &payload);
@@ -74,7 +75,7 @@ impl Bus {
                 tracing::debug!(key, %error, "the asker has gone");
             }
         };
-        Ok(Declared::new(
+        Ok(DeclarationGuard::new(
             self.session
                 .declare_queryable(key)
                 .complete(true)
@@ -83,24 +84,24 @@ impl Bus {
         ))
     }
 
-    /// Asks whoever serves queries of type `Q` again and again; `None` if nobody answers within `patience`. Where
-    /// hundreds of sessions open at once, a question can come before the way to the one who serves is known, or get
-    /// lost.
+    /// Repeats a query of type `Q` until it is answered; `None` if there is no answer within `patience`. While
+    /// hundreds of sessions open together, a query can get lost or arrive before zenoh knows the route to its server.
     ///
     /// # Errors
-    /// As [`Self::ask`].
-    pub async fn ask_until<Q>(
+    /// As [`Self::query`].
+    pub async fn query_until<Q>(
         &self,
         request: &Q,
         shown: Option<Secret>,
         patience: Duration,
     ) -> Result<Option<Q::Reply>, BusError>
     where
-        Q: Question<Address = ()>,
+        Q: Query<Address = ()>,
     {
         let deadline = tokio::time::Instant::now() + patience;
         while tokio::time::Instant::now() < deadline {
-            let reply = self.ask_showing(request, shown, ONE_TRY).await?;
+            // A refusal ends the attempts; only a missing answer is worth another one.
+            let reply = self.query_with_secret(request, shown, ONE_TRY).await?;
             if reply.is_some() {
                 return Ok(reply);
             }
@@ -109,49 +110,50 @@ impl Bus {
         Ok(None)
     }
 
-    /// Asks whoever serves queries of type `Q`; `None` if nobody does within `patience`.
+    /// Sends a query of type `Q`; `None` if there is no answer within `patience`.
     ///
     /// # Errors
-    /// If the answer is not a reply, or zenoh refuses.
-    pub async fn ask<Q>(&self, request: &Q, patience: Duration) -> Result<Option<Q::Reply>, BusError>
+    /// If the answer is not a valid reply, or zenoh refuses.
+    pub async fn query<Q>(&self, request: &Q, patience: Duration) -> Result<Option<Q::Reply>, BusError>
     where
-        Q: Question<Address = ()>,
+        Q: Query<Address = ()>,
     {
-        self.ask_showing(request, self.key, patience).await
+        self.query_with_secret(request, self.key, patience).await
     }
 
-    /// As [`Self::ask`], showing something else than the run's key.
+    /// Sends a query like [`Self::query`], with `shown` instead of the run's key.
     ///
     /// # Errors
-    /// As [`Self::ask`]; [`BusError::Refused`] if the other side will not answer.
-    pub async fn ask_showing<Q>(
+    /// As [`Self::query`]; [`BusError::Refused`] if the other side refuses.
+    pub(crate) async fn query_with_secret<Q>(
         &self,
         request: &Q,
         shown: Option<Secret>,
         patience: Duration,
     ) -> Result<Option<Q::Reply>, BusError>
     where
-        Q: Question<Address = ()>,
+        Q: Query<Address = ()>,
     {
         let reply = self
-            .question(self.keys.of(Q::KIND), codec::encode(request), shown, patience)
+            .query_raw(self.keys.base_key(Q::KIND), codec::encode(request), shown, patience)
             .await?;
         Ok(reply.map(|payload| codec::decode(&payload)).transpose()?)
     }
 
-    /// Asks in bytes; boxed so that zenoh's part of it is compiled here and once, not in each program that asks.
-    pub(super) fn question(
+    /// Queries in bytes. Boxed, so zenoh's code is compiled only here and not in each program that uses it.
+    pub(super) fn query_raw(
         &self,
         key: String,
         payload: Vec<u8>,
         shown: Option<Secret>,
         patience: Duration,
-    ) -> Reply<'_> {
+    ) -> ReplyFuture<'_> {
         Box::pin(async move {
             let question = self.session.get(key).payload(payload);
             let replies = question
                 .attachment(shown.map(|secret| secret.to_string()))
                 .target(QueryTarget::BestMatching)
+                // Consolidation could hold the reply back until zenoh knows that no other one follows.
                 .consolidation(ConsolidationMode::None)
                 .timeout(patience)
                 .await?;
@@ -159,7 +161,7 @@ impl Bus {
                 match reply.into_result() {
                     Ok(sample) => return Ok(Some(sample.payload().to_bytes().into_owned())),
                     Err(error) => {
-                        // An answer of ours is encoded; anything else is zenoh saying that none came in time.
+                        // A refusal by the BS is encoded; any other error is zenoh's timeout.
                         if let Ok(text) = codec::decode::<String>(&error.payload().to_bytes()) {
                             return Err(BusError::Refused(text));
                         }

@@ -1,5 +1,5 @@
-//! A door for bytes that are no messages: for the benchmark, and for tests and tools that play a broken peer. Nothing
-//! of it is copied to observers.
+//! Access to the bus in raw bytes, for the benchmark and for tests and tools that act as a broken peer. Observers
+//! receive no copies of this traffic.
 
 use std::time::Duration;
 
@@ -8,13 +8,13 @@ use zenoh::pubsub::Publisher;
 use zenoh::qos::CongestionControl;
 use zenoh::sample::Sample;
 
-use super::{Bus, BusError, Declared};
+use super::{Bus, BusError, DeclarationGuard};
 
-/// A key to publish bytes on.
+/// A key on which bytes are published.
 pub struct RawTopic(Publisher<'static>);
 
 impl RawTopic {
-    /// Publishes `payload`. Waits while the link is congested.
+    /// Publishes `payload`. Blocks while the link is congested.
     ///
     /// # Errors
     /// If the session is closed.
@@ -24,7 +24,7 @@ impl RawTopic {
 }
 
 impl Bus {
-    /// A key to publish bytes on again and again.
+    /// Declares a key for repeated publishing of bytes.
     ///
     /// # Errors
     /// If zenoh refuses.
@@ -33,39 +33,39 @@ impl Bus {
         Ok(RawTopic(publisher.congestion_control(CongestionControl::Block).wait()?))
     }
 
-    /// Calls `handle` with the bytes of everything published on `key`. It must not block.
+    /// Calls `handle` with the bytes of everything published on `key`. The callback must not block.
     ///
     /// # Errors
     /// If zenoh refuses.
-    pub fn subscribe_raw<F>(&self, key: String, handle: F) -> Result<Declared, BusError>
+    pub fn subscribe_raw<F>(&self, key: String, handle: F) -> Result<DeclarationGuard, BusError>
     where
         F: Fn(&[u8]) + Send + Sync + 'static,
     {
         let on_sample = move |sample: Sample| handle(&sample.payload().to_bytes());
-        Ok(Declared::new(
+        Ok(DeclarationGuard::new(
             self.session.declare_subscriber(key).callback(on_sample).wait()?,
         ))
     }
 
-    /// Publishes `payload` on `key` as it is, message or not.
+    /// Publishes `payload` on `key` unchanged, whether it is a message or not.
     ///
     /// # Errors
-    /// If the key is not one, or the session is closed.
+    /// If the key is invalid, or the session is closed.
     pub fn put_raw(&self, key: &str, payload: Vec<u8>) -> Result<(), BusError> {
         let put = self.session.put(key, payload);
         Ok(put.congestion_control(CongestionControl::Block).wait()?)
     }
 
-    /// Asks whoever serves `key` with `payload` as it is, message or not; `None` if nobody answers within `patience`.
+    /// Sends `payload` unchanged as a query to `key`, message or not; `None` without an answer within `patience`.
     ///
     /// # Errors
-    /// If the other side could not read the question, or zenoh refuses.
+    /// If the other side cannot decode the query, or zenoh refuses.
     pub async fn ask_raw(
         &self,
         key: String,
         payload: Vec<u8>,
         patience: Duration,
     ) -> Result<Option<Vec<u8>>, BusError> {
-        self.question(key, payload, None, patience).await
+        self.query_raw(key, payload, None, patience).await
     }
 }

@@ -1,4 +1,4 @@
-//! How sessions are opened and configured.
+//! Opening and configuration of sessions.
 
 use std::io::ErrorKind;
 use std::time::Duration;
@@ -9,22 +9,22 @@ use super::{Bus, BusError, Tap, access};
 use crate::keys::{Keys, RunName};
 use crate::secret::Secret;
 
-/// How long a link may be silent before its peer counts as lost, where few processes share a machine.
+/// Time without traffic after which the peer of a link counts as lost, with at most [`FEW`] processes on a machine.
 const LEASE: Duration = Duration::from_secs(2);
-/// How many processes are few.
+/// The number of processes up to which timeouts are not scaled.
 const FEW: u32 = 100;
 
-/// What may take `base` where few processes share a machine, where `processes` do: one after another of them has its
-/// turn.
-pub fn allowed(base: Duration, processes: u32) -> Duration {
+/// Scales the timeout `base` for `processes` that share a machine: in proportion to their number above `FEW`,
+/// because they run in turns.
+pub fn scaled_timeout(base: Duration, processes: u32) -> Duration {
     base * processes.max(FEW) / FEW
 }
 
-/// How long a connection is tried before this machine is asked what may keep it from being made, and from then on the
-/// time between two such looks.
+/// Interval between checks of why this machine may be unable to connect. The first check follows one interval after
+/// the start.
 const LOOK: Duration = Duration::from_millis(500);
 
-/// What all sessions have in common.
+/// The settings of all sessions.
 const COMMON: [(&str, &str); 6] = [
     ("scouting/multicast/enabled", "false"),
     ("scouting/gossip/enabled", "false"),
@@ -35,26 +35,26 @@ const COMMON: [(&str, &str); 6] = [
 ];
 
 impl Bus {
-    /// Opens the BS's session, listening on `endpoint`; the port 0 stands for any free one. Others may do there what
-    /// observers, hosts and operators need, and nothing else.
+    /// Opens the BS's session, listening on `endpoint`; port 0 stands for any free one. Peers have only the rights
+    /// that observers, hosts and operators need.
     ///
     /// # Errors
-    /// If the endpoint is not one, or is in use.
+    /// If the endpoint is invalid or in use.
     pub async fn listen(endpoint: &str, run: RunName) -> Result<Self, BusError> {
-        Self::listen_to(1, endpoint, run).await
+        Self::listen_for_hosts(1, endpoint, run).await
     }
 
-    /// As [`Self::listen`], for a BS that shares its machine with the processes of `hosts`.
+    /// Opens the BS's session like [`Self::listen`], on a machine shared with `hosts` host processes.
     ///
     /// # Errors
     /// As [`Self::listen`].
-    pub async fn listen_to(hosts: u32, endpoint: &str, run: RunName) -> Result<Self, BusError> {
+    pub async fn listen_for_hosts(hosts: u32, endpoint: &str, run: RunName) -> Result<Self, BusError> {
         let keys = Keys::of_members(run, draw_secret()?);
         let rules = access::rules(&keys);
         Self::listen_as(hosts, endpoint, keys, &[("access_control", &rules)]).await
     }
 
-    /// As [`Self::listen`], on a bus where everybody may do everything: for a bare barrier to compare with.
+    /// Opens a session like [`Self::listen`], without access control: the benchmark's bare barrier for comparison.
     ///
     /// # Errors
     /// As [`Self::listen`].
@@ -63,7 +63,7 @@ impl Bus {
     }
 
     async fn listen_as(hosts: u32, endpoint: &str, keys: Keys, extra: &[(&str, &str)]) -> Result<Self, BusError> {
-        let endpoint = free_to_listen(endpoint)?;
+        let endpoint = resolve_listen_endpoint(endpoint)?;
         let mut config = config("router", hosts)?;
         set(&mut config, "listen/endpoints", &format!("[{endpoint:?}]"))?;
         set(&mut config, "listen/exit_on_failure", "true")?;
@@ -78,31 +78,39 @@ impl Bus {
         Ok(bus)
     }
 
-    /// Connects to the BS at `endpoint`, trying for `patience`.
+    /// Connects to the BS at `endpoint`, trying for at most `patience`.
     ///
     /// # Errors
-    /// If the endpoint is not one, nobody answers there in time, or this machine cannot connect to anybody.
+    /// If the endpoint is invalid, no BS answers there in time, or this machine cannot connect at all.
     pub async fn connect(endpoint: &str, run: RunName, patience: Duration) -> Result<Self, BusError> {
-        Self::connect_among(1, endpoint, run, patience).await
+        Self::connect_with_hosts(1, endpoint, run, patience).await
     }
 
-    /// As [`Self::connect`], for a host that shares its machine with others, `hosts` with it.
+    /// Connects like [`Self::connect`], for one of `hosts` processes that share a machine.
     ///
     /// # Errors
     /// As [`Self::connect`].
-    pub async fn connect_among(hosts: u32, endpoint: &str, run: RunName, patience: Duration) -> Result<Self, BusError> {
+    pub async fn connect_with_hosts(
+        hosts: u32,
+        endpoint: &str,
+        run: RunName,
+        patience: Duration,
+    ) -> Result<Self, BusError> {
         let (host, port) = address(endpoint)?;
         let mut config = config("client", hosts)?;
         set(&mut config, "connect/endpoints", &format!("[{endpoint:?}]"))?;
         set(&mut config, "connect/timeout_ms", &patience.as_millis().to_string())?;
         set(&mut config, "connect/exit_on_failure", "true")?;
+        // Set as a whole, because zenoh refuses single fields of `connect/retry`.
         set(
             &mut config,
             "connect/retry",
             "{period_init_ms: 50, period_max_ms: 500, period_increase_factor: 2}",
         )?;
+        // zenoh retries every failure until `patience` ends, even one that this machine cannot overcome.
         let opened = tokio::select! {
             opened = open(config) => opened?,
+            // The standard library takes an IPv6 address without the brackets of an endpoint.
             why = hindrance(host.trim_matches(['[', ']']), port) => {
                 return Err(BusError::Hindered(endpoint.to_owned(), why));
             }
@@ -118,28 +126,28 @@ impl Bus {
     }
 }
 
-/// A secret that nobody can guess.
+/// Draws a secret from the operating system's randomness, so that it cannot be guessed.
 ///
 /// # Errors
-/// If the operating system has no randomness to give.
+/// If the operating system provides no randomness.
 pub fn draw_secret() -> Result<Secret, BusError> {
     let mut random = [0; 16];
     getrandom::fill(&mut random).map_err(|e| BusError::Zenoh(format!("no randomness to be had: {e}")))?;
     Ok(Secret::new(random))
 }
 
-/// A number that tells one asker from others.
+/// Draws a number that distinguishes one client from others.
 ///
 /// # Errors
-/// If the operating system has no randomness to give.
+/// If the operating system provides no randomness.
 pub fn draw_nonce() -> Result<u64, BusError> {
     getrandom::u64().map_err(|e| BusError::Zenoh(format!("no randomness to be had: {e}")))
 }
 
-/// What sessions of any `mode` have in common, where `hosts` processes share a machine.
+/// Returns the configuration of sessions of `mode`, on a machine shared by `hosts` processes.
 fn config(mode: &str, hosts: u32) -> Result<zenoh::Config, BusError> {
     let mut config = zenoh::Config::default();
-    let lease = allowed(LEASE, hosts).as_millis().to_string();
+    let lease = scaled_timeout(LEASE, hosts).as_millis().to_string();
     let own = [("mode", &*format!("{mode:?}")), ("transport/link/tx/lease", &*lease)];
     for (key, value) in COMMON.iter().chain(&own) {
         set(&mut config, key, value)?;
@@ -153,11 +161,12 @@ fn set(config: &mut zenoh::Config, key: &str, value: &str) -> Result<(), BusErro
         .map_err(|e| BusError::Zenoh(format!("{key} = {value}: {e}")))
 }
 
-/// Why this machine cannot connect to `host`, once that is known. A BS that is not there yet hinders nobody, and once a
-/// connection can be made there is nothing more to look for.
+/// Returns the reason why this machine cannot connect to `host`, once it is known. A BS that does not listen yet is
+/// not such a reason. Once a connection succeeds, the future never completes.
 async fn hindrance(host: &str, port: u16) -> String {
     loop {
         tokio::time::sleep(LOOK).await;
+        // The machine can connect, so the session's own attempt decides from here on.
         let Err(error) = tokio::net::TcpStream::connect((host, port)).await else {
             return std::future::pending().await;
         };
@@ -167,20 +176,21 @@ async fn hindrance(host: &str, port: u16) -> String {
         } else if error.kind() == ErrorKind::PermissionDenied {
             "Does a firewall of this machine forbid it?"
         } else {
+            // For example a refused connection: the BS may not listen yet.
             continue;
         };
         return format!("{error}. {hint}");
     }
 }
 
-/// Opens a session on a thread of its own: zenoh blocks the thread that waits for one, and with it every timer and
-/// signal that its task waits for besides.
+/// Opens a session on a separate thread: zenoh blocks the calling thread, which would stop the timers and signals of
+/// its task.
 async fn open(config: zenoh::Config) -> Result<zenoh::Result<zenoh::Session>, BusError> {
     let (send, opened) = tokio::sync::oneshot::channel();
     std::thread::Builder::new()
         .name("open".to_owned())
         .spawn(move || {
-            // Nobody waits any more: the session is closed at once.
+            // The caller no longer waits. The session is dropped here, which closes it.
             let _unwanted = send.send(open_now(config)).is_err();
         })
         .map_err(|e| BusError::Zenoh(format!("cannot start a thread: {e}")))?;
@@ -189,12 +199,12 @@ async fn open(config: zenoh::Config) -> Result<zenoh::Result<zenoh::Session>, Bu
         .map_err(|_| BusError::Zenoh("the thread that opens the session has ended".to_owned()))
 }
 
-/// Opens a session. Apart, so that all of zenoh behind it is compiled here and once, not with each task that opens one.
+/// Opens a session. Separate, so zenoh's code is compiled only here and not with each task that opens a session.
 fn open_now(config: zenoh::Config) -> zenoh::Result<zenoh::Session> {
     zenoh::open(config).wait()
 }
 
-/// The host and port of `endpoint`.
+/// Returns the host and port of `endpoint`.
 fn address(endpoint: &str) -> Result<(&str, u16), BusError> {
     let refuse = |why| BusError::Endpoint(endpoint.to_owned(), why);
     let (protocol, address) = endpoint.split_once('/').ok_or_else(|| refuse("no protocol"))?;
@@ -211,13 +221,14 @@ fn address(endpoint: &str) -> Result<(&str, u16), BusError> {
     Ok((host, port))
 }
 
-/// `endpoint`, if it can be listened on, with a free port in the place of port 0, which zenoh would choose without
-/// telling.
+/// Checks that `endpoint` can be listened on and replaces port 0 by a free port. zenoh would choose a port without
+/// reporting it.
 ///
 /// # Errors
-/// If it is no endpoint, or is in use.
-pub fn free_to_listen(endpoint: &str) -> Result<String, BusError> {
+/// If the endpoint is invalid or in use.
+pub fn resolve_listen_endpoint(endpoint: &str) -> Result<String, BusError> {
     let (host, port) = address(endpoint)?;
+    // The listener is dropped on return. If another process takes the port before zenoh, opening the session fails.
     let bound = std::net::TcpListener::bind((host.trim_matches(['[', ']']), port))
         .and_then(|listener| listener.local_addr())
         .map_err(|e| BusError::Listen(endpoint.to_owned(), e.to_string()))?;
@@ -252,17 +263,21 @@ mod tests {
     #[test]
     fn where_many_share_a_machine_all_takes_longer() {
         for (processes, seconds) in [(0, 2), (1, 2), (100, 2), (250, 5), (1000, 20)] {
-            assert_eq!(allowed(LEASE, processes), Duration::from_secs(seconds), "{processes}");
+            assert_eq!(
+                scaled_timeout(LEASE, processes),
+                Duration::from_secs(seconds),
+                "{processes}"
+            );
         }
-        assert!(allowed(LEASE, u32::MAX) > Duration::from_hours(1));
+        assert!(scaled_timeout(LEASE, u32::MAX) > Duration::from_hours(1));
     }
 
     #[test]
     fn a_free_port_is_found_and_a_taken_one_refused() {
         let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
         let endpoint = format!("tcp/{}", taken.local_addr().expect("bound"));
-        assert!(matches!(free_to_listen(&endpoint), Err(BusError::Listen(..))));
-        let free = free_to_listen("tcp/127.0.0.1:0").expect("a free port");
+        assert!(matches!(resolve_listen_endpoint(&endpoint), Err(BusError::Listen(..))));
+        let free = resolve_listen_endpoint("tcp/127.0.0.1:0").expect("a free port");
         assert!(free.starts_with("tcp/127.0.0.1:") && !free.ends_with(":0"), "{free}");
     }
 }

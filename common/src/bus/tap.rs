@@ -1,12 +1,13 @@
 //! Copies of the BS's traffic for observers.
 //!
-//! The BS sees every message of a run. While somebody observes over the bus, it hands copies to a thread of its own
-//! through a bounded queue that is never waited for; what does not fit is left out, and the numbers of the frames tell
-//! how much that was. Who watches in the BS's own process is handed every copy, and may make the run wait.
+//! The BS sees every message of a run. While observers are connected to the bus, the tap passes copies to its own
+//! thread through a bounded queue and never waits for the queue. It drops frames that do not fit; gaps in the frame
+//! numbers show their number. A sink in the BS's own process receives every copy and may make the run wait.
 //!
-//! Of the emulation plane what really goes over the bus is copied, what is sent once more included. The air plane and
-//! the truth are told by the run ([`Bus::tell`](super::Bus::tell)): the modelled radio loses nothing, so a message that
-//! the bus carries twice because a process was slow is one message on the air.
+//! The tap copies the actual bus traffic of the emulation plane, resent messages included. The run itself publishes
+//! frames of the air plane and the ground truth ([`Bus::publish_frame`](super::Bus::publish_frame)). The modelled
+//! radio alone decides about them: a message that the bus carries twice because a process was slow is one message on
+//! the air.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -22,27 +23,27 @@ use crate::codec;
 use crate::ids::Tti;
 use crate::message::{Frame, MessageKind, Plane, TapBatch};
 
-/// Frames that may wait for the tap's thread.
+/// Capacity of the queue of the tap's thread, in frames.
 const QUEUE: usize = 16_384;
-/// Frames in one batch.
+/// Maximum number of frames in a batch.
 const BATCH: usize = 512;
-/// The pause between two batches: with [`BATCH`] it bounds what observation may cost to 100 000 frames a second.
+/// Pause between two batches: with [`BATCH`] it limits the cost of observation to 100 000 frames a second.
 const PAUSE: Duration = Duration::from_millis(5);
 
-/// Takes in every copy, in the BS's own process.
-pub type Sink = dyn Fn(&Frame) + Send + Sync;
+/// A callback in the BS's own process that receives every copy.
+pub type FrameSink = dyn Fn(&Frame) + Send + Sync;
 
 /// The BS's side of observation.
 pub struct Tap {
     is_observed: AtomicBool,
-    sink: OnceLock<Box<Sink>>,
+    sink: OnceLock<Box<FrameSink>>,
     tti: AtomicU64,
-    /// The number of the next frame. Held while that frame is queued: several threads see messages, and numbers must
-    /// rise along the queue.
+    /// The number of the next frame. Locked while that frame is queued: several threads copy messages, and the numbers
+    /// must rise along the queue.
     next: Mutex<u64>,
     queue: SyncSender<(u64, Frame)>,
     left_out: AtomicU64,
-    /// Frames that are queued and not sent yet.
+    /// Frames that are queued but not sent yet.
     waiting: Arc<AtomicU64>,
 }
 
@@ -51,6 +52,7 @@ impl Tap {
     pub(super) fn start(session: &zenoh::Session, key: String) -> Result<Arc<Self>, BusError> {
         let publisher = session
             .declare_publisher(key)
+            // A slow observer must not hold up the run; it sees a gap in the numbers instead.
             .congestion_control(CongestionControl::Drop)
             .wait()?;
         let (queue, frames) = sync_channel(QUEUE);
@@ -64,6 +66,7 @@ impl Tap {
             waiting: Arc::default(),
         });
         let waiting = Arc::clone(&tap.waiting);
+        // Weak, because the listener lives as long as the session: the thread ends when the tap is dropped.
         let weak = Arc::downgrade(&tap);
         publisher
             .matching_listener()
@@ -81,41 +84,41 @@ impl Tap {
         Ok(tap)
     }
 
-    /// Notes which TTI it is.
+    /// Sets the TTI of the following frames.
     pub(super) fn set_tti(&self, tti: Tti) {
         self.tti.store(tti.0, Ordering::Relaxed);
     }
 
-    /// Hands every copy to `sink` from now on. False if there is one already.
-    pub(super) fn copy_to(&self, sink: Box<Sink>) -> bool {
+    /// Passes every later copy to `sink`. Returns false if a sink exists already.
+    pub(super) fn copy_to(&self, sink: Box<FrameSink>) -> bool {
         self.sink.set(sink).is_ok()
     }
 
-    /// Frames that observers on the bus were not sent, because they could not keep up.
+    /// The number of frames dropped because observers on the bus were too slow.
     pub(super) fn left_out(&self) -> u64 {
         self.left_out.load(Ordering::Relaxed)
     }
 
-    /// Whether everything is sent that is to be.
+    /// Whether all queued frames are sent.
     pub(super) fn is_empty(&self) -> bool {
         self.waiting.load(Ordering::Relaxed) == 0
     }
 
-    /// Whether somebody wants copies.
+    /// Whether any observer is connected or a local sink is set.
     pub(super) fn is_observed(&self) -> bool {
         self.is_observed.load(Ordering::Relaxed) || self.sink.get().is_some()
     }
 
-    /// Copies a message of the emulation plane that goes over the bus, if somebody wants it.
-    pub(super) fn see(&self, kind: MessageKind, number: Option<u32>, payload: &[u8]) {
+    /// Copies a message of the emulation plane that the bus carries, if it is observed.
+    pub(super) fn copy_emulation(&self, kind: MessageKind, number: Option<u32>, payload: &[u8]) {
         if kind.plane() == Plane::Emu && self.is_observed() {
-            self.tell_bytes(kind, number, payload);
+            self.forward_bytes(kind, number, payload);
         }
     }
 
-    /// Hands on a copy of what goes over the bus now.
-    pub(super) fn tell_bytes(&self, kind: MessageKind, number: Option<u32>, payload: &[u8]) {
-        self.tell(Frame {
+    /// Forwards a copy of a message that the bus carries in the current TTI.
+    pub(super) fn forward_bytes(&self, kind: MessageKind, number: Option<u32>, payload: &[u8]) {
+        self.forward(Frame {
             tti: Tti(self.tti.load(Ordering::Relaxed)),
             kind,
             number,
@@ -123,10 +126,13 @@ impl Tap {
         });
     }
 
-    /// Hands on a copy. Waits for the sink alone.
-    pub(super) fn tell(&self, frame: Frame) {
+    /// Forwards a copy. Waits only for the sink.
+    pub(super) fn forward(&self, frame: Frame) {
+        // A sink panics before the number changes, so a poisoned lock still holds a valid number.
         let mut next = self.next.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(sink) = self.sink.get() {
+            // Called under the lock, so that the sink receives frames of several threads in the order of their
+            // numbers.
             sink(&frame);
         }
         if !self.is_observed.load(Ordering::Relaxed) {
@@ -134,7 +140,8 @@ impl Tap {
         }
         let number = *next;
         *next += 1;
-        // A full queue drops the frame; the observer sees the gap in the numbers.
+        // Counted before it is queued, because the thread may send it and count down before `try_send` returns. A full
+        // queue drops the frame; the observer sees the gap in the numbers.
         self.waiting.fetch_add(1, Ordering::Relaxed);
         if self.queue.try_send((number, frame)).is_err() {
             self.waiting.fetch_sub(1, Ordering::Relaxed);
@@ -156,6 +163,7 @@ fn publish(publisher: &Publisher<'_>, frames: &Receiver<(u64, Frame)>, waiting: 
         };
         while batch.frames.len() < BATCH {
             match frames.try_recv() {
+                // A batch carries only its first number, so it ends where frames are missing.
                 Ok((number, frame)) if number == first + batch.frames.len() as u64 => batch.frames.push(frame),
                 Ok(next) => {
                     held = Some(next);
@@ -191,7 +199,7 @@ mod tests {
         };
         std::thread::scope(|scope| {
             for _ in 0..4 {
-                scope.spawn(|| (0..2_000).for_each(|_| tap.see(MessageKind::Clock, None, &[1])));
+                scope.spawn(|| (0..2_000).for_each(|_| tap.copy_emulation(MessageKind::Clock, None, &[1])));
             }
         });
         drop(tap);

@@ -2,23 +2,22 @@
 
 use csv::{ReaderBuilder, StringRecord, Trim};
 
-use super::cells::Columns;
-use super::limits::{column_index, within_limit};
-use crate::declare::shortened;
+use super::data::{ColumnData, column_index, within_limit};
+use crate::declare::truncate;
 
-/// The columns `wanted` as numbers.
-pub(super) fn numbers(bytes: &[u8], wanted: &[String]) -> Result<Columns<f64>, String> {
+/// Reads the columns `wanted` as numbers.
+pub(super) fn numbers(bytes: &[u8], wanted: &[String]) -> Result<ColumnData<f64>, String> {
     read(bytes, wanted, |text, name, line| match text.parse::<f64>() {
         Ok(value) if value.is_finite() => Ok(value),
         Ok(_) | Err(_) => Err(format!(
             "line {line}, column `{name}`: \"{}\" is not a number",
-            shortened(text)
+            truncate(text)
         )),
     })
 }
 
-/// The column `wanted` as texts, if there is one.
-pub(super) fn texts(bytes: &[u8], wanted: &str) -> Result<Option<Columns<String>>, String> {
+/// Reads the column `wanted` as text; `None` without such a column.
+pub(super) fn texts(bytes: &[u8], wanted: &str) -> Result<Option<ColumnData<String>>, String> {
     let mut reader = reader(bytes);
     let has_it = reader
         .headers()
@@ -33,12 +32,12 @@ fn reader(bytes: &[u8]) -> csv::Reader<&[u8]> {
     ReaderBuilder::new().trim(Trim::All).from_reader(bytes)
 }
 
-/// The columns `wanted`; `cell` makes a value of a text, its column and its line.
+/// Reads the columns `wanted`; `cell` converts a text, given its column and its line.
 fn read<T>(
     bytes: &[u8],
     wanted: &[String],
     cell: impl Fn(&str, &str, u64) -> Result<T, String>,
-) -> Result<Columns<T>, String> {
+) -> Result<ColumnData<T>, String> {
     let mut reader = reader(bytes);
     let header = reader
         .headers()
@@ -48,13 +47,14 @@ fn read<T>(
         .iter()
         .map(|name| column_index(name, header.iter()))
         .collect::<Result<Vec<usize>, String>>()?;
-    let mut columns = Columns {
+    let mut columns = ColumnData {
         values: wanted.iter().map(|_| Vec::new()).collect(),
         lines: Vec::new(),
     };
     let mut record = StringRecord::new();
     let mut lines = Lines::new(bytes);
     loop {
+        // Read before the record, since an error has to name the line too.
         let line = lines.after_blanks(reader.position().byte() as usize);
         match reader.read_record(&mut record) {
             Ok(true) => {}
@@ -62,14 +62,16 @@ fn read<T>(
             Err(error) => return Err(format!("line {line} is broken: {error}")),
         }
         columns.lines.push(line);
+        // Checked at each row, before a huge file fills the memory.
         within_limit(columns.lines.len(), wanted.len())?;
         for ((column, &index), name) in columns.values.iter_mut().zip(&indices).zip(wanted) {
+            // The reader refuses rows of another length than the header's, so the cell exists.
             column.push(cell(record.get(index).unwrap_or_default(), name, line)?);
         }
     }
 }
 
-/// The lines of a text, counted from 1 as offsets rise.
+/// Line numbers of a text, from 1, for ascending offsets.
 struct Lines<'b> {
     bytes: &'b [u8],
     at: usize,
@@ -81,8 +83,8 @@ impl<'b> Lines<'b> {
         Self { bytes, at: 0, line: 1 }
     }
 
-    /// The line of the first byte from `offset` on that ends no line: that of the record that is read there, since the
-    /// reader passes over blank lines. Offsets never fall.
+    /// The line of the first byte from `offset` on that is not a line break. The next record begins there, since the
+    /// reader skips blank lines. Offsets never decrease.
     fn after_blanks(&mut self, offset: usize) -> u64 {
         while let Some(&byte) = self.bytes.get(self.at) {
             if self.at >= offset && byte != b'\n' && byte != b'\r' {

@@ -1,23 +1,23 @@
 //! Columns of CSV files (and of Parquet files, with the cargo feature `parquet`), from their bytes.
 
-mod cells;
 mod csv;
-mod limits;
+mod data;
 #[cfg(feature = "parquet")]
 mod parquet;
 
 use std::path::Path;
 
-pub use cells::Columns;
+pub use data::ColumnData;
 
 /// Bytes of the largest data file that is read.
-pub const LARGEST_FILE: u64 = 256 << 20;
+pub(crate) const LARGEST_FILE: u64 = 256 << 20;
 
-/// The columns `wanted` of numbers of the file `bytes`, at least one row; `path` tells its form by its ending.
+/// Reads the columns `wanted` of the file `bytes` as numbers, at least one row. The extension of `path` selects
+/// the format.
 ///
 /// # Errors
-/// What is wrong with the file, without its name.
-pub fn numbers(path: &Path, bytes: &[u8], wanted: &[String]) -> Result<Columns<f64>, String> {
+/// The problem with the file, without its name.
+pub fn numbers(path: &Path, bytes: &[u8], wanted: &[String]) -> Result<ColumnData<f64>, String> {
     let columns = if is_parquet(path) {
         parquet_numbers(bytes, wanted)?
     } else {
@@ -29,11 +29,11 @@ pub fn numbers(path: &Path, bytes: &[u8], wanted: &[String]) -> Result<Columns<f
     Ok(columns)
 }
 
-/// The column `wanted` of texts of the file `bytes`, if it has it.
+/// Reads the column `wanted` of the file `bytes` as text; `None` without such a column.
 ///
 /// # Errors
-/// What is wrong with the file, without its name.
-pub fn texts(path: &Path, bytes: &[u8], wanted: &str) -> Result<Option<Columns<String>>, String> {
+/// The problem with the file, without its name.
+pub fn texts(path: &Path, bytes: &[u8], wanted: &str) -> Result<Option<ColumnData<String>>, String> {
     if is_parquet(path) {
         parquet_texts(bytes, wanted)
     } else {
@@ -50,15 +50,14 @@ fn is_parquet(path: &Path) -> bool {
 use parquet::{numbers as parquet_numbers, texts as parquet_texts};
 
 #[cfg(not(feature = "parquet"))]
-const WITHOUT_PARQUET: &str = "is a Parquet file, which only a build with the cargo feature `parquet` reads: cargo run \
-                               --release --features parquet -- …";
+const WITHOUT_PARQUET: &str = "is a Parquet file, which only a build with the cargo feature `parquet` reads";
 
 #[cfg(not(feature = "parquet"))]
-fn parquet_numbers(_: &[u8], _: &[String]) -> Result<Columns<f64>, String> {
+fn parquet_numbers(_: &[u8], _: &[String]) -> Result<ColumnData<f64>, String> {
     Err(WITHOUT_PARQUET.to_owned())
 }
 
 #[cfg(not(feature = "parquet"))]
-fn parquet_texts(_: &[u8], _: &str) -> Result<Option<Columns<String>>, String> {
+fn parquet_texts(_: &[u8], _: &str) -> Result<Option<ColumnData<String>>, String> {
     Err(WITHOUT_PARQUET.to_owned())
 }

@@ -1,22 +1,19 @@
 //! Columns of Parquet files.
 
-use std::panic::{AssertUnwindSafe, catch_unwind};
-
 use ::parquet::file::reader::{FileReader, SerializedFileReader};
 use ::parquet::record::Field;
 use ::parquet::schema::types::Type;
 use bytes::Bytes;
 
-use super::cells::Columns;
-use super::limits::{column_index, within_limit};
+use super::data::{ColumnData, column_index, within_limit};
 
-/// The columns `wanted` of a flat Parquet file, as numbers.
-pub(super) fn numbers(bytes: &[u8], wanted: &[String]) -> Result<Columns<f64>, String> {
+/// Reads the columns `wanted` of a flat Parquet file as numbers.
+pub(super) fn numbers(bytes: &[u8], wanted: &[String]) -> Result<ColumnData<f64>, String> {
     guarded(bytes, wanted, |field| number(field).ok_or("is not a number"))
 }
 
-/// The column `wanted`, as texts, if there is one.
-pub(super) fn texts(bytes: &[u8], wanted: &str) -> Result<Option<Columns<String>>, String> {
+/// Reads the column `wanted` as text; `None` without such a column.
+pub(super) fn texts(bytes: &[u8], wanted: &str) -> Result<Option<ColumnData<String>>, String> {
     let text = |field: &Field| {
         if let Field::Str(text) = field {
             Ok(text.trim().to_owned())
@@ -31,21 +28,20 @@ pub(super) fn texts(bytes: &[u8], wanted: &str) -> Result<Option<Columns<String>
     }
 }
 
-/// The decoder panics on some corrupt files.
 fn guarded<T>(
     bytes: &[u8],
     wanted: &[String],
     cell: impl Fn(&Field) -> Result<T, &'static str>,
-) -> Result<Columns<T>, String> {
-    catch_unwind(AssertUnwindSafe(|| read(Bytes::copy_from_slice(bytes), wanted, cell)))
-        .unwrap_or_else(|_| Err("is a corrupt Parquet file".to_owned()))
+) -> Result<ColumnData<T>, String> {
+    crate::parquet::guarded(|| read(Bytes::copy_from_slice(bytes), wanted, cell))
+        .unwrap_or_else(|| Err("is a corrupt Parquet file".to_owned()))
 }
 
 fn read<T>(
     bytes: Bytes,
     wanted: &[String],
     cell: impl Fn(&Field) -> Result<T, &'static str>,
-) -> Result<Columns<T>, String> {
+) -> Result<ColumnData<T>, String> {
     let broken = |error: ::parquet::errors::ParquetError| format!("is not a readable Parquet file: {error}");
     let reader = SerializedFileReader::new(bytes).map_err(broken)?;
     let metadata = reader.metadata().file_metadata();
@@ -55,6 +51,7 @@ fn read<T>(
         .iter()
         .map(|name| column_index(name, fields.iter().map(|field| field.name())))
         .collect::<Result<Vec<usize>, String>>()?;
+    // A corrupt file may claim fewer rows than it has; the loop below counts them again.
     within_limit(usize::try_from(metadata.num_rows()).unwrap_or(usize::MAX), wanted.len())?;
     let taken = fields
         .iter()
@@ -79,13 +76,13 @@ fn read<T>(
             column.push(value.map_err(|what| format!("row {}, column `{name}`: {what}", row + 1))?);
         }
     }
-    Ok(Columns {
+    Ok(ColumnData {
         values: columns,
         lines: Vec::new(),
     })
 }
 
-/// The number in a field, if there is one.
+/// The number in a field; `None` for other types.
 fn number(field: &Field) -> Option<f64> {
     let value = match field {
         Field::Byte(value) => f64::from(*value),
@@ -118,37 +115,26 @@ fn number(field: &Field) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
-    use ::parquet::basic::Compression;
+    use ::parquet::basic::Type as Physical;
     use ::parquet::data_type::{DoubleType, Int32Type};
-    use ::parquet::file::properties::WriterProperties;
-    use ::parquet::file::writer::SerializedFileWriter;
-    use ::parquet::schema::parser::parse_message_type;
 
     use super::*;
+    use crate::parquet::{Column, Writer, schema};
 
     /// A file of the columns `hour` (0, 1, 2) and `w` (0.5, 1.5, 2.5).
     fn written() -> Vec<u8> {
-        let mut bytes = Vec::new();
-        let schema = parse_message_type("message m { REQUIRED INT32 hour; REQUIRED DOUBLE w; }").expect("a schema");
-        let properties = WriterProperties::builder().set_compression(Compression::SNAPPY).build();
-        let mut writer =
-            SerializedFileWriter::new(&mut bytes, Arc::new(schema), Arc::new(properties)).expect("a writer");
-        let mut group = writer.next_row_group().expect("a group");
-        let mut hour = group.next_column().expect("no error").expect("a column");
-        hour.typed::<Int32Type>()
-            .write_batch(&[0, 1, 2], None, None)
-            .expect("written");
-        hour.close().expect("closed");
-        let mut w = group.next_column().expect("no error").expect("a column");
-        w.typed::<DoubleType>()
-            .write_batch(&[0.5, 1.5, 2.5], None, None)
-            .expect("written");
-        w.close().expect("closed");
-        group.close().expect("closed");
-        writer.close().expect("closed");
-        bytes
+        let columns = [
+            Column::required("hour", Physical::INT32),
+            Column::required("w", Physical::DOUBLE),
+        ];
+        let schema = schema("m", columns).expect("a schema");
+        let mut writer = Writer::begin(Vec::new(), schema, []).expect("begun");
+        let filled = writer.group(|group| {
+            group.required::<Int32Type>([0, 1, 2])?;
+            group.required::<DoubleType>([0.5, 1.5, 2.5])
+        });
+        filled.expect("written");
+        writer.finish().expect("finished")
     }
 
     #[test]

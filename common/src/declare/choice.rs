@@ -1,32 +1,31 @@
-//! Enums whose variants are words of a file.
+//! Enums whose variants are words in a scenario file.
 
-/// One of the words that a field may hold.
+/// A word that a field may hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Alternative {
     /// The word.
     pub name: &'static str,
-    /// What it stands for, a sentence or two.
+    /// Its meaning, in one or two sentences.
     pub about: &'static str,
 }
 
-/// A closed set of words. [`crate::choices!`] makes one.
-pub trait Choice: Copy + Eq + Sized + 'static {
+/// A closed set of words. [`crate::choices!`] implements it.
+pub trait ChoiceType: Copy + Eq + Sized + 'static {
     /// All variants in the order of declaration.
     const ALL: &'static [Self];
-    /// Their words, in the same order.
+    /// The words of the variants, in the same order.
     const ALTERNATIVES: &'static [Alternative];
 
-    /// The variant that `name` stands for.
+    /// Returns the variant with the word `name`.
     fn named(name: &str) -> Option<Self> {
         let at = Self::ALTERNATIVES.iter().position(|known| known.name == name)?;
         Self::ALL.get(at).copied()
     }
 }
 
-/// Declares an enum whose variants are words of a scenario file: the doc comments are what help and reference say of
-/// them.
+/// Declares an enum whose variants are words of a scenario file. Help and reference show their doc comments.
 ///
-/// It gets `name()`, `about()` and the traits [`Choice`] and [`Declared`](super::Declared).
+/// The enum gets `name()`, `about()` and the traits [`ChoiceType`] and [`FieldRepr`](super::FieldRepr).
 #[macro_export]
 macro_rules! choices {
     (
@@ -42,35 +41,35 @@ macro_rules! choices {
         }
 
         impl $type {
-            /// Its word in scenario files.
+            /// The word of the variant in scenario files.
             pub const fn name(self) -> &'static str {
                 match self { $( Self::$variant => $name ),+ }
             }
 
-            /// What it stands for.
+            /// The meaning of the variant.
             pub const fn about(self) -> &'static str {
                 match self { $( Self::$variant => concat!($($about),+).trim_ascii() ),+ }
             }
         }
 
-        impl $crate::declare::Choice for $type {
+        impl $crate::declare::ChoiceType for $type {
             const ALL: &'static [Self] = &[$( Self::$variant ),+];
             const ALTERNATIVES: &'static [$crate::declare::Alternative] = &[$(
                 $crate::declare::Alternative { name: $name, about: Self::$variant.about() }
             ),+];
         }
 
-        impl $crate::declare::Declared for $type {
-            fn from_value(value: $crate::declare::Value<'_>) -> Option<Self> {
-                if let $crate::declare::Value::Text(name) = value {
-                    <Self as $crate::declare::Choice>::named(name)
+        impl $crate::declare::FieldRepr for $type {
+            fn from_value(value: $crate::declare::FieldValue<'_>) -> Option<Self> {
+                if let $crate::declare::FieldValue::Text(name) = value {
+                    <Self as $crate::declare::ChoiceType>::named(name)
                 } else {
                     None
                 }
             }
 
-            fn value(&self) -> Option<$crate::declare::Value<'_>> {
-                Some($crate::declare::Value::Text(self.name()))
+            fn value(&self) -> Option<$crate::declare::FieldValue<'_>> {
+                Some($crate::declare::FieldValue::Text(self.name()))
             }
         }
     };

@@ -1,56 +1,56 @@
-//! All sections of a configuration together.
+//! The declaration of a configuration: all its sections, its list and its presets.
 
 use super::choice::Alternative;
-use super::field::{Field, Form, Section};
+use super::field::{Field, FieldType, Section};
 
 /// A list of tables (`[[class]]`), each of which may override the fields of some sections.
 #[derive(Clone, Copy, Debug)]
-pub struct List {
-    /// The fields of an item that are its own; their path is the name of the list.
+pub struct TableArray {
+    /// The fields that only an item has; their section's path is the name of the list.
     pub section: &'static Section,
-    /// The headers, with all below them, that an item takes from the top level and may override.
+    /// The headers that an item inherits from the top level, with everything below them, and may override.
     pub inherits: &'static [&'static str],
 }
 
-impl List {
+impl TableArray {
     /// The name of the list.
     pub const fn name(&self) -> &'static str {
         self.section.path
     }
 
-    /// Whether an item takes over the section at `path`.
+    /// Whether an item inherits the section at `path`.
     pub fn takes(&self, path: &str) -> bool {
         self.inherits.iter().any(|own| is_within(path, own))
     }
 }
 
-/// Everything that may be said in a file.
+/// All sections, presets and words that a file may use.
 #[derive(Clone, Debug)]
 pub struct Declaration {
-    /// What the file is called.
+    /// The title of the file.
     pub title: &'static str,
-    /// The sections in the order of files.
+    /// The sections in the order in which a file shows them.
     pub sections: Vec<&'static Section>,
-    /// The list of items.
-    pub list: List,
-    /// The words of a field of the form [`Registered`](super::Form::Registered).
+    /// The list of tables.
+    pub list: TableArray,
+    /// The words of fields of the type [`Registered`](super::FieldType::Registered).
     pub registered: Vec<Alternative>,
-    /// The presets: name, what it is, its text. The first is the defaults and nothing else.
+    /// The presets. The first one holds only the defaults.
     pub presets: &'static [Preset],
 }
 
-/// A set of values with a name.
+/// A named set of values.
 #[derive(Clone, Copy, Debug)]
 pub struct Preset {
     /// Its name.
     pub name: &'static str,
-    /// What it is, a phrase.
+    /// A phrase that describes the preset.
     pub about: &'static str,
-    /// What it sets beside the defaults, TOML.
+    /// The values that differ from the defaults, as TOML.
     pub text: &'static str,
 }
 
-/// A table that is looked at: the whole file, or one item of its list.
+/// A table of a file: the whole file, or one item of its list.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scope {
     /// The whole file.
@@ -60,7 +60,7 @@ pub enum Scope {
 }
 
 impl Declaration {
-    /// The sections whose header is exactly `path` in `scope`.
+    /// Returns the sections whose header is exactly `path` in `scope`.
     pub fn at(&self, scope: Scope, path: &str) -> Vec<&'static Section> {
         match (scope, path) {
             (Scope::Item, "") => vec![self.list.section],
@@ -69,7 +69,7 @@ impl Declaration {
         }
     }
 
-    /// The headers right below `path` in `scope`, by their last names.
+    /// Returns the last names of the headers directly below `path` in `scope`.
     pub fn below(&self, scope: Scope, path: &str) -> Vec<&'static str> {
         let mut found: Vec<&'static str> = Vec::new();
         for section in &self.sections {
@@ -92,7 +92,7 @@ impl Declaration {
         found
     }
 
-    /// The field `name` below the header `path` in `scope`, with its section.
+    /// Returns the field `name` below the header `path` in `scope`, with its section.
     pub fn field(&self, scope: Scope, path: &str, name: &str) -> Option<(&'static Section, &'static Field)> {
         let sections = self.at(scope, path);
         sections
@@ -100,7 +100,7 @@ impl Declaration {
             .find_map(|section| section.field(name).map(|field| (section, field)))
     }
 
-    /// The field at the full path `path` of the top level.
+    /// Returns the field at the full path `path` of the top level, with its section.
     pub fn field_at(&self, path: &str) -> Option<(&'static Section, &'static Field)> {
         let (section, name) = path.rsplit_once('.').unwrap_or(("", path));
         if section == self.list.name() {
@@ -109,23 +109,23 @@ impl Declaration {
         self.field(Scope::Top, section, name)
     }
 
-    /// The words that a field of this form may hold; none if it holds something else.
-    pub fn words(&self, form: &Form) -> &[Alternative] {
+    /// Returns the words that a field of this type may hold; empty for a type without words.
+    pub fn words(&self, form: &FieldType) -> &[Alternative] {
         match form {
-            Form::Choice(words) | Form::Source(words) => words,
-            Form::Registered => &self.registered,
-            Form::Whole { .. }
-            | Form::Number(_)
-            | Form::Energy { .. }
-            | Form::Switch
-            | Form::Text
-            | Form::File
-            | Form::Wholes { .. }
-            | Form::Texts => &[],
+            FieldType::Choice(words) | FieldType::Source(words) => words,
+            FieldType::Registered => &self.registered,
+            FieldType::Whole { .. }
+            | FieldType::Number(_)
+            | FieldType::Energy { .. }
+            | FieldType::Switch
+            | FieldType::Text
+            | FieldType::File
+            | FieldType::Wholes { .. }
+            | FieldType::Texts => &[],
         }
     }
 
-    /// The headers in the order of files, each once.
+    /// Returns the headers in the order in which a file shows them, each once.
     pub fn headers(&self) -> Vec<&'static str> {
         let mut paths: Vec<&'static str> = Vec::new();
         for section in &self.sections {
@@ -136,20 +136,20 @@ impl Declaration {
         paths
     }
 
-    /// The full paths of all fields of the top level.
+    /// Returns the full paths of all fields of the top level.
     pub fn paths(&self) -> impl Iterator<Item = String> + '_ {
         let fields = |section: &&'static Section| section.fields.iter().map(|field| section.path_of(field.name));
         self.sections.iter().flat_map(fields)
     }
 
-    /// The name of the preset that is nothing but the defaults.
+    /// Returns the name of the preset that holds only the defaults.
     pub fn base(&self) -> &'static str {
         self.presets.first().map_or("", |preset| preset.name)
     }
 }
 
 /// Whether `path` is `header` or below it.
-pub fn is_within(path: &str, header: &str) -> bool {
+pub(super) fn is_within(path: &str, header: &str) -> bool {
     path.strip_prefix(header)
         .is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
 }

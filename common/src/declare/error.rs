@@ -1,21 +1,23 @@
-//! Why a scenario was refused, in one sentence that a user can act on.
+//! Errors of a scenario, each as one sentence with the cause and the fix.
 
 use std::io;
 use std::path::PathBuf;
 
-use super::places::Place;
+use strsim::osa_distance;
 
-/// A scenario that cannot be used, and why.
+use super::origins::ValueOrigin;
+
+/// The reason why a scenario cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum ScenarioError {
-    /// The source is no preset's name and no file's path.
+    /// The source is neither the name of a preset nor the path of a file.
     #[error("no scenario `{name}`: it is neither a file nor a preset{hint}; the presets are {presets}")]
     NoSuchScenario {
-        /// What was asked for.
+        /// The requested name.
         name: String,
         /// "; did you mean …", or nothing.
         hint: String,
-        /// The presets there are.
+        /// The names of the presets.
         presets: String,
     },
     /// The scenario file cannot be read.
@@ -23,17 +25,17 @@ pub enum ScenarioError {
     Read {
         /// The scenario file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         error: io::Error,
     },
-    /// The text is not TOML.
+    /// The text is not valid TOML.
     #[error("{name}, line {line}: not valid TOML: {reason}")]
     Syntax {
         /// The file's name.
         name: String,
         /// The line, from 1.
         line: usize,
-        /// What the TOML parser said.
+        /// The error of the TOML parser.
         reason: String,
     },
     /// An override is not of the form `path.to.field=value`.
@@ -43,50 +45,50 @@ pub enum ScenarioError {
         flag: String,
         /// Its argument.
         text: String,
-        /// What is wrong with it.
+        /// The reason for the error.
         reason: String,
     },
-    /// There is no such field.
+    /// The field does not exist.
     #[error("unknown field `{field}`{hint}; {place}; the fields there are {valid}")]
     UnknownField {
-        /// Its full path.
+        /// The full path of the field.
         field: String,
         /// "; did you mean …", or nothing.
         hint: String,
-        /// The fields of the section that it is in.
+        /// The fields of its section.
         valid: String,
-        /// Where it was set.
-        place: Place,
+        /// The origin of the value.
+        place: ValueOrigin,
     },
-    /// A value is of the wrong type or out of its range.
+    /// A value has the wrong type or is out of its range.
     #[error("{field} = {value}: {allowed}; {place}")]
     Invalid {
-        /// The field's full path.
+        /// The full path of the field.
         field: String,
         /// Its value.
         value: String,
-        /// What it has to be.
+        /// The allowed values.
         allowed: String,
-        /// Where it was set.
-        place: Place,
+        /// The origin of the value.
+        place: ValueOrigin,
     },
-    /// A field that the scenario needs has no value.
+    /// A required field has no value.
     #[error("{field}: required {why}")]
     Missing {
-        /// The field's full path.
+        /// The full path of the field.
         field: String,
-        /// What makes it required, and where that was set.
+        /// The setting that makes it required, with its origin.
         why: String,
     },
-    /// A field that the rest of the scenario leaves without effect.
+    /// Other settings leave the field without effect.
     #[error("{field}: has an effect only with {holds}; leave it out, or set that; {place}")]
     Idle {
-        /// The field's full path.
+        /// The full path of the field.
         field: String,
-        /// The setting under which it counts.
+        /// The setting under which the field has an effect.
         holds: String,
-        /// Where it was set.
-        place: Place,
+        /// The origin of the value.
+        place: ValueOrigin,
     },
     /// A layout or trace file cannot be used.
     #[error("{field} = \"{}\": {reason}; {place}", file.display())]
@@ -95,27 +97,31 @@ pub enum ScenarioError {
         field: String,
         /// The file.
         file: PathBuf,
-        /// What is wrong with it.
+        /// The reason for the error.
         reason: String,
-        /// Where the field was set.
-        place: Place,
+        /// The origin of the field's value.
+        place: ValueOrigin,
     },
 }
 
-/// "; did you mean `…`?" for the candidates nearest to `word`, or nothing where none is near.
-pub fn did_you_mean<'c>(word: &str, candidates: impl IntoIterator<Item = &'c str>) -> String {
+/// Returns "; did you mean `…`?" for the candidates nearest to `word`, or an empty text if none is near.
+pub(crate) fn did_you_mean<'c>(word: &str, candidates: impl IntoIterator<Item = &'c str>) -> String {
+    // The time grows with the length of the word, and a hostile file can hold a name of megabytes.
+    const LONGEST: usize = 64;
+    let word: String = word.chars().take(LONGEST).collect();
     let limit = (word.chars().count() / 3).max(2);
+    // Candidates can be full paths, but a typo concerns only their last part.
     let leaf = |c: &'c str| c.rsplit('.').next().unwrap_or(c);
     let nearest = candidates
         .into_iter()
-        .map(|c| (edit_distance(word, leaf(c)), c))
+        .map(|c| (osa_distance(&word, leaf(c)), c))
         .filter(|&(distance, _)| distance <= limit)
         .min_by_key(|&(distance, _)| distance);
     nearest.map_or_else(String::new, |(_, c)| format!("; did you mean `{c}`?"))
 }
 
-/// `a`, `b` and `c` in backticks.
-pub fn listed<'n>(names: impl IntoIterator<Item = &'n str>) -> String {
+/// Formats names as a list in backticks: `a`, `b` and `c`.
+pub fn quoted_list<'n>(names: impl IntoIterator<Item = &'n str>) -> String {
     let quoted: Vec<String> = names.into_iter().map(|n| format!("`{n}`")).collect();
     if quoted.is_empty() {
         "(none)".to_owned()
@@ -124,8 +130,8 @@ pub fn listed<'n>(names: impl IntoIterator<Item = &'n str>) -> String {
     }
 }
 
-/// `text` cut to a length that fits a message.
-pub fn shortened(text: &str) -> String {
+/// Truncates `text` to a length that fits a message.
+pub fn truncate(text: &str) -> String {
     const LONGEST: usize = 60;
     let line = text.split(['\n', '\r']).next().unwrap_or_default();
     if line.len() == text.len() && line.chars().count() <= LONGEST {
@@ -133,25 +139,6 @@ pub fn shortened(text: &str) -> String {
     } else {
         line.chars().take(LONGEST).chain("…".chars()).collect()
     }
-}
-
-/// The least number of letters to insert, delete, replace or swap with their neighbour (of the first 64).
-fn edit_distance(a: &str, b: &str) -> usize {
-    let (a, b): (Vec<char>, Vec<char>) = (a.chars().take(64).collect(), b.chars().take(64).collect());
-    let mut rows: Vec<Vec<usize>> = vec![(0..=b.len()).collect()];
-    for i in 1..=a.len() {
-        let mut row = vec![i];
-        for j in 1..=b.len() {
-            let replaced = rows[i - 1][j - 1] + usize::from(a[i - 1] != b[j - 1]);
-            let mut least = replaced.min(rows[i - 1][j] + 1).min(row[j - 1] + 1);
-            if i > 1 && j > 1 && a[i - 1] == b[j - 2] && a[i - 2] == b[j - 1] {
-                least = least.min(rows[i - 2][j - 2] + 1);
-            }
-            row.push(least);
-        }
-        rows.push(row);
-    }
-    rows[a.len()][b.len()]
 }
 
 #[cfg(test)]
@@ -170,17 +157,5 @@ mod tests {
             "; did you mean `sensing.d_max`?"
         );
         assert_eq!(did_you_mean("colour", ["alpha", "duration"]), "");
-    }
-
-    #[test]
-    fn distances_count_single_edits() {
-        for (a, b, distance) in [
-            ("", "abc", 3),
-            ("kitten", "sitting", 3),
-            ("ab", "ba", 1),
-            ("same", "same", 0),
-        ] {
-            assert_eq!(edit_distance(a, b), distance, "{a} {b}");
-        }
     }
 }

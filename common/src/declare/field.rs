@@ -1,9 +1,9 @@
-//! What is declared of a field: once, for everyone.
+//! The declaration of a field, which all users of the field share.
 
 use std::fmt;
 
-use super::choice::{Alternative, Choice};
-use super::value::Value;
+use super::choice::{Alternative, ChoiceType};
+use super::value::FieldValue;
 use crate::units::MAX_UNITS;
 
 /// A range of numbers.
@@ -16,7 +16,7 @@ pub struct Range {
 }
 
 impl Range {
-    /// From `least` to `most`, both included.
+    /// Returns the range from `least` to `most`, both included.
     pub const fn closed(least: f64, most: f64) -> Self {
         Self {
             least,
@@ -26,7 +26,7 @@ impl Range {
         }
     }
 
-    /// Above `least`, at most `most`.
+    /// Returns the range above `least` and at most `most`.
     pub const fn above(least: f64, most: f64) -> Self {
         Self {
             holds_least: false,
@@ -34,7 +34,7 @@ impl Range {
         }
     }
 
-    /// At least `least`, below `most`.
+    /// Returns the range from `least` to below `most`.
     pub const fn below(least: f64, most: f64) -> Self {
         Self {
             holds_most: false,
@@ -42,19 +42,19 @@ impl Range {
         }
     }
 
-    /// Whether `x` lies within.
+    /// Whether `x` lies within the range.
     pub fn contains(&self, x: f64) -> bool {
         let from_below = x > self.least || (self.holds_least && x >= self.least);
         let from_above = x < self.most || (self.holds_most && x <= self.most);
         from_below && from_above
     }
 
-    /// Both ends, and whether each is included.
+    /// Returns both ends, and whether each is included.
     pub const fn ends(&self) -> ((f64, bool), (f64, bool)) {
         ((self.least, self.holds_least), (self.most, self.holds_most))
     }
 
-    /// The range as an interval: "(0, 1]".
+    /// Formats the range as an interval, for example "(0, 1]".
     pub fn interval(&self) -> String {
         let (open, close) = (
             if self.holds_least { '[' } else { '(' },
@@ -65,7 +65,7 @@ impl Range {
 }
 
 impl fmt::Display for Range {
-    /// For example "greater than 0 and at most 1".
+    /// Writes for example "greater than 0 and at most 1".
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let from = if self.holds_least { "at least" } else { "greater than" };
         let to = if self.holds_most { "at most" } else { "less than" };
@@ -73,7 +73,7 @@ impl fmt::Display for Range {
     }
 }
 
-/// The number as text, with an exponent if it is long.
+/// Formats the number, with an exponent if it is large.
 fn short(x: f64) -> String {
     if x.abs() >= 1e9 {
         format!("{x:e}")
@@ -93,50 +93,50 @@ pub const PROBABILITY: Range = Range::closed(0.0, 1.0);
 /// A share or probability that may be 1 but not 0.
 pub const ABOVE_ZERO: Range = Range::above(0.0, 1.0);
 
-/// What a field may hold.
+/// The type of a field with its bounds.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Form {
+pub enum FieldType {
     /// A whole number from `least` to `most`.
     Whole {
-        /// The least.
+        /// Smallest allowed value.
         least: u64,
-        /// The largest.
+        /// Largest allowed value.
         most: u64,
     },
     /// A number within a range.
     Number(Range),
     /// An amount of energy in units, 0 to [`MAX_UNITS`].
     Energy {
-        /// Whether it has to be more than 0.
+        /// Whether the amount must be more than 0.
         is_positive: bool,
     },
     /// True or false.
     Switch,
-    /// One of a few words.
+    /// A word from a fixed list.
     Choice(&'static [Alternative]),
-    /// The name of a variant that is registered beside the declaration, see [`super::Declaration::registered`].
+    /// The name of a registered variant, see [`super::Declaration::registered`].
     Registered,
     /// Any text.
     Text,
     /// The path of a file.
     File,
-    /// One of a few words, or the path of a file.
+    /// A word from a fixed list, or the path of a file.
     Source(&'static [Alternative]),
     /// A list of whole numbers.
     Wholes {
-        /// The least of each.
+        /// Smallest allowed element.
         least: u32,
-        /// The largest of each.
+        /// Largest allowed element.
         most: u32,
-        /// The most of them; at least one is needed.
+        /// Maximum length of the list; it has at least one element.
         longest: usize,
     },
-    /// A list of texts, at least one.
+    /// A list of at least one text.
     Texts,
 }
 
-impl Form {
-    /// What a value has to be if it is out of range, as the end of "must be …".
+impl FieldType {
+    /// Describes the allowed values, as the end of "must be …".
     pub fn allowed(&self) -> String {
         match self {
             Self::Whole { least, most } => format!("at least {least} and at most {most}"),
@@ -156,7 +156,7 @@ impl Form {
         }
     }
 
-    /// The TOML type, as the end of "must be …".
+    /// Describes the TOML type, as the end of "must be …".
     pub const fn kind(&self) -> &'static str {
         match self {
             Self::Whole { .. } => "a whole number that is not negative",
@@ -168,28 +168,28 @@ impl Form {
     }
 }
 
-/// What a field has where nobody sets it.
+/// The value of a field that is not set.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Default {
+pub enum FieldDefault {
     /// This value.
-    Is(Value<'static>),
-    /// A value that follows from others, in words.
+    Is(FieldValue<'static>),
+    /// A value derived from other fields, described as text.
     Derived(&'static str),
-    /// Nothing: the field has to be set wherever it counts.
+    /// No value: the field must be set wherever it has an effect.
     None,
 }
 
-/// The setting under which a field counts.
+/// The setting under which a field has an effect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Condition {
-    /// The full path of the field that decides, as at the top level (`harvest.kind`).
+pub struct FieldCondition {
+    /// The full path at the top level of the field that decides (`harvest.kind`).
     pub field: &'static str,
-    /// Its values under which the field counts.
+    /// The values of that field under which this field has an effect.
     pub values: &'static [&'static str],
 }
 
-impl fmt::Display for Condition {
-    /// `harvest.kind = "mpp"`, or several values joined by "or".
+impl fmt::Display for FieldCondition {
+    /// Writes `harvest.kind = "mpp"`, or several values joined by "or".
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} = ", self.field)?;
         for (index, value) in self.values.iter().enumerate() {
@@ -199,29 +199,29 @@ impl fmt::Display for Condition {
     }
 }
 
-/// One field.
+/// The declaration of a field.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Field {
-    /// Its name in its section.
+    /// The name within its section.
     pub name: &'static str,
-    /// What it may hold.
-    pub form: Form,
-    /// What it holds where nobody sets it.
-    pub default: Default,
+    /// The type with its bounds.
+    pub form: FieldType,
+    /// The value if it is not set.
+    pub default: FieldDefault,
     /// Its unit; "" for none.
     pub unit: &'static str,
-    /// What it means, sentences.
+    /// The meaning, in full sentences.
     pub help: &'static str,
-    /// Where the paper has it; "" for nowhere.
+    /// The place in the paper; "" without one.
     pub source: &'static str,
-    /// The setting under which it counts; that of its section holds too.
-    pub only_with: Option<Condition>,
-    /// A field of the same section that says the same in another way: the later layer decides which of the two counts.
+    /// The setting under which the field has an effect, in place of its section's.
+    pub only_with: Option<FieldCondition>,
+    /// An alternative field of the same section for the same quantity. The later layer decides which one applies.
     pub instead_of: Option<&'static str>,
 }
 
 impl Field {
-    const fn of(form: Form, default: Default) -> Self {
+    const fn of(form: FieldType, default: FieldDefault) -> Self {
         Self {
             name: "",
             form,
@@ -234,46 +234,46 @@ impl Field {
         }
     }
 
-    /// This field with a unit.
+    /// Returns the field with this unit.
     #[must_use]
     pub const fn unit(self, unit: &'static str) -> Self {
         Self { unit, ..self }
     }
 
-    /// This field with its place in the paper.
+    /// Returns the field with this place in the paper.
     #[must_use]
     pub const fn source(self, source: &'static str) -> Self {
         Self { source, ..self }
     }
 
-    /// This field with a default that follows from other fields, in words.
+    /// Returns the field with a default that is derived from other fields, described as text.
     #[must_use]
     pub const fn derived(self, words: &'static str) -> Self {
         Self {
-            default: Default::Derived(words),
+            default: FieldDefault::Derived(words),
             ..self
         }
     }
 
-    /// This field without a default.
+    /// Returns the field without a default.
     #[must_use]
     pub const fn required(self) -> Self {
         Self {
-            default: Default::None,
+            default: FieldDefault::None,
             ..self
         }
     }
 
-    /// This field, counting only where `field` has one of `values`.
+    /// Returns the field with the condition that `field` has one of `values`.
     #[must_use]
-    pub const fn only_with(self, field: &'static str, values: &'static [&'static str]) -> Self {
+    pub(crate) const fn only_with(self, field: &'static str, values: &'static [&'static str]) -> Self {
         Self {
-            only_with: Some(Condition { field, values }),
+            only_with: Some(FieldCondition { field, values }),
             ..self
         }
     }
 
-    /// This field as another way to say what the field `name` says.
+    /// Returns the field as an alternative to the field `name`.
     #[must_use]
     pub const fn instead_of(self, name: &'static str) -> Self {
         Self {
@@ -282,113 +282,137 @@ impl Field {
         }
     }
 
-    /// This field with its name and help; [`crate::declare!`] calls this.
+    /// Returns the field with its name and help; [`crate::declare!`] calls this.
     #[must_use]
     pub const fn named(self, name: &'static str, help: &'static str) -> Self {
         Self { name, help, ..self }
     }
 }
 
-/// A whole number from `least` to `most`.
+/// Declares a whole number from `least` to `most`.
 pub const fn whole(least: u64, most: u64, default: u64) -> Field {
-    Field::of(Form::Whole { least, most }, Default::Is(Value::Whole(default)))
-}
-
-/// A number within `range`.
-pub const fn number(range: Range, default: f64) -> Field {
-    Field::of(Form::Number(range), Default::Is(Value::Number(default)))
-}
-
-/// An amount of energy, `default` in units.
-pub const fn energy(default: f64) -> Field {
     Field::of(
-        Form::Energy { is_positive: false },
-        Default::Is(Value::Energy(crate::units::Energy::rounded(default))),
+        FieldType::Whole { least, most },
+        FieldDefault::Is(FieldValue::Whole(default)),
     )
 }
 
-/// An amount of energy above 0, `default` in units.
-pub const fn positive_energy(default: f64) -> Field {
+/// Declares a number within `range`.
+pub const fn number(range: Range, default: f64) -> Field {
+    Field::of(FieldType::Number(range), FieldDefault::Is(FieldValue::Number(default)))
+}
+
+/// Declares an amount of energy, with `default` in units.
+pub const fn energy(default: f64) -> Field {
+    Field::of(
+        FieldType::Energy { is_positive: false },
+        FieldDefault::Is(FieldValue::Energy(crate::units::Energy::rounded(default))),
+    )
+}
+
+/// Declares an amount of energy above 0, with `default` in units.
+pub(crate) const fn positive_energy(default: f64) -> Field {
     Field {
-        form: Form::Energy { is_positive: true },
+        form: FieldType::Energy { is_positive: true },
         ..energy(default)
     }
 }
 
-/// True or false.
+/// Declares a field that is true or false.
 pub const fn switch(default: bool) -> Field {
-    Field::of(Form::Switch, Default::Is(Value::Switch(default)))
+    Field::of(FieldType::Switch, FieldDefault::Is(FieldValue::Switch(default)))
 }
 
-/// One of the words of `T`.
-pub const fn choice<T: Choice>(default: &'static str) -> Field {
-    Field::of(Form::Choice(T::ALTERNATIVES), Default::Is(Value::Text(default)))
-}
-
-/// The name of a registered variant.
-pub const fn registered(default: &'static str) -> Field {
-    Field::of(Form::Registered, Default::Is(Value::Text(default)))
-}
-
-/// One of `words`.
-pub const fn word(words: &'static [Alternative], default: &'static str) -> Field {
-    Field::of(Form::Choice(words), Default::Is(Value::Text(default)))
-}
-
-/// One of `words`, or the path of a file.
-pub const fn source(words: &'static [Alternative], default: &'static str) -> Field {
-    Field::of(Form::Source(words), Default::Is(Value::Text(default)))
-}
-
-/// Any text.
-pub const fn text() -> Field {
-    Field::of(Form::Text, Default::None)
-}
-
-/// The path of a file.
-pub const fn file() -> Field {
-    Field::of(Form::File, Default::None)
-}
-
-/// A list of 1 to `longest` whole numbers from `least` to `most`.
-pub const fn wholes(least: u32, most: u32, longest: usize, default: &'static [u32]) -> Field {
+/// Declares a field that holds one of the words of `T`.
+pub const fn choice<T: ChoiceType>(default: &'static str) -> Field {
     Field::of(
-        Form::Wholes { least, most, longest },
-        Default::Is(Value::Wholes(default)),
+        FieldType::Choice(T::ALTERNATIVES),
+        FieldDefault::Is(FieldValue::Text(default)),
     )
 }
 
-/// A list of texts.
-pub const fn texts() -> Field {
-    Field::of(Form::Texts, Default::None)
+/// Declares a field that holds the name of a registered variant.
+pub const fn registered(default: &'static str) -> Field {
+    Field::of(FieldType::Registered, FieldDefault::Is(FieldValue::Text(default)))
 }
 
-/// Fields under one header of the file. Several sections may share a path: each concept declares its own fields.
+/// Declares a field that holds one of `words`.
+pub const fn word(words: &'static [Alternative], default: &'static str) -> Field {
+    Field::of(FieldType::Choice(words), FieldDefault::Is(FieldValue::Text(default)))
+}
+
+/// Declares a field that holds one of `words`, or the path of a file.
+pub const fn source(words: &'static [Alternative], default: &'static str) -> Field {
+    Field::of(FieldType::Source(words), FieldDefault::Is(FieldValue::Text(default)))
+}
+
+/// Declares a field that holds any text.
+pub const fn text() -> Field {
+    Field::of(FieldType::Text, FieldDefault::None)
+}
+
+/// Declares a field that holds the path of a file.
+pub const fn file() -> Field {
+    Field::of(FieldType::File, FieldDefault::None)
+}
+
+/// Declares a list of 1 to `longest` whole numbers from `least` to `most`.
+pub const fn wholes(least: u32, most: u32, longest: usize, default: &'static [u32]) -> Field {
+    Field::of(
+        FieldType::Wholes { least, most, longest },
+        FieldDefault::Is(FieldValue::Wholes(default)),
+    )
+}
+
+/// Declares a list of texts.
+pub const fn texts() -> Field {
+    Field::of(FieldType::Texts, FieldDefault::None)
+}
+
+/// The fields under one header of the file. Several sections may share a path, each with its own fields.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Section {
-    /// The path of the header as at the top level, "" for fields without one.
+    /// The path of the header at the top level; "" for fields without a header.
     pub path: &'static str,
-    /// What the fields are about.
+    /// The subject of the fields.
     pub about: &'static str,
-    /// The fields in the order of files.
+    /// The fields in the order in which a file shows them.
     pub fields: &'static [Field],
-    /// The setting under which the fields count.
-    pub only_with: Option<Condition>,
+    /// The setting under which the fields have an effect.
+    pub only_with: Option<FieldCondition>,
 }
 
 impl Section {
-    /// The field called `name`.
+    /// Returns the field with the name `name`.
     pub fn field(&self, name: &str) -> Option<&'static Field> {
         self.fields.iter().find(|field| field.name == name)
     }
 
-    /// The setting under which `field` of this section counts.
-    pub fn condition(&self, field: &Field) -> Option<Condition> {
+    /// Returns the setting under which `field` of this section has an effect.
+    pub fn condition(&self, field: &Field) -> Option<FieldCondition> {
         field.only_with.or(self.only_with)
     }
 
-    /// The full path of the field `name`.
+    /// Returns the full path of the field `name`.
     pub fn path_of(&self, name: &str) -> String {
         super::dotted(self.path, name)
     }
+}
+
+/// A receiver of every active field with its value, in the order of declaration: writes, hashes or compares them.
+pub trait FieldSink {
+    /// Starts the list item `name` (a device class). The following fields belong to it.
+    fn item(&mut self, name: &str);
+
+    /// Receives the value of `field` in `section`.
+    fn field(&mut self, section: &'static Section, field: &'static Field, value: FieldValue<'_>);
+
+    /// Receives the contents of the file that the last field names, or their fingerprint.
+    fn content(&mut self, bytes: &[u8]);
+}
+
+/// A value with declared fields. [`crate::declare!`] implements it.
+pub trait Visit {
+    /// Passes every active field to `sink`, in the order of declaration.
+    fn visit(&self, sink: &mut dyn FieldSink);
 }

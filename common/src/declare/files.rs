@@ -1,49 +1,49 @@
-//! Files as pure code asks for them. Who opens them stands at the edge: [`crate::io::Disk`].
+//! The file access that pure code needs. The implementation for real files is [`crate::io::Disk`].
 
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Why a file cannot be read.
+/// The reason why a file cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum FileError {
-    /// The operating system refuses.
+    /// The operating system returned an error.
     #[error("cannot be read: {0}")]
     Io(#[from] io::Error),
-    /// The path is that of a folder.
+    /// The path names a folder.
     #[error("is not a file")]
     Folder,
-    /// It is a pipe or a device, which may never end.
+    /// The path names a pipe or a device, which may never end.
     #[error("is not a file")]
     Special,
-    /// The file is longer than was asked for.
+    /// The file is longer than the limit.
     #[error("is larger than {most} bytes")]
     TooLong {
         /// Its length in bytes.
         length: u64,
-        /// The most that was asked for.
+        /// The limit in bytes.
         most: u64,
     },
 }
 
-/// Gives the bytes of files.
+/// An interface that reads files.
 pub trait Files {
-    /// The bytes of the regular file at `path`, if they are at most `most`.
+    /// Returns the bytes of the regular file at `path`, if it has at most `most` bytes.
     ///
     /// # Errors
     /// See [`FileError`].
     fn read(&self, path: &Path, most: u64) -> Result<Vec<u8>, FileError>;
 
-    /// Whether there is anything at `path`.
+    /// Whether `path` exists.
     fn exists(&self, path: &Path) -> bool;
 
-    /// `path` from the root on, without a look at what is there.
+    /// Makes `path` absolute, without accessing the file.
     ///
     /// # Errors
-    /// There is no working directory.
+    /// If there is no working directory.
     fn absolute(&self, path: &Path) -> io::Result<PathBuf>;
 }
 
-/// A disk without any file.
+/// A disk without files.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct NoFiles;
 

@@ -1,4 +1,4 @@
-//! One layer of a configuration: a preset, a file, or what an option of the command line sets.
+//! One layer of a configuration: a preset, a file, or a command-line override.
 
 use std::sync::Arc;
 
@@ -7,28 +7,28 @@ use toml::de::{DeTable, DeValue};
 
 use super::declaration::Declaration;
 use super::error::ScenarioError;
+use super::origins::{Origin, ValueOrigin};
 use super::overrides::Override;
-use super::places::{Origin, Place};
 
-/// Bytes of the longest text that is read.
+/// Maximum length of a text, in bytes.
 pub const LONGEST_TEXT: u64 = 1 << 20;
 
-/// One layer: a table, and the item of the list that it is for where a path on the command line names one.
+/// One layer: a table, and the list item to which it applies if a command-line path names one.
 #[derive(Debug)]
 pub struct Layer<'a> {
     pub(super) table: DeTable<'a>,
     pub(super) text: &'a str,
     pub(super) origin: Origin,
-    /// The item that it is for.
+    /// The item to which the layer applies.
     pub(super) item: Option<&'a str>,
 }
 
 impl<'a> Layer<'a> {
-    /// A layer from the text of a preset or a file.
+    /// Creates a layer from the text of a preset or a file.
     ///
     /// # Errors
-    /// It is too long, or not TOML.
-    pub fn from_text(text: &'a str, origin: Origin) -> Result<Self, ScenarioError> {
+    /// If the text is too long or not valid TOML.
+    pub(crate) fn from_text(text: &'a str, origin: Origin) -> Result<Self, ScenarioError> {
         if text.len() as u64 > LONGEST_TEXT {
             return Err(syntax(&origin, 0, format!("longer than {LONGEST_TEXT} bytes")));
         }
@@ -46,11 +46,11 @@ impl<'a> Layer<'a> {
         }
     }
 
-    /// A layer from an override. A path `LIST.NAME.…` is for the item of that name of the declaration's list.
+    /// Creates a layer from an override. A path `LIST.NAME.…` applies to the item NAME of the declaration's list.
     ///
     /// # Errors
-    /// The value is not TOML.
-    pub fn from_override(given: &'a Override, declaration: &Declaration) -> Result<Self, ScenarioError> {
+    /// If the value is not valid TOML.
+    pub(crate) fn from_override(given: &'a Override, declaration: &Declaration) -> Result<Self, ScenarioError> {
         let list = declaration.list.name();
         let (item, path) = match given.path.as_slice() {
             [section, name, rest @ ..] if section == list && !rest.is_empty() => (Some(name.as_str()), rest),
@@ -61,6 +61,7 @@ impl<'a> Layer<'a> {
         for name in path.iter().rev() {
             value = Spanned::new(span.clone(), DeValue::Table(single(name, value)));
         }
+        // A path has at least one name, so the value is a table here.
         let DeValue::Table(table) = value.into_inner() else {
             return Ok(Self::empty(given));
         };
@@ -80,8 +81,8 @@ impl<'a> Layer<'a> {
         }
     }
 
-    /// The text that the layer sets the top-level field `name` to, with the place where it does.
-    pub fn text_of(&self, name: &str) -> Option<(&str, Place)> {
+    /// Returns the text value of the top-level field `name` in this layer, with its origin.
+    pub(crate) fn text_of(&self, name: &str) -> Option<(&str, ValueOrigin)> {
         let value = self.table.get(name).filter(|_| self.item.is_none())?;
         Some((value.get_ref().as_str()?, self.origin.place(value.span().start)))
     }
@@ -97,10 +98,10 @@ pub(super) fn single<'a>(name: &str, value: Spanned<DeValue<'a>>) -> DeTable<'a>
 
 fn syntax(origin: &Origin, offset: usize, reason: String) -> ScenarioError {
     let (name, line) = match origin.place(offset) {
-        Place::File { name, line } => (name.to_string(), line),
-        Place::Preset(name) => (name.to_owned(), 1),
-        Place::Flag(flag) => (flag.to_string(), 1),
-        Place::Nowhere => (String::new(), 1),
+        ValueOrigin::File { name, line } => (name.to_string(), line),
+        ValueOrigin::Preset(name) => (name.to_owned(), 1),
+        ValueOrigin::Flag(flag) => (flag.to_string(), 1),
+        ValueOrigin::Nowhere => (String::new(), 1),
     };
     ScenarioError::Syntax { name, line, reason }
 }

@@ -1,5 +1,4 @@
-//! The layers of a configuration (presets, file, command line), laid over one another with a memory of where each value
-//! was set.
+//! The layers of a configuration (presets, file, command line), merged in order. The origin of each value is kept.
 
 use std::ops::Range;
 
@@ -7,42 +6,42 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::declaration::{Declaration, Scope};
-use super::error::{ScenarioError, listed, shortened};
+use super::error::{ScenarioError, quoted_list, truncate};
 use super::layer::{Layer, key};
 use super::names;
-use super::places::{Origin, Places};
+use super::origins::{Origin, ValueOrigins};
 
-/// All layers so far.
+/// The layers merged so far.
 #[derive(Debug)]
 pub struct Layers<'a> {
     declaration: &'a Declaration,
     table: DeTable<'a>,
-    places: Places,
+    places: ValueOrigins,
 }
 
-/// All layers together: every item of the list has the sections that it inherits.
+/// The merged layers: every item of the list has the sections that it inherits.
 #[derive(Debug)]
 pub struct Merged<'a> {
-    /// The table.
+    /// The merged table.
     pub table: DeTable<'a>,
-    /// Where its values were set.
-    pub places: Places,
+    /// The origins of its values.
+    pub places: ValueOrigins,
 }
 
 impl<'a> Layers<'a> {
-    /// No layer yet.
+    /// Starts without any layer.
     pub fn new(declaration: &'a Declaration) -> Self {
         Self {
             declaration,
             table: DeTable::new(),
-            places: Places::new(),
+            places: ValueOrigins::new(),
         }
     }
 
-    /// Lays `layer` over those before it, after a check of its names and types.
+    /// Checks the names and types of `layer` and puts it on top of the layers before it.
     ///
     /// # Errors
-    /// There is no such field, or a value is of the wrong type.
+    /// If a field does not exist, or a value has the wrong type.
     pub fn add(&mut self, layer: Layer<'a>) -> Result<(), ScenarioError> {
         names::check(&layer, self.declaration)?;
         let list = self.declaration.list.name();
@@ -63,7 +62,7 @@ impl<'a> Layers<'a> {
         Ok(())
     }
 
-    /// The whole, each item of the list with its sections laid over those of the top level.
+    /// Returns the merged table. Each item of the list gets the sections of the top level, overridden by its own.
     pub fn finish(mut self) -> Merged<'a> {
         let list = self.declaration.list;
         let inherited: Vec<(&str, DeTable<'a>)> = list
@@ -87,10 +86,11 @@ impl<'a> Layers<'a> {
     }
 }
 
-/// Sets in `base`, the table at a path of `declaration`, what `above` sets, tables field by field.
+/// Overrides the values in `base`, the table at a path of `declaration`, by those in `above`, field by field.
 fn overlay<'a>(declaration: &Declaration, at: (Scope, &str), base: &mut DeTable<'a>, above: DeTable<'a>) {
     let (scope, path) = at;
     let field = |name: &str| declaration.field(scope, path, name).map(|(_, field)| field);
+    // Of two alternative fields, the later layer's applies, so it removes the other one from the layers below.
     for other in above.keys().filter_map(|name| field(name.get_ref())?.instead_of) {
         base.remove(other);
     }
@@ -111,8 +111,8 @@ fn overlay<'a>(declaration: &Declaration, at: (Scope, &str), base: &mut DeTable<
     }
 }
 
-/// Remembers where everything in `table` was set, for paths that begin with `prefix`.
-fn record(table: &DeTable<'_>, prefix: &str, origin: &Origin, places: &mut Places) {
+/// Records the origin of everything in `table`, for paths that begin with `prefix`.
+fn record(table: &DeTable<'_>, prefix: &str, origin: &Origin, places: &mut ValueOrigins) {
     for (name, value) in table {
         let path = format!("{prefix}{}", name.get_ref());
         let inner = format!("{path}.");
@@ -140,12 +140,12 @@ fn record(table: &DeTable<'_>, prefix: &str, origin: &Origin, places: &mut Place
     }
 }
 
-/// A value's place is its key's, but for overrides only the value has one.
+/// Returns the offset of a key, or of its value if the key has none, as in overrides.
 fn start(name: Range<usize>, value: Range<usize>) -> usize {
     if name.is_empty() { value.start } else { name.start }
 }
 
-/// The item called `name` of `list`, with its number.
+/// Returns the item `name` of `list`, with its index.
 fn item_named<'t, 'a>(
     table: &'t mut DeTable<'a>,
     list: &str,
@@ -158,23 +158,23 @@ fn item_named<'t, 'a>(
         .find(|(_, item)| item_name(item) == name);
     found.ok_or_else(|| ScenarioError::Invalid {
         field: list.to_owned(),
-        value: shortened(name),
+        value: truncate(name),
         allowed: format!(
             "must be the name of a {list}; there are {}",
-            listed(names.iter().map(String::as_str))
+            quoted_list(names.iter().map(String::as_str))
         ),
         place: origin.place(0),
     })
 }
 
-/// The name of an item, or "".
+/// Returns the name of an item, or "".
 fn item_name<'t>(item: &'t DeTable<'_>) -> &'t str {
     item.get("name")
         .and_then(|name| name.get_ref().as_str())
         .unwrap_or_default()
 }
 
-/// The tables of `list`.
+/// Returns the tables of `list`.
 fn items_mut<'t, 'a>(
     table: &'t mut DeTable<'a>,
     list: &str,

@@ -1,7 +1,7 @@
 //! The macro that declares a section.
 
-/// Declares a struct and the fields of a section at once. The doc comments are the help of the fields; the one of the
-/// struct says what the section is about.
+/// Declares a struct and the fields of its section together. The doc comments become the help of the fields; the one
+/// of the struct describes the section.
 ///
 /// ```
 /// use reveille_common::declare::{POSITIVE, number};
@@ -19,9 +19,9 @@
 /// assert_eq!(Plot::SECTION.field("width").map(|field| field.help), Some("East-west side."));
 /// ```
 ///
-/// A default that follows from others is an expression over the fields before it, after `=>`; it may use `?`. It gets
-/// `SECTION`, `read`, which gives the values of a [`Reader`](super::Reader), each within its range, and `visit`, which
-/// hands them to a [`Sink`](super::Sink).
+/// A default derived from other fields is an expression over the preceding fields, after `=>`; it may use `?`. The
+/// struct gets `SECTION`, [`Visit`](super::Visit), and `read`, which takes the values of a
+/// [`FieldReader`](super::FieldReader) and checks their ranges.
 #[macro_export]
 macro_rules! declare {
     (
@@ -43,19 +43,19 @@ macro_rules! declare {
         }
 
         impl $type {
-            /// Its fields as they are declared.
-            pub const SECTION: &'static $crate::declare::Section = &$crate::declare::Section {
+            /// The declaration of the fields.
+            $vis const SECTION: &'static $crate::declare::Section = &$crate::declare::Section {
                 path: $path,
                 about: concat!($($about),+).trim_ascii(),
                 fields: &[$( $field.named(stringify!($name), concat!($($help),+).trim_ascii()) ),+],
                 only_with: $crate::declare!(@condition $($condition = $values)?),
             };
 
-            /// The values that `reader` has for the fields.
+            /// Reads the values of the fields from `reader`.
             ///
             /// # Errors
-            /// A value is out of its range, or one that is needed is not set.
-            pub fn read(reader: &$crate::declare::Reader<'_>) -> Result<Self, $crate::declare::ScenarioError> {
+            /// If a value is out of its range, or a required one is not set.
+            $vis fn read(reader: &$crate::declare::FieldReader<'_>) -> Result<Self, $crate::declare::ScenarioError> {
                 let section = Self::SECTION;
                 let mut fields = section.fields.iter();
                 $(
@@ -64,11 +64,20 @@ macro_rules! declare {
                 )+
                 Ok(Self { $($name),+ })
             }
+        }
 
-            /// Hands every field to `sink`.
-            pub fn visit(&self, sink: &mut dyn $crate::declare::Sink) {
+        impl $crate::declare::Settings for $type {
+            const SECTION: &'static $crate::declare::Section = <$type>::SECTION;
+
+            fn read(reader: &$crate::declare::FieldReader<'_>) -> Result<Self, $crate::declare::ScenarioError> {
+                <$type>::read(reader)
+            }
+        }
+
+        impl $crate::declare::Visit for $type {
+            fn visit(&self, sink: &mut dyn $crate::declare::FieldSink) {
                 let section = Self::SECTION;
-                let values = [$( $crate::declare::Declared::value(&self.$name) ),+];
+                let values = [$( $crate::declare::FieldRepr::value(&self.$name) ),+];
                 for (field, value) in section.fields.iter().zip(values) {
                     if let Some(value) = value {
                         sink.field(section, field, value);
@@ -79,13 +88,13 @@ macro_rules! declare {
     };
     (@condition) => { None };
     (@condition $field:literal = $values:expr) => {
-        Some($crate::declare::Condition { field: $field, values: $values })
+        Some($crate::declare::FieldCondition { field: $field, values: $values })
     };
     (@read $reader:ident, $section:ident, $field:ident, $of:ty) => {
         $reader.field::<$of>($section, $field)?
     };
     (@read $reader:ident, $section:ident, $field:ident, $of:ty, $derived:expr) => {
-        match $reader.given::<$of>($section, $field)? {
+        match $reader.optional_field::<$of>($section, $field)? {
             Some(value) => value,
             None => $derived,
         }

@@ -1,10 +1,10 @@
-//! Fields of a configuration, declared once.
+//! Fields of a configuration, each declared once.
 //!
-//! A field's name, form, unit, default, help and source stand in one place, beside the type that holds its value
-//! ([`crate::declare!`], [`crate::choices!`]). From the declarations come the check of names and types of every layer,
-//! the errors with place and what is allowed ([`Reader`]), the TOML file of a configuration ([`Page`]), its fingerprint
-//! ([`Fingerprint`]), the JSON Schema ([`schema()`]) and the reference page ([`reference()`]). Nothing here knows what
-//! the fields are about.
+//! A declaration holds a field's name, type, unit, default, help and source next to the Rust type of its value
+//! ([`crate::declare!`], [`crate::choices!`]). From the declarations the module derives the check of names and types,
+//! errors with origin and allowed values ([`FieldReader`]), and the TOML file of a configuration ([`TomlPage`]). It
+//! also derives the fingerprint ([`ScenarioHasher`]), the JSON Schema ([`schema()`]) and the reference page
+//! ([`reference()`]). None of this depends on the meaning of the fields.
 
 mod choice;
 mod declaration;
@@ -16,36 +16,37 @@ mod layer;
 mod layers;
 mod macros;
 mod names;
+mod origins;
 mod overrides;
-mod page;
-mod places;
 mod reader;
 mod reference;
 mod schema;
-mod sink;
+mod toml_page;
 mod value;
 
-pub use choice::{Alternative, Choice, choices};
-pub use declaration::{Declaration, List, Preset, Scope};
-pub use error::{ScenarioError, did_you_mean, listed, shortened};
+pub use choice::{Alternative, ChoiceType, choices};
+pub use declaration::{Declaration, Preset, Scope, TableArray};
+pub(crate) use error::did_you_mean;
+pub use error::{ScenarioError, quoted_list, truncate};
+pub(crate) use field::positive_energy;
 pub use field::{
-    ABOVE_ZERO, BELOW_ONE, Condition, Default, Field, Form, NOT_NEGATIVE, POSITIVE, PROBABILITY, Range, Section,
-    choice, energy, file, number, positive_energy, registered, source, switch, text, texts, whole, wholes, word,
+    ABOVE_ZERO, BELOW_ONE, Field, FieldCondition, FieldDefault, FieldType, NOT_NEGATIVE, POSITIVE, PROBABILITY, Range,
+    Section, choice, energy, file, number, registered, source, switch, text, texts, whole, wholes, word,
 };
+pub use field::{FieldSink, Visit};
 pub use files::{FileError, Files, NoFiles};
-pub use fingerprint::Fingerprint;
+pub use fingerprint::ScenarioHasher;
 pub use layer::{LONGEST_TEXT, Layer};
 pub use layers::{Layers, Merged};
+pub use origins::{Origin, ValueOrigin, ValueOrigins};
 pub use overrides::Override;
-pub use page::Page;
-pub use places::{Origin, Place, Places};
-pub use reader::{Ground, Reader};
+pub use reader::{FieldReader, FileContext, Settings};
 pub use reference::reference;
 pub use schema::schema;
-pub use sink::Sink;
-pub use value::{Declared, Value};
+pub use toml_page::TomlPage;
+pub use value::{FieldRepr, FieldValue};
 
-/// `section.name`, or `name` at the top level.
+/// Returns `section.name`, or `name` at the top level.
 pub fn dotted(section: &str, name: &str) -> String {
     if section.is_empty() {
         name.to_owned()

@@ -1,4 +1,4 @@
-//! Names and types of a layer, checked against the declaration.
+//! The check of a layer's names and types against the declaration.
 
 use std::ops::Range;
 
@@ -8,11 +8,11 @@ use toml::de::{DeTable, DeValue};
 use super::choice::Alternative;
 use super::declaration::{Declaration, Scope};
 use super::dotted;
-use super::error::{ScenarioError, did_you_mean, listed, shortened};
-use super::field::Form;
+use super::error::{ScenarioError, did_you_mean, quoted_list, truncate};
+use super::field::FieldType;
 use super::layer::Layer;
 
-/// Refuses a layer with a name that there is not or a value of the wrong type.
+/// Rejects a layer with an unknown name or a value of the wrong type.
 pub(super) fn check(layer: &Layer<'_>, declaration: &Declaration) -> Result<(), ScenarioError> {
     let check = Check { layer, declaration };
     match layer.item {
@@ -30,7 +30,7 @@ struct Check<'c, 'a> {
 }
 
 impl Check<'_, '_> {
-    /// The table at `path` in `scope`, which a user knows as `shown`.
+    /// Checks the table at `path` in `scope`; messages call it `shown`.
     fn table(&self, table: &DeTable<'_>, scope: Scope, path: &str, shown: &str) -> Result<(), ScenarioError> {
         let below = self.declaration.below(scope, path);
         for (name, value) in table {
@@ -43,10 +43,11 @@ impl Check<'_, '_> {
                 self.list(value, &shown)?;
             } else if below.contains(&known) {
                 let DeValue::Table(inner) = value.get_ref() else {
-                    return Err(self.invalid(shown, &Wrong::of(value, "must be a table".to_owned())));
+                    return Err(self.invalid(shown, &TypeMismatch::of(value, "must be a table".to_owned())));
                 };
                 self.table(inner, scope, &dotted(path, known), &shown)?;
             } else {
+                // Names from the command line have no offset in the text, only their values have one.
                 let at = if name.span().is_empty() {
                     value.span()
                 } else {
@@ -58,19 +59,19 @@ impl Check<'_, '_> {
         Ok(())
     }
 
-    /// The list of items.
+    /// Checks the list of tables.
     fn list(&self, value: &Spanned<DeValue<'_>>, shown: &str) -> Result<(), ScenarioError> {
         let DeValue::Array(items) = value.get_ref() else {
             return Err(self.invalid(
                 shown.to_owned(),
-                &Wrong::of(value, format!("must be a list: write [[{shown}]] for each item")),
+                &TypeMismatch::of(value, format!("must be a list: write [[{shown}]] for each item")),
             ));
         };
         for (index, item) in items.iter().enumerate() {
             let name = item.get_ref().get("name").and_then(|name| name.get_ref().as_str());
-            let shown = dotted(shown, &name.map_or_else(|| (index + 1).to_string(), shortened));
+            let shown = dotted(shown, &name.map_or_else(|| (index + 1).to_string(), truncate));
             let DeValue::Table(table) = item.get_ref() else {
-                return Err(self.invalid(shown, &Wrong::of(item, "must be a table".to_owned())));
+                return Err(self.invalid(shown, &TypeMismatch::of(item, "must be a table".to_owned())));
             };
             self.table(table, Scope::Item, "", &shown)?;
         }
@@ -99,18 +100,18 @@ impl Check<'_, '_> {
         ScenarioError::UnknownField {
             field: shown,
             hint,
-            valid: listed(valid.iter().copied()),
+            valid: quoted_list(valid.iter().copied()),
             place: self.layer.origin.place(offset),
         }
     }
 
-    fn invalid(&self, field: String, wrong: &Wrong) -> ScenarioError {
+    fn invalid(&self, field: String, wrong: &TypeMismatch) -> ScenarioError {
         let written = self.layer.text.get(wrong.span.clone()).map_or("", str::trim);
-        // Of a table under a heading of its own, the text is the heading.
+        // The text of a table with its own heading is only that heading.
         let value = if wrong.is_table {
             "{…}".to_owned()
         } else {
-            shortened(written)
+            truncate(written)
         };
         ScenarioError::Invalid {
             field,
@@ -122,13 +123,13 @@ impl Check<'_, '_> {
 }
 
 /// A value of the wrong type.
-struct Wrong {
+struct TypeMismatch {
     span: Range<usize>,
     is_table: bool,
     allowed: String,
 }
 
-impl Wrong {
+impl TypeMismatch {
     fn of(value: &Spanned<DeValue<'_>>, allowed: String) -> Self {
         Self {
             span: value.span(),
@@ -138,43 +139,45 @@ impl Wrong {
     }
 }
 
-/// Whether `value` is of the type of `form`.
-fn fits(form: &Form, value: &Spanned<DeValue<'_>>, registered: &[Alternative]) -> Result<(), Wrong> {
-    let wrong = || Wrong::of(value, format!("must be {}", form.kind()));
+/// Checks that `value` has the type `form`.
+fn fits(form: &FieldType, value: &Spanned<DeValue<'_>>, registered: &[Alternative]) -> Result<(), TypeMismatch> {
+    let wrong = || TypeMismatch::of(value, format!("must be {}", form.kind()));
     let word = |words: &[Alternative]| match value.get_ref().as_str() {
-        Some(word) => one_of(word, words).map_err(|allowed| Wrong::of(value, allowed)),
+        Some(word) => one_of(word, words).map_err(|allowed| TypeMismatch::of(value, allowed)),
         None => Err(wrong()),
     };
     let holds = |is_it: bool| if is_it { Ok(()) } else { Err(wrong()) };
     match form {
-        Form::Whole { .. } => match integer(value.get_ref()) {
-            Some(whole) if whole > i128::from(u64::MAX) => Err(Wrong::of(value, format!("must be {}", form.allowed()))),
+        FieldType::Whole { .. } => match integer(value.get_ref()) {
+            Some(whole) if whole > i128::from(u64::MAX) => {
+                Err(TypeMismatch::of(value, format!("must be {}", form.allowed())))
+            }
             whole => holds(whole.is_some_and(|whole| whole >= 0)),
         },
-        Form::Number(_) | Form::Energy { .. } => holds(float(value.get_ref()).is_some()),
-        Form::Switch => holds(value.get_ref().is_bool()),
-        Form::Choice(words) => word(words),
-        Form::Registered => word(registered),
-        Form::Text | Form::File | Form::Source(_) => holds(value.get_ref().is_str()),
-        Form::Wholes { .. } => items(
+        FieldType::Number(_) | FieldType::Energy { .. } => holds(float(value.get_ref()).is_some()),
+        FieldType::Switch => holds(value.get_ref().is_bool()),
+        FieldType::Choice(words) => word(words),
+        FieldType::Registered => word(registered),
+        FieldType::Text | FieldType::File | FieldType::Source(_) => holds(value.get_ref().is_str()),
+        FieldType::Wholes { .. } => items(
             value,
             wrong,
-            &Form::Whole {
+            &FieldType::Whole {
                 least: 0,
                 most: u64::MAX,
             },
         ),
-        Form::Texts => items(value, wrong, &Form::Text),
+        FieldType::Texts => items(value, wrong, &FieldType::Text),
     }
 }
 
-/// Whether `value` is a list whose items all are of the type of `form`.
-fn items(value: &Spanned<DeValue<'_>>, wrong: impl Fn() -> Wrong, form: &Form) -> Result<(), Wrong> {
+/// Checks that `value` is a list whose items all have the type `form`.
+fn items(value: &Spanned<DeValue<'_>>, wrong: impl Fn() -> TypeMismatch, form: &FieldType) -> Result<(), TypeMismatch> {
     let list = value.get_ref().as_array().ok_or_else(wrong)?;
     list.iter().try_for_each(|item| fits(form, item, &[]))
 }
 
-/// Refuses a word that is none of `words`, and says which there are.
+/// Checks that `word` is one of `words`; the error lists them.
 pub(super) fn one_of(word: &str, words: &[Alternative]) -> Result<(), String> {
     let names = || words.iter().map(|known| known.name);
     if names().any(|name| name == word) {
@@ -182,19 +185,20 @@ pub(super) fn one_of(word: &str, words: &[Alternative]) -> Result<(), String> {
     }
     Err(format!(
         "must be one of {}{}",
-        listed(names()),
+        quoted_list(names()),
         did_you_mean(word, names())
     ))
 }
 
-/// The whole number that `value` is.
+/// Returns `value` as a whole number, if it is one.
 pub(super) fn integer(value: &DeValue<'_>) -> Option<i128> {
     let integer = value.as_integer()?;
     i128::from_str_radix(integer.as_str(), integer.radix()).ok()
 }
 
-/// The number that `value` is.
+/// Returns `value` as a number, if it is one.
 pub(super) fn float(value: &DeValue<'_>) -> Option<f64> {
+    // TOML does not count a whole number without a point as a float.
     match integer(value) {
         Some(whole) => Some(whole as f64),
         None => value.as_float()?.as_str().parse().ok(),

@@ -1,4 +1,4 @@
-//! Single fields set on the command line.
+//! Fields set on the command line.
 
 use std::str::FromStr;
 use std::sync::Arc;
@@ -8,26 +8,26 @@ use toml::de::DeValue;
 
 use super::error::ScenarioError;
 
-/// Sections within sections that a path may go through; no field is as deep.
+/// Maximum depth of nested sections in a path; no field is as deep.
 const DEEPEST: usize = 8;
 
-/// One field set on the command line, on top of the preset and the scenario file.
+/// A field set on the command line, which overrides the preset and the scenario file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Override {
-    /// The option that set it, for messages.
+    /// The option that set the field, for messages.
     pub(super) flag: Arc<str>,
-    /// The path of the field, at least one name.
+    /// The path of the field, with at least one name.
     pub(super) path: Vec<String>,
     /// A TOML value, or a bare word that stands for a string.
     pub(super) value: String,
 }
 
 impl Override {
-    /// An override from the argument of `--set`: `path.to.field=value`, such as `sensing.d_max=5`, `policy.name=genie`
-    /// or, for one class of devices, `class.NAME.energy.e_tx=3`.
+    /// Parses the argument of `--set`: `path.to.field=value`, such as `sensing.d_max=5`, `policy.name=genie` or, for
+    /// one class of devices, `class.NAME.energy.e_tx=3`.
     ///
     /// # Errors
-    /// The argument is not of that form.
+    /// If the argument does not have this format.
     pub fn parse(text: &str) -> Result<Self, ScenarioError> {
         let Some((path, value)) = text.split_once('=') else {
             return Err(malformed("--set", text, "expected path.to.field=value".to_owned()));
@@ -36,12 +36,12 @@ impl Override {
         Self::with_shown("--set", &shown, path, value)
     }
 
-    /// An override of the field at `path` by an option of its own, such as `--devices` for `devices`. `value` is
-    /// written as after `--set`.
+    /// Creates an override of the field at `path` by a dedicated option, such as `--devices` for `devices`. `value`
+    /// has the same format as after `--set`.
     ///
     /// # Errors
-    /// `path` is empty or `value` is a broken TOML string, list or table.
-    pub fn flag(flag: &str, path: &str, value: &str) -> Result<Self, ScenarioError> {
+    /// If `path` is empty or `value` is a broken TOML string, list or table.
+    pub fn from_flag(flag: &str, path: &str, value: &str) -> Result<Self, ScenarioError> {
         Self::with_shown(flag, flag, path, value)
     }
 
@@ -52,18 +52,20 @@ impl Override {
             return Err(malformed(flag, &format!("{path}={value}"), reason));
         }
         let made = Self {
-            flag: Arc::from(super::error::shortened(shown)),
+            flag: Arc::from(super::error::truncate(shown)),
             path: names,
             value: value.trim().to_owned(),
         };
+        // Parsed here, so that the error names the option.
         made.toml()?;
         Ok(made)
     }
 
-    /// The value as TOML.
+    /// Returns the value as TOML.
     pub(super) fn toml(&self) -> Result<Spanned<DeValue<'_>>, ScenarioError> {
         match DeValue::parse(&self.value) {
             Ok(value) => Ok(value),
+            // A value that begins like a TOML string, list or table is a broken one; any other is a bare word.
             Err(error) if self.value.starts_with(['"', '\'', '[', '{']) => {
                 let text = format!("{}={}", self.path.join("."), self.value);
                 let reason = format!("the value is not valid TOML: {}", error.message());
@@ -88,7 +90,7 @@ impl FromStr for Override {
 fn malformed(flag: &str, text: &str, reason: String) -> ScenarioError {
     ScenarioError::Override {
         flag: flag.split(' ').next().unwrap_or(flag).to_owned(),
-        text: super::error::shortened(text),
+        text: super::error::truncate(text),
         reason,
     }
 }

@@ -1,4 +1,4 @@
-//! Gives declared fields their values, and refuses what may not be with the place where it was set.
+//! Reads the values of declared fields, and rejects invalid ones with their origin.
 
 use std::cell::RefCell;
 use std::fmt::Display;
@@ -8,47 +8,58 @@ use toml::de::{DeTable, DeValue};
 
 use super::declaration::{Declaration, Scope};
 use super::dotted;
-use super::error::{ScenarioError, shortened};
-use super::field::{Condition, Default, Field, Form, Section};
+use super::error::{ScenarioError, truncate};
+use super::field::{Field, FieldCondition, FieldDefault, FieldType, Section};
 use super::files::{FileError, Files};
 use super::layers::Merged;
 use super::names::{float, integer};
-use super::places::{Place, Places};
-use super::value::{Declared, Value};
+use super::origins::{ValueOrigin, ValueOrigins};
+use super::value::{FieldRepr, FieldValue};
 use crate::units::Energy;
 
-/// Where the paths of files lead.
+/// Settings that [`crate::declare!`] declares and reads.
+pub trait Settings: Sized {
+    /// The section with the declared fields.
+    const SECTION: &'static Section;
+
+    /// Reads the settings.
+    ///
+    /// # Errors
+    /// If a value is out of its range or a required one is missing.
+    fn read(reader: &FieldReader<'_>) -> Result<Self, ScenarioError>;
+}
+
+/// The access to files that a configuration names.
 #[derive(Clone, Copy)]
-pub struct Ground<'a> {
-    /// What opens the files.
+pub struct FileContext<'a> {
+    /// The interface that reads the files.
     pub files: &'a dyn Files,
-    /// The folder that the paths in the file are relative to; those of the command line are relative to the working
-    /// directory.
+    /// The folder for relative paths in the file. Paths on the command line are relative to the working directory.
     pub base_dir: &'a Path,
 }
 
 /// The values of a whole file, or of one item of its list.
 ///
-/// Fields are named by their full paths as at the top level (`energy.e_max`), own fields of an item by those of the
+/// Fields have their full paths at the top level (`energy.e_max`); fields that only an item has use the path of the
 /// list (`class.share`).
-pub struct Reader<'a> {
+pub struct FieldReader<'a> {
     declaration: &'a Declaration,
     table: &'a DeTable<'a>,
-    places: &'a Places,
-    ground: Ground<'a>,
+    places: &'a ValueOrigins,
+    ground: FileContext<'a>,
     warnings: &'a RefCell<Vec<String>>,
-    /// The number of the item, and how the user knows it.
+    /// The index of the item and its name in messages.
     item: Option<(usize, String)>,
-    /// Where only fields below a path may be read: that path with its stop.
+    /// The prefix of the paths that may be read, with its dot; `None` allows all.
     scope: Option<String>,
 }
 
-impl<'a> Reader<'a> {
-    /// A reader of the top level. What it has to warn of goes to `warnings`.
+impl<'a> FieldReader<'a> {
+    /// Creates a reader of the top level. Its warnings go to `warnings`.
     pub fn new(
         declaration: &'a Declaration,
         merged: &'a Merged<'a>,
-        ground: Ground<'a>,
+        ground: FileContext<'a>,
         warnings: &'a RefCell<Vec<String>>,
     ) -> Self {
         Self {
@@ -62,7 +73,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Readers of the items of the list, each known to the user by its number.
+    /// Returns the readers of the list's items, each named by its number in messages.
     pub fn items(&self) -> Vec<Self> {
         let items = self.table.get(self.declaration.list.name());
         let items = items.and_then(|items| items.get_ref().as_array());
@@ -79,15 +90,15 @@ impl<'a> Reader<'a> {
             .collect()
     }
 
-    /// This item under the name by which the user knows it.
+    /// Returns this reader with `name` for the item in messages.
     #[must_use]
-    pub fn known_as(self, name: &str) -> Self {
+    pub(crate) fn with_name(self, name: &str) -> Self {
         let item = self.item.map(|(index, _)| (index, name.to_owned()));
         Self { item, ..self }
     }
 
-    /// The same for the policy `name`, which may read its own fields alone: the seed and the event process are none of
-    /// its business.
+    /// Returns this reader for the policy `name`, restricted to the policy's own fields: a policy must not read the
+    /// seed or the event process.
     #[must_use]
     pub fn of_policy(&self, name: &str) -> Self {
         Self {
@@ -98,35 +109,35 @@ impl<'a> Reader<'a> {
     }
 
     /// # Panics
-    /// If the field at `path` is none of those that may be read.
+    /// If this reader must not read the field at `path`.
     fn assert_own(&self, path: &str) {
         let is_own = self.scope.as_ref().is_none_or(|scope| path.starts_with(scope));
         assert!(is_own, "a policy reads its own fields, and not {path}");
     }
 
-    /// The value of a field that has to have one.
+    /// Returns the value of a required field.
     ///
     /// # Errors
-    /// It is out of its range, or not set.
+    /// If the value is out of its range or not set.
     ///
     /// # Panics
     /// If a policy reads a field that is not its own.
-    pub fn field<T: Declared>(&self, section: &'static Section, field: &'static Field) -> Result<T, ScenarioError> {
-        if let Some(value) = self.given(section, field)? {
+    pub fn field<T: FieldRepr>(&self, section: &'static Section, field: &'static Field) -> Result<T, ScenarioError> {
+        if let Some(value) = self.optional_field(section, field)? {
             return Ok(value);
         }
         let default = match field.default {
-            Default::Is(value) => T::from_value(value),
-            Default::Derived(_) | Default::None => T::absent(),
+            FieldDefault::Is(value) => T::from_value(value),
+            FieldDefault::Derived(_) | FieldDefault::None => T::absent(),
         };
         default.ok_or_else(|| self.missing(&section.path_of(field.name), section.condition(field)))
     }
 
-    /// The value of a field if it is set.
+    /// Returns the value of a field if it is set.
     ///
     /// # Errors
-    /// It is out of its range.
-    pub fn given<T: Declared>(
+    /// If the value is out of its range.
+    pub fn optional_field<T: FieldRepr>(
         &self,
         section: &'static Section,
         field: &'static Field,
@@ -137,55 +148,58 @@ impl<'a> Reader<'a> {
             return Ok(None);
         };
         let (form, refused) = (&field.form, |shown: &dyn Display| {
-            self.refuse(&path, shown, format!("must be {}", field.form.allowed()))
+            self.invalid_value(&path, shown, format!("must be {}", field.form.allowed()))
         });
         let made = match form {
-            Form::Whole { least, most } => {
+            FieldType::Whole { least, most } => {
                 let whole = integer(value).and_then(|whole| u64::try_from(whole).ok());
                 let whole = whole.ok_or_else(|| refused(&shown(value)))?;
                 if !(*least..=*most).contains(&whole) {
                     return Err(refused(&whole));
                 }
-                T::from_value(Value::Whole(whole))
+                T::from_value(FieldValue::Whole(whole))
             }
-            Form::Number(range) => {
+            FieldType::Number(range) => {
                 let number = float(value).ok_or_else(|| refused(&shown(value)))?;
                 if !range.contains(number) {
                     return Err(refused(&number));
                 }
-                // Adding 0 turns -0 into 0, which is written and hashed otherwise.
-                T::from_value(Value::Number(number + 0.0))
+                // Adding 0 turns -0 into 0: both are equal, but differ in text and in the hash.
+                T::from_value(FieldValue::Number(number + 0.0))
             }
-            Form::Energy { is_positive } => {
+            FieldType::Energy { is_positive } => {
                 let units = float(value).ok_or_else(|| refused(&shown(value)))?;
                 let energy = Energy::from_units(units).filter(|energy| !is_positive || *energy > Energy::ZERO);
-                T::from_value(Value::Energy(energy.ok_or_else(|| refused(&units))?))
+                T::from_value(FieldValue::Energy(energy.ok_or_else(|| refused(&units))?))
             }
-            Form::Switch => value.as_bool().and_then(|is_on| T::from_value(Value::Switch(is_on))),
-            Form::Choice(_) | Form::Registered | Form::Text | Form::File | Form::Source(_) => {
-                value.as_str().and_then(|text| T::from_value(Value::Text(text)))
+            FieldType::Switch => value
+                .as_bool()
+                .and_then(|is_on| T::from_value(FieldValue::Switch(is_on))),
+            FieldType::Choice(_) | FieldType::Registered | FieldType::Text | FieldType::File | FieldType::Source(_) => {
+                value.as_str().and_then(|text| T::from_value(FieldValue::Text(text)))
             }
-            Form::Wholes { least, most, longest } => {
+            FieldType::Wholes { least, most, longest } => {
                 let list: Vec<i128> = elements(value).filter_map(integer).collect();
                 let range = i128::from(*least)..=i128::from(*most);
                 if list.is_empty() || list.len() > *longest || list.iter().any(|item| !range.contains(item)) {
                     return Err(refused(&format!("{list:?}")));
                 }
+                // The limits of the field are `u32`, so each item fits.
                 let list: Vec<u32> = list.into_iter().map(|item| item as u32).collect();
-                T::from_value(Value::Wholes(&list))
+                T::from_value(FieldValue::Wholes(&list))
             }
-            Form::Texts => {
+            FieldType::Texts => {
                 let list: Vec<String> = elements(value).filter_map(|v| Some(v.as_str()?.to_owned())).collect();
                 if list.is_empty() {
-                    return Err(self.refuse(&path, "[]", "must name at least one"));
+                    return Err(self.invalid_value(&path, "[]", "must name at least one"));
                 }
-                T::from_value(Value::Texts(&list))
+                T::from_value(FieldValue::Texts(&list))
             }
         };
         made.map(Some).ok_or_else(|| refused(&shown(value)))
     }
 
-    /// The value at `path`, its own or inherited.
+    /// Returns the value at `path`, own or inherited.
     fn value(&self, path: &str) -> Option<&'a DeValue<'a>> {
         let path = self.within(path);
         let mut names = path.split('.');
@@ -196,7 +210,7 @@ impl<'a> Reader<'a> {
         Some(value)
     }
 
-    /// `path` within this table: own fields of an item lose the name of the list.
+    /// Converts `path` to this table: fields that only an item has lose the name of the list.
     fn within<'p>(&self, path: &'p str) -> &'p str {
         let own = path.strip_prefix(self.declaration.list.name());
         match (&self.item, own.and_then(|rest| rest.strip_prefix('.'))) {
@@ -205,30 +219,30 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// The word that the field at `path` holds, or its default.
+    /// Returns the word of the field at `path`, or its default.
     fn word(&self, path: &str) -> Option<&'a str> {
         if let Some(value) = self.value(path) {
             return value.as_str();
         }
         match self.declaration.field_at(path)?.1.default {
-            Default::Is(Value::Text(word)) => Some(word),
-            Default::Is(_) | Default::Derived(_) | Default::None => None,
+            FieldDefault::Is(FieldValue::Text(word)) => Some(word),
+            FieldDefault::Is(_) | FieldDefault::Derived(_) | FieldDefault::None => None,
         }
     }
 
-    /// Whether `condition` holds here.
-    pub fn holds(&self, condition: &Condition) -> bool {
+    /// Whether `condition` holds for this reader.
+    pub fn condition_holds(&self, condition: &FieldCondition) -> bool {
         self.assert_own(condition.field);
         self.word(condition.field)
             .is_some_and(|word| condition.values.contains(&word))
     }
 
-    /// Whether anything but a preset sets the field at `path` here, not what it inherits.
+    /// Whether a file or the command line sets the field at `path` in this table, not a preset or inheritance.
     pub fn is_set(&self, path: &str) -> bool {
-        matches!(self.own(path), Some(Place::File { .. } | Place::Flag(_)))
+        matches!(self.own(path), Some(ValueOrigin::File { .. } | ValueOrigin::Flag(_)))
     }
 
-    fn own(&self, path: &str) -> Option<&'a Place> {
+    fn own(&self, path: &str) -> Option<&'a ValueOrigin> {
         let path = self.within(path);
         match &self.item {
             None => self.places.get(path),
@@ -238,17 +252,17 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// The full path of a field as the user knows it, and where it was set.
-    pub fn locate(&self, path: &str) -> (String, Place) {
+    /// Returns the full path of a field for messages, and the origin of its value.
+    pub(crate) fn locate(&self, path: &str) -> (String, ValueOrigin) {
         let has_default = || {
             let field = self.declaration.field_at(path);
-            field.is_some_and(|(_, field)| matches!(field.default, Default::Is(_)))
+            field.is_some_and(|(_, field)| matches!(field.default, FieldDefault::Is(_)))
         };
         let default = || {
             if has_default() {
-                Place::Preset(self.declaration.base())
+                ValueOrigin::Preset(self.declaration.base())
             } else {
-                Place::Nowhere
+                ValueOrigin::Nowhere
             }
         };
         let (Some((_, shown)), Some(list)) = (&self.item, Some(self.declaration.list)) else {
@@ -264,27 +278,27 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Where the item was set; nowhere for the top level.
-    pub fn place(&self) -> Place {
+    /// Returns the origin of the item; unset for the top level.
+    pub fn place(&self) -> ValueOrigin {
         let index = self.item.as_ref().map(|(index, _)| index);
         let path = index.map(|index| format!("{}.{index}", self.declaration.list.name()));
         let place = path.and_then(|path| self.places.get(&path));
-        place.cloned().unwrap_or(Place::Nowhere)
+        place.cloned().unwrap_or(ValueOrigin::Nowhere)
     }
 
-    /// The error of a value that may not be.
-    pub fn refuse(&self, path: &str, value: impl Display, allowed: impl Into<String>) -> ScenarioError {
+    /// Returns the error for an invalid value.
+    pub fn invalid_value(&self, path: &str, value: impl Display, allowed: impl Into<String>) -> ScenarioError {
         let (field, place) = self.locate(path);
         ScenarioError::Invalid {
             field,
-            value: shortened(&value.to_string()),
+            value: truncate(&value.to_string()),
             allowed: allowed.into(),
             place,
         }
     }
 
-    /// The error of a value at `path` that has to be there because of the field at `because`.
-    pub fn needed(&self, path: &str, because: &str) -> ScenarioError {
+    /// Returns the error for a missing value at `path` that the field at `because` requires.
+    pub fn missing_value(&self, path: &str, because: &str) -> ScenarioError {
         let (reason, place) = self.locate(because);
         ScenarioError::Missing {
             field: self.locate(path).0,
@@ -292,9 +306,9 @@ impl<'a> Reader<'a> {
         }
     }
 
-    fn missing(&self, path: &str, condition: Option<Condition>) -> ScenarioError {
+    fn missing(&self, path: &str, condition: Option<FieldCondition>) -> ScenarioError {
         match condition {
-            Some(condition) => self.needed(path, condition.field),
+            Some(condition) => self.missing_value(path, condition.field),
             None => ScenarioError::Missing {
                 field: self.locate(path).0,
                 why: "in every scenario".to_owned(),
@@ -302,8 +316,8 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// The error of a file, named at `path`, that cannot be used.
-    pub fn data(&self, path: &str, file: PathBuf, reason: impl Into<String>) -> ScenarioError {
+    /// Returns the error for a file, named at `path`, that cannot be used.
+    pub fn file_error(&self, path: &str, file: PathBuf, reason: impl Into<String>) -> ScenarioError {
         let (field, place) = self.locate(path);
         ScenarioError::Data {
             field,
@@ -313,53 +327,53 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// The absolute path of the file that the field at `path` names as `file`.
+    /// Returns the absolute path of `file`, the value of the field at `path`.
     ///
     /// # Errors
-    /// The name is empty, or there is no working directory.
+    /// If the name is empty, or there is no working directory.
     pub fn file(&self, path: &str, file: &str) -> Result<PathBuf, ScenarioError> {
         let (_, place) = self.locate(path);
         let full = match place {
-            Place::Flag(_) => PathBuf::from(file),
-            Place::File { .. } | Place::Preset(_) | Place::Nowhere => self.ground.base_dir.join(file),
+            ValueOrigin::Flag(_) => PathBuf::from(file),
+            ValueOrigin::File { .. } | ValueOrigin::Preset(_) | ValueOrigin::Nowhere => self.ground.base_dir.join(file),
         };
         if file.is_empty() {
-            return Err(self.refuse(path, "\"\"", "must be the path of a file"));
+            return Err(self.invalid_value(path, "\"\"", "must be the path of a file"));
         }
         let absolute = self.ground.files.absolute(&full);
-        absolute.map_err(|error| self.data(path, full, error.to_string()))
+        absolute.map_err(|error| self.file_error(path, full, error.to_string()))
     }
 
-    /// What opens the files that a scenario names.
+    /// Returns the interface that reads the files of a scenario.
     pub const fn files(&self) -> &'a dyn Files {
         self.ground.files
     }
 
-    /// The bytes of the file at `file`, at most `most`.
+    /// Returns the bytes of the file at `file`, if it has at most `most` bytes.
     ///
     /// # Errors
-    /// It cannot be read.
+    /// If the file cannot be read.
     pub fn bytes(&self, file: &Path, most: u64) -> Result<Vec<u8>, FileError> {
         self.ground.files.read(file, most)
     }
 
-    /// Says something that the user should know, a sentence without its stop.
+    /// Adds a warning for the user: a sentence without its full stop.
     pub fn warn(&self, sentence: impl Into<String>) {
         self.warnings.borrow_mut().push(sentence.into());
     }
 
-    /// The value at `path` as the user wrote it.
+    /// Returns the value at `path` as the user wrote it.
     fn written(&self, path: &str) -> String {
         self.value(path)
-            .map_or_else(String::new, |value| shortened(&shown(value)))
+            .map_or_else(String::new, |value| truncate(&shown(value)))
     }
 
-    /// Refuses fields that are set here and count only under a setting that does not hold. Where a field has a default,
-    /// so that it may be part of a file that several runs share, a warning is enough.
+    /// Rejects fields that are set in this table without effect, because their condition does not hold. A field with a
+    /// default only causes a warning, because it may be part of a file that several runs share.
     ///
     /// # Errors
-    /// There is such a field.
-    pub fn check_idle(&self) -> Result<(), ScenarioError> {
+    /// If there is such a field.
+    pub(crate) fn reject_unused_fields(&self) -> Result<(), ScenarioError> {
         let (scope, items) = match self.item {
             Some(_) => (Scope::Item, Vec::new()),
             None => (Scope::Top, self.items()),
@@ -378,8 +392,9 @@ impl<'a> Reader<'a> {
         let path = section.path_of(field.name);
         let Some(place) = self.own(&path) else { return Ok(()) };
         let condition = section.condition(field);
-        let counts = |reader: &Self| condition.is_none_or(|condition| reader.holds(&condition));
+        let counts = |reader: &Self| condition.is_none_or(|condition| reader.condition_holds(&condition));
         if !items.is_empty() && self.declaration.list.takes(section.path) {
+            // A field of the top level has an effect if at least one item inherits it and meets its condition.
             let takes_it = |item: &Self| item.own(&path).is_none() && counts(item);
             if self.is_set(&path) && !items.iter().any(takes_it) {
                 let list = self.declaration.list.name();
@@ -394,10 +409,10 @@ impl<'a> Reader<'a> {
             }
             return Ok(());
         }
-        let Some(condition) = condition.filter(|condition| !self.holds(condition)) else {
+        let Some(condition) = condition.filter(|condition| !self.condition_holds(condition)) else {
             return Ok(());
         };
-        if matches!(field.default, Default::Is(_)) {
+        if matches!(field.default, FieldDefault::Is(_)) {
             if self.is_set(&path) {
                 let (shown, value) = (self.locate(&path).0, self.written(&path));
                 self.warn(format!(
@@ -414,13 +429,13 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// The elements of a list.
+/// Returns the elements of a list.
 fn elements<'v>(value: &'v DeValue<'v>) -> impl Iterator<Item = &'v DeValue<'v>> {
     let list = value.as_array().into_iter().flat_map(|list| list.iter());
     list.map(toml::Spanned::get_ref)
 }
 
-/// A value in a message.
+/// Formats a value for a message.
 fn shown(value: &DeValue<'_>) -> String {
     match value {
         DeValue::String(text) => format!("\"{}\"", text.escape_debug()),

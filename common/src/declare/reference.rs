@@ -1,4 +1,4 @@
-//! The reference page of all fields, Markdown.
+//! The reference page of all fields, in Markdown.
 
 use std::fmt::Write as _;
 
@@ -6,10 +6,10 @@ use toml::de::{DeTable, DeValue};
 
 use super::declaration::Declaration;
 use super::dotted;
-use super::field::{Default, Field, Form, Section};
-use super::page::in_toml;
+use super::field::{Field, FieldDefault, FieldType, Section};
+use super::toml_page::in_toml;
 
-/// The page: a table for each section, the words of choices, and what each preset sets. `head` stands in front.
+/// Returns the page: `head`, a table for each section, the words of choices, and the values of each preset.
 pub fn reference(declaration: &Declaration, head: &str) -> String {
     let mut page = format!("{}\n", head.trim_end());
     for header in declaration.headers() {
@@ -88,49 +88,54 @@ fn write_sections(page: &mut String, declaration: &Declaration, title: &str, sec
             for word in words {
                 let _ = writeln!(page, "- `\"{}\"`: {}", word.name, word.about.replace('\n', " "));
             }
-            if matches!(field.form, Form::Source(_)) {
+            if matches!(field.form, FieldType::Source(_)) {
                 page.push_str("- any other text: the path of a file.\n");
             }
         }
     }
 }
 
-const fn kind(form: &Form) -> &'static str {
+const fn kind(form: &FieldType) -> &'static str {
     match form {
-        Form::Whole { .. } => "whole number",
-        Form::Number(_) | Form::Energy { .. } => "number",
-        Form::Switch => "true or false",
-        Form::Choice(_) | Form::Registered => "one of the values below",
-        Form::Text => "text",
-        Form::File => "path of a file",
-        Form::Source(_) => "a value below, or the path of a file",
-        Form::Wholes { .. } => "list of whole numbers",
-        Form::Texts => "list of texts",
+        FieldType::Whole { .. } => "whole number",
+        FieldType::Number(_) | FieldType::Energy { .. } => "number",
+        FieldType::Switch => "true or false",
+        FieldType::Choice(_) | FieldType::Registered => "one of the values below",
+        FieldType::Text => "text",
+        FieldType::File => "path of a file",
+        FieldType::Source(_) => "a value below, or the path of a file",
+        FieldType::Wholes { .. } => "list of whole numbers",
+        FieldType::Texts => "list of texts",
     }
 }
 
 fn range(field: &Field) -> String {
     match field.form {
-        Form::Whole { least, most: u64::MAX } => format!("at least {least}"),
-        Form::Whole { least, most } => format!("{least} to {most}"),
-        Form::Number(range) => range.interval(),
-        Form::Energy { is_positive: false } => "0 to 10000".to_owned(),
-        Form::Energy { is_positive: true } => "0.000001 to 10000".to_owned(),
-        Form::Wholes { least, most, longest } => format!("1 to {longest} of them, each {least} to {most}"),
-        Form::Texts => "at least one".to_owned(),
-        Form::Switch | Form::Choice(_) | Form::Registered | Form::Text | Form::File | Form::Source(_) => String::new(),
+        FieldType::Whole { least, most: u64::MAX } => format!("at least {least}"),
+        FieldType::Whole { least, most } => format!("{least} to {most}"),
+        FieldType::Number(range) => range.interval(),
+        FieldType::Energy { is_positive: false } => "0 to 10000".to_owned(),
+        FieldType::Energy { is_positive: true } => "0.000001 to 10000".to_owned(),
+        FieldType::Wholes { least, most, longest } => format!("1 to {longest} of them, each {least} to {most}"),
+        FieldType::Texts => "at least one".to_owned(),
+        FieldType::Switch
+        | FieldType::Choice(_)
+        | FieldType::Registered
+        | FieldType::Text
+        | FieldType::File
+        | FieldType::Source(_) => String::new(),
     }
 }
 
 fn default(field: &Field) -> String {
     match field.default {
-        Default::Is(value) => format!("`{}`", in_toml(&value)),
-        Default::Derived(rule) => rule.to_owned(),
-        Default::None => "none".to_owned(),
+        FieldDefault::Is(value) => format!("`{}`", in_toml(&value)),
+        FieldDefault::Derived(rule) => rule.to_owned(),
+        FieldDefault::None => "none".to_owned(),
     }
 }
 
-/// What each preset sets beside the defaults.
+/// Writes the values in which each preset differs from the defaults.
 fn write_presets(page: &mut String, declaration: &Declaration) {
     page.push_str("\n## Presets\n\n| preset | what it is | what it sets beside the defaults |\n|---|---|---|\n");
     for preset in declaration.presets {

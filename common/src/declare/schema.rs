@@ -4,11 +4,11 @@ use serde_json::{Map, Value as Json, json};
 
 use super::choice::Alternative;
 use super::declaration::{Declaration, Scope};
-use super::field::{Condition, Default, Field, Form, Section};
-use super::value::Value;
+use super::field::{Field, FieldCondition, FieldDefault, FieldType, Section};
+use super::value::FieldValue;
 use crate::units::MAX_UNITS;
 
-/// The schema of what a file of `declaration` may say, indented.
+/// Returns the indented schema of files that follow `declaration`.
 pub fn schema(declaration: &Declaration) -> String {
     let list = declaration.list;
     let mut root = table(declaration, Scope::Top, "", "");
@@ -20,6 +20,7 @@ pub fn schema(declaration: &Declaration) -> String {
         let items = json!({ "type": "array", "description": list.section.about, "items": item });
         properties.insert(list.name().to_owned(), items);
     }
+    // If the file has a list, its items have these rules instead, because each item may complete the top level.
     let alone = json!({
         "if": { "not": { "required": [list.name()] } },
         "then": { "allOf": rules(declaration, Scope::Top) },
@@ -37,7 +38,7 @@ pub fn schema(declaration: &Declaration) -> String {
     text
 }
 
-/// The table below `path`.
+/// Returns the schema of the table below `path`.
 fn table(declaration: &Declaration, scope: Scope, path: &str, about: &str) -> Map<String, Json> {
     let mut properties = Map::new();
     let sections = declaration.at(scope, path);
@@ -73,11 +74,11 @@ fn property(declaration: &Declaration, section: &Section, field: &Field) -> Json
         about = format!("{about} Unit: {}.", field.unit);
     }
     match field.default {
-        Default::Is(value) => {
+        FieldDefault::Is(value) => {
             made.insert("default".to_owned(), literal(&value));
         }
-        Default::Derived(rule) => about = format!("{about} Default: {rule}."),
-        Default::None => {}
+        FieldDefault::Derived(rule) => about = format!("{about} Default: {rule}."),
+        FieldDefault::None => {}
     }
     if let Some(condition) = section.condition(field) {
         about = format!("{about} Only with {condition}.");
@@ -89,39 +90,39 @@ fn property(declaration: &Declaration, section: &Section, field: &Field) -> Json
     Json::Object(made)
 }
 
-/// Type and bounds of a form.
-fn form(declaration: &Declaration, form: &Form) -> Json {
+/// Returns the schema of a field type: type and bounds.
+fn form(declaration: &Declaration, form: &FieldType) -> Json {
     match form {
-        Form::Whole { least, most } => json!({ "type": "integer", "minimum": least, "maximum": most }),
-        Form::Number(range) => {
+        FieldType::Whole { least, most } => json!({ "type": "integer", "minimum": least, "maximum": most }),
+        FieldType::Number(range) => {
             let ((least, holds_least), (most, holds_most)) = range.ends();
             let lower = if holds_least { "minimum" } else { "exclusiveMinimum" };
             let upper = if holds_most { "maximum" } else { "exclusiveMaximum" };
             json!({ "type": "number", lower: least, upper: most })
         }
-        Form::Energy { is_positive: false } => json!({ "type": "number", "minimum": 0.0, "maximum": MAX_UNITS }),
-        Form::Energy { is_positive: true } => {
+        FieldType::Energy { is_positive: false } => json!({ "type": "number", "minimum": 0.0, "maximum": MAX_UNITS }),
+        FieldType::Energy { is_positive: true } => {
             json!({ "type": "number", "exclusiveMinimum": 0.0, "maximum": MAX_UNITS })
         }
-        Form::Switch => json!({ "type": "boolean" }),
-        Form::Choice(words) => choice(words),
-        Form::Registered => choice(&declaration.registered),
-        Form::Text | Form::File => json!({ "type": "string", "minLength": 1 }),
-        Form::Source(words) => {
+        FieldType::Switch => json!({ "type": "boolean" }),
+        FieldType::Choice(words) => choice(words),
+        FieldType::Registered => choice(&declaration.registered),
+        FieldType::Text | FieldType::File => json!({ "type": "string", "minLength": 1 }),
+        FieldType::Source(words) => {
             let path = json!({ "type": "string", "minLength": 1, "description": "The path of a file." });
             json!({ "anyOf": [choice(words), path] })
         }
-        Form::Wholes { least, most, longest } => json!({
+        FieldType::Wholes { least, most, longest } => json!({
             "type": "array",
             "minItems": 1,
             "maxItems": longest,
             "items": { "type": "integer", "minimum": least, "maximum": most },
         }),
-        Form::Texts => json!({ "type": "array", "minItems": 1, "items": { "type": "string" } }),
+        FieldType::Texts => json!({ "type": "array", "minItems": 1, "items": { "type": "string" } }),
     }
 }
 
-/// Each word with its meaning, which editors show.
+/// Returns the schema of a choice: each word with its meaning, which editors show.
 fn choice(words: &[Alternative]) -> Json {
     let words: Vec<Json> = words
         .iter()
@@ -130,19 +131,19 @@ fn choice(words: &[Alternative]) -> Json {
     json!({ "type": "string", "oneOf": words })
 }
 
-fn literal(value: &Value<'_>) -> Json {
+fn literal(value: &FieldValue<'_>) -> Json {
     match *value {
-        Value::Whole(whole) => json!(whole),
-        Value::Number(number) => json!(number),
-        Value::Energy(energy) => json!(energy.units()),
-        Value::Switch(is_on) => json!(is_on),
-        Value::Text(text) | Value::Path(text) => json!(text),
-        Value::Wholes(list) => json!(list),
-        Value::Texts(list) => json!(list),
+        FieldValue::Whole(whole) => json!(whole),
+        FieldValue::Number(number) => json!(number),
+        FieldValue::Energy(energy) => json!(energy.units()),
+        FieldValue::Switch(is_on) => json!(is_on),
+        FieldValue::Text(text) | FieldValue::Path(text) => json!(text),
+        FieldValue::Wholes(list) => json!(list),
+        FieldValue::Texts(list) => json!(list),
     }
 }
 
-/// What a table has to hold to have a value at `path`, all of it present; `then` is said of that value.
+/// Returns the condition that a table has a value at `path`; `then` is the schema of that value.
 fn has(path: &str, then: Option<Json>) -> Json {
     match path.split_once('.') {
         Some((first, rest)) => json!({ "required": [first], "properties": { first: has(rest, then) } }),
@@ -153,8 +154,8 @@ fn has(path: &str, then: Option<Json>) -> Json {
     }
 }
 
-/// Which fields go with which settings: a field without a default counts only under its condition, and is needed there.
-/// At the top level the condition has to be set; an item may inherit it.
+/// Returns the rules that connect fields with settings. A field without a default has an effect only under its
+/// condition, and is required there. At the top level the condition must be set; an item may inherit it.
 fn rules(declaration: &Declaration, scope: Scope) -> Json {
     let mut rules = Vec::new();
     for header in declaration.headers() {
@@ -166,7 +167,7 @@ fn rules(declaration: &Declaration, scope: Scope) -> Json {
                     rules.push(json!({ "not": both }));
                 }
                 let condition = section.condition(field);
-                if let Some(condition) = condition.filter(|_| !matches!(field.default, Default::Is(_))) {
+                if let Some(condition) = condition.filter(|_| !matches!(field.default, FieldDefault::Is(_))) {
                     rules.extend(of_condition(scope, section, field, &condition));
                 }
             }
@@ -175,8 +176,8 @@ fn rules(declaration: &Declaration, scope: Scope) -> Json {
     Json::Array(rules)
 }
 
-/// The rules of a field without a default that counts under `condition`.
-fn of_condition(scope: Scope, section: &Section, field: &Field, condition: &Condition) -> Vec<Json> {
+/// Returns the rules of a field without a default that has an effect only under `condition`.
+fn of_condition(scope: Scope, section: &Section, field: &Field, condition: &FieldCondition) -> Vec<Json> {
     let path = section.path_of(field.name);
     let is_so = has(condition.field, Some(json!({ "enum": condition.values })));
     let is_otherwise = has(condition.field, Some(json!({ "not": { "enum": condition.values } })));
@@ -185,7 +186,7 @@ fn of_condition(scope: Scope, section: &Section, field: &Field, condition: &Cond
         Scope::Item => json!({ "not": is_otherwise }),
     };
     let mut rules = vec![json!({ "if": has(&path, None), "then": counts })];
-    if scope == Scope::Top && field.default == Default::None {
+    if scope == Scope::Top && field.default == FieldDefault::None {
         let mut ways = vec![has(&path, None)];
         ways.extend(field.instead_of.map(|other| has(&section.path_of(other), None)));
         rules.push(json!({ "if": is_so, "then": { "anyOf": ways } }));

@@ -1,10 +1,10 @@
-//! Values of fields, and the types of the program that hold them.
+//! Values of fields, and the Rust types that hold them.
 
 use crate::units::Energy;
 
-/// The value of a field, on its way in or out.
+/// The value of a field, read or written.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Value<'v> {
+pub enum FieldValue<'v> {
     /// A whole number.
     Whole(u64),
     /// A number.
@@ -15,7 +15,7 @@ pub enum Value<'v> {
     Switch(bool),
     /// A word or a text.
     Text(&'v str),
-    /// A path. What the file holds decides, see [`super::Sink::content`].
+    /// A path. Fingerprints use the content of the file, see [`super::FieldSink::content`].
     Path(&'v str),
     /// A list of whole numbers.
     Wholes(&'v [u32]),
@@ -24,29 +24,29 @@ pub enum Value<'v> {
 }
 
 /// A type that a declared field can have.
-pub trait Declared: Sized {
-    /// The value, which fits the field's form; `None` where the form is not one for this type.
-    fn from_value(value: Value<'_>) -> Option<Self>;
+pub trait FieldRepr: Sized {
+    /// Converts the value, which is valid for the field's type; `None` if the value's type does not match.
+    fn from_value(value: FieldValue<'_>) -> Option<Self>;
 
-    /// What stands for a field that is not set and has no default.
+    /// Returns the value of a field that is not set and has no default.
     fn absent() -> Option<Self> {
         None
     }
 
-    /// The value on its way out; `None` for one that is absent.
-    fn value(&self) -> Option<Value<'_>>;
+    /// Returns the value to write; `None` if it is absent.
+    fn value(&self) -> Option<FieldValue<'_>>;
 }
 
 macro_rules! declared {
     ($($type:ty: $variant:ident($taken:pat => $made:expr), $self:ident => $out:expr;)*) => {$(
-        impl Declared for $type {
-            fn from_value(value: Value<'_>) -> Option<Self> {
-                if let Value::$variant($taken) = value { $made } else { None }
+        impl FieldRepr for $type {
+            fn from_value(value: FieldValue<'_>) -> Option<Self> {
+                if let FieldValue::$variant($taken) = value { $made } else { None }
             }
 
-            fn value(&self) -> Option<Value<'_>> {
+            fn value(&self) -> Option<FieldValue<'_>> {
                 let $self = self;
-                Some(Value::$variant($out))
+                Some(FieldValue::$variant($out))
             }
         }
     )*};
@@ -63,8 +63,8 @@ declared! {
     Vec<String>: Texts(value => Some(value.to_vec())), this => this.as_slice();
 }
 
-impl<T: Declared> Declared for Option<T> {
-    fn from_value(value: Value<'_>) -> Option<Self> {
+impl<T: FieldRepr> FieldRepr for Option<T> {
+    fn from_value(value: FieldValue<'_>) -> Option<Self> {
         T::from_value(value).map(Some)
     }
 
@@ -72,7 +72,7 @@ impl<T: Declared> Declared for Option<T> {
         Some(None)
     }
 
-    fn value(&self) -> Option<Value<'_>> {
-        self.as_ref().and_then(Declared::value)
+    fn value(&self) -> Option<FieldValue<'_>> {
+        self.as_ref().and_then(FieldRepr::value)
     }
 }

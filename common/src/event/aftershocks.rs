@@ -1,4 +1,4 @@
-//! Events near the event before.
+//! Events near the previous event.
 
 use super::uniform::Uniform;
 use crate::declare::{NOT_NEGATIVE, PROBABILITY, number};
@@ -7,17 +7,17 @@ use crate::ids::EventId;
 use crate::rng::{Purpose, Stream};
 
 crate::declare! {
-    /// Events near the event before, whether that was reported or not. The other events come anywhere.
+    /// Events near the previous event, whether or not it was reported. The other events are uniform on the area.
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub struct Aftershocks in "events.aftershocks" only with "events.process" = &["aftershocks"]; {
-        /// Probability that an event is near the one before it.
+        /// Probability that an event is near the previous event.
         pub probability: f64 = number(PROBABILITY, 0.6),
-        /// Largest distance from that one, anywhere within which it is then, as far as that is in the area.
+        /// Largest distance from the previous event. The epicentre is uniform within this distance and inside the area.
         pub radius: f64 = number(NOT_NEGATIVE, 2.0).unit("metres"),
     }
 }
 
-/// Epicentres near those before them.
+/// Epicentres near the previous ones.
 #[derive(Clone, Debug)]
 pub(super) struct Chain {
     elsewhere: Uniform,
@@ -34,7 +34,7 @@ impl Chain {
         }
     }
 
-    /// The epicentre of `event`, the next after the one that was asked for last.
+    /// Draws the epicentre of `event`, which must follow the event of the last call.
     pub(super) fn draw(&mut self, event: EventId) -> Point {
         let mut stream = Stream::new(self.elsewhere.seed, Purpose::Attraction, event.0);
         let epicentre = match self.last {
@@ -47,21 +47,21 @@ impl Chain {
     }
 }
 
-/// A point uniform on the part of `area` that is within `radius` of `centre`, which lies in `area`.
+/// Draws a point uniformly from the part of `area` within `radius` of `centre`, which lies in `area`.
 fn near(centre: Point, radius: f64, area: Area, stream: &mut Stream) -> Point {
     let mut offset = |at: f64, side: f64| {
         let (least, most) = ((-radius).max(-at), radius.min(side - at));
         least + stream.unit() * (most - least)
     };
-    // The part of the square around the circle that lies in the area: at least π/4 of it is in the circle, however
-    // large that is.
+    // Drawn from the part of the circle's square that lies in the area. At least π/4 of it is in the circle, for any
+    // radius.
     let (dx, dy) = loop {
         let (dx, dy) = (offset(centre.x, area.width), offset(centre.y, area.height));
         if dx * dx + dy * dy <= radius * radius {
             break (dx, dy);
         }
     };
-    // A sum may round to just outside.
+    // Rounding may put a sum just outside the area.
     Point::new(
         (centre.x + dx).clamp(0.0, area.width),
         (centre.y + dy).clamp(0.0, area.height),

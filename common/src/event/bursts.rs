@@ -1,22 +1,22 @@
-//! Events that come in bursts.
+//! Events in bursts.
 
 use crate::declare::{ABOVE_ZERO, PROBABILITY, Range, number};
 use crate::ids::{EventId, Tti};
 use crate::phases::{Phase, Phases};
 use crate::rng::{Purpose, Stream};
 
-/// Mean lengths of phases. None is shorter than a TTI.
+/// Range of the mean lengths of phases. No phase is shorter than a TTI.
 const LENGTH: Range = Range::closed(1.0, 1e9);
 
 crate::declare! {
-    /// Events in bursts: busy and quiet phases follow each other, whatever is reported. A phase ends after any of its
-    /// TTIs with the same probability. A run begins as if the phases had always been there. What a base station knows
-    /// of α is the mean of both probabilities, weighted by the mean lengths.
+    /// Events in alternating busy and quiet phases, independent of reports. A phase ends after each of its TTIs with
+    /// the same probability, and a run starts in the steady state. The base station's α is the mean of both
+    /// probabilities, weighted by the mean lengths.
     #[derive(Clone, Copy, Debug, PartialEq)]
-    pub struct Bursts in "events.bursts" only with "events.process" = &["bursts"]; {
-        /// Probability that an event starts in a TTI of a busy phase in which none is active.
+    pub struct EventBursts in "events.bursts" only with "events.process" = &["bursts"]; {
+        /// Probability that an event starts in a busy-phase TTI without an active event.
         pub busy_alpha: f64 = number(ABOVE_ZERO, 0.8).unit("per TTI"),
-        /// Probability that an event starts in a TTI of a quiet phase in which none is active.
+        /// Probability that an event starts in a quiet-phase TTI without an active event.
         pub quiet_alpha: f64 = number(PROBABILITY, 0.02).unit("per TTI"),
         /// Mean length of a busy phase.
         pub busy_ttis: f64 = number(LENGTH, 40.0).unit("TTIs"),
@@ -25,14 +25,14 @@ crate::declare! {
     }
 }
 
-impl Bursts {
+impl EventBursts {
     /// The long-run mean of the probability that an event starts in a TTI in which none is active.
     pub(super) fn alpha(&self) -> f64 {
         mean_alpha(self, self.busy_ttis, self.quiet_ttis)
     }
 
-    /// The mean of the same over the TTIs from `first` to before `end` of a run with `seed`; the long-run mean for no
-    /// TTI at all.
+    /// The mean of that probability over the TTIs from `first` to before `end` of a run with `seed`; the long-run mean
+    /// for an empty range.
     pub(super) fn mean_start_probability(&self, seed: u64, first: Tti, end: Tti) -> f64 {
         if first >= end {
             return self.alpha();
@@ -56,25 +56,25 @@ impl Bursts {
 }
 
 /// The mean of both probabilities over `busy` and `quiet` TTIs.
-fn mean_alpha(settings: &Bursts, busy: f64, quiet: f64) -> f64 {
+fn mean_alpha(settings: &EventBursts, busy: f64, quiet: f64) -> f64 {
     (settings.busy_alpha * busy + settings.quiet_alpha * quiet) / (busy + quiet)
 }
 
-/// When events start, in busy and quiet phases.
+/// The starts of events in busy and quiet phases.
 #[derive(Clone, Debug)]
 pub(super) struct Bursting {
     seed: u64,
     phases: Phases,
-    /// −ln(1 − α) of a TTI of a busy phase, `(0, ∞]`.
+    /// −ln(1 − α) per TTI of a busy phase, `(0, ∞]`.
     busy_hazard: f64,
-    /// The same of a quiet phase, `[0, ∞]`.
+    /// −ln(1 − α) per TTI of a quiet phase, `[0, ∞]`.
     quiet_hazard: f64,
-    /// The first TTI that is not of the run.
+    /// The first TTI after the run.
     end: Tti,
 }
 
 impl Bursting {
-    pub(super) fn new(settings: &Bursts, seed: u64, end: Tti) -> Self {
+    pub(super) fn new(settings: &EventBursts, seed: u64, end: Tti) -> Self {
         Self {
             seed,
             phases: settings.phases(seed),
@@ -84,23 +84,23 @@ impl Bursting {
         }
     }
 
-    /// The TTI in which `event` starts, which cannot start before `earliest`; [`Tti::NEVER`] if that is not within the
-    /// run.
+    /// The TTI in which `event` starts, not before `earliest`; [`Tti::NEVER`] if that is not within the run.
     ///
-    /// One draw u an event: it starts in the first TTI k in which ∏ (1 − α(i)), i from `earliest` to k, falls below
-    /// 1 − u. In logarithms, the hazards add up to more than −ln(1 − u). Within a phase all are the same, so that it is
-    /// taken in one step.
+    /// One draw u per event: it starts in the first TTI k in which ∏ (1 − α(i)), i from `earliest` to k, falls below 1
+    /// − u. In logarithms, the hazards add up to more than −ln(1 − u). They are constant within a phase, so that each
+    /// phase takes one step.
     pub(super) fn next(&mut self, event: EventId, earliest: Tti) -> Tti {
         let mut left = -libm::log1p(-Stream::new(self.seed, Purpose::EventGap, event.0).unit());
         let mut k = earliest;
         while k < self.end {
             let phase = self.phases.at(k);
             let (hazard, ttis) = (self.hazard(phase), phase.end - k);
-            // No number where both are 0: nothing starts in this phase then, nor is anything used up.
+            // 0/0 is not a number, which fails the comparison: nothing starts in this phase, and nothing is subtracted.
             let failures = (left / hazard).floor();
             if failures < ttis as f64 {
                 return k.saturating_add(failures as u64);
             }
+            // The draw outlasts this phase, so only rounding can make the rest negative.
             left = (left - hazard * ttis as f64).max(0.0);
             k = phase.end;
         }

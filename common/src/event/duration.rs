@@ -1,32 +1,32 @@
-//! How long events last.
+//! The durations of events.
 
 use crate::declare::{choice, choices, whole};
 use crate::ids::{EventId, MAX_TTIS};
 use crate::rng::{Geometric, Purpose, Stream};
 
 choices! {
-    /// Whether all events last equally long.
+    /// Distribution of event durations.
     pub enum DurationKind {
-        /// Each lasts as long as `duration` says.
+        /// Every event lasts `duration` TTIs.
         Fixed = "fixed",
-        /// Each ends after any of its TTIs with the same probability; `duration` is the mean.
+        /// An event ends after each of its TTIs with the same probability; `duration` is the mean.
         Geometric = "geometric",
     }
 }
 
 crate::declare! {
-    /// How long events last.
+    /// Durations of events.
     #[derive(Clone, Copy, Debug)]
     pub(super) struct Duration in "events" {
-        /// How long an event lasts unless a report ends it; the mean where `duration_kind` is "geometric".
+        /// Duration of an event unless a report ends it; the mean if `duration_kind` is "geometric".
         pub(super) duration: u64 = whole(1, MAX_TTIS, 4).unit("TTIs").source("by calibration"),
-        /// Whether all events last equally long.
+        /// Distribution of event durations.
         pub(super) duration_kind: DurationKind = choice::<DurationKind>("fixed"),
     }
 }
 
 impl DurationKind {
-    /// The TTIs that `event` lasts, ≥ 1, where they have the mean `mean`, ≥ 1.
+    /// Draws the duration of `event` in TTIs, ≥ 1, with the mean `mean`, ≥ 1.
     pub(super) fn draw(self, mean: u64, seed: u64, event: EventId) -> u64 {
         match self {
             Self::Fixed => mean,
@@ -37,14 +37,14 @@ impl DurationKind {
         }
     }
 
-    /// The share of events, `[0, 1]`, that are over before they are looked for, where every place is looked at once in
-    /// `every` TTIs, ≥ 1, and events of the mean duration `mean` start at any time in between.
-    pub(super) fn over_before_a_look(self, mean: u64, every: u64) -> f64 {
+    /// The share of events, `[0, 1]`, that end before a device senses them. Every place is sensed once in `every` TTIs,
+    /// ≥ 1; events of mean duration `mean` start uniformly in between.
+    pub(super) fn missed_share(self, mean: u64, every: u64) -> f64 {
         let (mean, every) = (mean as f64, every as f64);
         match self {
             Self::Fixed => (1.0 - mean / every).max(0.0),
-            // An event that has to wait for W TTIs is still there with probability q^W; W is 0 to `every` − 1, each
-            // equally likely.
+            // An event that has to wait W TTIs lasts that long with probability q^W. Each W from 0 to `every` − 1 is
+            // equally likely. The mean over W is (1 − q^every) / (every · (1 − q)), with 1 − q = 1/`mean`.
             Self::Geometric => {
                 let q = 1.0 - 1.0 / mean;
                 1.0 - mean * (1.0 - libm::pow(q, every)) / every
@@ -52,11 +52,11 @@ impl DurationKind {
         }
     }
 
-    /// The longest that an event of the mean duration `mean` can last.
+    /// The longest duration of an event with mean duration `mean`; `None` without a limit.
     pub(super) const fn longest(self, mean: u64) -> Option<u64> {
         match self {
             Self::Fixed => Some(mean),
-            // The law of mean 1 has no other value.
+            // A geometric law of mean 1 is always 1.
             Self::Geometric => {
                 if mean == 1 {
                     Some(1)
@@ -79,7 +79,7 @@ mod tests {
                 let events = 200_000;
                 let is_over = |event: &u64| kind.draw(mean, 5, EventId(*event)) <= event % every;
                 let counted = (0..events).filter(is_over).count() as f64 / events as f64;
-                let found = kind.over_before_a_look(mean, every);
+                let found = kind.missed_share(mean, every);
                 assert!(
                     (found - counted).abs() < 0.005,
                     "{kind:?} {mean} {every}: {found}, counted {counted}"

@@ -1,4 +1,4 @@
-//! Events that gather around a few places.
+//! Events concentrated around a few places.
 
 use super::uniform::Uniform;
 use crate::declare::{NOT_NEGATIVE, PROBABILITY, number, whole};
@@ -7,15 +7,16 @@ use crate::ids::EventId;
 use crate::rng::{Purpose, Stream};
 
 crate::declare! {
-    /// Events around a few places, which the seed puts anywhere on the area. The other events come anywhere.
+    /// Events around a few places, which are drawn uniformly on the area from the seed. The other events are uniform on
+    /// the area.
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub struct HotSpots in "events.hot-spots" only with "events.process" = &["hot-spots"]; {
         /// Number of places.
         pub places: u32 = whole(1, 1000, 3),
-        /// Share of the events that come from one of the places, each of them as often as the others.
+        /// Share of events that occur around one of the places, each equally likely.
         pub share: f64 = number(PROBABILITY, 0.7),
-        /// Standard deviation σ of the distance from the place, along each axis. The distribution is normal and folded
-        /// back into the area at its edges.
+        /// Standard deviation σ of the distance from the place, along each axis. The distribution is normal and is
+        /// reflected at the edges of the area.
         pub sigma: f64 = number(NOT_NEGATIVE, 1.5).unit("metres"),
     }
 }
@@ -38,7 +39,7 @@ impl Spots {
         }
     }
 
-    /// The epicentre of `event`.
+    /// Draws the epicentre of `event`.
     pub(super) fn draw(&self, event: EventId) -> Point {
         let mut stream = Stream::new(self.elsewhere.seed, Purpose::Attraction, event.0);
         if stream.unit() >= self.settings.share {
@@ -54,16 +55,18 @@ impl Spots {
     }
 }
 
-/// Two independent numbers of the standard normal distribution, by the method of Box and Muller.
+/// Draws two independent standard normal numbers, by the method of Box and Muller.
 fn two_normal(stream: &mut Stream) -> (f64, f64) {
+    // A draw is below 1, so the logarithm is finite. libm has the same result on every machine, unlike the standard
+    // library.
     let radius = (-2.0 * libm::log1p(-stream.unit())).sqrt();
     let angle = std::f64::consts::TAU * stream.unit();
     (radius * libm::cos(angle), radius * libm::sin(angle))
 }
 
-/// `x` reflected at 0 and at `side` as often as it takes to come to lie in `[0, side]`.
+/// Reflects `x` at 0 and at `side` until it lies in `[0, side]`.
 fn folded(x: f64, side: f64) -> f64 {
-    // Mirrors at 0 and `side` make a pattern that is even and has the period 2 · side. Both steps are exact.
+    // Mirrors at 0 and `side` make an even pattern with the period 2 · side. Both steps are exact in floating point.
     let rest = x.abs() % (2.0 * side);
     if rest > side { 2.0 * side - rest } else { rest }
 }

@@ -1,17 +1,16 @@
-//! Events: when they start, where, and when they end (paper Sec. II).
+//! Events: their starts, epicentres and ends (paper Sec. II).
 //!
-//! Event i starts some TTIs after event i − 1 has ended. Its gap, its epicentre and its duration are drawn from streams
-//! of its own, so the i-th event of a scenario has the same epicentre under every policy; its TTI depends on how long
-//! the events before it lasted, which depends on who reported them.
+//! Event i starts some TTIs after event i − 1 has ended. Its gap, epicentre and duration have their own random streams.
+//! So the i-th event of a scenario has the same epicentre under every policy. Its TTI depends on the durations of
+//! earlier events, and so on the devices that reported them.
 
 mod aftershocks;
 mod bursts;
 mod duration;
+pub mod event_settings;
 mod hot_spots;
 mod process;
 mod record;
-pub mod settings;
-mod steady;
 mod uniform;
 
 use std::fmt;
@@ -19,23 +18,23 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 pub use self::aftershocks::Aftershocks;
-pub use self::bursts::Bursts;
+pub use self::bursts::EventBursts;
 pub use self::duration::DurationKind;
 pub use self::hot_spots::HotSpots;
-pub use self::process::{Process, ProcessKind};
+pub use self::process::{ProcessKind, ProcessSettings};
 pub use self::record::EventRecord;
 
+use self::event_settings::EventSettings;
 use self::process::{Epicentres, Starts};
-use self::settings::Events;
 use crate::geometry::{Area, Point};
 use crate::ids::{EventId, Tti};
 
-/// What the physical world shows the devices in a TTI: an event at its epicentre.
+/// The signal that devices can sense in a TTI: an event at its epicentre.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Stimulus {
     /// The event.
     pub event: EventId,
-    /// Its place.
+    /// Its epicentre.
     pub epicentre: Point,
 }
 
@@ -49,7 +48,7 @@ impl fmt::Display for Stimulus {
 /// An event that has started and not yet ended.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ActiveEvent {
-    /// What it shows.
+    /// The signal that devices can sense.
     pub stimulus: Stimulus,
     /// Its first TTI.
     pub start: Tti,
@@ -57,18 +56,18 @@ pub struct ActiveEvent {
     pub last: Tti,
 }
 
-/// An event of a script.
+/// A scripted event.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScriptedEvent {
-    /// Its first TTI, after the last of the event before it.
+    /// Its first TTI, after the last TTI of the previous event.
     pub start: Tti,
-    /// TTIs that it lasts unless a report ends it, ≥ 1.
+    /// Duration in TTIs unless a report ends it, ≥ 1.
     pub duration: u64,
-    /// Its place.
+    /// Its epicentre.
     pub epicentre: Point,
 }
 
-/// Where events come from.
+/// The source of events.
 #[derive(Clone, Debug)]
 enum Source {
     Drawn(Box<Drawn>),
@@ -79,15 +78,15 @@ enum Source {
 #[derive(Clone, Debug)]
 struct Drawn {
     seed: u64,
-    settings: Events,
+    settings: EventSettings,
     starts: Starts,
     epicentres: Epicentres,
 }
 
 impl Drawn {
-    /// Epicentre and duration in TTIs of `event`, which starts.
+    /// Draws the epicentre and the duration in TTIs of `event`, which starts now.
     fn event(&mut self, event: EventId) -> (Point, u64) {
-        let Events {
+        let EventSettings {
             duration,
             duration_kind,
             ..
@@ -109,9 +108,9 @@ pub struct EventProcess {
 }
 
 impl EventProcess {
-    /// The process of a scenario with `settings`, before TTI 0: of its `seed`, on its `area`, for a run of the TTIs
-    /// before `end`. Events that would start later may be left out.
-    pub fn new(seed: u64, area: Area, settings: &Events, end: Tti) -> Self {
+    /// Creates the process of a scenario with `settings`, `seed` and `area`, before TTI 0, for a run of the TTIs before
+    /// `end`. Events that would start later may be left out.
+    pub fn new(seed: u64, area: Area, settings: &EventSettings, end: Tti) -> Self {
         Self::from_source(Source::Drawn(Box::new(Drawn {
             seed,
             settings: *settings,
@@ -120,7 +119,7 @@ impl EventProcess {
         })))
     }
 
-    /// A process of these events, in order, whatever is reported.
+    /// Creates a process of the given events, in order, independent of reports.
     pub fn scripted(events: Vec<ScriptedEvent>) -> Self {
         Self::from_source(Source::Script(events))
     }
@@ -136,7 +135,7 @@ impl EventProcess {
         process
     }
 
-    /// The TTI in which the next event starts. While one is active it is not yet known: [`Tti::NEVER`].
+    /// The TTI in which the next event starts; [`Tti::NEVER`] while an event is active, since it is not yet known.
     pub const fn next_start(&self) -> Tti {
         if self.active.is_some() {
             Tti::NEVER
@@ -155,6 +154,7 @@ impl EventProcess {
         let (epicentre, duration) = match &mut self.source {
             Source::Drawn(drawn) => drawn.event(event),
             Source::Script(events) => {
+                // In range: after the last scripted event `next_start` is NEVER, and no event is due.
                 let ScriptedEvent {
                     epicentre, duration, ..
                 } = events[event.0 as usize];
@@ -166,6 +166,7 @@ impl EventProcess {
         *self.active.insert(ActiveEvent {
             stimulus: Stimulus { event, epicentre },
             start,
+            // Every duration is at least 1.
             last: start.saturating_add(duration - 1),
         })
     }
@@ -179,6 +180,7 @@ impl EventProcess {
     fn schedule(&mut self, earliest: Tti) {
         let next = self.next_event;
         self.next_start = match &mut self.source {
+            // The gap has a stream keyed by the event, so it is the same whenever the event before it ended.
             Source::Drawn(drawn) => drawn.starts.next(next, earliest),
             Source::Script(events) => events.get(next.0 as usize).map_or(Tti::NEVER, |event| event.start),
         };

@@ -1,42 +1,41 @@
-//! Kinds of event processes.
+//! The kinds of event processes.
 //!
-//! A kind is a file here: its fields, its draws. This one has an arm for each, and nothing else tells them apart.
+//! Each kind has a file with its fields and its draws. Only this module distinguishes them, with an arm for each.
 
 use super::aftershocks::{Aftershocks, Chain};
-use super::bursts::{Bursting, Bursts};
+use super::bursts::{Bursting, EventBursts};
 use super::hot_spots::{HotSpots, Spots};
-use super::steady::Steady;
-use super::uniform::Uniform;
-use crate::declare::{Reader, ScenarioError, Sink, choice, choices};
+use super::uniform::{Steady, Uniform};
+use crate::declare::{FieldReader, FieldSink, ScenarioError, Visit, choice, choices};
 use crate::geometry::{Area, Point};
 use crate::ids::{EventId, Tti};
 
 choices! {
-    /// When and where events come.
+    /// Times and places of events.
     pub enum ProcessKind {
-        /// Anywhere, and with the same probability in every TTI: the paper's events.
+        /// Uniform on the area, with the same start probability in every TTI, as in the paper.
         Uniform = "uniform",
-        /// As `uniform`, but most of them around a few places.
+        /// As `uniform`, but most events occur around a few places.
         HotSpots = "hot-spots",
-        /// As `uniform`, but many of them near the event before.
+        /// As `uniform`, but many events occur near the previous event.
         Aftershocks = "aftershocks",
-        /// Anywhere, often in busy phases and seldom in quiet ones.
+        /// Uniform on the area, frequent in busy phases and rare in quiet phases.
         Bursts = "bursts",
     }
 }
 
 crate::declare! {
-    /// The event process (paper Sec. II).
+    /// Event process (paper Sec. II).
     #[derive(Clone, Copy, Debug)]
-    pub(super) struct Settings in "events" {
-        /// When and where events come.
+    pub(super) struct ProcessFields in "events" {
+        /// Times and places of events.
         pub(super) process: ProcessKind = choice::<ProcessKind>("uniform").source("Sec. II"),
     }
 }
 
-/// When and where events come.
+/// The times and places of events.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Process {
+pub enum ProcessSettings {
     /// See [`ProcessKind::Uniform`].
     Uniform,
     /// See [`ProcessKind::HotSpots`].
@@ -44,17 +43,17 @@ pub enum Process {
     /// See [`ProcessKind::Aftershocks`].
     Aftershocks(Aftershocks),
     /// See [`ProcessKind::Bursts`].
-    Bursts(Bursts),
+    Bursts(EventBursts),
 }
 
-impl Process {
-    /// The process that `reader` has.
-    pub(super) fn settle(reader: &Reader<'_>) -> Result<Self, ScenarioError> {
-        Ok(match Settings::read(reader)?.process {
+impl ProcessSettings {
+    /// Builds the process in `reader`.
+    pub(super) fn from_fields(reader: &FieldReader<'_>) -> Result<Self, ScenarioError> {
+        Ok(match ProcessFields::read(reader)?.process {
             ProcessKind::Uniform => Self::Uniform,
             ProcessKind::HotSpots => Self::HotSpots(HotSpots::read(reader)?),
             ProcessKind::Aftershocks => Self::Aftershocks(Aftershocks::read(reader)?),
-            ProcessKind::Bursts => Self::Bursts(Bursts::read(reader)?),
+            ProcessKind::Bursts => Self::Bursts(EventBursts::read(reader)?),
         })
     }
 
@@ -68,8 +67,8 @@ impl Process {
         }
     }
 
-    /// Hands the fields of its own to `sink`.
-    pub(super) fn visit(&self, sink: &mut dyn Sink) {
+    /// Passes the fields of this kind to `sink`.
+    pub(super) fn visit(&self, sink: &mut dyn FieldSink) {
         match self {
             Self::Uniform => {}
             Self::HotSpots(hot_spots) => hot_spots.visit(sink),
@@ -78,7 +77,7 @@ impl Process {
         }
     }
 
-    /// The long-run mean of the probability that an event starts, of a process that has it change with time.
+    /// The long-run mean of the probability that an event starts; `None` for a process where it is constant.
     pub(super) fn long_run_alpha(&self) -> Option<f64> {
         match self {
             Self::Uniform | Self::HotSpots(_) | Self::Aftershocks(_) => None,
@@ -86,7 +85,7 @@ impl Process {
         }
     }
 
-    /// Its mean over the TTIs from `first` to before `end` of a run with `seed`, of the same processes.
+    /// The mean over the TTIs from `first` to before `end` of a run with `seed`; `None` as in [`Self::long_run_alpha`].
     pub(super) fn mean_start_probability(&self, seed: u64, first: Tti, end: Tti) -> Option<f64> {
         match self {
             Self::Uniform | Self::HotSpots(_) | Self::Aftershocks(_) => None,
@@ -94,8 +93,8 @@ impl Process {
         }
     }
 
-    /// When events start in a run with `seed` that ends before TTI `end`; with probability `alpha` where that does not
-    /// change with time.
+    /// Creates the starts of events in a run with `seed` that ends before TTI `end`; `alpha` applies if the probability
+    /// is constant.
     pub(super) fn starts(&self, seed: u64, alpha: f64, end: Tti) -> Starts {
         match self {
             Self::Uniform | Self::HotSpots(_) | Self::Aftershocks(_) => Starts::Steady(Steady::new(seed, alpha)),
@@ -103,7 +102,7 @@ impl Process {
         }
     }
 
-    /// Where events are in a run with `seed` on `area`.
+    /// Creates the epicentres of events in a run with `seed` on `area`.
     pub(super) fn epicentres(&self, seed: u64, area: Area) -> Epicentres {
         let uniform = Uniform { seed, area };
         match self {
@@ -114,7 +113,7 @@ impl Process {
     }
 }
 
-/// When events start.
+/// The starts of events.
 #[derive(Clone, Debug)]
 pub(super) enum Starts {
     Steady(Steady),
@@ -122,8 +121,8 @@ pub(super) enum Starts {
 }
 
 impl Starts {
-    /// The TTI in which `event` starts, which cannot start before `earliest`; [`Tti::NEVER`] for one that does not.
-    /// Asked for one event after the other.
+    /// The TTI in which `event` starts, not before `earliest`; [`Tti::NEVER`] if it does not start. Call it once per
+    /// event, in order.
     pub(super) fn next(&mut self, event: EventId, earliest: Tti) -> Tti {
         match self {
             Self::Steady(steady) => steady.next(event, earliest),
@@ -132,7 +131,7 @@ impl Starts {
     }
 }
 
-/// Where events are.
+/// The epicentres of events.
 #[derive(Clone, Debug)]
 pub(super) enum Epicentres {
     Uniform(Uniform),
@@ -141,7 +140,7 @@ pub(super) enum Epicentres {
 }
 
 impl Epicentres {
-    /// The epicentre of `event`. Asked for one event after the other.
+    /// Draws the epicentre of `event`. Call it once per event, in order.
     pub(super) fn draw(&mut self, event: EventId) -> Point {
         match self {
             Self::Uniform(uniform) => uniform.draw(event),

@@ -1,4 +1,4 @@
-//! What came of an event.
+//! The record of an ended event.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,7 +6,7 @@ use crate::geometry::Point;
 use crate::ids::{EventId, Tti};
 use crate::totals::EventTally;
 
-/// One ended event, for the per-event series.
+/// One ended event, for the per-event table.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EventRecord {
     /// Its number.
@@ -17,15 +17,15 @@ pub struct EventRecord {
     pub start: Tti,
     /// Its last TTI.
     pub last: Tti,
-    /// Whether it counts in the metrics.
+    /// Whether the metrics count it.
     pub counted: bool,
-    /// What it came to.
+    /// The devices' activity for it.
     pub tally: EventTally,
 }
 
 impl EventRecord {
-    /// TTIs from its start to its first report, 0 for the same TTI; `None` if it was missed. It ends with its first
-    /// report. A record from elsewhere may end before it starts, which counts as 0.
+    /// TTIs from its start to its first report, which ends it; 0 for the same TTI, `None` if it was missed. A record
+    /// from another source may end before it starts, which counts as 0.
     pub fn delay(&self) -> Option<u64> {
         (self.tally.reports > 0).then(|| self.last.0.saturating_sub(self.start.0))
     }

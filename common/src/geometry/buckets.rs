@@ -1,8 +1,8 @@
-//! A bucket grid: which points lie within a radius of a place.
+//! A bucket grid for points within a radius of a place, or nearest to it.
 
 use super::{Area, Point};
 
-/// Points sorted into the cells of a grid, for range queries that touch only the cells nearby. It is built once for a
+/// Points sorted into the cells of a grid, for queries that touch only the cells nearby. It is built once for a
 /// deployment and never changes.
 #[derive(Clone, Debug)]
 pub struct Buckets {
@@ -18,10 +18,11 @@ pub struct Buckets {
 }
 
 impl Buckets {
-    /// A grid over `points` of `area` for queries of about `radius` metres, > 0. Queries of any other radius give right
-    /// answers too, only less quickly. There are at most about as many cells as points.
+    /// Creates a grid over `points` of `area`, fastest for queries of about `radius` metres, ≥ 0. Queries of any other
+    /// radius are correct too. There are at most about as many cells as points.
     pub fn new(points: &[Point], area: Area, radius: f64) -> Self {
         let spacing = (area.surface() / points.len().max(1) as f64).sqrt();
+        // Cells no smaller than the mean spacing: a small radius would otherwise need more cells than points.
         let side = radius.max(spacing);
         let cells = |length: f64| ((length / side) as usize).clamp(1, points.len().max(1));
         let (columns, rows) = (cells(area.width), cells(area.height));
@@ -40,6 +41,8 @@ impl Buckets {
         for cell in 0..columns * rows {
             buckets.starts[cell + 1] += buckets.starts[cell];
         }
+        // A counting sort keeps points of a cell in the order of their indices, so queries visit them alike in every
+        // run.
         let mut next = buckets.starts.clone();
         for (index, &p) in (0..).zip(points) {
             let cell = buckets.cell(p);
@@ -50,11 +53,34 @@ impl Buckets {
     }
 
     /// Calls `visit(index, distance)` for each point at most `radius` metres from `centre`, with its index in the slice
-    /// that the grid was built from and its distance in metres. The order is the same in every run but is not that of
-    /// the indices.
+    /// of [`Self::new`] and its distance in metres. The order is the same in every run but does not follow the indices.
     pub fn within(&self, centre: Point, radius: f64, mut visit: impl FnMut(usize, f64)) {
+        self.within_squared(centre, radius, |index, squared| visit(index as usize, squared.sqrt()));
+    }
+
+    /// The `k` points nearest to `centre`, or all if there are fewer, by ascending distance and then index. Each has
+    /// its squared distance, square metres, and its index.
+    pub fn nearest(&self, centre: Point, k: usize) -> Vec<(f64, u32)> {
+        let mut found = Vec::new();
+        // One cell wide. Doubling ends, since a radius as large as the area finds all points.
+        let mut radius = 1.0 / self.scale.x.min(self.scale.y);
+        loop {
+            self.within_squared(centre, radius, |index, squared| found.push((squared, index)));
+            if found.len() >= k.min(self.items.len()) {
+                // Ties by index: the order of cells must not decide which of two equally far points is among the `k`.
+                found.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+                found.truncate(k);
+                return found;
+            }
+            found.clear();
+            radius *= 2.0;
+        }
+    }
+
+    /// Calls `visit(index, squared distance)` for each point at most `radius` metres from `centre`.
+    fn within_squared(&self, centre: Point, radius: f64, mut visit: impl FnMut(u32, f64)) {
         let reach = radius * (1.0 + 1e-12) + self.slack;
-        // Certainly too far, whatever rounding does to the square.
+        // A square above this is too far despite rounding, and skips the root.
         let beyond = reach * reach * (1.0 + 1e-12);
         let (west, east) = (self.column(centre.x - reach), self.column(centre.x + reach));
         let (south, north) = (self.row(centre.y - reach), self.row(centre.y + reach));
@@ -62,13 +88,10 @@ impl Buckets {
             let first = self.starts[row * self.columns + west] as usize;
             let last = self.starts[row * self.columns + east + 1] as usize;
             for &(index, p) in &self.items[first..last] {
-                let (x, y) = (p.x - centre.x, p.y - centre.y);
-                if x * x + y * y > beyond {
-                    continue;
-                }
-                let distance = centre.distance(p);
-                if distance <= radius {
-                    visit(index as usize, distance);
+                let squared = centre.distance_squared(p);
+                // Squaring rounds, so a point exactly at the radius is decided by the root, as in `Point::distance`.
+                if squared <= beyond && squared.sqrt() <= radius {
+                    visit(index, squared);
                 }
             }
         }
@@ -78,7 +101,7 @@ impl Buckets {
         self.row(p.y) * self.columns + self.column(p.x)
     }
 
-    /// The conversion saturates, so places west of the area count to its first column.
+    /// The conversion saturates, so positions west of the area belong to its first column.
     fn column(&self, x: f64) -> usize {
         ((x * self.scale.x) as usize).min(self.columns - 1)
     }
@@ -125,6 +148,31 @@ mod tests {
                             expected(&points, centre, radius),
                             "{n} points on {width} x {height}, radius {radius}"
                         );
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_nearest_are_those_of_a_full_sort() {
+        let mut stream = Stream::new(2, Purpose::Epicentre, 0);
+        for (width, height) in [(20.0, 20.0), (100.0, 3.0), (1e6, 1e-6)] {
+            let area = Area { width, height };
+            for n in [0, 1, 3, 200] {
+                // Each point occurs twice, so that there are equal distances.
+                let drawn: Vec<_> = (0..n).map(|_| draw(&mut stream, area)).collect();
+                let points = [drawn.clone(), drawn].concat();
+                let buckets = Buckets::new(&points, area, 0.0);
+                for centre in [draw(&mut stream, area), Point::default()] {
+                    let mut sorted: Vec<_> = (0..)
+                        .zip(&points)
+                        .map(|(i, p)| (centre.distance_squared(*p), i))
+                        .collect();
+                    sorted.sort_by(|a, b| a.partial_cmp(b).expect("numbers"));
+                    for k in [0, 1, 2, 7, 1000] {
+                        let expected = &sorted[..k.min(sorted.len())];
+                        assert_eq!(buckets.nearest(centre, k), expected, "{k} of {n} on {width} x {height}");
                     }
                 }
             }

@@ -1,31 +1,31 @@
-//! Positions, and classes, from a file.
+//! Positions and classes from a layout file.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::{Area, Point};
-use crate::columns::{self, Columns, LARGEST_FILE};
-use crate::declare::{Reader, ScenarioError, Section, Sink, Value, did_you_mean, listed, shortened};
+use crate::columns::{self, ColumnData, LARGEST_FILE};
+use crate::declare::{FieldReader, FieldSink, FieldValue, ScenarioError, Section, did_you_mean, quoted_list, truncate};
 
 /// The field that names the file.
 const FIELD: &str = "layout.file";
 
-/// Devices that stand where a file says.
+/// A layout from a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FromFile {
-    /// The file.
+    /// The path of the file.
     pub path: PathBuf,
     /// Its first N points.
     pub points: Arc<Vec<Point>>,
-    /// The classes of the first N devices as indices into the scenario's, where the file has the column `class`.
+    /// The classes of the first N devices as indices into the scenario's classes, if the file has the column `class`.
     pub classes: Option<Arc<Vec<u16>>>,
 }
 
 impl FromFile {
-    /// The first `devices` devices of the file called `file`, all of them on `area`; those of the column `class` are
-    /// named in `classes`, which is empty for a scenario without classes.
+    /// Reads the first `devices` devices of `file`, which must all lie on `area`. The column `class` uses the names in
+    /// `classes`, which is empty for a scenario without classes.
     pub(super) fn settle(
-        reader: &Reader<'_>,
+        reader: &FieldReader<'_>,
         file: &str,
         area: Area,
         devices: u32,
@@ -44,7 +44,7 @@ impl FromFile {
             });
         let ((points, rows), names) = match found {
             Ok(found) => found,
-            Err(reason) => return Err(reader.data(FIELD, path, reason)),
+            Err(reason) => return Err(reader.file_error(FIELD, path, reason)),
         };
         if rows > count {
             reader.warn(format!(
@@ -55,7 +55,7 @@ impl FromFile {
         let classes = match names {
             Some(names) if !classes.is_empty() => match indices(&names, classes, count) {
                 Ok(indices) => Some(Arc::new(indices)),
-                Err(reason) => return Err(reader.data(FIELD, path, reason)),
+                Err(reason) => return Err(reader.file_error(FIELD, path, reason)),
             },
             Some(_) => {
                 let what = "has a column `class`, which has no effect without [[class]] in the scenario";
@@ -71,10 +71,11 @@ impl FromFile {
         })
     }
 
-    /// Hands the file's name and what decides in it to `sink`.
-    pub(super) fn visit(&self, sink: &mut dyn Sink, section: &'static Section) {
+    /// Passes the file's name and the values used from it to `sink`.
+    pub(super) fn visit(&self, sink: &mut dyn FieldSink, section: &'static Section) {
         let Some(field) = section.field("file") else { return };
-        sink.field(section, field, Value::Path(&self.path.to_string_lossy()));
+        sink.field(section, field, FieldValue::Path(&self.path.to_string_lossy()));
+        // Only the positions that are used are hashed, not the path or the rest of the file.
         let positions = self
             .points
             .iter()
@@ -91,7 +92,7 @@ impl FromFile {
     }
 }
 
-/// The first `count` points of a layout file, all within `area`, and how many it has.
+/// Reads the first `count` points of a layout file, all within `area`, and the number of points in the file.
 fn points(path: &Path, bytes: &[u8], area: Area, count: usize) -> Result<(Vec<Point>, usize), String> {
     let columns = columns::numbers(path, bytes, &["x".to_owned(), "y".to_owned()])?;
     let [xs, ys] = columns.values.as_slice() else {
@@ -104,6 +105,7 @@ fn points(path: &Path, bytes: &[u8], area: Area, count: usize) -> Result<(Vec<Po
         .iter()
         .zip(ys)
         .take(count)
+        // Adding 0 turns -0 into 0, since -0 has another hash.
         .map(|(&x, &y)| Point::new(x + 0.0, y + 0.0))
         .collect();
     match points.iter().position(|&point| !area.contains(point)) {
@@ -119,16 +121,17 @@ fn points(path: &Path, bytes: &[u8], area: Area, count: usize) -> Result<(Vec<Po
     }
 }
 
-/// The places in `classes` of the first `count` names.
-fn indices(names: &Columns<String>, classes: &[&str], count: usize) -> Result<Vec<u16>, String> {
+/// The indices in `classes` of the first `count` names.
+fn indices(names: &ColumnData<String>, classes: &[&str], count: usize) -> Result<Vec<u16>, String> {
     let index = |(row, name): (usize, &String)| {
         let at = classes.iter().position(|class| class == name);
+        // A scenario has at most MAX_CLASSES classes, so the index fits.
         at.map(|at| at as u16).ok_or_else(|| {
             format!(
                 "{}, column `class`: \"{}\" is no class of the scenario; there are {}{}",
                 names.place(row),
-                shortened(name),
-                listed(classes.iter().copied()),
+                truncate(name),
+                quoted_list(classes.iter().copied()),
                 did_you_mean(name, classes.iter().copied())
             )
         })

@@ -1,41 +1,42 @@
-//! Deployments: where the devices stand.
+//! Deployments: the positions of the devices.
 
 use super::{Area, FromFile, Point};
 use crate::declare;
-use crate::declare::{Reader, ScenarioError, Section, Sink, choice, choices, file};
+use crate::declare::{FieldReader, FieldSink, ScenarioError, Section, Visit, choice, choices, file};
 use crate::rng::{Purpose, Stream};
 
 choices! {
-    /// How devices are placed in the area. Positions are known to the base station.
+    /// Placement of devices in the area. The base station knows all positions.
     pub enum LayoutKind {
         /// Independent and uniform on the area.
         Uniform = "uniform",
-        /// One device, uniform, in each of N random cells of the smallest square grid with at least N cells.
+        /// One device at a uniform position in each of N random cells of the smallest square grid with at least N
+        /// cells.
         JitteredGrid = "jittered-grid",
-        /// Random, but no two devices close together.
+        /// Random positions with a minimum distance between devices.
         PoissonDisk = "poisson-disk",
-        /// Rows and columns as even as N allows; a square N on a square area gives a perfect grid.
+        /// Rows and columns as even as N allows; on a square area, a square number N gives a perfect grid.
         Grid = "grid",
-        /// As `grid`, with every other row shifted by half a spacing and rows √3/2 as far apart as devices in a row.
+        /// As `grid`, with every other row shifted by half a spacing. The row distance is √3/2 of the device spacing.
         Hex = "hex",
-        /// Read from the file `layout.file`.
+        /// Positions from the file `layout.file`.
         File = "file",
     }
 }
 
 declare! {
-    /// Where the devices stand.
+    /// Positions of the devices.
     #[derive(Clone, Debug)]
     struct Settings in "layout" {
-        /// How devices are placed in the area.
+        /// Placement of devices in the area.
         kind: LayoutKind = choice::<LayoutKind>("jittered-grid").source("uniform in Sec. II, jittered by calibration"),
-        /// A CSV file with the columns `x` and `y` in metres, a line for each device, and, if it is to say so, the
-        /// column `class` with the name of the device's class. Relative to the scenario file.
+        /// CSV file with the columns `x` and `y` in metres and one line per device. An optional column `class` holds
+        /// the name of the device's class. The path is relative to the scenario file.
         file: Option<String> = file().only_with("layout.kind", &["file"]),
     }
 }
 
-/// Where the devices stand.
+/// The layout of the devices.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Layout {
     /// See [`LayoutKind::Uniform`].
@@ -56,11 +57,16 @@ impl Layout {
     /// The fields of a layout.
     pub const SECTION: &'static Section = Settings::SECTION;
 
-    /// The layout that `reader` has, for `devices` devices of the classes `classes` on `area`.
+    /// Builds the layout in `reader`, for `devices` devices of the classes `classes` on `area`.
     ///
     /// # Errors
-    /// A file is missing or does not hold the devices.
-    pub fn settle(reader: &Reader<'_>, area: Area, devices: u32, classes: &[&str]) -> Result<Self, ScenarioError> {
+    /// If a file is missing or does not have enough valid devices.
+    pub fn from_fields(
+        reader: &FieldReader<'_>,
+        area: Area,
+        devices: u32,
+        classes: &[&str],
+    ) -> Result<Self, ScenarioError> {
         let Settings { kind, file } = Settings::read(reader)?;
         Ok(match kind {
             LayoutKind::Uniform => Self::Uniform,
@@ -69,7 +75,7 @@ impl Layout {
             LayoutKind::Grid => Self::Grid,
             LayoutKind::Hex => Self::Hex,
             LayoutKind::File => {
-                let file = file.ok_or_else(|| reader.needed("layout.file", "layout.kind"))?;
+                let file = file.ok_or_else(|| reader.missing_value("layout.file", "layout.kind"))?;
                 Self::File(FromFile::settle(reader, &file, area, devices, classes)?)
             }
         })
@@ -92,7 +98,7 @@ impl Layout {
         self.kind().name()
     }
 
-    /// The class of each device as an index into the scenario's classes, where the layout says so.
+    /// The class of each device as an index into the scenario's classes, if the layout defines classes.
     pub fn classes(&self) -> Option<&[u16]> {
         match self {
             Self::File(file) => file.classes.as_deref().map(Vec::as_slice),
@@ -100,8 +106,8 @@ impl Layout {
         }
     }
 
-    /// Hands every field to `sink`.
-    pub fn visit(&self, sink: &mut dyn Sink) {
+    /// Passes every field to `sink`.
+    pub fn visit(&self, sink: &mut dyn FieldSink) {
         let settings = Settings {
             kind: self.kind(),
             file: None,
@@ -114,13 +120,13 @@ impl Layout {
     }
 }
 
-/// Darts that may miss one after the other before the disks of `PoissonDisk` shrink.
+/// Consecutive misses after which the disks of `PoissonDisk` shrink.
 const MISSES: u32 = 500;
 
-/// What a disk's radius shrinks to.
+/// The factor by which a disk's radius shrinks.
 const SHRINK: f64 = 0.98;
 
-/// The positions of `n` devices in `area`, the same for the same `seed`. A `File` gives as many as it has, at most `n`.
+/// The positions of `n` devices in `area`, the same for the same `seed`. A `File` gives its own positions, at most `n`.
 pub fn place(layout: &Layout, area: Area, n: u32, seed: u64) -> Vec<Point> {
     let mut stream = Stream::new(seed, Purpose::Layout, 0);
     match layout {
@@ -145,33 +151,37 @@ fn uniform(stream: &mut Stream, area: Area) -> Point {
     Point::new(x, stream.unit() * area.height)
 }
 
-/// One device in each of `n` random cells of the smallest grid of s × s cells with at least `n`.
+/// Places one device in each of `n` random cells of the smallest grid of s × s cells with at least `n`.
 fn jittered_grid(stream: &mut Stream, area: Area, n: u32) -> Vec<Point> {
     let n = u64::from(n);
+    // An integer root is exact, so a square N fills every cell.
     let floor = n.isqrt();
     let side = if floor * floor < n { floor + 1 } else { floor };
     let (width, height) = (area.width / side as f64, area.height / side as f64);
     let mut cells: Vec<u64> = (0..side * side).collect();
     (0..n)
         .map(|device| {
+            // A shuffle that stops after n cells (Fisher and Yates).
             let drawn = device + stream.below(side * side - device);
             cells.swap(device as usize, drawn as usize);
             let cell = cells[device as usize];
             let x = ((cell % side) as f64 + stream.unit()) * width;
             let y = ((cell / side) as f64 + stream.unit()) * height;
+            // Rounding may put a product just outside the area.
             Point::new(x.min(area.width), y.min(area.height))
         })
         .collect()
 }
 
-/// About `rows` rows that share `n` devices as evenly as possible. `phases` are the positions within their share of the
-/// row, 0 ..= 1, of the devices of even and of odd rows.
+/// Places `n` devices in about `rows` rows, as evenly as possible. `phases` are the positions of the devices of even
+/// and of odd rows within their share of the row, 0 ..= 1.
 fn in_rows(area: Area, n: u32, rows: f64, phases: [f64; 2]) -> Vec<Point> {
     let n = u64::from(n);
     let rows = (rows.round() as u64).clamp(1, n.max(1));
     let phases = if rows == 1 { [0.5, 0.5] } else { phases };
     let mut points = Vec::with_capacity(n as usize);
     for row in 0..rows {
+        // Rows differ by at most one device and add up to n.
         let in_row = (row + 1) * n / rows - row * n / rows;
         let y = (row as f64 + 0.5) * area.height / rows as f64;
         let phase = phases[(row % 2) as usize];
@@ -180,10 +190,12 @@ fn in_rows(area: Area, n: u32, rows: f64, phases: [f64; 2]) -> Vec<Point> {
     points
 }
 
-/// Darts thrown until `n` have landed farther than a radius from all before them. The radius starts near the one of the
-/// densest packing, which random darts cannot reach, and shrinks while they keep missing.
+/// Throws darts until `n` have landed farther than a radius from all earlier ones. The radius starts near the one of
+/// the densest packing, which random darts cannot reach, and shrinks while they keep missing.
 fn poisson_disk(stream: &mut Stream, area: Area, n: u32) -> Vec<Point> {
+    // The spacing of the densest packing, a hexagonal lattice: A/n = √3/2 · spacing².
     let densest = (2.0 * area.surface() / (3.0_f64.sqrt() * f64::from(n))).sqrt();
+    // On a strip narrower than that, devices in a line can be farther apart.
     let in_line = area.width.max(area.height) / f64::from(n);
     let mut radius = (0.9 * densest).max(in_line);
     let mut darts = Darts::new(area, radius, n);
@@ -204,7 +216,7 @@ fn poisson_disk(stream: &mut Stream, area: Area, n: u32) -> Vec<Point> {
     darts.points
 }
 
-/// The darts so far in a bucket grid whose cells are at least the first radius wide: a cell and the eight around it
+/// The darts so far, in a bucket grid. Its cells are at least the first radius wide, so a cell and the eight around it
 /// hold all darts that a new one can collide with.
 struct Darts {
     points: Vec<Point>,

@@ -1,4 +1,4 @@
-//! The area, where devices stand in it, and the bounded Voronoi diagram.
+//! The area, the positions of devices in it, and the bounded Voronoi diagram.
 
 mod buckets;
 mod file;
@@ -24,7 +24,7 @@ pub struct Point {
 }
 
 impl Point {
-    /// The point (`x`, `y`).
+    /// Creates the point (`x`, `y`).
     pub const fn new(x: f64, y: f64) -> Self {
         Self { x, y }
     }
@@ -42,7 +42,7 @@ impl Point {
 }
 
 crate::declare! {
-    /// The rectangle ξ that the base station serves.
+    /// Rectangle ξ that the base station serves.
     #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
     #[serde(deny_unknown_fields)]
     pub struct Area in "area" {

@@ -34,7 +34,7 @@ pub fn cells(points: &[Point], area: Area) -> Vec<Vec<Point>> {
     points.iter().map(|p| cell(p).unwrap_or_default()).collect()
 }
 
-/// Shows `visit` each of `sites`, in order, with the corners of its cell.
+/// Calls `visit` for each of `sites`, in order, with the corners of its cell.
 fn each_cell(sites: &[Point], area: Area, mut visit: impl FnMut(Point, &[Point])) {
     let edges = delaunay_edges(sites, area);
     let (mut cell, mut spare) = (Vec::new(), Vec::new());
@@ -56,9 +56,9 @@ fn each_cell(sites: &[Point], area: Area, mut visit: impl FnMut(Point, &[Point])
     }
 }
 
-/// `points` in order of their coordinates, each place once.
+/// Sorts `points` by their coordinates and removes duplicates.
 fn distinct(points: &[Point]) -> Vec<Point> {
-    // Adding zero turns -0 into 0.
+    // Adding zero turns -0 into 0, which `total_cmp` would tell apart.
     let mut sites: Vec<_> = points.iter().map(|p| Point::new(p.x + 0.0, p.y + 0.0)).collect();
     sites.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
     sites.dedup();
@@ -67,9 +67,9 @@ fn distinct(points: &[Point]) -> Vec<Point> {
 
 /// The edges of the Delaunay triangulation in both directions, sorted: pairs of sites that share a border in the area.
 ///
-/// Four sites too far away to own a point of the area take part under the numbers that follow those of `sites`. They
-/// give every set of sites a triangulation, one that has a single site or only sites in a line too. Cells are clipped
-/// by bisectors, not read off as circumcentres, as those of needle-like triangles are badly conditioned.
+/// Four additional sites are too far away to own a point of the area; their indices follow `sites`. They give every set
+/// of sites a triangulation, also a single site or sites in a line. Cells are clipped by bisectors instead of built
+/// from circumcentres, which are badly conditioned for needle-like triangles.
 fn delaunay_edges(sites: &[Point], area: Area) -> Vec<(usize, usize)> {
     let (x, y, far) = (0.5 * area.width, 0.5 * area.height, 4.0 * area.diagonal());
     let around = [(x - far, y), (x + far, y), (x, y - far), (x, y + far)];
@@ -92,7 +92,7 @@ fn delaunay_edges(sites: &[Point], area: Area) -> Vec<(usize, usize)> {
     edges
 }
 
-/// Writes to `kept` the part of the convex polygon `cell` that is no farther from `site` than from `other`.
+/// Writes the part of the convex polygon `cell` that is at least as close to `site` as to `other` to `kept`.
 fn clip(cell: &[Point], site: Point, other: Point, kept: &mut Vec<Point>) {
     let normal = Point::new(other.x - site.x, other.y - site.y);
     let middle = Point::new(0.5 * (site.x + other.x), 0.5 * (site.y + other.y));
@@ -104,6 +104,7 @@ fn clip(cell: &[Point], site: Point, other: Point, kept: &mut Vec<Point>) {
         if at_from <= 0.0 {
             kept.push(from);
         }
+        // A corner on the bisector is kept above, and adds no second corner here.
         if (at_from < 0.0 && at_to > 0.0) || (at_from > 0.0 && at_to < 0.0) {
             let t = at_from / (at_from - at_to);
             kept.push(Point::new(from.x + t * (to.x - from.x), from.y + t * (to.y - from.y)));
@@ -122,8 +123,8 @@ mod tests {
         height: 20.0,
     };
 
-    /// d* from first principles: candidate vertices are all crossings of two border lines (bisectors of any two sites
-    /// and the area's sides), of which those count that are in the area and have no closer site.
+    /// Computes d* from first principles: candidate vertices are all crossings of two border lines (bisectors of any
+    /// two sites and the area's sides). Crossings in the area without a closer site count.
     fn from_every_crossing(points: &[Point], area: Area) -> f64 {
         let (w, h) = (area.width, area.height);
         let mut farthest = 0.0_f64;

@@ -4,19 +4,19 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::sources::{Sources, expected};
+use super::shared_tables::{Sources, expected};
 use crate::declare::{NOT_NEGATIVE, energy, number};
 use crate::ids::Tti;
 use crate::rng::{GapTable, Stream};
 use crate::units::Energy;
 
 crate::declare! {
-    /// Arrivals of energy at random (paper Sec. III-A).
+    /// Random energy arrivals (paper Sec. III-A).
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub struct Arrivals in "harvest"
         only with "harvest.kind" = &["eq5", "exp-minus-lambda", "mpp", "diurnal"];
     {
-        /// The intensity λ. Of `mpp`, on-durations have the mean 1/λ, and it has to be above 0.
+        /// Intensity λ of the arrivals. With `mpp`, the mean on-duration is 1/λ, and λ must be above 0.
         pub lambda: f64 = number(NOT_NEGATIVE, 0.1).unit("per unit of model time").source("Sec. III-A"),
         /// Energy `E_B` of one arrival.
         pub e_b: Energy = energy(5.0).unit("units").source("Sec. III-A"),
@@ -24,7 +24,7 @@ crate::declare! {
 }
 
 impl Arrivals {
-    /// Eq. (5): an arrival in a TTI with probability λτ·exp(-λτ).
+    /// The setup for Eq. (5): an arrival in a TTI with probability λτ·exp(-λτ).
     pub fn eq5(&self, tau: f64) -> ArrivalsSetup {
         ArrivalsSetup {
             p: eq5_probability(self.lambda, tau),
@@ -32,8 +32,8 @@ impl Arrivals {
         }
     }
 
-    /// The other reading in Sec. III-B: with probability exp(-λ).
-    pub fn exp_minus_lambda(&self) -> ArrivalsSetup {
+    /// The setup for the other reading in Sec. III-B: an arrival in a TTI with probability exp(-λ).
+    pub(crate) fn exp_minus_lambda(&self) -> ArrivalsSetup {
         ArrivalsSetup {
             p: libm::exp(-self.lambda),
             e_b: self.e_b,
@@ -42,11 +42,11 @@ impl Arrivals {
 }
 
 /// The probability λτ·exp(-λτ) of Eq. (5), at most 1/e.
-pub fn eq5_probability(lambda: f64, tau: f64) -> f64 {
+pub(crate) fn eq5_probability(lambda: f64, tau: f64) -> f64 {
     lambda * tau * libm::exp(-lambda * tau)
 }
 
-/// Independent arrivals, as a device needs them.
+/// The setup of independent arrivals on a device.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ArrivalsSetup {
     /// Probability of an arrival in a TTI, `[0, 1]`.
@@ -56,22 +56,24 @@ pub struct ArrivalsSetup {
 }
 
 impl ArrivalsSetup {
-    /// Whether a device can be given it.
-    pub(super) fn is_sound(&self) -> bool {
+    /// Whether the setup is valid for a device.
+    pub(super) fn is_valid(&self) -> bool {
         (0.0..=1.0).contains(&self.p)
     }
 
-    /// The mean harvest in a TTI.
+    /// The mean harvest per TTI.
     pub(super) fn mean(&self) -> Energy {
         expected(self.p, self.e_b)
     }
 
-    /// The source, and the TTI of its first arrival.
+    /// Creates the source. Also returns the TTI of its first arrival.
     pub(super) fn source(&self, shared: &Sources, mut stream: Stream) -> (ArrivalsSource, Tti) {
         let gaps = shared.gaps(self.p);
+        // Arrivals without energy change nothing, so none is ever due.
         let next = if self.e_b == Energy::ZERO {
             Tti::NEVER
         } else {
+            // A gap of 1 is TTI 0.
             Tti(gaps.draw(&mut stream)).saturating_sub_one()
         };
         let e_b = self.e_b;
@@ -79,7 +81,7 @@ impl ArrivalsSetup {
     }
 }
 
-/// Independent arrivals at one device.
+/// The source of independent arrivals of one device.
 #[derive(Clone, Debug)]
 pub(super) struct ArrivalsSource {
     gaps: Arc<GapTable>,
@@ -88,7 +90,7 @@ pub(super) struct ArrivalsSource {
 }
 
 impl ArrivalsSource {
-    /// The arrival in `now`, and the TTI of the next.
+    /// Returns the arrival in `now` and the TTI of the next one.
     #[inline]
     pub(super) fn take(&mut self, now: Tti) -> (Energy, Tti) {
         (self.e_b, now.saturating_add(self.gaps.draw(&mut self.stream)))

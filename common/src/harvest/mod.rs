@@ -1,17 +1,16 @@
-//! Energy sources (paper Sec. III-A): when energy arrives at a device, and how much.
+//! Energy sources (paper Sec. III-A): the times and amounts of energy that arrives at a device.
 //!
-//! A source is a sequence of arrivals in rising order of TTI that depends on nothing but the scenario, the seed and the
+//! A source is a sequence of arrivals in ascending order of TTI. It depends only on the scenario, the seed and the
 //! device. Nothing is drawn in a TTI without an arrival.
 //!
-//! A kind of source is a file here: its fields, its form on the wire, its draws; this one has an arm for each.
+//! Each kind of source has a file with its fields, its wire format and its draws; this module has an arm for each.
 
 mod arrivals;
-mod course;
+mod day_profile;
 mod diurnal;
-mod hazards;
-mod mpp;
+mod on_off;
 mod panel;
-mod sources;
+mod shared_tables;
 pub mod sun;
 mod trace;
 
@@ -19,34 +18,33 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-pub use self::arrivals::{Arrivals, ArrivalsSetup, eq5_probability};
-pub use self::course::Course;
-pub use self::diurnal::{Diurnal, DiurnalSetup, Known, Reference};
-pub use self::mpp::{Mpp, OnOffSetup};
+pub use self::arrivals::{Arrivals, ArrivalsSetup};
+pub use self::day_profile::DayProfile;
+pub use self::diurnal::{DayKnowledge, Diurnal, DiurnalSetup, IrradianceReference};
+pub use self::on_off::{Mpp, OnOffSetup};
 pub use self::panel::Panel;
-pub use self::sources::Sources;
-pub use self::trace::{Quantity, Trace, TraceColumns, TraceEnd, TraceSetup};
+pub use self::shared_tables::Sources;
+pub use self::trace::{HarvestTrace, TraceColumns, TraceEnd, TraceQuantity, TraceSetup};
 
 use self::arrivals::ArrivalsSource;
 use self::diurnal::DiurnalSource;
-use self::mpp::OnOffSource;
+use self::on_off::OnOffSource;
 use self::trace::TraceSource;
-use crate::declare::{Reader, ScenarioError, Section, Sink, choice, choices};
+use crate::declare::{FieldReader, FieldSink, ScenarioError, Section, Visit, choice, choices};
 use crate::ids::{DeviceId, Tti};
 use crate::rng::{Purpose, Stream};
 use crate::units::Energy;
 
 choices! {
-    /// The kind of a device's energy source.
+    /// Kind of a device's energy source.
     pub enum HarvestKind {
         /// An arrival in a TTI with probability λτ·exp(-λτ), Eq. (5).
         Eq5 = "eq5",
-        /// An arrival in a TTI with probability exp(-λ), the other reading in Sec. III-B.
+        /// An arrival in a TTI with probability exp(-λ), the alternative reading in Sec. III-B.
         ExpMinusLambda = "exp-minus-lambda",
-        /// An on/off source with exponential durations, as the text of Sec. III-A describes it.
+        /// On/off source with exponential durations, as described in the text of Sec. III-A.
         Mpp = "mpp",
-        /// Day and night: an arrival in a TTI with a probability that follows the sun over a place on a day of the
-        /// year.
+        /// Diurnal source: the probability of an arrival in a TTI follows the sun at a given place and day of the year.
         Diurnal = "diurnal",
         /// Recorded energy from a file.
         Trace = "trace",
@@ -54,10 +52,10 @@ choices! {
 }
 
 crate::declare! {
-    /// The energy source of a device (paper Sec. III-A).
+    /// Energy source of a device (paper Sec. III-A).
     #[derive(Clone, Copy, Debug)]
     struct Settings in "harvest" {
-        /// The kind of source.
+        /// Kind of the energy source.
         kind: HarvestKind = choice::<HarvestKind>("eq5").source("Eq. (5)"),
     }
 }
@@ -74,28 +72,28 @@ pub enum Harvest {
     /// See [`HarvestKind::Diurnal`].
     Diurnal(Diurnal),
     /// See [`HarvestKind::Trace`].
-    Trace(Trace),
+    Trace(HarvestTrace),
 }
 
 impl Harvest {
     /// The fields of all kinds.
-    pub const SECTIONS: [&'static Section; 7] = {
-        let [recorded, trace, panel] = Trace::SECTIONS;
+    pub(crate) const SECTIONS: [&'static Section; 7] = {
+        let [recorded, trace, panel] = HarvestTrace::SECTIONS;
         let (arrivals, mpp, diurnal) = (Arrivals::SECTION, Mpp::SECTION, Diurnal::SECTION);
         [Settings::SECTION, arrivals, mpp, diurnal, recorded, trace, panel]
     };
 
-    /// The source that `reader` has, for TTIs of duration `tau`.
+    /// Builds the source in `reader`, for TTIs of duration `tau`.
     ///
     /// # Errors
-    /// A value that may not be, or a trace that cannot be read.
-    pub fn settle(reader: &Reader<'_>, tau: f64) -> Result<Self, ScenarioError> {
+    /// If a value is not allowed, or a trace cannot be read.
+    pub fn from_fields(reader: &FieldReader<'_>, tau: f64) -> Result<Self, ScenarioError> {
         Ok(match Settings::read(reader)?.kind {
             HarvestKind::Eq5 => Self::Eq5(Arrivals::read(reader)?),
             HarvestKind::ExpMinusLambda => Self::ExpMinusLambda(Arrivals::read(reader)?),
-            HarvestKind::Mpp => Self::Mpp(Mpp::settle(reader, tau)?),
-            HarvestKind::Diurnal => Self::Diurnal(Diurnal::settle(reader, tau)?),
-            HarvestKind::Trace => Self::Trace(Trace::settle(reader)?),
+            HarvestKind::Mpp => Self::Mpp(Mpp::from_fields(reader, tau)?),
+            HarvestKind::Diurnal => Self::Diurnal(Diurnal::from_fields(reader, tau)?),
+            HarvestKind::Trace => Self::Trace(HarvestTrace::from_fields(reader)?),
         })
     }
 
@@ -110,8 +108,8 @@ impl Harvest {
         }
     }
 
-    /// Hands every field to `sink`.
-    pub fn visit(&self, sink: &mut dyn Sink) {
+    /// Passes every field to `sink`.
+    pub fn visit(&self, sink: &mut dyn FieldSink) {
         Settings { kind: self.kind() }.visit(sink);
         match self {
             Self::Eq5(arrivals) | Self::ExpMinusLambda(arrivals) => arrivals.visit(sink),
@@ -121,7 +119,7 @@ impl Harvest {
         }
     }
 
-    /// The form that a device needs, for TTIs of duration `tau`; `trace` is the trace to read where it reads one.
+    /// The setup for a device, for TTIs of duration `tau`; `trace` is the index of the trace to read, if it reads one.
     pub fn setup(&self, tau: f64, trace: u32) -> HarvestSetup {
         match self {
             Self::Eq5(arrivals) => HarvestSetup::Arrivals(arrivals.eq5(tau)),
@@ -132,7 +130,7 @@ impl Harvest {
         }
     }
 
-    /// The recorded energy that it brings along, energy per TTI by column and row.
+    /// The recorded energy of the source, energy per TTI by column and row.
     pub fn columns(&self) -> &[Vec<Energy>] {
         match self {
             Self::Trace(trace) => &trace.values,
@@ -140,21 +138,21 @@ impl Harvest {
         }
     }
 
-    /// The one of [`Self::columns`] that the `nth` device of a class reads; 0 where it reads none.
-    pub fn column_of(&self, nth: u32) -> u32 {
+    /// The index in [`Self::columns`] for the `nth` device of a class; 0 if it reads none.
+    pub(crate) fn column_of(&self, nth: u32) -> u32 {
         match self {
             Self::Trace(trace) => trace.column_of(nth),
             Self::Eq5(_) | Self::ExpMinusLambda(_) | Self::Mpp(_) | Self::Diurnal(_) => 0,
         }
     }
 
-    /// The mean harvest in a TTI of duration `tau`; of a trace's first column.
+    /// The mean harvest in a TTI of duration `tau`; for a trace, the mean of its first column.
     pub fn mean(&self, tau: f64) -> Energy {
         let rows = self.columns().first().cloned().map(Arc::new);
         self.setup(tau, 0).mean(rows.as_slice())
     }
 
-    /// The most that can come in a TTI.
+    /// The largest energy in a TTI.
     pub fn peak(&self) -> Energy {
         match self {
             Self::Eq5(Arrivals { e_b, .. })
@@ -168,7 +166,7 @@ impl Harvest {
         }
     }
 
-    /// λ and `E_B`, of sources that have them and are alike in all TTIs.
+    /// λ and `E_B`, for sources that have them and are the same in all TTIs.
     pub const fn arrivals(&self) -> Option<Arrivals> {
         match self {
             Self::Eq5(arrivals) | Self::ExpMinusLambda(arrivals) => Some(*arrivals),
@@ -180,8 +178,8 @@ impl Harvest {
         }
     }
 
-    /// The probability of an arrival in a TTI of duration `tau`, of sources whose arrivals do not depend on each other
-    /// and are equally likely in all TTIs.
+    /// The probability of an arrival in a TTI of duration `tau`, for sources with independent arrivals that are equally
+    /// likely in all TTIs.
     pub fn independent_probability(&self, tau: f64) -> Option<f64> {
         match self.setup(tau, 0) {
             HarvestSetup::Arrivals(ArrivalsSetup { p, .. }) => Some(p),
@@ -190,7 +188,7 @@ impl Harvest {
     }
 }
 
-/// A source's parameters in the form that a device needs, model time already counted in TTIs.
+/// The parameters of a source for a device, with model time already converted to TTIs.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum HarvestSetup {
     /// Independent arrivals.
@@ -199,12 +197,12 @@ pub enum HarvestSetup {
     OnOff(OnOffSetup),
     /// Recorded energy.
     Trace(TraceSetup),
-    /// Day and night.
+    /// A diurnal source.
     Diurnal(DiurnalSetup),
 }
 
 impl HarvestSetup {
-    /// The mean harvest in a TTI, to the nearest micro-unit; `traces` are the run's, energy per TTI by row.
+    /// The mean harvest per TTI, to the nearest micro-unit; `traces` are the run's, energy per TTI by row.
     pub fn mean(&self, traces: &[Arc<Vec<Energy>>]) -> Energy {
         match self {
             Self::Arrivals(arrivals) => arrivals.mean(),
@@ -214,20 +212,20 @@ impl HarvestSetup {
         }
     }
 
-    /// Whether a device can be given it: probabilities are shares, and a trace is among the run's `traces`.
-    pub fn is_sound(&self, traces: &[Arc<Vec<Energy>>]) -> bool {
+    /// Whether the setup is valid for a device: probabilities are shares, and a trace is among the run's `traces`.
+    pub fn is_valid(&self, traces: &[Arc<Vec<Energy>>]) -> bool {
         match self {
-            Self::Arrivals(arrivals) => arrivals.is_sound(),
-            Self::OnOff(on_off) => on_off.is_sound(),
-            Self::Trace(trace) => trace.is_sound(traces),
-            Self::Diurnal(diurnal) => diurnal.is_sound(),
+            Self::Arrivals(arrivals) => arrivals.is_valid(),
+            Self::OnOff(on_off) => on_off.is_valid(),
+            Self::Trace(trace) => trace.is_valid(traces),
+            Self::Diurnal(diurnal) => diurnal.is_valid(),
         }
     }
 
-    /// The source as far as it is known before a run: recorded energy is known by its mean alone, which then comes in
-    /// each TTI, and day and night may be. `traces` are the run's, energy per TTI by row.
+    /// The source as known before a run. A trace is known by its mean only, which then arrives in each TTI; so may be a
+    /// diurnal source. `traces` are the run's, energy per TTI by row.
     #[must_use]
-    pub fn as_known(&self, traces: &[Arc<Vec<Energy>>]) -> Self {
+    pub fn expected(&self, traces: &[Arc<Vec<Energy>>]) -> Self {
         match self {
             Self::Arrivals(_) | Self::OnOff(_) => *self,
             Self::Trace(trace) => Self::Arrivals(ArrivalsSetup {
@@ -238,17 +236,16 @@ impl HarvestSetup {
         }
     }
 
-    /// What is to be expected of it at which time of the day, of a source for which that differs and is known before a
-    /// run.
-    pub fn course(&self) -> Option<Course> {
+    /// The expected energy by time of day, for a source that depends on it and is known before a run.
+    pub fn course(&self) -> Option<DayProfile> {
         match self {
             Self::Arrivals(_) | Self::OnOff(_) | Self::Trace(_) => None,
             Self::Diurnal(diurnal) => diurnal.course(),
         }
     }
 
-    /// Whether it reads one of the run's traces.
-    pub const fn reads_a_trace(&self) -> bool {
+    /// Whether the source reads one of the run's traces.
+    pub(crate) const fn reads_a_trace(&self) -> bool {
         match self {
             Self::Trace(_) => true,
             Self::Arrivals(_) | Self::OnOff(_) | Self::Diurnal(_) => false,
@@ -257,7 +254,8 @@ impl HarvestSetup {
 }
 
 impl Sources {
-    /// What sources of the kinds `setups` need. `traces` are the run's traces, energy per TTI by row.
+    /// Creates the shared data of sources of the kinds in `setups`. `traces` are the run's traces, energy per TTI by
+    /// row.
     pub fn new<'a>(setups: impl IntoIterator<Item = &'a HarvestSetup>, traces: Vec<Arc<Vec<Energy>>>) -> Self {
         let mut shared = Self::with_traces(traces);
         for setup in setups {
@@ -287,10 +285,10 @@ enum Source {
 }
 
 impl HarvestSource {
-    /// The source of `device`.
+    /// Creates the source of `device`.
     ///
     /// # Panics
-    /// If `setup` names a trace that is not among those of `shared`.
+    /// If `setup` names a trace that `shared` does not have.
     pub fn new(setup: &HarvestSetup, shared: &Sources, seed: u64, device: DeviceId) -> Self {
         let stream = Stream::new(seed, Purpose::Harvest, u64::from(device.0));
         let (source, next) = match setup {
@@ -314,12 +312,12 @@ impl HarvestSource {
         Self { next, source }
     }
 
-    /// The TTI of the next arrival; [`Tti::NEVER`] if there is none.
+    /// The TTI of the next arrival; [`Tti::NEVER`] without one.
     pub const fn next(&self) -> Tti {
         self.next
     }
 
-    /// Takes the next arrival. Only where there is one.
+    /// Takes the next arrival, which must exist.
     #[inline]
     pub fn take(&mut self) -> Energy {
         let (energy, next) = match &mut self.source {

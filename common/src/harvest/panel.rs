@@ -1,53 +1,53 @@
-//! From irradiance, as weather stations record it, to units of energy per TTI.
+//! Conversion of irradiance, as weather stations record it, to units of energy per TTI.
 //!
-//! A panel of area A and efficiency η turns an irradiance of G W/m² into η·A·G watts. Between two rows of a record
-//! irradiance goes on a straight line, and what comes in a TTI is its integral. Rounding is carried from TTI to TTI, so
-//! that the micro-units of a record add up to its energy.
+//! A panel of area A and efficiency η turns an irradiance of G W/m² into η·A·G watts. Irradiance is linear between two
+//! rows of a record, and a TTI brings its integral. Rounding errors are carried over between TTIs, so that the
+//! micro-units of a record add up to its energy.
 
-use crate::declare::{Range, Section, Sink, number};
+use crate::declare::{FieldSink, Range, Section, Visit, number};
 use crate::units::{Energy, MAX_UNITS, MICRO_PER_UNIT};
 
-/// TTIs that one column may come to.
+/// Most TTIs per column.
 const MOST_TTIS: f64 = 10_000_000.0;
-/// By how much a record may miss a whole number of TTIs, TTIs: rounding.
+/// Allowed deviation of a record from a whole number of TTIs, in TTIs, for rounding.
 const ROUNDING: f64 = 1e-6;
-/// Areas, energies and times.
+/// Range of areas, energies and times.
 const SIZE: Range = Range::above(0.0, 1e9);
 
 crate::declare! {
-    /// A panel, its place in time, and what a unit of energy is.
+    /// Solar panel, time scale and energy unit of an irradiance trace.
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub struct Panel in "harvest.trace.panel" only with "harvest.trace.quantity" = &["irradiance"]; {
         /// Area of the panel.
         pub area_cm2: f64 = number(SIZE, 1.0).unit("cm²").required(),
-        /// Share of the light's energy that gets into the battery, converter included.
+        /// Share of the light's energy that reaches the battery, converter losses included.
         pub efficiency: f64 = number(Range::above(0.0, 1.0), 1.0).required(),
-        /// What one unit of energy is. Where E_Tx is 10 units, a tenth of what a report costs.
+        /// Energy that one unit represents. If E_Tx is 10 units, one unit is a tenth of the cost of a report.
         pub unit_mj: f64 = number(SIZE, 1.0).unit("mJ").required(),
-        /// What a TTI stands for.
+        /// Duration that a TTI represents.
         pub tti_seconds: f64 = number(SIZE, 1.0).unit("seconds").required(),
-        /// Time from a row of the file to the next.
+        /// Time between two rows of the file.
         pub row_seconds: f64 = number(SIZE, 3600.0).unit("seconds"),
     }
 }
 
 impl Panel {
-    /// Units that come in a second for each W/m².
+    /// Units of energy per second and W/m².
     fn units_per_second(&self) -> f64 {
         let square_metres = self.area_cm2 * 1e-4;
         1000.0 * square_metres * self.efficiency / self.unit_mj
     }
 
-    /// Energy per TTI of the rows `irradiance`, W/m² and at least 0, at least one: row i is that at the time
-    /// i·`row_seconds`. After the last row comes the first again, or with `stops` as much as in the last for as long as
-    /// a row lasts.
+    /// Energy per TTI of the rows `irradiance`, W/m², at least one row, each at least 0; row i is the value at time
+    /// i·`row_seconds`. After the last row the first one follows; with `stops` the last value holds for one more row.
     ///
     /// # Errors
-    /// The rows are no whole number of TTIs, or too many, or more comes in a TTI than may be.
+    /// If the rows are not a whole number of TTIs or too many, or the energy in a TTI exceeds the limit.
     pub(super) fn energies(&self, irradiance: &[f64], stops: bool) -> Result<Vec<Energy>, String> {
         let (rows, row) = (irradiance.len() as f64, self.row_seconds);
         let ttis = rows * row / self.tti_seconds;
         let whole = ttis.round();
+        // Relative, since the rounding of the quotient grows with it.
         if whole < 1.0 || (ttis - whole).abs() > ROUNDING * whole.max(1.0) {
             return Err(format!(
                 "its {rows} rows of {row} s are {ttis:.3} TTIs of {} s, and must be a whole number of them; set \
@@ -73,6 +73,7 @@ impl Panel {
         }
         let micro = self.units_per_second() * row * MICRO_PER_UNIT as f64;
         let until = |tti: u64| {
+            // Rounding must not move the last position beyond the last row's end.
             let place = (tti as f64 / whole * rows).min(rows);
             let (i, part) = (place as usize, place.fract());
             let slope = at(i + 1) - at(i);
@@ -81,7 +82,7 @@ impl Panel {
         let (mut energies, mut before) = (Vec::with_capacity(whole as usize), 0_u64);
         for tti in 0..whole as u64 {
             let end = until(tti + 1);
-            // Beyond the integers that a number holds it is far too much too.
+            // The cast saturates; a sum that large exceeds MAX_UNITS below anyway.
             let sum = end.round() as u64;
             let energy = Energy::from_micro(sum.saturating_sub(before));
             if energy.units() > MAX_UNITS {
@@ -98,8 +99,8 @@ impl Panel {
     }
 }
 
-/// Hands the fields of `panel`, if there is one, to `sink`.
-pub(super) fn visit(panel: Option<&Panel>, sink: &mut dyn Sink) {
+/// Passes the fields of `panel`, if given, to `sink`.
+pub(super) fn visit(panel: Option<&Panel>, sink: &mut dyn FieldSink) {
     if let Some(panel) = panel {
         panel.visit(sink);
     }
@@ -140,7 +141,7 @@ mod tests {
 
     #[test]
     fn between_rows_goes_a_straight_line() {
-        // 0 at 0 s, 8 at 4 s; then back to 0 at 8 s, or on at 8.
+        // 0 at 0 s, 8 at 4 s; then back to 0 at 8 s, or constant at 8.
         assert_eq!(
             units(&PANEL, &[0.0, 8.0], false),
             [1.0, 3.0, 5.0, 7.0, 7.0, 5.0, 3.0, 1.0]
@@ -153,7 +154,7 @@ mod tests {
             tti_seconds: 8.0 / 3.0,
             ..PANEL
         };
-        // The triangle of 32 in thirds: (8/3)²·2/2, then the rest but as much again.
+        // The triangle of 32 in thirds: (8/3)²·2/2 for each outer third, and the rest in the middle.
         let outer = (8.0_f64 / 3.0).powi(2);
         for (found, expected) in units(&odd, &[0.0, 8.0], false)
             .iter()
@@ -163,7 +164,7 @@ mod tests {
         }
     }
 
-    /// Against the sum of many narrow strips, and to the micro-unit in all.
+    /// Compares each energy with the sum of many narrow strips, and the total to the micro-unit.
     #[test]
     fn energy_is_the_integral_and_none_is_lost_by_rounding() {
         let rows: Vec<f64> = (0..48).map(|i| f64::from((i * 37) % 11) * 1.7e-6).collect();

@@ -1,10 +1,10 @@
-//! Where the sun stands over a place, and how bright that is.
+//! The sun's position over a place, and its irradiance.
 //!
-//! The formulas are those of J. A. Duffie and W. A. Beckman, *Solar Engineering of Thermal Processes*, Sec. 1.6: the
+//! The formulas follow J. A. Duffie and W. A. Beckman, *Solar Engineering of Thermal Processes*, Sec. 1.6: the
 //! declination of P. I. Cooper (1969), Eq. (1.6.1a), the hour angle of solar time, the elevation by Eq. (1.6.5), and
-//! the hour angle of sunset by Eq. (1.6.10), cos ω₀ = −tan φ tan δ. A clear sky is that of B. Haurwitz (1945).
+//! the hour angle of sunset by Eq. (1.6.10), cos ω₀ = −tan φ tan δ. A clear sky follows B. Haurwitz (1945).
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 
 use serde::{Deserialize, Serialize};
 
@@ -12,25 +12,25 @@ use crate::declare::choices;
 
 /// The tilt of the Earth's axis in Cooper's formula, degrees.
 const TILT: f64 = 23.45;
-/// How much of the light a clear sky takes, Haurwitz: irradiance is proportional to s·exp(-0.059/s), s the sine of the
+/// Attenuation by a clear sky (Haurwitz): irradiance is proportional to s·exp(-0.059/s), with s the sine of the
 /// elevation.
 const HAZE: f64 = 0.059;
 
 choices! {
-    /// What becomes of sunlight on its way.
+    /// Attenuation of sunlight by the atmosphere.
     #[derive(Serialize, Deserialize)]
     #[serde(rename_all = "kebab-case")]
     pub enum Sky {
         /// Irradiance is proportional to the sine of the sun's elevation.
         Vacuum = "vacuum",
-        /// The air of a clear day, which takes the more the lower the sun is (Haurwitz 1945).
+        /// Clear sky: the attenuation grows as the sun's elevation falls (Haurwitz 1945).
         Clear = "clear",
     }
 }
 
 impl Sky {
-    /// Irradiance on level ground where the sine of the sun's elevation is `sine`, as a share of that under a sun in
-    /// the zenith, `[0, 1]`; 0 below the horizon.
+    /// Irradiance on level ground for the sine `sine` of the sun's elevation, relative to a sun in the zenith, `[0,
+    /// 1]`; 0 below the horizon.
     pub fn irradiance(self, sine: f64) -> f64 {
         if sine <= 0.0 {
             return 0.0;
@@ -42,7 +42,7 @@ impl Sky {
     }
 }
 
-/// The course of the sun over a place on a day of the year, the same on each day of a run.
+/// The path of the sun over a place on a day of the year; every day of a run is the same.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Sun {
     /// Latitude φ, degrees north, `-90 ..= 90`.
@@ -51,15 +51,15 @@ pub struct Sun {
     pub day_of_year: u32,
     /// Solar time at which TTI 0 begins, hours, `[0, 24)`.
     pub start_hour: f64,
-    /// TTIs of a day, ≥ 1.
+    /// TTIs per day, ≥ 1.
     pub ttis_per_day: u32,
-    /// The air.
+    /// The attenuation by the air.
     pub sky: Sky,
 }
 
 impl Sun {
     /// The declination δ in radians: 23.45°·sin(360°·(284 + n)/365).
-    pub fn declination(&self) -> f64 {
+    pub(crate) fn declination(&self) -> f64 {
         TILT.to_radians() * libm::sin(TAU * (284.0 + f64::from(self.day_of_year)) / 365.0)
     }
 
@@ -70,32 +70,34 @@ impl Sun {
         libm::sin(phi) * libm::sin(delta) + libm::cos(phi) * libm::cos(delta) * libm::cos(omega)
     }
 
-    /// The share of the day that the sun is up, `[0, 1]`: ω₀/π with cos ω₀ = −tan φ tan δ; 0 in the polar night and 1
-    /// in the polar day.
-    pub fn daylight(&self) -> f64 {
+    /// The share of the day with the sun above the horizon, `[0, 1]`: ω₀/π with cos ω₀ = −tan φ tan δ; 0 in the polar
+    /// night and 1 in the polar day.
+    #[cfg(test)]
+    fn daylight(&self) -> f64 {
         let cosine = -libm::tan(self.latitude.to_radians()) * libm::tan(self.declination());
-        libm::acos(cosine.clamp(-1.0, 1.0)) / PI
+        // Beyond ±1 the sun does not rise, or does not set; at a pole the tangent is very large.
+        libm::acos(cosine.clamp(-1.0, 1.0)) / std::f64::consts::PI
     }
 
-    /// Irradiance in each TTI of a day, counted from TTI 0, as a share of that under a sun in the zenith, `[0, 1]`:
-    /// that in the middle of the TTI.
+    /// Irradiance in the middle of each TTI of a day, from TTI 0 on, relative to a sun in the zenith, `[0, 1]`.
     pub fn day(&self) -> impl Iterator<Item = f64> + '_ {
         let ttis = f64::from(self.ttis_per_day);
-        // As in Self::sine, with what does not change taken out.
+        // As in `Self::sine`, with the factors that are constant over a day computed once.
         let (phi, delta) = (self.latitude.to_radians(), self.declination());
         let (level, swing) = (libm::sin(phi) * libm::sin(delta), libm::cos(phi) * libm::cos(delta));
         (0..self.ttis_per_day).map(move |tti| {
             let of_day = self.start_hour / 24.0 + (f64::from(tti) + 0.5) / ttis;
+            // The hour angle is 0 at noon.
             self.sky.irradiance(level + swing * libm::cos(TAU * (of_day - 0.5)))
         })
     }
 
-    /// `zenith` times [`Self::day`].
+    /// [`Self::day`] multiplied by `zenith`.
     pub fn times(&self, zenith: f64) -> impl Iterator<Item = f64> + '_ {
         self.day().map(move |light| zenith * light)
     }
 
-    /// The most that [`Self::day`] can come to: irradiance at noon.
+    /// The upper bound of [`Self::day`]: irradiance at noon.
     pub fn noon(&self) -> f64 {
         self.sky.irradiance(self.sine(0.0))
     }
@@ -108,6 +110,8 @@ impl Sun {
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::PI;
+
     use super::*;
 
     fn sun(latitude: f64, day_of_year: u32) -> Sun {
@@ -120,7 +124,7 @@ mod tests {
         }
     }
 
-    /// Days on which the declination is 0, the largest and the smallest, or nearly so.
+    /// Days with a declination of about 0, near its maximum, and near its minimum.
     const EQUINOX: u32 = 81;
     const MIDSUMMER: u32 = 172;
     const MIDWINTER: u32 = 355;
@@ -198,7 +202,7 @@ mod tests {
             }
             let most = day.iter().copied().fold(0.0, f64::max);
             assert!(most <= sun.noon() && most > 0.9999 * sun.noon(), "{most}");
-            // A run that begins at another hour has the same day, later.
+            // A run that begins at another hour has the same day, shifted.
             let later = Sun { start_hour: 6.0, ..sun };
             for (at, light) in later.day().enumerate() {
                 assert!((light - day[(at + 360) % 1440]).abs() < 1e-12);
@@ -206,8 +210,8 @@ mod tests {
         }
     }
 
-    /// The daily mean of irradiance in closed form (Duffie and Beckman, Eq. (1.10.3)), and that of a clear sky against
-    /// Simpson's rule.
+    /// Compares the daily mean of irradiance with its closed form (Duffie and Beckman, Eq. (1.10.3)), and for a clear
+    /// sky with Simpson's rule.
     #[test]
     fn the_daily_mean_is_the_integral() {
         for (latitude, day) in [(0.0, 81), (36.1, 185), (52.5, 355), (70.0, 172), (-40.0, 10)] {

@@ -1,4 +1,4 @@
-//! Recorded energy from files.
+//! Energy traces from files.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -6,101 +6,105 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::panel::{self, Panel};
-use crate::columns::{self, Columns, LARGEST_FILE};
+use crate::columns::{self, ColumnData, LARGEST_FILE};
 use crate::declare::choices;
 use crate::declare::{
-    NOT_NEGATIVE, Reader, ScenarioError, Section, Sink, Value, choice, file, number, text, texts, whole,
+    FieldReader, FieldSink, FieldValue, NOT_NEGATIVE, ScenarioError, Section, Visit, choice, file, number, text, texts,
+    whole,
 };
 use crate::ids::{MAX_TTIS, Tti};
 use crate::units::{Energy, MAX_UNITS};
 
 choices! {
-    /// What follows the last row of a trace.
+    /// Behaviour after the last row of a trace.
     #[derive(Serialize, Deserialize)]
     #[serde(rename_all = "kebab-case")]
     pub enum TraceEnd {
-        /// It begins again.
+        /// The trace starts again from its first row.
         Cycle = "cycle",
-        /// Nothing more is harvested.
+        /// The device harvests no more energy.
         Stop = "stop",
     }
 }
 
 choices! {
-    /// What a trace recorded.
-    pub enum Quantity {
+    /// Quantity recorded in a trace.
+    pub enum TraceQuantity {
         /// Energy per TTI.
         Energy = "energy",
-        /// Irradiance in W/m², which `harvest.trace.panel` turns into energy.
+        /// Irradiance in W/m², which `harvest.trace.panel` converts to energy.
         Irradiance = "irradiance",
     }
 }
 
 crate::declare! {
-    /// Recorded energy, or what it comes from.
+    /// Recorded quantity: energy, or the irradiance from which it is computed.
     #[derive(Clone, Copy, Debug)]
-    struct Recorded in "harvest.trace" only with "harvest.kind" = &["trace"]; {
-        /// What the file recorded.
-        quantity: Quantity = choice::<Quantity>("energy"),
+    struct TraceQuantityFields in "harvest.trace" only with "harvest.kind" = &["trace"]; {
+        /// Quantity recorded in the file.
+        quantity: TraceQuantity = choice::<TraceQuantity>("energy"),
     }
 }
 
 crate::declare! {
-    /// The record.
+    /// File, columns and scale of the trace.
     #[derive(Clone, Debug)]
     struct Settings in "harvest.trace" only with "harvest.kind" = &["trace"]; {
-        /// A CSV file with a header, or a Parquet file in a build with that feature. Relative to the scenario file.
+        /// CSV file with a header, or Parquet file in a build with that feature. The path is relative to the scenario
+        /// file.
         file: Option<String> = file(),
-        /// The column that all devices read.
+        /// Column that all devices read.
         column: Option<String> = text().instead_of("columns"),
-        /// Columns of which the i-th device of a class reads the i-th, in a circle.
+        /// Columns for the devices of a class: the i-th device reads the i-th column, and the list repeats after its
+        /// end.
         columns: Option<Vec<String>> = texts().instead_of("column"),
-        /// Energy for one in the file.
+        /// Energy for the value 1 in the file.
         scale: f64 = number(NOT_NEGATIVE, 1.0).unit("units"),
-        /// How long one row lasts; its energy comes in each of them.
+        /// Duration of one row; the device harvests the row's energy in each of its TTIs.
         ttis_per_row: u64 = whole(1, MAX_TTIS, 1).unit("TTIs"),
-        /// What follows the last row.
+        /// Behaviour after the last row.
         end: TraceEnd = choice::<TraceEnd>("cycle"),
     }
 }
 
-/// Recorded energy per TTI.
+/// A trace of recorded energy per TTI.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Trace {
-    /// The file it came from.
+pub struct HarvestTrace {
+    /// The path of the file.
     pub file: PathBuf,
-    /// Where the columns were taken.
+    /// The selected columns.
     pub columns: TraceColumns,
     /// Units of energy for one unit in the file, ≥ 0.
     pub scale: f64,
-    /// TTIs that one row lasts, ≥ 1; its energy comes in each of them.
+    /// TTIs per row, ≥ 1; each of them brings the row's energy.
     pub ttis_per_row: u64,
-    /// What follows the last row.
+    /// Behaviour after the last row.
     pub end: TraceEnd,
-    /// What turned the file's irradiance into energy, where that is what it recorded.
+    /// The panel that converts irradiance to energy, if the file recorded irradiance.
     pub panel: Option<Panel>,
-    /// Energy per TTI by column and row, scaled; under a panel a row for each TTI.
+    /// Energy per TTI by column and row, scaled; under a panel one row per TTI.
     pub values: Arc<Vec<Vec<Energy>>>,
 }
 
-/// Which column of a trace a device reads.
+/// The columns of a trace that the devices read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum TraceColumns {
     /// All devices of the class read this column.
     Shared(String),
-    /// The i-th device of the class reads the i-th of these columns, in a circle.
+    /// The i-th device of the class reads the i-th of these columns, cyclically.
     PerDevice(Vec<String>),
 }
 
-impl Trace {
+impl HarvestTrace {
     /// The fields of a trace.
-    pub const SECTIONS: [&'static Section; 3] = [Recorded::SECTION, Settings::SECTION, panel::SECTION];
+    pub(crate) const SECTIONS: [&'static Section; 3] =
+        [TraceQuantityFields::SECTION, Settings::SECTION, panel::SECTION];
 
-    /// The trace that `reader` has, its values read and scaled.
-    pub(super) fn settle(reader: &Reader<'_>) -> Result<Self, ScenarioError> {
-        let panel = match Recorded::read(reader)?.quantity {
-            Quantity::Energy => None,
-            Quantity::Irradiance => Some(Panel::read(reader)?),
+    /// Builds the trace in `reader`; reads and scales its values.
+    pub(super) fn from_fields(reader: &FieldReader<'_>) -> Result<Self, ScenarioError> {
+        let panel = match TraceQuantityFields::read(reader)?.quantity {
+            TraceQuantity::Energy => None,
+            TraceQuantity::Irradiance => Some(Panel::read(reader)?),
         };
         let mut settings = Settings::read(reader)?;
         if panel.is_some() && (settings.scale, settings.ttis_per_row) != (1.0, 1) {
@@ -111,16 +115,18 @@ impl Trace {
             );
         }
         let (path, because) = ("harvest.trace.file", "harvest.kind");
-        let file = settings.file.ok_or_else(|| reader.needed(path, because))?;
+        let file = settings.file.ok_or_else(|| reader.missing_value(path, because))?;
         let columns = match (settings.column, settings.columns) {
             (Some(column), None) => TraceColumns::Shared(column),
             (None, Some(columns)) => TraceColumns::PerDevice(columns),
             (Some(column), Some(_)) => {
                 let allowed = "cannot be set together with harvest.trace.columns: all devices share one \
                     column, or each has its own";
-                return Err(reader.refuse("harvest.trace.column", column, allowed));
+                return Err(reader.invalid_value("harvest.trace.column", column, allowed));
             }
-            (None, None) => return Err(reader.needed("harvest.trace.column (or harvest.trace.columns)", because)),
+            (None, None) => {
+                return Err(reader.missing_value("harvest.trace.column (or harvest.trace.columns)", because));
+            }
         };
         let file = reader.file(path, &file)?;
         let names = match &columns {
@@ -145,20 +151,21 @@ impl Trace {
                 panel,
                 values: Arc::new(values),
             }),
-            Err(reason) => Err(reader.data(path, file, reason)),
+            Err(reason) => Err(reader.file_error(path, file, reason)),
         }
     }
 
-    /// Hands every field to `sink`.
-    pub(super) fn visit(&self, sink: &mut dyn Sink) {
-        // Without it, a record is what it always was, and so is the hash of its scenario.
+    /// Passes every field to `sink`.
+    pub(super) fn visit(&self, sink: &mut dyn FieldSink) {
+        // Omitted for recorded energy, so that the hashes of such scenarios do not depend on the field.
         if self.panel.is_some() {
-            let quantity = Quantity::Irradiance;
-            Recorded { quantity }.visit(sink);
+            let quantity = TraceQuantity::Irradiance;
+            TraceQuantityFields { quantity }.visit(sink);
         }
         let section = Settings::SECTION;
         if let Some(field) = section.field("file") {
-            sink.field(section, field, Value::Path(&self.file.to_string_lossy()));
+            sink.field(section, field, FieldValue::Path(&self.file.to_string_lossy()));
+            // The values are hashed, not only the path: the file at a path can change.
             for column in self.values.iter() {
                 sink.content(
                     &column
@@ -184,12 +191,12 @@ impl Trace {
         panel::visit(self.panel.as_ref(), sink);
     }
 
-    /// The most that comes in a TTI.
+    /// The largest energy in a TTI.
     pub(super) fn peak(&self) -> Energy {
         self.values.iter().flatten().max().copied().unwrap_or_default()
     }
 
-    /// The column, counted from the first, that the `nth` device of a class reads.
+    /// The index of the column, from 0, that the `nth` device of a class reads.
     pub(super) fn column_of(&self, nth: u32) -> u32 {
         match &self.columns {
             TraceColumns::Shared(_) => 0,
@@ -197,7 +204,7 @@ impl Trace {
         }
     }
 
-    /// The source that reads trace number `trace` of a run.
+    /// The setup of a source that reads trace number `trace` of a run.
     pub(super) fn setup(&self, trace: u32) -> TraceSetup {
         TraceSetup {
             trace,
@@ -207,8 +214,8 @@ impl Trace {
     }
 }
 
-/// `numbers` by column and row as energy per TTI.
-fn energies(numbers: &Columns<f64>, names: &[String], scale: f64) -> Result<Vec<Vec<Energy>>, String> {
+/// Converts `numbers` by column and row to energy per TTI.
+fn energies(numbers: &ColumnData<f64>, names: &[String], scale: f64) -> Result<Vec<Vec<Energy>>, String> {
     let energy = |name: &str, (row, &number): (usize, &f64)| {
         Energy::from_units(number * scale).ok_or_else(|| {
             format!(
@@ -223,8 +230,13 @@ fn energies(numbers: &Columns<f64>, names: &[String], scale: f64) -> Result<Vec<
     numbers.values.iter().zip(names).map(column).collect()
 }
 
-/// `numbers` by column and row, W/m², as energy per TTI by column and TTI.
-fn under(panel: &Panel, numbers: &Columns<f64>, names: &[String], end: TraceEnd) -> Result<Vec<Vec<Energy>>, String> {
+/// Converts `numbers` by column and row, W/m², to energy per TTI by column and TTI.
+fn under(
+    panel: &Panel,
+    numbers: &ColumnData<f64>,
+    names: &[String],
+    end: TraceEnd,
+) -> Result<Vec<Vec<Energy>>, String> {
     let column = |(values, name): (&Vec<f64>, &String)| {
         if let Some(row) = values.iter().position(|&value| value < 0.0) {
             return Err(format!(
@@ -240,36 +252,36 @@ fn under(panel: &Panel, numbers: &Columns<f64>, names: &[String], end: TraceEnd)
     numbers.values.iter().zip(names).map(column).collect()
 }
 
-/// Recorded energy, as a device needs it: one of the run's traces.
+/// The setup of a trace source on a device: one of the run's traces.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TraceSetup {
-    /// The number of the trace among the run's traces.
+    /// Index in the run's traces.
     pub trace: u32,
-    /// TTIs that one row lasts, ≥ 1.
+    /// TTIs per row, ≥ 1.
     pub ttis_per_row: u64,
-    /// What follows the last row.
+    /// Behaviour after the last row.
     pub end: TraceEnd,
 }
 
 impl TraceSetup {
-    /// Its rows among the run's `traces`.
+    /// The rows of this trace, from the run's `traces`.
     fn rows<'t>(&self, traces: &'t [Arc<Vec<Energy>>]) -> Option<&'t Arc<Vec<Energy>>> {
         traces.get(self.trace as usize)
     }
 
-    /// Whether a device can be given it.
-    pub(super) fn is_sound(&self, traces: &[Arc<Vec<Energy>>]) -> bool {
+    /// Whether the setup is valid for a device.
+    pub(super) fn is_valid(&self, traces: &[Arc<Vec<Energy>>]) -> bool {
         self.ttis_per_row > 0 && self.rows(traces).is_some_and(|rows| !rows.is_empty())
     }
 
-    /// The mean harvest in a TTI.
+    /// The mean harvest per TTI.
     pub(super) fn mean(&self, traces: &[Arc<Vec<Energy>>]) -> Energy {
         let rows = self.rows(traces).map_or(&[][..], |rows| rows);
         let sum: u128 = rows.iter().map(|energy| u128::from(energy.micro())).sum();
         Energy::from_micro((sum / (rows.len() as u128).max(1)) as u64)
     }
 
-    /// The source, and the TTI of its first arrival.
+    /// Creates the source. Also returns the TTI of its first arrival.
     pub(super) fn source(&self, traces: &[Arc<Vec<Energy>>]) -> (TraceSource, Tti) {
         let source = TraceSource {
             rows: Arc::clone(&traces[self.trace as usize]),
@@ -281,7 +293,7 @@ impl TraceSetup {
     }
 }
 
-/// Recorded energy at one device.
+/// The trace source of one device.
 #[derive(Clone, Debug)]
 pub(super) struct TraceSource {
     rows: Arc<Vec<Energy>>,
@@ -290,7 +302,7 @@ pub(super) struct TraceSource {
 }
 
 impl TraceSource {
-    /// The arrival in `now`, and the TTI of the next.
+    /// Returns the arrival in `now` and the TTI of the next one.
     #[inline]
     pub(super) fn take(&mut self, now: Tti) -> (Energy, Tti) {
         let row = now.0 / self.ttis_per_row % self.rows.len() as u64;
@@ -316,7 +328,7 @@ mod tests {
 
     use super::*;
 
-    fn column(text: &str) -> Columns<f64> {
+    fn column(text: &str) -> ColumnData<f64> {
         columns::numbers(Path::new("t.csv"), text.as_bytes(), &["ghi".to_owned()]).expect("a column")
     }
 

@@ -1,18 +1,20 @@
-//! Emulation: commands to the virtual clock, and where it is.
+//! The emulation plane between operators and the BS: commands to the virtual clock, and its status.
 
+use core::time::Duration;
 use std::fmt;
 
+use humantime::format_duration;
 use serde::{Deserialize, Serialize};
 
 use super::Concerns;
 use crate::ids::{DeviceId, HostId, Tti};
 
-/// How fast TTIs follow each other.
+/// The speed at which TTIs follow each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Pace {
     /// As fast as the hosts answer.
     Max,
-    /// One TTI in so many microseconds; being late is counted, never made up for by stretching.
+    /// One TTI per given number of microseconds. Late TTIs are counted; the clock never makes up for them.
     RealTime(u64),
 }
 
@@ -20,25 +22,23 @@ impl fmt::Display for Pace {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Max => f.write_str("max"),
-            Self::RealTime(micros) if micros % 1_000_000 == 0 => write!(f, "{}s", micros / 1_000_000),
-            Self::RealTime(micros) if micros % 1_000 == 0 => write!(f, "{}ms", micros / 1_000),
-            Self::RealTime(micros) => write!(f, "{micros}us"),
+            Self::RealTime(micros) => write!(f, "{}", format_duration(Duration::from_micros(*micros))),
         }
     }
 }
 
-/// Emulation, anyone → BS, a query: commands to the virtual clock.
+/// Emulation, any client → BS, a query: commands to the virtual clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ClockCommand {
-    /// Grant nothing more until told.
+    /// Grant nothing until the next command.
     Pause,
     /// Grant `n` TTIs, then pause.
     Step(u64),
     /// Grant TTIs up to but not including this one, then pause.
     RunTo(Tti),
-    /// Grant to the end.
+    /// Grant TTIs to the end of the run.
     Resume,
-    /// Go on at this pace.
+    /// Continue at this pace.
     Pace(Pace),
     /// Change nothing.
     Status,
@@ -66,21 +66,21 @@ pub struct ClockStatus {
     pub tti: Tti,
     /// Length K of the run.
     pub ttis: u64,
-    /// Whether the clock stands: no TTI is in work, and none begins before a command.
+    /// Whether the clock is paused: no TTI is open, and none starts before a command.
     pub paused: bool,
     /// The TTI before which the clock will stop.
     pub until: Tti,
-    /// How fast TTIs follow each other.
+    /// The speed at which TTIs follow each other.
     pub pace: Pace,
     /// Whether all devices have joined.
     pub begun: bool,
     /// Number of devices N of the run.
     pub devices: u32,
-    /// The hosts that the BS has lost and waits for.
+    /// The lost hosts whose return the BS awaits.
     pub lost: Vec<LostHost>,
 }
 
-/// A host that is waited for.
+/// A lost host that the BS waits for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LostHost {
     /// The host.

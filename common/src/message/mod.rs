@@ -1,28 +1,18 @@
-//! What crosses the bus: every kind of message, declared once.
+//! The messages of the bus: every kind of message, declared once.
 //!
-//! Three planes: on the *air* plane travels what a real deployment would send over the radio, on the *emulation* plane
-//! what only the emulation needs; on the plane of *truth* nothing travels, it is what observers are told of the
-//! modelled world, and of what the BS makes of it, besides. The table `messages!` below is the one list of kinds: the
-//! keys ([`crate::keys`]), the typed bus (`crate::bus`), `reveille inspect`, its help and its page, and the fuzz target
-//! read it. A new kind is a row of the table and a file with its payload.
+//! There are three planes. The *air* plane holds the messages that a real deployment would send over the radio, the
+//! *emulation* plane the messages that only the emulation needs. The *truth* plane is not sent: it tells observers
+//! about the modelled world and the BS's conclusions. The table `messages!` below is the single list of kinds. The
+//! keys ([`crate::keys`]), the typed bus (`crate::bus`), `reveille inspect` with its help and its page, and the fuzz
+//! target use it. A new kind needs a row of the table, and a payload in the file of its plane.
 //!
-//! Not in the table: the copies of all of them for observers ([`Frame`]), which are no part of the run.
+//! The table omits the copies of messages for observers ([`Frame`]), which are not part of the run.
 
-mod answer;
-mod belief;
-mod clock;
+mod air;
 mod control;
-mod describe;
-mod frame;
-mod join;
-mod log;
-mod outage;
-mod plan;
-mod ready;
-mod report;
-mod setup;
+mod emu;
+mod inspect;
 mod truth;
-mod wake;
 
 use std::fmt;
 
@@ -32,31 +22,27 @@ use serde::{Deserialize, Deserializer, Serialize};
 use crate::codec::{self, CodecError};
 use crate::ids::{DeviceId, HostId};
 
-pub use answer::Answer;
-pub use belief::{Belief, Likely};
-pub use clock::{Clock, Tick};
+pub use air::{FailedTransmission, PlanUpdate, Report, WakeOutcome, WakeUp};
 pub use control::{ClockCommand, ClockStatus, LostHost, Pace};
-pub use describe::{Describe, Description};
-pub use frame::{Frame, TapBatch};
-pub use join::{JoinReply, JoinRequest};
-pub use log::{LogPart, ReadLog};
-pub use outage::Outage;
-pub use plan::PlanUpdate;
-pub use ready::Ready;
-pub use report::{Failure, Report};
-pub use setup::{Assignment, Checkpoint, DeviceSetup, Membership, Resumption};
-pub use truth::{EventNews, FailedReport, LostReport, States, Woken, World};
-pub use wake::{WakeOutcome, WakeUp};
+pub use emu::{
+    BusCredentials, ClockMessage, DeviceCheckpoint, DeviceSetup, GrantMessage, HostAnswer, HostCheckpoint, HostSetup,
+    JoinReply, JoinRequest, Ready, ResumePoint,
+};
+pub use inspect::{DescribeRequest, Description, Frame, LogPart, ReadLog, TapBatch};
+pub use truth::{
+    BeliefUpdate, DeviceRemoval, DeviceStates, EventUpdate, FailedReport, LostReport, WakeUpResult, WeightedPoint,
+    WorldUpdate,
+};
 
-/// Declares the kinds of message: kind "name": payload, plane, who may send it, whose number goes with it, direction,
-/// help; a query has its reply behind `=>`.
+/// Declares the kinds of message: kind "name": payload, plane, access, address type, direction, help; the reply of a
+/// query follows `=>`.
 macro_rules! messages {
     ($(
         $kind:ident $name:literal: $payload:ty $(=> $reply:ty)?, $plane:ident, $access:ident, $address:ty,
         $direction:literal,
         $about:literal;
     )+) => {
-        /// The kinds of message, each with a key of its own.
+        /// The kinds of message, each with its own key.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
         pub enum MessageKind {
             $(#[doc = $about] $kind,)+
@@ -73,28 +59,28 @@ macro_rules! messages {
                 }
             }
 
-            /// The plane it travels on.
+            /// The plane of the kind.
             pub const fn plane(self) -> Plane {
                 match self {
                     $(Self::$kind => Plane::$plane,)+
                 }
             }
 
-            /// Who may send and hear it.
+            /// The peers that may send and receive the kind.
             pub const fn access(self) -> Access {
                 match self {
                     $(Self::$kind => Access::$access,)+
                 }
             }
 
-            /// Whose number goes with it.
+            /// The kind of number in its key.
             pub const fn addressee(self) -> Addressee {
                 match self {
                     $(Self::$kind => <$address as Address>::ADDRESSEE,)+
                 }
             }
 
-            /// From whom to whom, in words.
+            /// The sender and the receiver, as text.
             pub const fn direction(self) -> &'static str {
                 match self {
                     $(Self::$kind => $direction,)+
@@ -108,7 +94,7 @@ macro_rules! messages {
                 }
             }
 
-            /// Shows `visitor` the type of every kind's payload.
+            /// Passes the payload type of every kind to `visitor`.
             pub fn show_types(visitor: &mut impl TypeVisitor) {
                 $(visitor.visit::<$payload>();)+
             }
@@ -119,7 +105,7 @@ macro_rules! messages {
             const KIND: MessageKind = MessageKind::$kind;
         })+
 
-        $($(impl Question for $payload {
+        $($(impl Query for $payload {
             type Reply = $reply;
         })?)+
 
@@ -131,48 +117,48 @@ macro_rules! messages {
         }
 
         impl Message {
-            /// The message of `kind` in `payload`.
+            /// Decodes `payload` as a message of `kind`.
             ///
             /// # Errors
-            /// If `payload` is of another version or not exactly one message of this kind.
+            /// If `payload` has another version or is not exactly one message of this kind.
             pub fn decode(kind: MessageKind, payload: &[u8]) -> Result<Self, CodecError> {
                 match kind {
                     $(MessageKind::$kind => codec::decode(payload).map(Self::$kind),)+
                 }
             }
 
-            /// The message of `kind` in a text such as JSON that gives fields their names.
+            /// Deserializes a message of `kind` from a text format with named fields, such as JSON.
             ///
             /// # Errors
-            /// If it is no message of this kind.
+            /// If the text is not a message of this kind.
             pub fn deserialize<'de, D: Deserializer<'de>>(kind: MessageKind, text: D) -> Result<Self, D::Error> {
                 match kind {
                     $(MessageKind::$kind => <$payload>::deserialize(text).map(Self::$kind),)+
                 }
             }
 
-            /// Its wire form.
+            /// Encodes the message for the bus.
             pub fn encode(&self) -> Vec<u8> {
                 match self {
                     $(Self::$kind(message) => codec::encode(message),)+
                 }
             }
 
-            /// The length of its wire form in bytes, without making it.
+            /// Returns the length of the encoded message in bytes, without encoding it.
             pub fn encoded_len(&self) -> u64 {
                 match self {
                     $(Self::$kind(message) => codec::encoded_len(message),)+
                 }
             }
 
-            /// Its kind.
+            /// The kind of the message.
             pub const fn kind(&self) -> MessageKind {
                 match self {
                     $(Self::$kind(_) => MessageKind::$kind,)+
                 }
             }
 
-            /// Whether it is to, from or about `device`; `number` is the one in its key.
+            /// Whether the message is to, from or about `device`; `number` is the one in its key.
             pub fn concerns(&self, number: Option<u32>, device: DeviceId) -> bool {
                 match self {
                     $(Self::$kind(message) => message.concerns(number, device),)+
@@ -196,7 +182,7 @@ macro_rules! messages {
         }
 
         impl Reply {
-            /// The reply in `payload` to a query of `kind`; `None` if the kind is no query.
+            /// Decodes the reply in `payload` to a query of `kind`; `None` if the kind is not a query.
             pub fn decode(kind: MessageKind, payload: &[u8]) -> Option<Result<Self, CodecError>> {
                 $($(if kind == MessageKind::$kind {
                     return Some(codec::decode::<$reply>(payload).map(Self::$kind));
@@ -204,7 +190,7 @@ macro_rules! messages {
                 None
             }
 
-            /// Its wire form.
+            /// Encodes the reply for the bus.
             pub fn encode(&self) -> Vec<u8> {
                 match self {
                     $($(Self::$kind(reply) => codec::encode::<$reply>(reply),)?)+
@@ -216,44 +202,44 @@ macro_rules! messages {
 
 messages! {
     Plan "plan": PlanUpdate, Air, Members, (), "BS → all devices",
-        "The plan δ: who senses in which TTI. Sent when it changes and for synchronisation.";
+        "The δ plan: the TTIs in which each device senses. Sent when it changes and for synchronisation.";
     Wake "wake": WakeUp, Air, Members, DeviceId, "BS → one device",
-        "A wake-up for a device's wake-up radio.";
+        "A wake-up signal for a device's wake-up radio.";
     Report "report": Report, Air, Members, DeviceId, "device → BS",
-        "What a device in S3 sends: information and battery.";
-    Clock "clock": Clock, Emu, Members, (), "BS → all hosts",
-        "The virtual clock: a grant of TTIs with what the world shows in them, or the end of the run.";
-    Answer "answer": Answer, Emu, Members, HostId, "host → BS",
-        "A host's answer to the clock or to a wake-up: how many reports precede it, who could not transmit, sums.";
+        "A report of a device in S3: information and battery level.";
+    Clock "clock": ClockMessage, Emu, Members, (), "BS → all hosts",
+        "The virtual clock: a grant of TTIs with the stimulus in the last one, or the end of the run.";
+    Answer "answer": HostAnswer, Emu, Members, HostId, "host → BS",
+        "A host's answer to a grant or wake-up: number of preceding reports, failed transmissions, sums.";
     Join "join": JoinRequest => JoinReply, Emu, Anyone, (), "host → BS",
-        "A query: a host asks for places in the run.";
+        "A query: a host requests to join the run and receives an assignment.";
     Ready "ready": Ready => bool, Emu, Members, (), "host → BS",
-        "A query: a host is subscribed to everything and waits for the first TTI.";
+        "A query: a host has made all subscriptions and waits for the first TTI.";
     Control "control": ClockCommand => ClockStatus, Emu, Anyone, (), "operator → BS",
-        "A query: pause, step, resume, or where the clock is.";
-    Describe "describe": Describe => Description, Emu, Anyone, (), "observer → BS",
-        "A query: the scenario of the run, with the files that it names.";
+        "A query: pause, step or resume the clock, or read its status.";
+    Describe "describe": DescribeRequest => Description, Emu, Anyone, (), "observer → BS",
+        "A query: the scenario of the run, with its scenario files.";
     Log "log": ReadLog => LogPart, Emu, Anyone, (), "observer → BS",
-        "A query: a part of the log of what the run depends on besides, outages and decisions from outside.";
-    World "world": World, Truth, Members, (), "world → observers",
-        "TTIs that the devices go through, and what the world shows in the last of them.";
-    Event "event": EventNews, Truth, Members, (), "world → observers",
-        "An event starts, or has ended with all that came of it.";
+        "A query: a part of the input log, which holds device removals and external decisions.";
+    World "world": WorldUpdate, Truth, Members, (), "world → observers",
+        "TTIs granted to the devices, and the stimulus in the last one.";
+    Event "event": EventUpdate, Truth, Members, (), "world → observers",
+        "The start of an event, or its end with its results.";
     Failed "failed": FailedReport, Truth, Members, DeviceId, "world → observers",
-        "A device has detected an event and could not pay for a report.";
-    Woken "woken": Woken, Truth, Members, DeviceId, "world → observers",
-        "What came of a wake-up.";
-    Belief "belief": Belief, Truth, Members, (), "BS → observers",
-        "Where the BS believes the event to be after the reports of a TTI, where its policy has such a belief.";
+        "A device that detected an event but could not pay for a report.";
+    Woken "woken": WakeUpResult, Truth, Members, DeviceId, "world → observers",
+        "The outcome of a wake-up.";
+    Belief "belief": BeliefUpdate, Truth, Members, (), "BS → observers",
+        "The BS's belief about the epicentre after the reports of a TTI, if its policy maintains one.";
     Lost "lost": LostReport, Truth, Members, DeviceId, "world → observers",
-        "What a device with δ = 1 has sent, and what was lost on its way to the BS.";
-    States "states": States, Truth, Members, (), "world → observers",
-        "State and battery of all devices at the end of a TTI, where a recording was asked for them.";
-    Gone "gone": Outage, Truth, Members, (), "world → observers",
-        "Devices that are gone for good, as their process was lost under --on-loss continue.";
+        "A report of a device with δ = 1 that was lost on its way to the BS.";
+    States "states": DeviceStates, Truth, Members, (), "world → observers",
+        "State and battery level of all devices at the end of a TTI, if the recording includes them.";
+    Gone "gone": DeviceRemoval, Truth, Members, (), "world → observers",
+        "Devices removed from the run because their process was lost under --on-loss continue.";
 }
 
-/// The kinds of message as a table in Markdown, for the page on inspecting.
+/// Returns the kinds of message as a Markdown table, for the page on inspecting.
 pub fn markdown() -> String {
     let row = |kind: &MessageKind| {
         let (name, plane, direction, about) = (kind.name(), kind.plane().name(), kind.direction(), kind.about());
@@ -263,14 +249,14 @@ pub fn markdown() -> String {
     format!("| kind | plane | direction | what |\n|---|---|---|---|\n{rows}")
 }
 
-/// The planes: two on the bus, and one that observers see besides.
+/// The planes: two on the bus, and one that only observers see.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Plane {
-    /// What a real deployment would send over the radio.
+    /// Messages that a real deployment would send over the radio.
     Air,
-    /// What only the emulation needs.
+    /// Messages that only the emulation needs.
     Emu,
-    /// What happens in the modelled world, ground truth, and what the BS makes of it: nobody sends it.
+    /// Ground truth of the modelled world and the BS's conclusions from it; never sent.
     Truth,
 }
 
@@ -288,28 +274,28 @@ impl Plane {
     }
 }
 
-/// Who may send and hear a kind of message.
+/// The peers that may send and receive a kind of message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Access {
-    /// The BS and hosts that it has given places.
+    /// The BS and hosts to which it has given an assignment.
     Members,
-    /// Whoever reaches the BS may ask.
+    /// Any client that reaches the BS.
     Anyone,
 }
 
-/// Whose number goes with a kind's messages.
+/// The kind of number in the key of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Addressee {
-    /// Nobody's: the kind has a single key.
+    /// No number: the kind has a single key.
     Nobody,
-    /// A device's: the receiver of a wake-up, the sender of a report.
+    /// A device: the receiver of a wake-up, the sender of a report.
     Device,
-    /// A host's: the sender of an answer.
+    /// A host: the sender of an answer.
     Host,
 }
 
 impl Addressee {
-    /// What the number is called; empty where there is none.
+    /// The name of the number; empty without one.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Nobody => "",
@@ -319,12 +305,12 @@ impl Addressee {
     }
 }
 
-/// Whom a message is to, from or about: a device, a host, or `()` for a kind that has nobody's number.
+/// The address of a message: a device, a host, or `()` for a kind without a number.
 pub trait Address: Copy {
-    /// Whose number it is.
+    /// The kind of number.
     const ADDRESSEE: Addressee;
 
-    /// The number.
+    /// Returns the number.
     fn number(self) -> Option<u32>;
 }
 
@@ -352,30 +338,30 @@ impl Address for HostId {
     }
 }
 
-/// A payload that knows its kind, so that no key can carry another type than its own.
+/// A payload with a fixed kind, so that a key can only carry its own type.
 pub trait Payload: Concerns + fmt::Display + Serialize + DeserializeOwned {
-    /// Whose number goes with it.
+    /// The address that goes with it.
     type Address: Address;
-    /// Its kind.
+    /// The kind of the payload.
     const KIND: MessageKind;
 }
 
-/// Looks at the types of payloads.
+/// A visitor of payload types.
 pub trait TypeVisitor {
-    /// Looks at one.
+    /// Visits one type.
     fn visit<P: Payload>(&mut self);
 }
 
-/// A query: a payload that is answered.
-pub trait Question: Payload {
-    /// The answer.
+/// A payload that gets a reply.
+pub trait Query: Payload {
+    /// The type of the reply.
     type Reply: Serialize + DeserializeOwned;
 }
 
-/// Whom a message concerns.
+/// A message that may concern a device.
 pub trait Concerns {
-    /// Whether the message is to, from or about `device`; `number` is the one in its key. Most concern none in
-    /// particular.
+    /// Whether the message is to, from or about `device`; `number` is the one in its key. Most messages concern no
+    /// single device.
     fn concerns(&self, number: Option<u32>, device: DeviceId) -> bool {
         let _ = (number, device);
         false
@@ -386,25 +372,12 @@ pub trait Concerns {
 mod tests {
     use super::*;
     use crate::ids::Tti;
-    use crate::pages;
+    use crate::io;
     use crate::units::Energy;
 
     #[test]
     fn the_page_on_inspecting_has_the_table_of_kinds() {
-        pages::assert_table("docs/inspecting.md", "kinds", &markdown());
-    }
-
-    #[test]
-    fn kinds_have_names_of_their_own_and_help() {
-        let mut names: Vec<&str> = MessageKind::ALL.iter().map(|kind| kind.name()).collect();
-        names.sort_unstable();
-        names.dedup();
-        assert_eq!(names.len(), MessageKind::ALL.len());
-        assert!(
-            MessageKind::ALL
-                .iter()
-                .all(|kind| kind.about().ends_with('.') && kind.direction().contains(" → "))
-        );
+        io::assert_table("docs/inspecting.md", "kinds", &markdown());
     }
 
     #[test]

@@ -1,30 +1,30 @@
-//! Truth: what happens in the modelled world and nobody sends. Only observers are told.
+//! The truth plane, only for observers: the modelled world, and the beliefs of the base station.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Concerns, Failure, Report, WakeOutcome};
+use super::{Concerns, FailedTransmission, Report, WakeOutcome};
 use crate::event::{ActiveEvent, EventRecord, Stimulus};
 use crate::ids::{DeviceId, Tti};
 use crate::state::{DeviceState, DeviceView};
 
-/// TTIs that the devices go through.
+/// TTIs that the devices have been granted.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct World {
-    /// The first.
+pub struct WorldUpdate {
+    /// The first TTI.
     pub first: Tti,
-    /// The last. Only in this one can a device have anything to report.
+    /// The last TTI. Only in this TTI can devices have anything to report.
     pub last: Tti,
-    /// What the world shows in `last`, if any device might react to it.
+    /// The stimulus in `last`, if any device might react to it.
     pub stimulus: Option<Stimulus>,
-    /// The last TTI in which it would show that.
+    /// The last TTI of that stimulus.
     pub until: Tti,
 }
 
-impl Concerns for World {}
+impl Concerns for WorldUpdate {}
 
-impl fmt::Display for World {
+impl fmt::Display for WorldUpdate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self {
             first, last, stimulus, ..
@@ -40,16 +40,16 @@ impl fmt::Display for World {
 
 /// An event starts or ends.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum EventNews {
-    /// It starts.
+pub enum EventUpdate {
+    /// The event starts.
     Started(ActiveEvent),
-    /// It has ended, reported or not.
+    /// The event has ended, reported or not.
     Ended(EventRecord),
 }
 
-impl Concerns for EventNews {}
+impl Concerns for EventUpdate {}
 
-impl fmt::Display for EventNews {
+impl fmt::Display for EventUpdate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Started(event) => {
@@ -81,11 +81,11 @@ impl fmt::Display for EventNews {
     }
 }
 
-/// A device with δ = 1 has detected the event and could not transmit.
+/// A device with δ = 1 detected the event and could not transmit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FailedReport {
-    /// What was left in the device's battery and is now lost.
-    pub failure: Failure,
+    /// The failed transmission, with the energy that is now lost.
+    pub failure: FailedTransmission,
 }
 
 impl Concerns for FailedReport {
@@ -104,10 +104,10 @@ impl fmt::Display for FailedReport {
     }
 }
 
-/// A device with δ = 1 has reported the event, and the report was lost.
+/// A device with δ = 1 reported the event, and the report was lost.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LostReport {
-    /// What it has sent.
+    /// The lost report.
     pub report: Report,
 }
 
@@ -123,39 +123,39 @@ impl fmt::Display for LostReport {
     }
 }
 
-/// What came of the last wake-up.
+/// The outcome of the last wake-up.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Woken {
-    /// What came of it.
+pub struct WakeUpResult {
+    /// The outcome.
     pub outcome: WakeOutcome,
 }
 
-impl Concerns for Woken {
+impl Concerns for WakeUpResult {
     fn concerns(&self, number: Option<u32>, device: DeviceId) -> bool {
         number == Some(device.0)
     }
 }
 
-impl fmt::Display for Woken {
+impl fmt::Display for WakeUpResult {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.outcome.fmt(f)
     }
 }
 
-/// The devices at the end of a TTI, in the order of ids.
+/// The states of the devices at the end of a TTI, in the order of ids.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct States {
-    /// State and battery of each.
+pub struct DeviceStates {
+    /// State and battery of each device.
     pub views: Vec<DeviceView>,
 }
 
-impl Concerns for States {
+impl Concerns for DeviceStates {
     fn concerns(&self, _number: Option<u32>, device: DeviceId) -> bool {
         device.index() < self.views.len()
     }
 }
 
-impl fmt::Display for States {
+impl fmt::Display for DeviceStates {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let count = |is: fn(DeviceState) -> bool| self.views.iter().filter(|view| is(view.state)).count();
         let idle = count(|state| state == DeviceState::Idle);
@@ -163,5 +163,155 @@ impl fmt::Display for States {
         let asleep = count(|state| state == DeviceState::Sleep { powered: true });
         let deaf = count(|state| state == DeviceState::Sleep { powered: false });
         write!(f, "{idle} sense, {sent} have reported, {asleep} sleep, {deaf} are deaf")
+    }
+}
+
+/// Devices with consecutive ids that are removed for the rest of the run: their process was lost, and the run
+/// continues without them.
+///
+/// In TTI [`Self::tti`] they still harvest and pay for δ, which is the last entry in their ledgers. A removal does not
+/// follow from scenario and seed: it is an external input of the run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DeviceRemoval {
+    /// The first device.
+    pub first: DeviceId,
+    /// Number of devices, ≥ 1.
+    pub count: u32,
+    /// The TTI in which they were removed.
+    pub tti: Tti,
+    /// Number of wake-ups of that TTI with an outcome before the removal. `None`: removed before sensing in the TTI.
+    pub wake_ups: Option<u32>,
+}
+
+impl DeviceRemoval {
+    /// Returns the last device.
+    pub const fn last(&self) -> DeviceId {
+        // A removal in a recording or a log can hold any numbers, and showing it must not panic.
+        DeviceId(self.first.0.saturating_add(self.count.saturating_sub(1)))
+    }
+
+    /// Returns the removals of `devices`, in ascending order, in TTI `tti` after `wake_ups` wake-ups: one removal for
+    /// each range of consecutive ids.
+    pub fn of(devices: impl IntoIterator<Item = DeviceId>, tti: Tti, wake_ups: Option<u32>) -> Vec<Self> {
+        let mut all: Vec<Self> = Vec::new();
+        for device in devices {
+            match all.last_mut() {
+                Some(last) if last.last().0 + 1 == device.0 => last.count += 1,
+                Some(_) | None => all.push(Self {
+                    first: device,
+                    count: 1,
+                    tti,
+                    wake_ups,
+                }),
+            }
+        }
+        all
+    }
+
+    /// Whether `device` is removed by it.
+    pub const fn has(&self, device: DeviceId) -> bool {
+        // Compares offsets, because first + count can overflow in a removal that was not validated.
+        self.first.0 <= device.0 && device.0 - self.first.0 < self.count
+    }
+
+    /// Whether it removes at least one device, all among the first `devices`.
+    pub fn is_valid(&self, devices: u32) -> bool {
+        let end = self.first.0.checked_add(self.count);
+        self.count > 0 && end.is_some_and(|end| end <= devices)
+    }
+}
+
+impl Concerns for DeviceRemoval {
+    fn concerns(&self, _number: Option<u32>, device: DeviceId) -> bool {
+        self.has(device)
+    }
+}
+
+impl fmt::Display for DeviceRemoval {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { first, count, .. } = self;
+        if *count == 1 {
+            write!(f, "device {first} is gone for good")
+        } else {
+            write!(f, "devices {first} to {} are gone for good", self.last())
+        }
+    }
+}
+
+/// The BS's belief about the epicentre after the reports and wake-ups of a TTI.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BeliefUpdate {
+    /// The possible positions of the epicentre, at least one.
+    pub places: Vec<WeightedPoint>,
+}
+
+/// A possible position of an event. Single precision is enough, because it is only displayed.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct WeightedPoint {
+    /// Metres from the left edge of the area.
+    pub x: f32,
+    /// Metres from the lower edge of the area.
+    pub y: f32,
+    /// The probability of this position, `[0, 1]`; the probabilities of all positions add up to 1.
+    pub share: f32,
+}
+
+impl Concerns for BeliefUpdate {}
+
+impl fmt::Display for BeliefUpdate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        // A recording can hold any bits as a share, NaN included, so a total order is needed.
+        let best = self.places.iter().max_by(|a, b| a.share.total_cmp(&b.share));
+        match best {
+            Some(WeightedPoint { x, y, .. }) if self.places.len() == 1 => {
+                write!(f, "the event is at ({x:.2}, {y:.2}) m")
+            }
+            Some(WeightedPoint { x, y, share }) => {
+                let (places, percent) = (self.places.len(), share * 100.0);
+                write!(
+                    f,
+                    "the event is at one of {places} places, most likely ({x:.2}, {y:.2}) m, {percent:.0} %"
+                )
+            }
+            None => f.write_str("the event may be anywhere"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn devices_that_follow_one_another_go_together() {
+        let went = |devices: &[u32]| -> Vec<(u32, u32)> {
+            let outages = DeviceRemoval::of(devices.iter().copied().map(DeviceId), Tti(4), Some(2));
+            assert!(
+                outages
+                    .iter()
+                    .all(|outage| (outage.tti, outage.wake_ups) == (Tti(4), Some(2)))
+            );
+            outages.iter().map(|outage| (outage.first.0, outage.last().0)).collect()
+        };
+        assert_eq!(went(&[]), []);
+        assert_eq!(went(&[0, 1, 2]), [(0, 2)]);
+        assert_eq!(went(&[3, 5, 6, 9]), [(3, 3), (5, 6), (9, 9)]);
+    }
+
+    #[test]
+    fn one_that_cannot_be_is_told_in_words() {
+        for (first, count) in [(0, 0), (u32::MAX, u32::MAX), (7, 0)] {
+            let outage = DeviceRemoval {
+                first: DeviceId(first),
+                count,
+                tti: Tti(1),
+                wake_ups: None,
+            };
+            assert!(
+                !outage.is_valid(u32::MAX) && outage.to_string().contains("gone for good"),
+                "{outage}"
+            );
+        }
     }
 }

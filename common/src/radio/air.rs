@@ -1,21 +1,22 @@
-//! What gets lost on the air.
+//! Losses on the air.
 
-use super::Radio;
+use super::RadioSettings;
 use crate::ids::{DeviceId, Tti};
 use crate::phases::Phases;
-use crate::rng::{Purpose, unit_for_pair};
+use crate::plan::{DutyCycle, Plan};
+use crate::rng::{Geometric, Purpose, Stream, unit_for_pair};
 
 /// The air of a run, TTI by TTI.
 #[derive(Clone, Debug)]
 pub struct Air {
     seed: u64,
-    radio: Radio,
+    radio: RadioSettings,
     bursts: Option<Phases>,
 }
 
-/// The air in one TTI. What it does to a device's message is the same however often it is asked.
+/// The air in one TTI. Repeated queries for a device give the same result.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Moment {
+pub struct ChannelState {
     seed: u64,
     tti: Tti,
     wake_miss: f64,
@@ -24,8 +25,8 @@ pub struct Moment {
 }
 
 impl Air {
-    /// The air of a run with `seed`, before TTI 0.
-    pub fn new(seed: u64, radio: &Radio) -> Self {
+    /// Creates the air of a run with `seed`, before TTI 0.
+    pub fn new(seed: u64, radio: &RadioSettings) -> Self {
         Self {
             seed,
             radio: *radio,
@@ -33,9 +34,9 @@ impl Air {
         }
     }
 
-    /// The air in TTI `k`, a TTI of a run and none before that of the last call.
-    pub fn at(&mut self, k: Tti) -> Moment {
-        let Radio {
+    /// The air in TTI `k` of a run; `k` must not decrease between calls.
+    pub fn at(&mut self, k: Tti) -> ChannelState {
+        let RadioSettings {
             wake_miss,
             uplink_loss,
             plan_loss,
@@ -43,8 +44,9 @@ impl Air {
             ..
         } = self.radio;
         let is_burst = self.bursts.as_mut().is_some_and(|phases| phases.at(k).is_busy);
+        // During a burst each loss has at least the probability `loss`; a higher one in the settings is kept.
         let least = bursts.filter(|_| is_burst).map_or(0.0, |bursts| bursts.loss);
-        Moment {
+        ChannelState {
             seed: self.seed,
             tti: k,
             wake_miss: wake_miss.max(least),
@@ -53,14 +55,39 @@ impl Air {
         }
     }
 
-    /// Whether plans are ever missed.
-    pub fn loses_plans(&self) -> bool {
+    /// Whether devices can miss plans.
+    pub(crate) fn loses_plans(&self) -> bool {
+        // A burst can make devices miss plans even if plan_loss is 0.
         self.radio.plan_loss > 0.0 || self.radio.bursts.is_some()
+    }
+
+    /// Delivers a plan that is sent in TTI `from` to the `count` devices from `first` on. Calls `receive` with the
+    /// position and the duty cycle of each device that receives it; the others keep their plan. Returns the number of
+    /// devices that miss it.
+    pub fn deliver_plan(
+        &mut self,
+        from: Tti,
+        plan: &Plan,
+        first: DeviceId,
+        count: usize,
+        mut receive: impl FnMut(usize, DutyCycle),
+    ) -> u64 {
+        let moment = self.at(from);
+        let mut missed = 0;
+        // Each draw is keyed by device and TTI, so a host that delivers only to its own devices finds the same losses.
+        for (j, device) in (first.0..).map(DeviceId).enumerate().take(count) {
+            if moment.draws(Purpose::PlanLoss, device, moment.plan_loss) {
+                missed += 1;
+            } else {
+                receive(j, plan.duty_cycle(device));
+            }
+        }
+        missed
     }
 }
 
-impl Moment {
-    /// Whether the wake-up radio of `device`, which has power, misses a wake-up.
+impl ChannelState {
+    /// Whether the powered wake-up radio of `device` misses a wake-up.
     pub fn misses_wake_up(&self, device: DeviceId) -> bool {
         self.draws(Purpose::WakeMiss, device, self.wake_miss)
     }
@@ -70,13 +97,40 @@ impl Moment {
         self.draws(Purpose::UplinkLoss, device, self.uplink_loss)
     }
 
-    /// Whether `device` misses a plan.
-    pub fn misses_plan(&self, device: DeviceId) -> bool {
-        self.draws(Purpose::PlanLoss, device, self.plan_loss)
-    }
-
     #[inline]
     fn draws(&self, purpose: Purpose, device: DeviceId, p: f64) -> bool {
+        // A radio that never fails skips the hash. The draw is below 1, so p = 1 always loses.
         p > 0.0 && unit_for_pair(self.seed, purpose, u64::from(device.0), self.tti.0) < p
+    }
+}
+
+/// The TTIs in which noise wakes a sleeping device with power. They do not depend on the device's state and are drawn
+/// as gaps: a TTI without one costs nothing.
+#[derive(Clone, Debug)]
+pub struct FalseWakes {
+    stream: Stream,
+    law: Geometric,
+    next: Tti,
+}
+
+impl FalseWakes {
+    /// Creates the false wake-ups of `device` in a run with `seed`, with probability `p` in each TTI.
+    pub fn new(seed: u64, p: f64, device: DeviceId) -> Self {
+        let law = Geometric::new(p);
+        let mut stream = Stream::new(seed, Purpose::FalseWakes, u64::from(device.0));
+        // A gap of 1 is TTI 0.
+        let next = Tti(law.draw(&mut stream)).saturating_sub_one();
+        Self { stream, law, next }
+    }
+
+    /// The next false wake-up.
+    pub const fn next(&self) -> Tti {
+        self.next
+    }
+
+    /// Takes the next false wake-up and returns the one after it.
+    pub fn take(&mut self) -> Tti {
+        self.next = self.next.saturating_add(self.law.draw(&mut self.stream));
+        self.next
     }
 }

@@ -1,4 +1,4 @@
-//! Bursts of interference, in which more is lost.
+//! Bursts of interference that raise the loss probabilities.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,35 +6,35 @@ use crate::declare::{PROBABILITY, Range, choices, number};
 use crate::phases::Phases;
 use crate::rng::{Purpose, Stream};
 
-/// Mean lengths. Neither a burst nor the time between two is shorter than a TTI.
+/// Range of mean lengths. Neither a burst nor the gap between two is shorter than a TTI.
 const LENGTH: Range = Range::closed(1.0, 1e9);
 
 choices! {
-    /// Whether more is lost at times.
+    /// Type of additional interference.
     pub enum Interference {
-        /// Never.
+        /// No interference.
         None = "none",
-        /// In bursts, for all devices at once.
+        /// Bursts that affect all devices simultaneously.
         Bursts = "bursts",
     }
 }
 
 crate::declare! {
-    /// Bursts of interference, for all devices at once. A burst, and the time between two, ends after any of its TTIs
-    /// with the same probability. A run begins as if they had always been there.
+    /// Bursts of interference that affect all devices simultaneously. A burst or a gap between bursts ends after each
+    /// of its TTIs with the same probability. A run starts in the steady state.
     #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-    pub struct Bursts in "radio.bursts" only with "radio.interference" = &["bursts"]; {
+    pub struct InterferenceBursts in "radio.bursts" only with "radio.interference" = &["bursts"]; {
         /// Mean length of a burst.
         pub burst_ttis: f64 = number(LENGTH, 10.0).unit("TTIs"),
         /// Mean time between two bursts.
         pub quiet_ttis: f64 = number(LENGTH, 90.0).unit("TTIs"),
-        /// Probability, during a burst, that a wake-up is missed, a report lost, a plan missed; of each, its own where
-        /// that is larger.
+        /// Probability during a burst that a wake-up, report or plan is lost. If a message's own loss probability is
+        /// larger, that probability applies.
         pub loss: f64 = number(PROBABILITY, 1.0),
     }
 }
 
-impl Bursts {
+impl InterferenceBursts {
     /// The bursts of a run with `seed`, as busy phases.
     pub(super) fn phases(&self, seed: u64) -> Phases {
         let stream = Stream::new(seed, Purpose::Interference, 0);
@@ -48,10 +48,11 @@ impl Bursts {
             quiet_ttis,
             loss,
         } = *self;
+        // Mean lengths are the weights: they are the long-run shares of time. `max` as in `Air::at`.
         (burst_ttis * loss.max(p) + quiet_ttis * p) / (burst_ttis + quiet_ttis)
     }
 
-    pub(super) fn is_sound(&self) -> bool {
+    pub(super) fn is_valid(&self) -> bool {
         let Self {
             burst_ttis,
             quiet_ttis,

@@ -1,59 +1,57 @@
-//! The radio between base station and devices, and how it fails: never, unless a scenario says so.
+//! The radio between base station and devices, and its failures; by default it never fails.
 //!
 //! ```text
-//! settings ─► Radio ─► air: what is lost, by (device, TTI)     ─► world, devices
-//!               │      bursts of interference
-//!               ├───► false_wakes: gaps                        ─► devices
-//!               └───► Link: means                              ─► what a base station knows
+//! settings ─► RadioSettings ─► Air: losses by (device, TTI) ─► world, devices
+//!                   │          bursts of interference
+//!                   ├────────► FalseWakes: gaps             ─► devices
+//!                   └────────► Link: means                  ─► the base station's knowledge
 //! ```
-//! Every draw belongs to a device and a TTI, so that nobody has to be told of it: the world, a device and an observer
-//! each find out by themselves.
+//! Every draw is keyed by device and TTI. So the world, a device and an observer compute the same losses without a
+//! message.
 
 mod air;
 mod bursts;
-mod false_wakes;
 
-pub use air::{Air, Moment};
-pub use bursts::{Bursts, Interference};
-pub use false_wakes::FalseWakes;
+pub use air::{Air, ChannelState, FalseWakes};
+pub use bursts::{Interference, InterferenceBursts};
 
 use serde::{Deserialize, Serialize};
 
-use crate::declare::{PROBABILITY, Reader, ScenarioError, Section, Sink, choice, number, whole};
+use crate::declare::{FieldReader, FieldSink, PROBABILITY, ScenarioError, Section, Visit, choice, number, whole};
 use crate::ids::Tti;
 
-/// The longest that a device may take to wake, in TTIs.
+/// Longest wake-up latency of a device, in TTIs.
 const LONGEST_LATENCY: u64 = 1_000_000;
 
 crate::declare! {
-    /// The radio between base station and devices. By default it never fails.
+    /// Radio between base station and devices. By default it never fails.
     #[derive(Clone, Copy, Debug, PartialEq)]
     struct Settings in "radio" {
-        /// Probability that a wake-up radio with power misses a wake-up: one draw per device and TTI.
+        /// Probability that a powered wake-up radio misses a wake-up: one draw per device and TTI.
         wake_miss: f64 = number(PROBABILITY, 0.0),
-        /// Probability that a device in S4 whose wake-up radio has power wakes for nothing. It is in S2 then, finds
-        /// nothing to report and sleeps again within the TTI, for E_idle on top of E_WuR.
+        /// Probability that a device in S4 with a powered wake-up radio has a false wake-up. It enters S2, finds
+        /// nothing to report and sleeps again within the TTI. This costs E_idle in addition to E_WuR.
         false_wake: f64 = number(PROBABILITY, 0.0).unit("per TTI"),
         /// Probability that a report, which costs E_Tx, does not reach the base station: one draw per device and TTI.
         uplink_loss: f64 = number(PROBABILITY, 0.0),
-        /// Probability that a device misses a plan δ and keeps the one that it has: one draw per device and TTI in
-        /// which a plan is sent. When the plan is sent again for synchronisation that is another chance.
+        /// Probability that a device misses a δ plan and keeps its current plan: one draw per device and TTI in which a
+        /// plan is sent. Each synchronisation broadcast is another chance to receive it.
         plan_loss: f64 = number(PROBABILITY, 0.0),
-        /// TTIs from a wake-up until the device is awake. Wake-ups for an event follow one another, each when the
-        /// answer to the one before is due; who wakes when the event is over finds nothing, for E_idle. All of it is
-        /// in the books of the TTI in which the event was reported.
+        /// Time from a wake-up until the device is awake. Wake-ups for an event are sent in order, each when the
+        /// previous answer is due. A device that wakes after the event finds nothing and pays E_idle. The ledger books
+        /// all of this in the TTI in which the event was reported.
         wake_latency: u64 = whole(0, LONGEST_LATENCY, 0).unit("TTIs"),
-        /// Whether more is lost at times.
+        /// Type of additional interference.
         interference: Interference = choice::<Interference>("none"),
     }
 }
 
-/// How the radio fails.
+/// The failure settings of the radio.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Radio {
+pub struct RadioSettings {
     /// Probability that a wake-up radio with power misses a wake-up, `[0, 1]`.
     pub wake_miss: f64,
-    /// Probability that a device wakes for nothing in a TTI in S4 with power, `[0, 1]`.
+    /// Probability of a false wake-up in a TTI in S4 with power, `[0, 1]`.
     pub false_wake: f64,
     /// Probability that a report does not reach the base station, `[0, 1]`.
     pub uplink_loss: f64,
@@ -61,11 +59,11 @@ pub struct Radio {
     pub plan_loss: f64,
     /// TTIs from a wake-up until the device is awake, at most a million.
     pub wake_latency: u64,
-    /// Bursts in which more is lost.
-    pub bursts: Option<Bursts>,
+    /// Bursts with higher loss.
+    pub bursts: Option<InterferenceBursts>,
 }
 
-/// What a base station knows of its radio: how often messages are lost in the long run, not when. All `[0, 1]`.
+/// The base station's knowledge of its radio: long-run loss probabilities, not times. All `[0, 1]`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Link {
     /// Mean probability that a wake-up radio with power misses a wake-up.
@@ -76,15 +74,15 @@ pub struct Link {
     pub plan_loss: f64,
 }
 
-impl Radio {
+impl RadioSettings {
     /// The fields of all kinds.
-    pub const SECTIONS: [&'static Section; 2] = [Settings::SECTION, Bursts::SECTION];
+    pub(crate) const SECTIONS: [&'static Section; 2] = [Settings::SECTION, InterferenceBursts::SECTION];
 
-    /// The settings that `reader` has.
+    /// Builds the settings in `reader`.
     ///
     /// # Errors
-    /// A value is out of its range.
-    pub fn settle(reader: &Reader<'_>) -> Result<Self, ScenarioError> {
+    /// If a value is out of range.
+    pub fn from_fields(reader: &FieldReader<'_>) -> Result<Self, ScenarioError> {
         let Settings {
             wake_miss,
             false_wake,
@@ -101,14 +99,14 @@ impl Radio {
             wake_latency,
             bursts: match interference {
                 Interference::None => None,
-                Interference::Bursts => Some(Bursts::read(reader)?),
+                Interference::Bursts => Some(InterferenceBursts::read(reader)?),
             },
         })
     }
 
-    /// Hands every field to `sink`; none of a radio that never fails, which is then the same as no radio at all, in
-    /// fingerprints too.
-    pub fn visit(&self, sink: &mut dyn Sink) {
+    /// Passes every field to `sink`. A radio that never fails passes none, so that it equals no radio, in fingerprints
+    /// too.
+    pub fn visit(&self, sink: &mut dyn FieldSink) {
         if self.is_perfect() {
             return;
         }
@@ -134,13 +132,13 @@ impl Radio {
         }
     }
 
-    /// Whether it never fails.
+    /// Whether the radio never fails.
     pub fn is_perfect(&self) -> bool {
         *self == Self::default()
     }
 
-    /// Whether its numbers can be those of a radio.
-    pub fn is_sound(&self) -> bool {
+    /// Whether all values are in range.
+    pub fn is_valid(&self) -> bool {
         let Self {
             wake_miss,
             false_wake,
@@ -152,16 +150,16 @@ impl Radio {
         let probabilities = [wake_miss, false_wake, uplink_loss, plan_loss];
         probabilities.into_iter().all(|&p| PROBABILITY.contains(p))
             && *wake_latency <= LONGEST_LATENCY
-            && bursts.is_none_or(|bursts| bursts.is_sound())
+            && bursts.is_none_or(|bursts| bursts.is_valid())
     }
 
-    /// When the wake-up that comes after `before` others for what was reported in TTI `tti` is sent.
-    pub const fn sent(&self, tti: Tti, before: u64) -> Tti {
+    /// The TTI in which a wake-up for a report in TTI `tti` is sent, after `before` other wake-ups.
+    pub const fn send_tti(&self, tti: Tti, before: u64) -> Tti {
         tti.saturating_add(before.saturating_mul(self.wake_latency))
     }
 
-    /// Whether a wake-up that is sent in TTI `sent` can be for what was reported in TTI `tti`.
-    pub const fn may_be_sent(&self, sent: Tti, tti: Tti) -> bool {
+    /// Whether a wake-up sent in TTI `sent` can belong to a report in TTI `tti`.
+    pub const fn is_valid_send_tti(&self, sent: Tti, tti: Tti) -> bool {
         match sent.0.checked_sub(tti.0) {
             Some(0) => true,
             Some(later) => self.wake_latency > 0 && later.is_multiple_of(self.wake_latency),
@@ -169,12 +167,12 @@ impl Radio {
         }
     }
 
-    /// Whether who is sent a wake-up in TTI `sent` is awake too late for an event that is over after TTI `until`.
+    /// Whether a wake-up sent in TTI `sent` wakes a device too late for an event that ends after TTI `until`.
     pub const fn is_late(&self, sent: Tti, until: Tti) -> bool {
         sent.saturating_add(self.wake_latency).0 > until.0
     }
 
-    /// What a base station knows of it.
+    /// The base station's knowledge of this radio.
     pub fn link(&self) -> Link {
         let mean = |p: f64| self.bursts.map_or(p, |bursts| bursts.mean(p));
         Link {
@@ -186,14 +184,14 @@ impl Radio {
 }
 
 impl Link {
-    /// The probability that nothing is heard of a device that was to sense and has detected an event: it missed the
+    /// The probability that no report arrives from a device that was to sense and has detected an event: it missed the
     /// plan, or its report was lost.
-    pub fn silence(&self) -> f64 {
+    pub fn no_report_probability(&self) -> f64 {
         1.0 - (1.0 - self.plan_loss) * (1.0 - self.uplink_loss)
     }
 
-    /// The probability that nothing is heard of a device with power that was woken.
-    pub fn no_answer(&self) -> f64 {
+    /// The probability that no report arrives from a device with power that was woken.
+    pub fn no_answer_probability(&self) -> f64 {
         1.0 - (1.0 - self.wake_miss) * (1.0 - self.uplink_loss)
     }
 }

@@ -1,12 +1,13 @@
-//! Frequencies against probabilities, and who sees the same draws.
+//! Tests of loss frequencies against probabilities, and of equal draws for all users of the air.
 
 use super::*;
 use crate::declare::Override;
 use crate::ids::{DeviceId, Tti};
+use crate::plan::Plan;
 use crate::scenario::testing::load;
 
-fn radio() -> Radio {
-    Radio {
+fn radio() -> RadioSettings {
+    RadioSettings {
         wake_miss: 0.1,
         false_wake: 0.02,
         uplink_loss: 0.25,
@@ -18,37 +19,38 @@ fn radio() -> Radio {
 
 #[test]
 fn wake_ups_follow_one_another_by_the_latency() {
-    let (radio, at_once) = (radio(), Radio::default());
+    let (radio, at_once) = (radio(), RadioSettings::default());
     assert_eq!(
-        [0, 1, 5].map(|before| radio.sent(Tti(40), before)),
+        [0, 1, 5].map(|before| radio.send_tti(Tti(40), before)),
         [Tti(40), Tti(43), Tti(55)]
     );
-    assert_eq!([0, 1, 5].map(|before| at_once.sent(Tti(40), before)), [Tti(40); 3]);
+    assert_eq!([0, 1, 5].map(|before| at_once.send_tti(Tti(40), before)), [Tti(40); 3]);
     assert_eq!(
         [44, 45, 46].map(|until| radio.is_late(Tti(43), Tti(until))),
         [true, true, false]
     );
     assert!(!at_once.is_late(Tti(40), Tti(40)) && radio.is_late(Tti::NEVER, Tti(u64::MAX - 1)));
-    let may_be = |radio: &Radio| [39, 40, 41, 43, 46].map(|sent| radio.may_be_sent(Tti(sent), Tti(40)));
+    let may_be = |radio: &RadioSettings| [39, 40, 41, 43, 46].map(|sent| radio.is_valid_send_tti(Tti(sent), Tti(40)));
     assert_eq!(may_be(&radio), [false, true, false, true, true]);
     assert_eq!(may_be(&at_once), [false, true, false, false, false]);
 }
 
 /// The shares of `ttis` TTIs of 50 devices in which a wake-up, a report and a plan are lost.
-fn shares(radio: &Radio, ttis: u64) -> [f64; 3] {
+fn shares(radio: &RadioSettings, ttis: u64) -> [f64; 3] {
     let mut air = Air::new(7, radio);
+    let plan = Plan::from_bits((0..50).map(|_| true));
     let mut lost = [0_u64; 3];
-    for k in 0..ttis {
-        let now = air.at(Tti(k));
+    for k in (0..ttis).map(Tti) {
+        let now = air.at(k);
+        let mut received = 0;
+        let missed = air.deliver_plan(k, &plan, DeviceId(0), 50, |_, cycle| {
+            received += u64::from(cycle.is_on(k));
+        });
+        assert_eq!(missed + received, 50, "each device receives the plan or misses it");
+        lost[2] += missed;
         for device in (0..50).map(DeviceId) {
-            let each = [
-                now.misses_wake_up(device),
-                now.loses_report(device),
-                now.misses_plan(device),
-            ];
-            lost.iter_mut()
-                .zip(each)
-                .for_each(|(sum, is_lost)| *sum += u64::from(is_lost));
+            lost[0] += u64::from(now.misses_wake_up(device));
+            lost[1] += u64::from(now.loses_report(device));
         }
     }
     lost.map(|sum| sum as f64 / (50 * ttis) as f64)
@@ -61,8 +63,8 @@ fn as_much_is_lost_as_is_said() {
         let error = (p * (1.0 - p) / (50 * ttis) as f64).sqrt();
         assert!((share - p).abs() < 4.0 * error, "{share}, not {p}");
     }
-    assert!(shares(&Radio::default(), 100).iter().all(|share| *share <= 0.0));
-    let all = Radio {
+    assert!(shares(&RadioSettings::default(), 100).iter().all(|share| *share <= 0.0));
+    let all = RadioSettings {
         wake_miss: 1.0,
         uplink_loss: 1.0,
         plan_loss: 1.0,
@@ -73,12 +75,12 @@ fn as_much_is_lost_as_is_said() {
 
 #[test]
 fn bursts_take_their_share_and_the_mean_is_known() {
-    let bursts = Bursts {
+    let bursts = InterferenceBursts {
         burst_ttis: 8.0,
         quiet_ttis: 24.0,
         loss: 0.9,
     };
-    let radio = Radio {
+    let radio = RadioSettings {
         bursts: Some(bursts),
         ..radio()
     };
@@ -95,12 +97,12 @@ fn bursts_take_their_share_and_the_mean_is_known() {
     for (known, expected) in [wake_miss, uplink_loss, plan_loss].into_iter().zip(expected) {
         assert!((known - expected).abs() < 1e-12);
     }
-    // The share of bursts varies more than that of single TTIs: some 1250 cycles.
+    // The share of bursts varies more than the share of single TTIs: some 1250 cycles.
     for (share, expected) in shares(&radio, 40_000).into_iter().zip(expected) {
         assert!((share - expected).abs() < 0.03, "{share}, not {expected}");
     }
-    // What is lost more often than in a burst stays so.
-    let worse = Radio {
+    // A loss probability above the burst's is kept.
+    let worse = RadioSettings {
         plan_loss: 0.95,
         ..radio
     };
@@ -109,23 +111,23 @@ fn bursts_take_their_share_and_the_mean_is_known() {
 
 #[test]
 fn a_burst_is_the_same_whoever_asks_and_when() {
-    let radio = Radio {
-        bursts: Some(Bursts {
+    let radio = RadioSettings {
+        bursts: Some(InterferenceBursts {
             burst_ttis: 3.0,
             quiet_ttis: 5.0,
             loss: 1.0,
         }),
-        ..Radio::default()
+        ..RadioSettings::default()
     };
     let mut often = Air::new(3, &radio);
-    let each: Vec<Moment> = (0..1000).map(|k| often.at(Tti(k))).collect();
+    let each: Vec<ChannelState> = (0..1000).map(|k| often.at(Tti(k))).collect();
     let mut seldom = Air::new(3, &radio);
     for k in (0..1000).step_by(37) {
         let now = seldom.at(Tti(k));
         assert_eq!(now, each[k as usize], "TTI {k}");
         assert_eq!(now, seldom.at(Tti(k)), "asked again");
     }
-    let in_burst = |now: &&Moment| now.loses_report(DeviceId(0));
+    let in_burst = |now: &&ChannelState| now.loses_report(DeviceId(0));
     let changes = each
         .windows(2)
         .filter(|two| in_burst(&&two[0]) != in_burst(&&two[1]))
@@ -163,7 +165,7 @@ fn a_radio_that_never_fails_is_no_part_of_a_scenario() {
         fields.iter().map(parse).collect()
     };
     let plain = load("paper", &[]).expect("a preset");
-    assert!(plain.radio.is_perfect() && plain.radio == Radio::default() && plain.radio.is_sound());
+    assert!(plain.radio.is_perfect() && plain.radio == RadioSettings::default() && plain.radio.is_valid());
     let same = load("paper", &set(&["radio.wake_miss=0", "radio.interference=none"])).expect("valid");
     assert_eq!((plain.hash(), plain.to_toml()), (same.hash(), same.to_toml()));
     let mut hashes = vec![plain.hash()];
@@ -177,7 +179,7 @@ fn a_radio_that_never_fails_is_no_part_of_a_scenario() {
     ] {
         let field = format!("radio.{field}");
         let scenario = load("paper", &set(&[&field])).expect("valid");
-        assert!(!scenario.radio.is_perfect() && scenario.radio.is_sound(), "{field}");
+        assert!(!scenario.radio.is_perfect() && scenario.radio.is_valid(), "{field}");
         assert!(!hashes.contains(&scenario.hash()), "{field}");
         hashes.push(scenario.hash());
     }
@@ -187,9 +189,9 @@ fn a_radio_that_never_fails_is_no_part_of_a_scenario() {
         Some((10.0, 0.5))
     );
     assert!(load("paper", &set(&["radio.plan_loss=1.1"])).is_err());
-    let unsound = Radio {
+    let unsound = RadioSettings {
         wake_miss: f64::NAN,
-        ..Radio::default()
+        ..RadioSettings::default()
     };
-    assert!(!unsound.is_sound());
+    assert!(!unsound.is_valid());
 }

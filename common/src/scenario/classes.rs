@@ -1,28 +1,28 @@
-//! Kinds of devices.
+//! Device classes.
 
 use std::collections::BTreeSet;
 
-use super::members::{Members, OwnFields};
-use crate::declare::{Reader, ScenarioError, Sink};
+use super::class_members::{ClassFields, Members};
+use crate::declare::{FieldReader, FieldSink, ScenarioError, Visit};
 use crate::energy::EnergyModel;
 use crate::geometry::Area;
 use crate::harvest::Harvest;
 
-/// The largest number of device classes.
-pub const MAX_CLASSES: usize = 256;
-/// How far from 1 the sum of the classes' shares may be.
+/// Maximum number of device classes.
+pub(crate) const MAX_CLASSES: usize = 256;
+/// Tolerance for the difference between the sum of the classes' shares and 1.
 const SHARE_TOLERANCE: f64 = 1e-9;
-/// The name of the one class of a scenario without classes.
+/// The name of the only class in a scenario without declared classes.
 const ONLY: &str = "default";
 
-/// A kind of device with its own battery, costs and energy source.
+/// A class of devices with the same battery, costs and energy source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DeviceClass {
     /// Its name in files and tables.
     pub name: String,
-    /// Its share of the N devices, `(0, 1]`; 0 for a class that no device is of.
+    /// The share of the N devices, `(0, 1]`; 0 for a class without devices.
     pub share: f64,
-    /// Which devices are of it.
+    /// The rule that determines its members.
     pub members: Members,
     /// Battery and costs.
     pub energy: EnergyModel,
@@ -31,10 +31,10 @@ pub struct DeviceClass {
 }
 
 impl DeviceClass {
-    /// The classes that `reader` has, for TTIs of duration `tau` on `area`; the only one of a scenario without. Beside
-    /// each is whether it says which devices are of it, see [`check_shares`].
+    /// Reads the classes from `reader`, for TTIs of duration `tau` on `area`; a scenario without classes gets a
+    /// default one. The flag of each class tells whether it specifies its members, see [`check_shares`].
     pub(super) fn settle_all(
-        reader: &Reader<'_>,
+        reader: &FieldReader<'_>,
         tau: f64,
         area: Area,
     ) -> Result<(Vec<Self>, Vec<bool>), ScenarioError> {
@@ -44,14 +44,14 @@ impl DeviceClass {
                 name: ONLY.to_owned(),
                 share: 1.0,
                 members: Members::Share(1.0),
-                energy: EnergyModel::settle(reader)?,
-                harvest: Harvest::settle(reader, tau)?,
+                energy: EnergyModel::from_fields(reader)?,
+                harvest: Harvest::from_fields(reader, tau)?,
             };
             return Ok((vec![only], vec![true]));
         }
         if items.len() > MAX_CLASSES {
             let found = format!("{} classes", items.len());
-            return Err(reader.refuse("class", found, format!("must be at most {MAX_CLASSES}")));
+            return Err(reader.invalid_value("class", found, format!("must be at most {MAX_CLASSES}")));
         }
         let mut names = BTreeSet::new();
         let (mut classes, mut are_told) = (Vec::new(), Vec::new());
@@ -64,15 +64,15 @@ impl DeviceClass {
     }
 
     fn settle(
-        item: Reader<'_>,
+        item: FieldReader<'_>,
         names: &mut BTreeSet<String>,
         tau: f64,
         area: Area,
     ) -> Result<(Self, bool), ScenarioError> {
-        let section = OwnFields::SECTION;
+        let section = ClassFields::SECTION;
         let given = section
             .field("name")
-            .map(|field| item.given::<String>(section, field))
+            .map(|field| item.optional_field::<String>(section, field))
             .transpose()?;
         let Some(name) = given.flatten() else {
             return Err(ScenarioError::Missing {
@@ -83,27 +83,28 @@ impl DeviceClass {
         if name.trim().is_empty() || name.chars().count() > 64 || name.contains(char::is_control) {
             let shown = format!("\"{}\"", name.escape_debug());
             let allowed = "must be 1 to 64 characters, not all blank, without control characters";
-            return Err(item.refuse("class.name", shown, allowed));
+            return Err(item.invalid_value("class.name", shown, allowed));
         }
-        let item = item.known_as(&name);
+        let item = item.with_name(&name);
         if !names.insert(name.clone()) {
-            return Err(item.refuse("class.name", &name, "must differ from the other classes' names"));
+            return Err(item.invalid_value("class.name", &name, "must differ from the other classes' names"));
         }
-        item.check_idle()?;
-        let members = Members::settle(&item, &OwnFields::read(&item)?, area)?;
+        item.reject_unused_fields()?;
+        let members = Members::settle(&item, &ClassFields::read(&item)?, area)?;
         let is_told = members.is_some();
         let class = Self {
             name,
+            // Set once the members of all classes are known.
             share: 0.0,
             members: members.unwrap_or(Members::Layout),
-            energy: EnergyModel::settle(&item)?,
-            harvest: Harvest::settle(&item, tau)?,
+            energy: EnergyModel::from_fields(&item)?,
+            harvest: Harvest::from_fields(&item, tau)?,
         };
         Ok((class, is_told))
     }
 
-    /// Hands every field of `classes` to `sink`. The only class of a scenario without classes speaks for the top level.
-    pub(super) fn visit_all(classes: &[Self], sink: &mut dyn Sink) {
+    /// Passes every field of `classes` to `sink`. The only class of a scenario without classes uses the top level.
+    pub(super) fn visit_all(classes: &[Self], sink: &mut dyn FieldSink) {
         let is_plain = matches!(classes, [only] if only.name == ONLY);
         for class in classes {
             if !is_plain {
@@ -116,10 +117,10 @@ impl DeviceClass {
     }
 }
 
-/// Looks at how the classes share the devices. Where the layout's file names the class of each device, `by_layout` says
-/// so, it decides; else every class has to say which devices are of it, as `are_told`, and the shares add up to 1.
+/// Checks how the classes share the devices. If `by_layout` is set, the layout's file names the class of each device
+/// and decides. Otherwise every class must specify its members, as `are_told` shows, and the shares must add up to 1.
 pub(super) fn check_shares(
-    reader: &Reader<'_>,
+    reader: &FieldReader<'_>,
     classes: &mut [DeviceClass],
     are_told: &[bool],
     by_layout: bool,
@@ -138,7 +139,7 @@ pub(super) fn check_shares(
     }
     for ((item, class), is_told) in reader.items().into_iter().zip(classes.iter()).zip(are_told) {
         if !is_told {
-            return Err(item.known_as(&class.name).needed("class.share", "class.name"));
+            return Err(item.with_name(&class.name).missing_value("class.share", "class.name"));
         }
     }
     let share = |class: &DeviceClass| match class.members {
@@ -150,7 +151,7 @@ pub(super) fn check_shares(
     if !shares.is_empty() && (sum - 1.0).abs() > SHARE_TOLERANCE {
         let shares: Vec<String> = shares.iter().map(f64::to_string).collect();
         let allowed = format!("the shares of all classes must add up to 1, not to {sum}");
-        return Err(reader.refuse("class", format!("shares {}", shares.join(" + ")), allowed));
+        return Err(reader.invalid_value("class", format!("shares {}", shares.join(" + ")), allowed));
     }
     Ok(())
 }

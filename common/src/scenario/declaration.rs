@@ -1,22 +1,21 @@
-//! All fields of a scenario together.
+//! The declaration of all fields of a scenario.
 
-use super::bs::BsSettings;
-use super::members::OwnFields;
-use super::model::Policies;
-use super::run::{PRESETS, PolicyName, Run};
-use crate::declare::{Alternative, Declaration, List};
+use super::class_members::ClassFields;
+use super::policy::{Policies, PolicyKind};
+use super::run::{BsSettings, PRESETS, PolicyName, RunSettings};
+use crate::declare::{Alternative, Declaration, TableArray};
 use crate::energy::EnergyModel;
-use crate::event::settings::Events;
+use crate::event::event_settings::EventSettings;
 use crate::geometry::{Area, Layout};
 use crate::harvest::Harvest;
-use crate::radio::Radio;
+use crate::radio::RadioSettings;
 use crate::sensing::Sensing;
 
-/// What may be said in a scenario file of a program that knows `policies`.
-pub fn declaration(policies: Policies<'_>) -> Declaration {
-    let mut sections = vec![Run::SECTION, Area::SECTION, Layout::SECTION, Sensing::SECTION];
-    sections.extend(Events::SECTIONS);
-    sections.extend(Radio::SECTIONS);
+/// Returns the declaration of scenario files for a program that knows `policies`.
+pub fn declaration<K: PolicyKind>(policies: Policies<'_, K>) -> Declaration {
+    let mut sections = vec![RunSettings::SECTION, Area::SECTION, Layout::SECTION, Sensing::SECTION];
+    sections.extend(EventSettings::SECTIONS);
+    sections.extend(RadioSettings::SECTIONS);
     sections.extend([BsSettings::SECTION, PolicyName::SECTION]);
     sections.extend(policies.iter().filter_map(|policy| policy.section()));
     sections.push(EnergyModel::SECTION);
@@ -24,8 +23,8 @@ pub fn declaration(policies: Policies<'_>) -> Declaration {
     Declaration {
         title: "A scenario of Reveille",
         sections,
-        list: List {
-            section: OwnFields::SECTION,
+        list: TableArray {
+            section: ClassFields::SECTION,
             inherits: &["energy", "harvest"],
         },
         registered: policies

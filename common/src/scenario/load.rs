@@ -1,40 +1,41 @@
-//! Loading: preset, file and command line, in this order of precedence from low to high.
+//! Loading of scenarios: preset, file and command line, in this order of precedence from low to high.
 
 use std::io;
 use std::path::Path;
 
 use super::declaration::declaration;
-use super::model::{Policies, Scenario};
+use super::model::Loaded;
+use super::policy::{Policies, PolicyChoice, PolicyKind};
 use super::run::PRESETS;
-use super::settle::settle;
+use super::validate::validate;
 use crate::declare::{
-    Declaration, FileError, Files, Ground, LONGEST_TEXT, Layer, Layers, Origin, Override, Place, Preset, ScenarioError,
-    did_you_mean, listed, shortened,
+    Declaration, FileContext, FileError, Files, LONGEST_TEXT, Layer, Layers, Origin, Override, Preset, ScenarioError,
+    ValueOrigin, did_you_mean, quoted_list, truncate,
 };
 
-/// Loads the scenario `source`, a preset's name or the path of a scenario file, with `overrides` on top; later
-/// overrides win. Layout and trace files that the scenario file names are relative to its folder, those that an
-/// override names to the working directory. `policies` are those that it may name, `files` opens what it names.
+/// Loads the scenario `source`, the name of a preset or the path of a scenario file, with `overrides` on top; later
+/// overrides win. Paths of layout and trace files in the scenario file are relative to its folder, those in an
+/// override to the working directory. The scenario may name one of `policies`; `files` reads the files that it names.
 ///
 /// # Errors
-/// There is no such preset or file, or the scenario cannot be used; the message names the field, its value, what is
-/// allowed and where it was set.
-pub fn load(
+/// If the preset or file does not exist, or the scenario is invalid. The message names the field, its value, the
+/// allowed values and the origin of the value.
+pub fn load<K: PolicyKind>(
     source: &str,
     overrides: &[Override],
-    policies: Policies<'_>,
+    policies: Policies<'_, K>,
     files: &dyn Files,
-) -> Result<Scenario, ScenarioError> {
+) -> Result<Loaded<PolicyChoice<K>>, ScenarioError> {
     let base_dir = Path::new("");
     if let Some(preset) = PRESETS.iter().find(|preset| preset.name == source) {
-        return resolve(preset, None, overrides, policies, Ground { files, base_dir });
+        return resolve(preset, None, overrides, policies, FileContext { files, base_dir });
     }
     let path = Path::new(source);
     if !files.exists(path) {
         return Err(ScenarioError::NoSuchScenario {
             name: source.to_owned(),
             hint: did_you_mean(source, preset_names()),
-            presets: listed(preset_names()),
+            presets: quoted_list(preset_names()),
         });
     }
     let text = read(path, source, files)?;
@@ -48,35 +49,42 @@ pub fn load(
     )
 }
 
-/// The scenario of the TOML `text`. `origin` names it in messages; files that it names are relative to `base_dir`.
-/// Reads nothing but those files, and never panics, whatever the text.
+/// Parses the scenario in the TOML `text`. `origin` names it in messages; paths in it are relative to `base_dir`.
+/// Reads only the files that it names, and never panics, whatever the text.
 ///
 /// # Errors
 /// As [`load`].
-pub fn parse(
+pub fn parse<K: PolicyKind>(
     text: &str,
     origin: &str,
     base_dir: &Path,
     overrides: &[Override],
-    policies: Policies<'_>,
+    policies: Policies<'_, K>,
     files: &dyn Files,
-) -> Result<Scenario, ScenarioError> {
+) -> Result<Loaded<PolicyChoice<K>>, ScenarioError> {
     let file = Layer::from_text(text, Origin::file(origin, text))?;
-    resolve(&PRESETS[0], Some(file), overrides, policies, Ground { files, base_dir })
+    resolve(
+        &PRESETS[0],
+        Some(file),
+        overrides,
+        policies,
+        FileContext { files, base_dir },
+    )
 }
 
-fn resolve(
+fn resolve<K: PolicyKind>(
     start: &Preset,
     file: Option<Layer<'_>>,
     overrides: &[Override],
-    policies: Policies<'_>,
-    ground: Ground<'_>,
-) -> Result<Scenario, ScenarioError> {
+    policies: Policies<'_, K>,
+    ground: FileContext<'_>,
+) -> Result<Loaded<PolicyChoice<K>>, ScenarioError> {
     let declaration = declaration(policies);
     let given = overrides
         .iter()
         .map(|given| Layer::from_override(given, &declaration))
         .collect::<Result<Vec<_>, ScenarioError>>()?;
+    // The last layer has the highest precedence.
     let asked = file
         .iter()
         .chain(&given)
@@ -86,20 +94,20 @@ fn resolve(
     let Some(preset) = PRESETS.iter().find(|preset| preset.name == name) else {
         return Err(ScenarioError::Invalid {
             field: "preset".to_owned(),
-            value: shortened(name),
+            value: truncate(name),
             allowed: format!(
                 "must be one of {}{}",
-                listed(preset_names()),
+                quoted_list(preset_names()),
                 did_you_mean(name, preset_names())
             ),
-            place: asked.map_or(Place::Nowhere, |(_, place)| place),
+            place: asked.map_or(ValueOrigin::Nowhere, |(_, place)| place),
         });
     };
     let merged = merged(&declaration, preset, file, given)?;
-    settle(preset.name, &declaration, &merged, policies, ground)
+    validate(preset.name, &declaration, &merged, policies, ground)
 }
 
-/// `preset`, the file and the command line, laid over one another.
+/// Merges `preset`, the file and the command line.
 fn merged<'a>(
     declaration: &'a Declaration,
     preset: &Preset,
@@ -118,7 +126,7 @@ fn preset_names() -> impl Iterator<Item = &'static str> + Clone {
     PRESETS.iter().map(|preset| preset.name)
 }
 
-/// The text of a scenario file.
+/// Reads the text of a scenario file.
 fn read(path: &Path, source: &str, files: &dyn Files) -> Result<String, ScenarioError> {
     let refused = |error: io::Error| ScenarioError::Read {
         path: path.to_owned(),

@@ -1,61 +1,59 @@
-//! A scenario written out.
+//! Scenarios written as TOML.
 
 use std::path::{Path, PathBuf};
 
 use super::declaration::declaration;
-use super::model::{Policies, Scenario};
-use super::run::Run;
-use crate::declare::{Field, Page, Section, Sink, Value};
+use super::model::Scenario;
+use super::policy::{Policies, PolicyChoice, PolicyKind};
+use crate::declare::{Field, FieldSink, FieldValue, Section, TomlPage};
 
-impl Scenario {
-    /// The complete scenario as TOML, with units. Loading it gives an equal scenario as long as the layout and trace
-    /// files that it names are still there.
+impl<K: PolicyKind> Scenario<PolicyChoice<K>> {
+    /// Returns the complete scenario as TOML, with units. Loading it restores an equal scenario as long as the layout
+    /// and trace files that it names still exist.
     #[must_use]
     pub fn to_toml(&self) -> String {
-        self.page().in_force(&declaration(&[self.policy.kind()]))
+        self.page().active_fields(&declaration(&[self.policy.kind()]))
     }
 
-    /// As [`Self::to_toml`], with other names for the files for which `name` has one.
+    /// Returns the TOML of [`Self::to_toml`], with new names for the files for which `name` returns one.
     #[must_use]
     pub fn to_toml_with(&self, name: impl Fn(&Path) -> Option<String>) -> String {
-        let mut page = Page::default();
+        let mut page = TomlPage::default();
         let mut renamed = Renamed { page: &mut page, name };
-        Run::visit_preset(&self.preset, &mut renamed);
         self.visit(&mut renamed);
-        page.in_force(&declaration(&[self.policy.kind()]))
+        page.active_fields(&declaration(&[self.policy.kind()]))
     }
 
-    /// The files that it names, each once, in the order of declaration.
+    /// Returns the files that the scenario names, each once, in the order of declaration.
     #[must_use]
     pub fn files(&self) -> Vec<PathBuf> {
-        let mut files = Named(Vec::new());
+        let mut files = FileCollector(Vec::new());
         self.visit(&mut files);
         files.0
     }
 
-    /// As [`Self::to_toml`], with every field that does not count here commented out: those of other kinds and of other
-    /// `policies`.
+    /// Returns the TOML of [`Self::to_toml`] with every unused field commented out, including the fields of other
+    /// kinds and other `policies`.
     #[must_use]
-    pub fn to_full_toml(&self, policies: Policies<'_>) -> String {
-        self.page().everything(&declaration(policies))
+    pub fn to_full_toml(&self, policies: Policies<'_, K>) -> String {
+        self.page().all_fields(&declaration(policies))
     }
 
-    fn page(&self) -> Page {
-        let mut page = Page::default();
-        Run::visit_preset(&self.preset, &mut page);
+    fn page(&self) -> TomlPage {
+        let mut page = TomlPage::default();
         self.visit(&mut page);
         page
     }
 }
 
-/// Gathers the files. Their paths are absolute; what is relative is a word that stands in the place of a file.
-struct Named(Vec<PathBuf>);
+/// A sink that collects file paths. Files have absolute paths; a relative one is a word in place of a file.
+struct FileCollector(Vec<PathBuf>);
 
-impl Sink for Named {
+impl FieldSink for FileCollector {
     fn item(&mut self, _: &str) {}
 
-    fn field(&mut self, _: &'static Section, _: &'static Field, value: Value<'_>) {
-        if let Value::Path(path) = value {
+    fn field(&mut self, _: &'static Section, _: &'static Field, value: FieldValue<'_>) {
+        if let FieldValue::Path(path) = value {
             let path = PathBuf::from(path);
             if path.is_absolute() && !self.0.contains(&path) {
                 self.0.push(path);
@@ -66,24 +64,24 @@ impl Sink for Named {
     fn content(&mut self, _: &[u8]) {}
 }
 
-/// Writes a page with other names for files.
+/// A sink that writes a page with new names for files.
 struct Renamed<'p, N> {
-    page: &'p mut Page,
+    page: &'p mut TomlPage,
     name: N,
 }
 
-impl<N: Fn(&Path) -> Option<String>> Sink for Renamed<'_, N> {
+impl<N: Fn(&Path) -> Option<String>> FieldSink for Renamed<'_, N> {
     fn item(&mut self, name: &str) {
         self.page.item(name);
     }
 
-    fn field(&mut self, section: &'static Section, field: &'static Field, value: Value<'_>) {
-        let renamed = if let Value::Path(path) = value {
+    fn field(&mut self, section: &'static Section, field: &'static Field, value: FieldValue<'_>) {
+        let renamed = if let FieldValue::Path(path) = value {
             (self.name)(Path::new(path))
         } else {
             None
         };
-        let value = renamed.as_deref().map_or(value, Value::Path);
+        let value = renamed.as_deref().map_or(value, FieldValue::Path);
         self.page.field(section, field, value);
     }
 

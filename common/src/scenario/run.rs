@@ -1,23 +1,24 @@
-//! The fields of a run as a whole, and the presets.
+//! The general fields of a run, and the presets.
 
-use crate::declare::{Alternative, BELOW_ONE, POSITIVE, Preset, Sink, Value, number, registered, whole, word};
+use crate::declare;
+use crate::declare::{Alternative, BELOW_ONE, POSITIVE, Preset, choice, choices, number, registered, whole, word};
 use crate::ids::{MAX_DEVICES, MAX_TTIS};
 
-/// The presets. The first is what a file starts from unless it names another: the declared defaults.
+/// The presets. The first one holds the declared defaults, from which a file starts unless it names another preset.
 pub const PRESETS: &[Preset] = &[
     Preset {
         name: "paper",
-        about: "Table II, with the calibration that came closest to the paper's figures",
+        about: "Table II, with the calibration closest to the paper's figures",
         text: include_str!("presets/paper.toml"),
     },
     Preset {
         name: "paper-literal",
-        about: "the paper's words taken literally: uniform layout, detection by p(d), events of one TTI",
+        about: "a literal reading of the paper: uniform layout, detection by p(d), events of one TTI",
         text: include_str!("presets/paper-literal.toml"),
     },
     Preset {
         name: "quick",
-        about: "20 devices and 1000 TTIs of `paper`: a first look within seconds",
+        about: "20 devices and 1000 TTIs of `paper`, for a first run within seconds",
         text: include_str!("presets/quick.toml"),
     },
 ];
@@ -37,39 +38,64 @@ const WORDS: [Alternative; PRESETS.len()] = {
 };
 
 crate::declare! {
-    /// The run as a whole.
-    #[derive(Clone, Debug)]
-    pub(super) struct Run in "" {
-        /// The set of values that all others are laid over.
-        pub(super) preset: Option<String> = word(&WORDS, "paper"),
+    /// General fields of a run.
+    #[derive(Clone, Debug, PartialEq)]
+    pub struct RunSettings in "" {
+        /// Preset with the values that the file and the command line override.
+        pub preset: String = word(&WORDS, "paper"),
         /// Number of devices N.
-        pub(super) devices: u32 = whole(1, MAX_DEVICES as u64, 50).source("Sec. VI, 10 to 250"),
-        /// Length K of the run, the warm-up included.
-        pub(super) ttis: u64 = whole(1, MAX_TTIS, 10_000).unit("TTIs"),
+        pub devices: u32 = whole(1, MAX_DEVICES as u64, 50).source("Sec. VI, 10 to 250"),
+        /// Length K of the run, including the warm-up.
+        pub ttis: u64 = whole(1, MAX_TTIS, 10_000).unit("TTIs"),
         /// Seed of every random stream.
-        pub(super) seed: u64 = whole(0, u64::MAX, 1),
-        /// Share of K that is simulated and left out of every metric.
-        pub(super) warm_up: f64 = number(BELOW_ONE, 0.1),
+        pub seed: u64 = whole(0, u64::MAX, 1),
+        /// Share of K that is simulated but excluded from every metric.
+        pub warm_up: f64 = number(BELOW_ONE, 0.1),
         /// Duration τ of a TTI.
-        pub(super) tau: f64 = number(POSITIVE, 1.0).unit("units of model time").source("Sec. III-A"),
-    }
-}
-
-impl Run {
-    /// Hands the field `preset` to `sink`, which [`super::Scenario::visit`] leaves out.
-    pub(super) fn visit_preset(preset: &str, sink: &mut dyn Sink) {
-        if let Some(field) = Self::SECTION.field("preset") {
-            sink.field(Self::SECTION, field, Value::Text(preset));
-        }
+        pub tau: f64 = number(POSITIVE, 1.0).unit("units of model time").source("Sec. III-A"),
     }
 }
 
 crate::declare! {
-    /// Who senses, and whom to wake. Each policy has its settings in a section of its own, which count only where it is
-    /// named.
+    /// Policy that decides the δ plan and the wake-ups. The settings in a policy's section apply only if that policy is
+    /// selected.
     #[derive(Clone, Debug)]
     pub(super) struct PolicyName in "policy" {
-        /// The policy.
+        /// Name of the policy.
         pub(super) name: String = registered("knn").source("Sec. V, Sec. VI"),
+    }
+}
+
+choices! {
+    /// Ranking of wake-up candidates.
+    pub enum WakeUpRanking {
+        /// By `P_4,2`, the probability that a device senses an event that another device has reported (Sec. III).
+        P42 = "p42",
+        /// By the expected information gain under a belief about the epicentre. Each report narrows the belief, and so
+        /// does each device in S1 without a report.
+        Posterior = "posterior",
+    }
+}
+
+choices! {
+    /// The base station's knowledge of battery levels.
+    pub enum BatteryKnowledge {
+        /// The true levels, as in the paper's state 𝒯(k).
+        Oracle = "oracle",
+        /// The level in the last report, updated by later commands and the mean harvest.
+        Reported = "reported",
+    }
+}
+
+declare! {
+    /// Base station.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct BsSettings in "bs" {
+        /// Time between two synchronisation broadcasts of the δ plan, much longer than a TTI.
+        pub sync_interval: u64 = whole(1, MAX_TTIS, 1000).unit("TTIs").source("Sec. V-D"),
+        /// Ranking of wake-up candidates.
+        pub ranking: WakeUpRanking = choice::<WakeUpRanking>("p42").source("Sec. III"),
+        /// Battery levels that the policy receives, if it uses any.
+        pub battery_knowledge: BatteryKnowledge = choice::<BatteryKnowledge>("oracle").source("Sec. V-B"),
     }
 }

@@ -1,33 +1,33 @@
-//! What a base station knows of its site before a run, by which a policy checks and completes its settings.
+//! The base station's knowledge of its site before a run, with which a policy checks and completes its settings.
 
-use super::bs::BsSettings;
+use super::run::BsSettings;
 use crate::energy::EnergyModel;
 use crate::geometry::{Area, Layout};
 use crate::sensing::Sensing;
 use crate::units::Energy;
 
-/// What is known of the devices of a class.
+/// The base station's knowledge of a device class.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClassKnowledge<'s> {
-    /// Its name.
+    /// The name of the class.
     pub name: &'s str,
-    /// Its share of the devices, `(0, 1]`.
+    /// The share of the devices, `(0, 1]`.
     pub share: f64,
     /// Battery and costs.
     pub energy: EnergyModel,
-    /// Its mean harvest in a TTI.
+    /// The mean harvest in a TTI.
     pub mean_harvest: Energy,
 }
 
-/// What a base station knows of its site: the part of a scenario that is no ground truth.
+/// The base station's knowledge of its site: the part of a scenario without ground truth.
 ///
-/// No policy can be set from the seed,
+/// The settings of a policy cannot depend on the seed:
 /// ```compile_fail
 /// fn peek(site: &reveille_common::scenario::Site<'_>) -> u64 {
 ///     site.seed
 /// }
 /// ```
-/// from how long events last or from their process beyond α,
+/// They cannot depend on the duration of events or, except for α, on their process:
 /// ```compile_fail
 /// fn peek(site: &reveille_common::scenario::Site<'_>) -> u64 {
 ///     site.events.duration
@@ -39,7 +39,7 @@ pub struct ClassKnowledge<'s> {
 /// }
 /// ```
 /// ```compile_fail
-/// fn peek(site: &reveille_common::scenario::Site<'_>) -> reveille_common::event::Process {
+/// fn peek(site: &reveille_common::scenario::Site<'_>) -> reveille_common::event::ProcessSettings {
 ///     site.events.process
 /// }
 /// ```
@@ -48,13 +48,13 @@ pub struct ClassKnowledge<'s> {
 ///     site.events.duration_kind
 /// }
 /// ```
-/// or from what a class will harvest:
+/// They cannot depend on the future harvest of a class:
 /// ```compile_fail
 /// fn peek(site: &reveille_common::scenario::Site<'_>) {
 ///     let _ = &site.classes[0].harvest;
 /// }
 /// ```
-/// This is all that there is, so that whoever adds to it passes by here,
+/// The site has only these fields; a new field must be added here:
 /// ```
 /// use reveille_common::scenario::Site;
 ///
@@ -62,7 +62,7 @@ pub struct ClassKnowledge<'s> {
 ///     let Site { devices: _, area: _, layout: _, sensing: _, alpha: _, bs: _, classes: _ } = site;
 /// }
 /// ```
-/// and what it can do:
+/// A permitted use:
 /// ```
 /// fn known(site: &reveille_common::scenario::Site<'_>) -> f64 {
 ///     site.alpha + site.classes[0].mean_harvest.units()
@@ -74,12 +74,12 @@ pub struct Site<'s> {
     pub devices: u32,
     /// The served area ξ.
     pub area: Area,
-    /// Where the devices stand.
+    /// The positions of the devices.
     pub layout: &'s Layout,
     /// The sensing model.
     pub sensing: &'s Sensing,
-    /// Probability α that an event starts in a TTI in which none is active, `(0, 1]`; its long-run mean where it
-    /// changes with time.
+    /// Probability α that an event starts in a TTI in which none is active, `(0, 1]`; its long-run mean if it changes
+    /// with time.
     pub alpha: f64,
     /// The settings of the base station.
     pub bs: BsSettings,

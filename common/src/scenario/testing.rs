@@ -1,15 +1,31 @@
-//! A policy for the tests of this crate, which knows none.
+//! A test policy for this crate, which defines no policies.
 
 use std::sync::Arc;
 
-use super::{NoSettings, Override, PolicyKind, PolicySettings, Scenario, ScenarioError, Site};
-use crate::declare::Reader;
+use super::{Override, PolicyChoice, PolicyKind, Scenario, ScenarioError, Site};
+use crate::declare::{FieldReader, FieldSink, Section, Visit};
 
 /// A policy without settings.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Idle;
+#[derive(Debug)]
+pub(crate) struct Idle {
+    /// Accesses the scenario's fields when the settings are read.
+    read: fn(&FieldReader<'_>) -> Result<(), ScenarioError>,
+}
+
+/// A policy that reads no fields.
+static IDLE: Idle = Idle { read: |_| Ok(()) };
+
+/// The empty settings of [`Idle`].
+#[derive(Debug)]
+pub(crate) struct NoSettings;
+
+impl Visit for NoSettings {
+    fn visit(&self, _: &mut dyn FieldSink) {}
+}
 
 impl PolicyKind for Idle {
+    type Settings = NoSettings;
+
     fn name(&self) -> &'static str {
         "knn"
     }
@@ -18,42 +34,42 @@ impl PolicyKind for Idle {
         "Stands for any policy."
     }
 
-    fn settle(&self, _: &Reader<'_>, _: &Site<'_>) -> Result<Arc<dyn PolicySettings>, ScenarioError> {
+    fn section(&self) -> Option<&'static Section> {
+        None
+    }
+
+    fn read_settings(&self, reader: &FieldReader<'_>, _: &Site<'_>) -> Result<Arc<NoSettings>, ScenarioError> {
+        (self.read)(reader)?;
         Ok(Arc::new(NoSettings))
+    }
+
+    fn delay_budget(_: &NoSettings) -> Option<(&'static str, u64)> {
+        None
+    }
+
+    fn pilot_ttis(_: &NoSettings) -> Option<(&'static str, u64)> {
+        None
     }
 }
 
-/// [`super::load`] with that policy alone.
-pub(crate) fn load(source: &str, overrides: &[Override]) -> Result<Scenario, ScenarioError> {
-    super::load(source, overrides, &[&Idle], &crate::io::Disk)
+/// Loads a scenario as [`super::load`] does, with [`Idle`] as the only policy.
+pub(crate) fn load(source: &str, overrides: &[Override]) -> Result<Scenario<PolicyChoice<Idle>>, ScenarioError> {
+    super::load(source, overrides, &[&IDLE], &crate::io::Disk).map(|loaded| loaded.scenario)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::event::settings::Events;
+    use crate::event::event_settings::EventSettings;
 
-    /// A policy that would like to be set from the event process.
-    #[derive(Debug)]
-    struct Peeking;
-
-    impl PolicyKind for Peeking {
-        fn name(&self) -> &'static str {
-            "knn"
-        }
-
-        fn about(&self) -> &'static str {
-            "Reads what it must not."
-        }
-
-        fn settle(&self, reader: &Reader<'_>, _: &Site<'_>) -> Result<Arc<dyn PolicySettings>, ScenarioError> {
-            Events::settle(reader).map(|_| Arc::new(NoSettings) as Arc<dyn PolicySettings>)
-        }
-    }
+    /// A policy that reads the event process, which is forbidden.
+    static PEEKING: Idle = Idle {
+        read: |reader| EventSettings::from_fields(reader).map(drop),
+    };
 
     #[test]
     #[should_panic(expected = "a policy reads its own fields, and not events.process")]
     fn a_policy_cannot_be_set_from_the_event_process() {
-        let _unreachable = super::super::load("paper", &[], &[&Peeking], &crate::io::Disk);
+        let _unreachable = super::super::load("paper", &[], &[&PEEKING], &crate::io::Disk);
     }
 }

@@ -1,4 +1,4 @@
-//! What a run leaves behind of each device, and of each class of them.
+//! The results of a run for each device and each device class.
 
 use std::ops::AddAssign;
 
@@ -9,27 +9,27 @@ use crate::geometry::Point;
 use crate::ids::DeviceId;
 use crate::totals::{DeviceTotals, Ledger, Spread, Totals};
 
-/// What a device did for the counted events.
+/// The activity of a device during the counted events.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Acts {
-    /// Reports of its that reached the BS.
+pub struct EventActivity {
+    /// Reports of the device that reached the BS.
     pub reports: u64,
-    /// Wake-ups that were sent to it.
+    /// Wake-ups sent to the device.
     pub wake_ups: u64,
-    /// Those of them that it heard.
+    /// Wake-ups that the device received.
     pub heard: u64,
-    /// How often it entered S2 and could not transmit, or was woken farther than `d_max` from the epicentre.
+    /// Number of times it entered S2 and could not transmit, or was woken beyond `d_max` from the epicentre.
     pub wrong_activations: u64,
 }
 
-impl Acts {
+impl EventActivity {
     const NONE: Self = Self {
         reports: 0,
         wake_ups: 0,
         heard: 0,
         wrong_activations: 0,
     };
-    /// It reported by itself.
+    /// It reported without a wake-up.
     pub(super) const REPORT: Self = Self {
         reports: 1,
         ..Self::NONE
@@ -45,20 +45,20 @@ impl Acts {
         reports: 1,
         ..Self::WOKEN
     };
-    /// It was sent a wake-up that it did not hear.
+    /// A wake-up to it was not received.
     pub(super) const UNHEARD: Self = Self {
         wake_ups: 1,
         ..Self::NONE
     };
-    /// It was activated for nothing.
+    /// It was activated wrongly.
     pub(super) const WRONG: Self = Self {
         wrong_activations: 1,
         ..Self::NONE
     };
 }
 
-impl Acts {
-    /// Each of them with its name.
+impl EventActivity {
+    /// Returns each count with its name.
     pub const fn rows(&self) -> [(&'static str, u64); 4] {
         [
             ("reports", self.reports),
@@ -69,7 +69,7 @@ impl Acts {
     }
 }
 
-impl AddAssign for Acts {
+impl AddAssign for EventActivity {
     fn add_assign(&mut self, other: Self) {
         self.reports += other.reports;
         self.wake_ups += other.wake_ups;
@@ -78,38 +78,38 @@ impl AddAssign for Acts {
     }
 }
 
-/// One device at the end of a run.
+/// The results of one device at the end of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DeviceRecord {
-    /// Its number.
+    /// The number of the device.
     pub device: DeviceId,
-    /// Where it stands.
+    /// The position of the device.
     pub position: Point,
-    /// Its class, an index into the scenario's.
+    /// The index of its class in the scenario.
     pub class: u16,
-    /// Its books.
+    /// The ledger of the device.
     pub ledger: Ledger,
-    /// What it did for the counted events.
-    pub acts: Acts,
+    /// Its activity during the counted events.
+    pub acts: EventActivity,
 }
 
-/// The devices of one class together.
+/// The results of all devices of a class.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClassRecord {
-    /// How many they are.
+    /// The number of devices.
     pub devices: u64,
-    /// Their metrics; only those about devices ([`super::Group::is_by_device`]) mean anything.
+    /// The metrics of the class; only those about devices ([`super::MetricGroup::is_by_device`]) are meaningful.
     pub metrics: Metrics,
-    /// What they did for the counted events.
-    pub acts: Acts,
+    /// The activity of its devices during the counted events.
+    pub acts: EventActivity,
 }
 
 impl ClassRecord {
-    /// The record of the devices of `class` among `devices`, over `ttis` measured TTIs.
+    /// Sums the records of the devices of `class` among `devices`, over `ttis` measured TTIs.
     pub fn of(class: u16, devices: &[DeviceRecord], ttis: u64) -> Self {
         let own = || devices.iter().filter(|device| device.class == class);
         let measured = || own().map(|device| &device.ledger.measured);
-        let mut acts = Acts::default();
+        let mut acts = EventActivity::default();
         own().for_each(|device| acts += device.acts);
         let totals = Totals {
             devices: own().count() as u64,
@@ -120,6 +120,7 @@ impl ClassRecord {
         };
         Self {
             devices: totals.devices,
+            // α concerns events, which belong to no class.
             metrics: Metrics::of(f64::NAN, &totals),
             acts,
         }

@@ -1,8 +1,9 @@
-//! The run's fingerprint.
+//! The digest of a run.
 //!
-//! SHA-256 over what happened, in the order of TTIs: events, reports, wake-ups and their outcomes, changes of the δ
-//! plan; then each device's ledger by id and the totals behind the metrics. It holds nothing per TTI, so that a driver
-//! may skip over quiet TTIs, and nothing of how messages are encoded: fields are hashed, each as 64 bits.
+//! SHA-256 over the run's history, in the order of TTIs: events, reports, wake-ups and their outcomes, changes of the
+//! δ plan. Each device's ledger by id and the totals behind the metrics follow. The digest holds no data per TTI, so
+//! that a driver may skip quiet TTIs. It does not depend on the encoding of messages: fields are hashed, each as 64
+//! bits.
 
 use std::fmt;
 
@@ -11,15 +12,15 @@ use sha2::{Digest as _, Sha256};
 
 use crate::event::Stimulus;
 use crate::ids::{DeviceId, Tti};
-use crate::message::{Outage, PlanUpdate, Report, WakeOutcome};
+use crate::message::{DeviceRemoval, PlanUpdate, Report, WakeOutcome};
 use crate::plan::{DutyCycle, Plan};
-use crate::totals::{DeviceTotals, EventTally, EventTotals, Ledger, Spent, Spread, Totals};
+use crate::totals::{DeviceTotals, EnergyByState, EventTally, EventTotals, Ledger, Spread, Totals};
 use crate::units::Energy;
 
-/// The version of what is hashed. Fingerprints of different versions say nothing about each other.
+/// The version of the hashed data. Digests of different versions cannot be compared.
 pub const DIGEST_VERSION: u32 = 2;
 
-/// A finished fingerprint; shown as 64 hexadecimal digits.
+/// A finished digest, shown as 64 hexadecimal digits.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Digest([u8; 32]);
 
@@ -48,12 +49,12 @@ impl Serialize for Digest {
     }
 }
 
-/// A fingerprint in the making.
+/// An unfinished digest.
 #[derive(Clone, Debug, Default)]
-pub struct Fingerprint(Sha256);
+pub struct DigestBuilder(Sha256);
 
-impl Fingerprint {
-    /// An event has started in `tti`.
+impl DigestBuilder {
+    /// Adds the start of an event in `tti`.
     pub fn event_started(&mut self, tti: Tti, stimulus: &Stimulus) {
         self.words(
             b'E',
@@ -66,7 +67,7 @@ impl Fingerprint {
         );
     }
 
-    /// An event's last TTI was `tti`.
+    /// Adds the end of an event, with its last TTI `tti`.
     pub fn event_ended(&mut self, tti: Tti, tally: &EventTally) {
         let EventTally {
             reports,
@@ -88,12 +89,12 @@ impl Fingerprint {
         );
     }
 
-    /// A report has reached the BS.
+    /// Adds a report that reached the BS.
     pub fn report(&mut self, report: &Report) {
         self.sent(b'R', report);
     }
 
-    /// A report was lost.
+    /// Adds a lost report.
     pub fn lost(&mut self, report: &Report) {
         self.sent(b'X', report);
     }
@@ -111,19 +112,20 @@ impl Fingerprint {
         );
     }
 
-    /// Devices are gone.
-    pub fn gone(&mut self, outage: &Outage) {
-        let Outage {
+    /// Adds the removal of devices.
+    pub fn devices_removed(&mut self, outage: &DeviceRemoval) {
+        let DeviceRemoval {
             first,
             count,
             tti,
             wake_ups,
         } = *outage;
+        // Shifted by 1, so that `None` and `Some(0)` differ.
         let wake_ups = wake_ups.map_or(0, |before| 1 + u64::from(before));
         self.words(b'G', [tti.0, u64::from(first.0), u64::from(count), wake_ups]);
     }
 
-    /// `device` was sent a wake-up in `tti`.
+    /// Adds a wake-up sent to `device` in `tti`.
     pub fn wake_up(&mut self, tti: Tti, device: DeviceId, outcome: &WakeOutcome) {
         let (kind, drained) = match outcome {
             WakeOutcome::Reported(_) => (0, Energy::ZERO),
@@ -140,11 +142,12 @@ impl Fingerprint {
         }
     }
 
-    /// δ has changed.
+    /// Adds a change of δ.
     pub fn plan(&mut self, update: &PlanUpdate) {
         let PlanUpdate { from, plan } = update;
         match plan {
             Plan::Bits { bits } => {
+                // The length comes first, because bits could otherwise be mistaken for the records after them.
                 self.words(b'p', [from.0, bits.len() as u64]);
                 self.0.update(bits);
             }
@@ -158,7 +161,7 @@ impl Fingerprint {
         }
     }
 
-    /// The fingerprint of a run with these ledgers, in the order of device ids, and totals.
+    /// Returns the digest of a run with these totals and ledgers, the latter in the order of device ids.
     pub fn finish<'a>(mut self, ledgers: impl IntoIterator<Item = &'a Ledger>, totals: &Totals) -> Digest {
         for ledger in ledgers {
             let Ledger {
@@ -174,7 +177,7 @@ impl Fingerprint {
             devices,
             ttis,
             events,
-            // These follow from what the fingerprint has.
+            // These follow from the records that are hashed above.
             missed: _,
             losses: _,
             gone_ttis: _,
@@ -201,7 +204,7 @@ impl Fingerprint {
         );
         let [low, high] = halves(information_pico);
         self.words(b't', [reports, wake_ups, low, high, wrong_activations, wasted.micro()]);
-        // How many messages there were, not how long they are: that is a matter of the encoding.
+        // Numbers of messages, not bytes: the digest does not depend on the encoding.
         self.words(b'C', [control.messages, uplink.messages]);
         self.sums(b'S', energy);
         let Spread {
@@ -217,7 +220,7 @@ impl Fingerprint {
         let DeviceTotals {
             initial,
             harvested,
-            spent: Spent { sensing, sleep, report },
+            spent: EnergyByState { sensing, sleep, report },
             overflow,
             battery,
             battery_sum,
@@ -231,7 +234,7 @@ impl Fingerprint {
         self.words(tag, energies.map(Energy::micro));
         let [low, high] = halves(battery_sum);
         self.words(b'l', [low, high, low_ttis, sensing_ttis, failed_ttis, dark_ttis]);
-        // Where there are none, the fingerprint is what it was before they could be.
+        // Omitted at 0, so that runs without false wake-ups keep the digests of versions without them.
         if false_wakes > 0 {
             self.words(b'f', [false_wakes]);
         }

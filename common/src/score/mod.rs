@@ -1,91 +1,92 @@
-//! The score of a run: what every event came to, the control channel, the run's fingerprint, and the metrics at the
-//! end.
+//! The score of a run: the results of events, the control traffic, the digest, and the metrics at the end.
 //!
-//! The score is told what happens, in order, and decides nothing.
+//! The score receives the history of the run in order and decides nothing.
 
 mod devices;
 mod digest;
 mod metrics;
-mod records;
+mod windows;
 
 use std::collections::BTreeMap;
 
-pub use devices::{Acts, ClassRecord, DeviceRecord};
-pub use digest::{DIGEST_VERSION, Digest, Fingerprint};
-pub use metrics::{Group, Metric, Metrics, markdown};
-pub use records::{Accounts, WindowRecord};
+pub use devices::{ClassRecord, DeviceRecord, EventActivity};
+pub use digest::{DIGEST_VERSION, Digest, DigestBuilder};
+pub use metrics::{Metric, MetricGroup, Metrics, markdown};
+pub use windows::{WindowAccumulator, WindowRecord};
 
 use crate::codec;
 use crate::deployment::Deployment;
 use crate::event::{ActiveEvent, EventRecord, Stimulus};
 use crate::ids::{DeviceId, Tti};
-use crate::message::{Failure, Outage, PlanUpdate, Report, WakeOutcome};
+use crate::message::{DeviceRemoval, FailedTransmission, PlanUpdate, Report, WakeOutcome};
 use crate::scenario::Scenario;
-use crate::totals::{EventTally, EventTotals, Ledger, Losses, Missed, PICO_PER_INFORMATION, Spread, Totals, Traffic};
+use crate::totals::{
+    EventTally, EventTotals, Ledger, MessageTotals, MissedEvents, PICO_PER_INFORMATION, RadioLosses, Spread, Totals,
+};
 use crate::units::Energy;
 
-/// The event under way and what has come of it.
+/// The active event and its results so far.
 #[derive(Clone, Copy, Debug)]
 struct Current {
     event: ActiveEvent,
     tally: EventTally,
     /// Whether a report about it was lost.
     has_lost: bool,
-    /// The TTI in which wake-ups were sent last, and how many in it.
+    /// The TTI of its last wake-ups, and their number in that TTI.
     called: (Tti, u64),
-    /// Of those, how many until the last one that was answered.
+    /// The number of those wake-ups up to the last one that brought a report.
     answered: u64,
-    /// Devices that woke when it was over.
+    /// Number of devices that woke after its end.
     late: u64,
 }
 
-/// The score of a run under way.
+/// The score of an unfinished run.
 #[derive(Clone, Debug)]
 pub struct Score {
     warm_up_end: Tti,
-    /// Each device as it was put on the ground, with nothing in its books yet.
+    /// The devices as deployed, with empty ledgers.
     devices: Vec<DeviceRecord>,
     e_tx: Vec<Energy>,
     d_max: f64,
     current: Option<Current>,
-    /// What devices did for the event under way.
-    acts: Vec<(DeviceId, Acts)>,
+    /// The activity of devices during the active event.
+    acts: Vec<(DeviceId, EventActivity)>,
     events: EventTotals,
-    missed: Missed,
+    missed: MissedEvents,
     delays: Delays,
-    control: Traffic,
-    uplink: Traffic,
-    losses: Losses,
+    control: MessageTotals,
+    uplink: MessageTotals,
+    losses: RadioLosses,
     wake_latency: u64,
     /// TTIs from the first to the last report, summed over the counted events.
     refining_ttis: u64,
-    outages: Vec<Outage>,
-    fingerprint: Fingerprint,
+    outages: Vec<DeviceRemoval>,
+    fingerprint: DigestBuilder,
 }
 
 /// A finished score.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Final {
-    /// The run's fingerprint.
+pub struct FinalScore {
+    /// The digest of the run.
     pub digest: Digest,
-    /// The metrics of the measured part.
+    /// The metrics of the measured TTIs.
     pub metrics: Metrics,
-    /// The exact totals behind them.
+    /// The exact totals from which the metrics follow.
     pub totals: Totals,
-    /// Each device, in the order of ids.
+    /// The results of each device, in the order of ids.
     pub devices: Vec<DeviceRecord>,
 }
 
 impl Score {
-    /// The score of `scenario` before TTI 0, with its devices as in `deployment`.
-    pub fn new(scenario: &Scenario, deployment: &Deployment) -> Self {
+    /// Creates the score of `scenario` before TTI 0, with its devices as in `deployment`.
+    pub fn new<P>(scenario: &Scenario<P>, deployment: &Deployment) -> Self {
         let ground = deployment.devices.iter().zip(&deployment.classes);
         let devices = ground.map(|(setup, &class)| DeviceRecord {
             device: setup.id,
             position: setup.position,
             class,
             ledger: Ledger::default(),
-            acts: Acts::default(),
+            acts: EventActivity::default(),
         });
         Self {
             warm_up_end: scenario.warm_up_end(),
@@ -95,32 +96,33 @@ impl Score {
             current: None,
             acts: Vec::new(),
             events: EventTotals::default(),
-            missed: Missed::default(),
+            missed: MissedEvents::default(),
             delays: Delays::default(),
-            control: Traffic::default(),
-            uplink: Traffic::default(),
-            losses: Losses::default(),
+            control: MessageTotals::default(),
+            uplink: MessageTotals::default(),
+            losses: RadioLosses::default(),
             wake_latency: scenario.radio.wake_latency,
             refining_ttis: 0,
             outages: Vec::new(),
-            fingerprint: Fingerprint::default(),
+            fingerprint: DigestBuilder::default(),
         }
     }
 
-    /// Sums over the counted events that have ended.
+    /// Returns the sums over the counted events that have ended.
     pub const fn events(&self) -> &EventTotals {
         &self.events
     }
 
-    /// δ goes out on the air, `bytes` long; `is_new` where it differs from the plan before.
+    /// Records a δ plan of `bytes` bytes sent on the air; `is_new` if it differs from the plan before.
     pub fn plan(&mut self, update: &PlanUpdate, is_new: bool, bytes: u64) {
+        // A plan that is sent again for synchronisation costs control traffic, but changes nothing in the run.
         if is_new {
             self.fingerprint.plan(update);
         }
         self.count_control(update.from, bytes);
     }
 
-    /// Of the plan that went out last, in TTI `from` to so many `devices`, `missed` of them heard nothing.
+    /// Records that `missed` of the `devices` addressed in TTI `from` did not receive the last plan sent.
     pub fn plan_missed(&mut self, from: Tti, devices: u64, missed: u64) {
         if from >= self.warm_up_end {
             self.losses.plans += devices;
@@ -128,7 +130,7 @@ impl Score {
         }
     }
 
-    /// An event has started.
+    /// Records the start of an event.
     pub fn event_started(&mut self, event: ActiveEvent) {
         self.fingerprint.event_started(event.start, &event.stimulus);
         self.current = Some(Current {
@@ -142,47 +144,48 @@ impl Score {
         self.acts.clear();
     }
 
-    /// A device with δ = 1 has reported the event.
+    /// Records a report from a device with δ = 1.
     pub fn reported(&mut self, report: &Report) {
         self.fingerprint.report(report);
         self.count_uplink(report);
         self.current().tally.reports += 1;
-        self.act(report.device, Acts::REPORT);
+        self.act(report.device, EventActivity::REPORT);
     }
 
-    /// A device with δ = 1 has reported the event, and the report was lost.
+    /// Records a lost report from a device with δ = 1.
     pub fn lost(&mut self, report: &Report) {
         self.fingerprint.lost(report);
         self.count_lost(report);
     }
 
-    /// A device with δ = 1 has detected the event and could not transmit.
-    pub fn failed(&mut self, failure: &Failure) {
+    /// Records that a device with δ = 1 detected the event and could not transmit.
+    pub fn failed(&mut self, failure: &FailedTransmission) {
         self.wrong(failure.device, failure.drained);
     }
 
-    /// Devices are gone.
-    pub fn gone(&mut self, outage: &Outage) {
-        self.fingerprint.gone(outage);
+    /// Records the removal of devices.
+    pub fn devices_removed(&mut self, outage: &DeviceRemoval) {
+        self.fingerprint.devices_removed(outage);
         self.outages.push(*outage);
     }
 
-    /// Whether `device` is gone.
+    /// Whether `device` is removed.
     pub fn is_gone(&self, device: DeviceId) -> bool {
         self.outages.iter().any(|outage| outage.has(device))
     }
 
-    /// A wake-up goes out on the air in `tti`, `bytes` long.
+    /// Records a wake-up of `bytes` bytes sent on the air in `tti`.
     pub fn wake_up(&mut self, tti: Tti, bytes: u64) {
         let current = self.current();
         current.tally.wake_ups += 1;
+        // An event whose reports are lost stays open, and its wake-ups are counted from 0 in the next TTI.
         let before = if current.called.0 == tti { current.called.1 } else { 0 };
         current.called = (tti, before + 1);
         self.count_control(tti, bytes);
     }
 
-    /// What came of the wake-up of `device`, which is farther than d_max from the event if it `is_far`.
-    pub fn woken(&mut self, tti: Tti, device: DeviceId, outcome: &WakeOutcome, is_far: bool) {
+    /// Records the outcome of the wake-up of `device`; `is_far` if the device is farther than d_max from the event.
+    pub fn wake_up_completed(&mut self, tti: Tti, device: DeviceId, outcome: &WakeOutcome, is_far: bool) {
         self.fingerprint.wake_up(tti, device, outcome);
         let is_measured = tti >= self.warm_up_end;
         self.losses.wake_ups += u64::from(is_measured);
@@ -191,41 +194,42 @@ impl Score {
                 self.count_uplink(report);
                 let current = self.current();
                 current.tally.reports += 1;
+                // Refinement ends with the last report, not with later wake-ups that bring none.
                 current.answered = current.called.1;
-                self.act(device, Acts::WOKEN_REPORT);
+                self.act(device, EventActivity::WOKEN_REPORT);
                 self.far(device, is_far);
             }
             WakeOutcome::Lost(report) => {
                 self.count_lost(report);
-                self.act(device, Acts::WOKEN);
+                self.act(device, EventActivity::WOKEN);
                 self.far(device, is_far);
             }
             WakeOutcome::Failed(failure) => {
-                self.act(device, Acts::WOKEN);
+                self.act(device, EventActivity::WOKEN);
                 self.wrong(device, failure.drained);
             }
             WakeOutcome::Late { spent, .. } => {
                 self.losses.late += u64::from(is_measured);
                 self.current().late += 1;
-                self.act(device, Acts::WOKEN);
+                self.act(device, EventActivity::WOKEN);
                 self.wrong(device, *spent);
             }
             WakeOutcome::Unheard => {
                 self.losses.unheard += u64::from(is_measured);
-                self.act(device, Acts::UNHEARD);
+                self.act(device, EventActivity::UNHEARD);
             }
         }
     }
 
-    /// Whether the event under way has reached the base station.
+    /// Whether the active event was reported to the base station.
     pub fn is_reported(&self) -> bool {
         self.current.is_some_and(|current| current.tally.reports > 0)
     }
 
-    /// The event under way has ended with `information` I_i at the base station; `last` is its last TTI.
+    /// Records the end of the active event, with `information` I_i at the base station; `last` is its last TTI.
     ///
     /// # Panics
-    /// While no event is under way.
+    /// If no event is active.
     pub fn event_ended(&mut self, last: Tti, information: f64) -> EventRecord {
         let Current {
             event,
@@ -235,6 +239,7 @@ impl Score {
             late,
             ..
         } = self.current.take().expect("an event is under way");
+        // Whole 10⁻¹² units: integer sums over events do not depend on their order.
         tally.information_pico = (information * PICO_PER_INFORMATION).round() as u64;
         self.fingerprint.event_ended(last, &tally);
         let ActiveEvent { stimulus, start, .. } = event;
@@ -244,6 +249,7 @@ impl Score {
             epicentre,
             start,
             last,
+            // An event belongs to the TTI in which it starts, even if it ends after the warm-up.
             counted: start >= self.warm_up_end,
             tally,
         };
@@ -253,10 +259,12 @@ impl Score {
             match delay {
                 Some(delay) => {
                     self.delays.count(delay);
+                    // Wake-ups go out one latency apart, so answer n arrives n latencies after the first report.
                     self.refining_ttis += answered * self.wake_latency;
                 }
                 None => self.count_missed(&record, has_lost, late),
             }
+            // Added only here, because an event that is still open at the end of the run is not counted.
             for (device, act) in &self.acts {
                 self.devices[device.index()].acts += *act;
             }
@@ -264,14 +272,14 @@ impl Score {
         record
     }
 
-    /// The score of a run that ended before TTI `end`, where events started with probability `alpha` in the measured
-    /// TTIs. `ledgers` are the devices' books in the order of ids.
-    pub fn finish(mut self, alpha: f64, end: Tti, ledgers: &[Ledger]) -> Final {
+    /// Finishes the score of a run that ended before TTI `end`, with events that started with probability `alpha` in
+    /// the measured TTIs. `ledgers` has the ledgers of the devices in the order of ids.
+    pub fn finish(mut self, alpha: f64, end: Tti, ledgers: &[Ledger]) -> FinalScore {
         let totals = self.totals(end, ledgers);
         for (device, ledger) in self.devices.iter_mut().zip(ledgers) {
             device.ledger = *ledger;
         }
-        Final {
+        FinalScore {
             digest: self.fingerprint.finish(ledgers, &totals),
             metrics: Metrics::of(alpha, &totals),
             totals,
@@ -279,14 +287,15 @@ impl Score {
         }
     }
 
-    /// The metrics of a run if it ended before TTI `end`, as in [`Self::finish`].
+    /// Returns the metrics of the run as if it ended before TTI `end`. See [`Self::finish`] for the arguments.
     pub fn metrics(&self, alpha: f64, end: Tti, ledgers: &[Ledger]) -> Metrics {
         Metrics::of(alpha, &self.totals(end, ledgers))
     }
 
     fn totals(&self, end: Tti, ledgers: &[Ledger]) -> Totals {
         let measured = || ledgers.iter().map(|ledger| &ledger.measured);
-        let gone = |outage: &Outage| {
+        let gone = |outage: &DeviceRemoval| {
+            // In TTI `tti` itself the devices still harvest and pay for δ, see `DeviceRemoval`.
             let first = self.warm_up_end.0.max(outage.tti.0 + 1);
             u64::from(outage.count) * end.0.saturating_sub(first)
         };
@@ -308,6 +317,7 @@ impl Score {
 
     fn count_missed(&mut self, event: &EventRecord, has_lost: bool, late: u64) {
         let is_in_reach = |device: &DeviceRecord| device.position.distance(event.epicentre) <= self.d_max;
+        // Late wake-ups are wrong activations too; only the excess over them stands for devices that could not pay.
         let cause = if has_lost {
             &mut self.missed.lost
         } else if event.tally.wrong_activations > late {
@@ -324,13 +334,14 @@ impl Score {
         self.current.as_mut().expect("an event is under way")
     }
 
-    fn act(&mut self, device: DeviceId, act: Acts) {
+    fn act(&mut self, device: DeviceId, act: EventActivity) {
         self.acts.push((device, act));
     }
 
-    /// `device` was woken and has sent a report, from farther than d_max if it `is_far`.
+    /// Records a report of the woken `device`, from farther than d_max if `is_far`.
     fn far(&mut self, device: DeviceId, is_far: bool) {
         if is_far {
+            // A report from beyond d_max carries no information, so its E_Tx is wasted.
             self.wrong(device, self.e_tx[device.index()]);
         }
     }
@@ -339,7 +350,7 @@ impl Score {
         let tally = &mut self.current().tally;
         tally.wrong_activations += 1;
         tally.wasted += wasted;
-        self.act(device, Acts::WRONG);
+        self.act(device, EventActivity::WRONG);
     }
 
     const fn count_control(&mut self, tti: Tti, bytes: u64) {
@@ -360,10 +371,10 @@ impl Score {
     }
 }
 
-/// Delays below this are counted without a search.
+/// Delays below this limit are counted in an array, without a search.
 const SHORT: usize = 8;
 
-/// How many events were reported after so many TTIs.
+/// Number of events by detection delay in TTIs.
 #[derive(Clone, Debug, Default)]
 struct Delays {
     short: [u64; SHORT],
@@ -378,9 +389,10 @@ impl Delays {
         }
     }
 
-    /// The least delay that at least `percent` % of those counted do not exceed (nearest rank); 0 of none.
+    /// Returns the smallest delay that at least `percent` % of the delays do not exceed (nearest rank); 0 if empty.
     fn percentile(&self, percent: u64) -> u64 {
         let long = self.long.iter().map(|(&delay, &count)| (delay, count));
+        // Short delays come before long ones and both ascend, so the running sum is a cumulative count.
         let counts = || (0..).zip(self.short).chain(long.clone());
         let all: u64 = counts().map(|(_, count)| count).sum();
         let rank = (all * percent).div_ceil(100);

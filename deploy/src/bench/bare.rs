@@ -1,4 +1,4 @@
-//! Barriers without a model, in as many processes as the emulator uses.
+//! Barriers without a model, with as many processes as the emulator uses.
 
 use std::io::{Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
@@ -8,46 +8,49 @@ use std::time::Duration;
 use anyhow::Context;
 use reveille_common::bus::Bus;
 
-use super::barrier::{self, Barrier};
-use crate::launch::Children;
-use crate::wall::{now, runtime};
+use super::barrier::{self, BareBarrier};
+use crate::child_process::Children;
+use crate::runtime::{now, runtime};
 
 /// Bytes of a tick and of an answer.
 #[derive(Clone, Copy)]
-pub struct Sizes {
+pub(super) struct Sizes {
     /// BS → hosts.
     pub tick: usize,
     /// Host → BS.
     pub answer: usize,
 }
 
-/// Rounds per second of a bare zenoh barrier over `hosts` processes.
-pub fn zenoh(hosts: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<f64> {
+/// Measures the rounds per second of a bare zenoh barrier over `hosts` processes.
+pub(super) fn zenoh(hosts: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<f64> {
     let runtime = runtime(2)?;
     runtime.block_on(async {
+        // Without access rules: the baseline is zenoh alone.
         let bus = Bus::listen_open("tcp/127.0.0.1:0", "bare".parse()?).await?;
-        let barrier = Barrier::new(&bus)?;
+        let barrier = BareBarrier::new(&bus)?;
         let alive = bus.declare_alive(bus.keys().bs_alive())?;
         let children = start("zenoh", bus.endpoint(), hosts, sizes)?;
         let tick = vec![0; sizes.tick];
-        // The first rounds fail until every host has subscribed.
+        // A host shows its token after it has subscribed: once all tokens are seen, no tick is lost.
         let ready = now();
-        while bus.alive_hosts().await? < hosts {
+        while bus.count_alive_hosts().await? < hosts {
             anyhow::ensure!(
                 ready.elapsed() < Duration::from_mins(1),
                 "the hosts of the bare barrier did not start"
             );
         }
         let rate = rate(seconds, || barrier.round(&tick, hosts as usize))?;
+        // The hosts watch this token and leave when it disappears.
         drop(alive);
         children.wait();
         Ok(rate)
     })
 }
 
-/// Rounds per second of a barrier over `hosts` unix sockets.
-pub fn unix(hosts: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<f64> {
+/// Measures the rounds per second of a barrier over `hosts` unix sockets.
+pub(super) fn unix(hosts: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<f64> {
     let path = std::env::temp_dir().join(format!("reveille-bench-{}.sock", std::process::id()));
+    // A killed benchmark with the same pid may have left a socket here, which `bind` refuses to replace.
     let _stale = std::fs::remove_file(&path);
     let listener = UnixListener::bind(&path).with_context(|| format!("cannot listen on {}", path.display()))?;
     let children = start("unix", &path.display().to_string(), hosts, sizes)?;
@@ -56,6 +59,7 @@ pub fn unix(hosts: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<f64> {
         .collect::<std::io::Result<Vec<UnixStream>>>()?;
     let (tick, mut answer) = (vec![0; sizes.tick], vec![0; sizes.answer]);
     let rate = rate(seconds, || {
+        // All ticks go out before the first answer is read: the hosts must work at the same time, as in the emulator.
         for link in &mut links {
             link.write_all(&tick)?;
         }
@@ -64,14 +68,15 @@ pub fn unix(hosts: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<f64> {
         }
         Ok(())
     })?;
+    // A host leaves when its link is closed.
     drop(links);
     children.wait();
     std::fs::remove_file(&path)?;
     Ok(rate)
 }
 
-/// One host, in a process of its own.
-pub fn host(kind: &str, at: &str, sizes: (usize, usize), number: u32) -> anyhow::Result<ExitCode> {
+/// Runs one host in its own process.
+pub(super) fn host(kind: &str, at: &str, sizes: (usize, usize), number: u32) -> anyhow::Result<ExitCode> {
     if kind == "zenoh" {
         runtime(1)?.block_on(async {
             let bus = Bus::connect(at, "bare".parse()?, Duration::from_secs(30)).await?;
@@ -88,9 +93,12 @@ pub fn host(kind: &str, at: &str, sizes: (usize, usize), number: u32) -> anyhow:
 }
 
 fn start(kind: &str, at: &str, hosts: u32, sizes: Sizes) -> anyhow::Result<Children> {
-    let sizes = format!("{},{}", sizes.tick, sizes.answer);
+    let (sizes, parent) = (
+        format!("{},{}", sizes.tick, sizes.answer),
+        std::process::id().to_string(),
+    );
     Children::spawn((0..hosts).map(|number| {
-        ["bench", "bare-host", kind, at, &sizes, &number.to_string()]
+        ["bench", "bare-host", kind, at, &sizes, &number.to_string(), &parent]
             .map(str::to_owned)
             .to_vec()
     }))

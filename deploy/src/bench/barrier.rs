@@ -1,33 +1,33 @@
-//! A barrier over zenoh and nothing else: what `reveille bench bus` compares the emulator with.
+//! A bare barrier over zenoh, the baseline of `reveille bench bus`.
 //!
-//! The same sessions and the same message sizes, no model, no codec: the BS publishes a tick, every host answers from
-//! zenoh's callback, and the next tick follows when all have answered.
+//! It uses the same sessions and message sizes as the emulator, without model or codec. The base station publishes a
+//! tick, every host answers from zenoh's callback, and the next tick follows when all have answered.
 
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
 use anyhow::ensure;
-use reveille_common::bus::{Bus, BusError, Declared, RawTopic};
+use reveille_common::bus::{Bus, BusError, DeclarationGuard, RawTopic};
 use reveille_common::ids::HostId;
-use reveille_common::secret::{HostPass, Secret};
+use reveille_common::secret::{HostCredential, Secret};
 
-/// How long a tick may take before it counts as lost.
+/// Time after which a tick counts as lost.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// The BS's side of a bare barrier.
-pub struct Barrier {
+/// The base station's side of a bare barrier.
+pub(super) struct BareBarrier {
     ticks: RawTopic,
-    /// Hosts that have not answered, and the bell for when all have.
+    /// Hosts that have not answered, and the signal that all have.
     waiting: Arc<(Mutex<usize>, Condvar)>,
-    _answers: Declared,
+    _answers: DeclarationGuard,
 }
 
-impl Barrier {
-    /// A barrier on the session of `bus`.
+impl BareBarrier {
+    /// Creates a barrier on the session of `bus`.
     ///
     /// # Errors
     /// If zenoh refuses.
-    pub fn new(bus: &Bus) -> Result<Self, BusError> {
+    pub(super) fn new(bus: &Bus) -> Result<Self, BusError> {
         let waiting = Arc::new((Mutex::new(0_usize), Condvar::new()));
         let seen = Arc::clone(&waiting);
         let answers = bus.subscribe_raw(key(bus, "answer/*"), move |_| {
@@ -44,12 +44,14 @@ impl Barrier {
         })
     }
 
-    /// One round: publishes `tick` and waits for `hosts` answers.
+    /// Runs one round: publishes `tick` and waits for `hosts` answers.
     ///
     /// # Errors
-    /// If not all come.
-    pub fn round(&self, tick: &[u8], hosts: usize) -> anyhow::Result<()> {
+    /// If an answer is missing.
+    pub(super) fn round(&self, tick: &[u8], hosts: usize) -> anyhow::Result<()> {
         let (lock, all) = &*self.waiting;
+        // Set before the tick goes out, since answers can arrive before `put` returns. Unlocked during `put`: the
+        // callback takes the lock.
         *lock.lock().unwrap_or_else(PoisonError::into_inner) = hosts;
         self.ticks.put(tick)?;
         let waiting = lock.lock().unwrap_or_else(PoisonError::into_inner);
@@ -61,21 +63,22 @@ impl Barrier {
     }
 }
 
-/// A host's side: answers every tick with `answer` bytes until the BS is gone, then returns.
+/// Runs a host: answers every tick with `answer` bytes until the base station ends.
 ///
 /// # Errors
 /// If zenoh refuses.
-pub async fn host(bus: &Bus, number: u32, answer: usize) -> Result<(), BusError> {
+pub(super) async fn host(bus: &Bus, number: u32, answer: usize) -> Result<(), BusError> {
     let answers = bus.publisher_raw(key(bus, &format!("answer/{number}")))?;
     let payload = vec![0_u8; answer];
     let _ticks = bus.subscribe_raw(key(bus, "tick"), move |_| {
-        // The link is gone with the BS.
+        // A failed send means that the base station has ended; `_watch` notices that too.
         let _gone = answers.put(&payload).is_err();
     })?;
-    let pass = HostPass {
+    let pass = HostCredential {
         host: HostId(number),
         token: Secret::new([0; 16]),
     };
+    // The token comes last: the base station sends the first tick as soon as it sees the tokens of all hosts.
     let _here = bus.declare_alive(bus.keys().alive(pass))?;
     let gone = Arc::new(tokio::sync::Notify::new());
     let bell = Arc::clone(&gone);

@@ -4,16 +4,16 @@ use std::process::ExitCode;
 
 use reveille_common::codec;
 use reveille_common::ids::{HostId, Tti};
-use reveille_common::message::{Answer, Clock, Tick};
+use reveille_common::message::{ClockMessage, GrantMessage, HostAnswer};
 use serde_json::Value;
 
 use super::bare::{self, Sizes};
-use super::played::played;
+use crate::child_process::played;
 use crate::cli::BusBenchArgs;
 use crate::display;
-use crate::wall::median;
+use crate::runtime::median;
 
-/// Devices of the measured runs, where there are not more processes than that.
+/// Devices of the measured runs, unless there are more processes.
 const DEVICES: u32 = 50;
 
 /// One repetition of one row.
@@ -28,18 +28,18 @@ struct Sample {
     pss_mb: f64,
 }
 
-/// Measures, one row for each number of processes.
-pub fn run(args: &BusBenchArgs) -> anyhow::Result<ExitCode> {
+/// Runs the benchmark, one row for each number of processes.
+pub(super) fn run(args: &BusBenchArgs) -> anyhow::Result<ExitCode> {
     let (sizes, seconds) = (sizes(), args.time.as_secs_f64());
-    display::out(&format!(
+    display::print(&format!(
         "preset paper, knn; a tick of {} B, an answer of {} B; medians of {} repetitions of {} s\n",
         sizes.tick, sizes.answer, args.repeat, seconds
     ))?;
-    display::out(
+    display::print(
         "TTIs (rounds) per second; `ratio` is emulator without lookahead / bare zenoh barrier, `tuning` the same / \
          emulator whose device processes are not tuned\n",
     )?;
-    display::out(&format!(
+    display::print(&format!(
         "{:>9} {:>8} {:>11} {:>11} {:>6} {:>11} {:>11} {:>6} {:>11} {:>8} {:>8} {:>8} {:>8}\n",
         "processes",
         "devices",
@@ -56,12 +56,13 @@ pub fn run(args: &BusBenchArgs) -> anyhow::Result<ExitCode> {
         "PSS MB"
     ))?;
     for &processes in &args.processes {
+        // `up` refuses more processes than devices.
         let devices = DEVICES.max(processes);
         let samples = (0..args.repeat)
             .map(|_| sample(processes, devices, sizes, seconds))
             .collect::<Result<Vec<_>, _>>()?;
         let of = |value: fn(&Sample) -> f64| median(samples.iter().map(value).collect());
-        display::out(&format!(
+        display::print(&format!(
             "{processes:>9} {devices:>8} {:>11.0} {:>11.0} {:>6.2} {:>11.0} {:>11.0} {:>6.2} {:>11.0} {:>8.2} \
              {:>8.2} {:>8.1} {:>8.1}\n",
             of(|s| s.unix),
@@ -80,10 +81,11 @@ pub fn run(args: &BusBenchArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The sizes of the messages that a quiet TTI sends.
+/// The message sizes of a quiet TTI.
 fn sizes() -> Sizes {
+    // A TTI in the middle of a run: the encoding of small numbers is shorter.
     let tti = Tti(5_000);
-    let tick = Clock::Grant(Tick {
+    let tick = ClockMessage::Grant(GrantMessage {
         first: tti,
         last: tti,
         stimulus: None,
@@ -93,7 +95,7 @@ fn sizes() -> Sizes {
         plan: Tti::ZERO,
         plans: 1,
     });
-    let answer = Answer::Done {
+    let answer = HostAnswer::Done {
         host: HostId(0),
         tti,
         reports: 0,
@@ -109,6 +111,7 @@ fn sizes() -> Sizes {
 
 fn sample(processes: u32, devices: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<Sample> {
     let bare = bare::zenoh(processes, sizes, seconds)?;
+    // The emulator reaches most of the bare rate, so the run takes about `seconds`.
     let ttis = ((bare * seconds * 0.8) as u64).clamp(500, 1_000_000);
     let emulate = |ttis: u64, extra: &[&str]| {
         let numbers = [devices.to_string(), ttis.to_string(), processes.to_string()];
@@ -119,6 +122,7 @@ fn sample(processes: u32, devices: u32, sizes: Sizes, seconds: f64) -> anyhow::R
     let stepped = emulate(ttis, &["--no-lookahead"])?;
     let untuned = emulate(ttis, &["--no-lookahead", "--untuned"])?;
     let unix = bare::unix(processes, sizes, seconds.min(1.0))?;
+    // With lookahead the emulator is several times as fast; a longer run keeps the measured time similar.
     let lookahead = emulate(ttis * 3, &[])?;
     let timing = |run: &Value, field: &str| run["timing"][field].as_f64().unwrap_or(f64::NAN);
     Ok(Sample {

@@ -1,19 +1,21 @@
-//! `reveille bench`: speed against stated baselines, both sides in one go.
+//! `reveille bench`: speed against baselines that are measured in the same call.
 
 mod bare;
 mod barrier;
 mod bus;
 mod memory;
-mod played;
 mod scale;
 mod watch;
 
 use std::process::ExitCode;
 
+use rustix::process::Signal;
+
+use crate::child_process;
 use crate::cli::BenchCommand;
 
-/// Runs the benchmark that `command` names.
-pub fn run(command: &BenchCommand) -> anyhow::Result<ExitCode> {
+/// Runs the benchmark `command`.
+pub(crate) fn run(command: &BenchCommand) -> anyhow::Result<ExitCode> {
     match command {
         BenchCommand::Bus(args) => bus::run(args),
         BenchCommand::Memory(args) => memory::run(args),
@@ -24,6 +26,11 @@ pub fn run(command: &BenchCommand) -> anyhow::Result<ExitCode> {
             at,
             sizes,
             number,
-        } => bare::host(kind, at, *sizes, *number),
+            parent,
+        } => {
+            // A host that connects while its parent ends never sees the parent's token, and would wait for ever.
+            child_process::exit_with_parent(*parent, Signal::KILL)?;
+            bare::host(kind, at, *sizes, *number)
+        }
     }
 }

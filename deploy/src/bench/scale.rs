@@ -1,21 +1,21 @@
-//! `reveille bench scale`: what a device-TTI costs, over the bus and in memory, against the number of devices.
+//! `reveille bench scale`: the time per device-TTI, over the bus and in memory, against the number of devices.
 
 use std::process::ExitCode;
 
 use serde_json::Value;
 
-use super::played::played;
+use crate::child_process::played;
 use crate::cli::ScaleBenchArgs;
 use crate::display;
-use crate::wall::median;
+use crate::runtime::median;
 
-/// The devices that `--keep-density` leaves on the preset's area, and its side in metres.
+/// Device count at which `--keep-density` keeps the preset's area, and the area's side in metres.
 const DENSE: f64 = 50.0;
 const SIDE: f64 = 20.0;
-/// Nanoseconds of a second.
+/// Nanoseconds per second.
 const NANO: f64 = 1e9;
 
-/// One repetition of one row: the summaries of the same run.
+/// One repetition of one row: the summaries of the same run in each mode.
 struct Sample {
     memory: Value,
     bus: Value,
@@ -28,9 +28,9 @@ impl Sample {
     }
 }
 
-/// Measures, one row for each number of devices.
-pub fn run(args: &ScaleBenchArgs) -> anyhow::Result<ExitCode> {
-    display::out(&format!(
+/// Runs the benchmark, one row for each number of devices.
+pub(super) fn run(args: &ScaleBenchArgs) -> anyhow::Result<ExitCode> {
+    display::print(&format!(
         "preset paper{}, {}, {} TTIs, {} processes at the most; medians of {}\n\
          TTIs per second, and nanoseconds per device and TTI; `stepped` grants every TTI by itself\n",
         if args.keep_density { ", density kept" } else { "" },
@@ -39,7 +39,7 @@ pub fn run(args: &ScaleBenchArgs) -> anyhow::Result<ExitCode> {
         args.processes,
         display::count(args.repeat as usize, "repetition"),
     ))?;
-    display::out(&format!(
+    display::print(&format!(
         "{:>8} {:>9} {:>8} {:>10} {:>9} {:>10} {:>9} {:>10} {:>9}  digest\n",
         "devices", "processes", "ready s", "memory", "ns", "bus", "ns", "stepped", "ns"
     ))?;
@@ -53,16 +53,17 @@ pub fn run(args: &ScaleBenchArgs) -> anyhow::Result<ExitCode> {
             .iter()
             .flat_map(Sample::runs)
             .all(|run| run["digest"] == *digest);
+        // Rows with different digests would compare different runs.
         anyhow::ensure!(is_same, "the digests of {devices} devices differ");
         let of = |value: fn(&Sample) -> f64| median(samples.iter().map(value).collect());
         let rates = [of(|s| rate(&s.memory)), of(|s| rate(&s.bus)), of(|s| rate(&s.stepped))];
         let ready = of(|s| timing(&s.stepped, "ready_s"));
-        display::out(&format!("{devices:>8} {processes:>9} {ready:>8.2}"))?;
+        display::print(&format!("{devices:>8} {processes:>9} {ready:>8.2}"))?;
         for rate in rates {
             let cost = NANO / (rate * f64::from(devices));
-            display::out(&format!(" {rate:>10.0} {cost:>9.1}"))?;
+            display::print(&format!(" {rate:>10.0} {cost:>9.1}"))?;
         }
-        display::out(&format!("  {}\n", digest.as_str().unwrap_or_default()))?;
+        display::print(&format!("  {}\n", digest.as_str().unwrap_or_default()))?;
     }
     Ok(ExitCode::SUCCESS)
 }

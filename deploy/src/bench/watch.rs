@@ -1,7 +1,7 @@
-//! `reveille bench watch`: what looking at a run costs it.
+//! `reveille bench watch`: the cost of observing a run.
 //!
-//! The same run by itself, and watched: recorded, its metrics scraped every second, its dashboard read by browsers.
-//! Both sides take turns, so that a machine that gets busy is busy for both.
+//! Compares a run with the same run under observation: recorded, its metrics scraped every second, its dashboard read
+//! by browsers. The two runs alternate, so that the load of the machine affects both.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
@@ -16,18 +16,18 @@ use serde_json::Value;
 
 use crate::cli::WatchBenchArgs;
 use crate::display;
-use crate::wall::median;
+use crate::runtime::median;
 
-/// Time between two looks at the metrics.
+/// Time between two scrapes of the metrics.
 const SCRAPE: Duration = Duration::from_secs(1);
-/// How long a connection may be silent before somebody looks whether the run has ended.
+/// Time without data on a connection until the end of the run is checked.
 const LOOK: Duration = Duration::from_millis(200);
-/// Bytes that are read at once.
+/// Size of the read buffer in bytes.
 const BUFFER: usize = 1 << 16;
 
-/// Measures, a row with lookahead and one without.
-pub fn run(args: &WatchBenchArgs) -> anyhow::Result<ExitCode> {
-    display::out(&format!(
+/// Runs the benchmark: a row with lookahead and one without.
+pub(super) fn run(args: &WatchBenchArgs) -> anyhow::Result<ExitCode> {
+    display::print(&format!(
         "preset paper, {}, {} devices in {} processes, {} TTIs; recorded, metrics scraped every second, {} reading the \
          dashboard; medians of {} pairs\n{:>9} {:>12} {:>12} {:>7} {:>11}  digest\n",
         args.policy,
@@ -45,7 +45,7 @@ pub fn run(args: &WatchBenchArgs) -> anyhow::Result<ExitCode> {
     for lookahead in [true, false] {
         let mut pairs = Vec::new();
         for nth in 0..args.repeat {
-            // Whoever comes second may find another machine: they take turns in that as well.
+            // The load of the machine drifts: the two runs alternate in coming first, so that neither gains from it.
             let mut pair = [
                 emulate(args, lookahead, nth % 2 == 1)?,
                 emulate(args, lookahead, nth % 2 == 0)?,
@@ -55,10 +55,10 @@ pub fn run(args: &WatchBenchArgs) -> anyhow::Result<ExitCode> {
             }
             pairs.push(pair);
         }
-        let of = |value: fn(&[Ran; 2]) -> f64| median(pairs.iter().map(value).collect());
+        let of = |value: fn(&[MeasuredRun; 2]) -> f64| median(pairs.iter().map(value).collect());
         let is_same = pairs.iter().flatten().all(|ran| ran.digest == pairs[0][0].digest);
         anyhow::ensure!(is_same, "the digests of runs alone and watched differ");
-        display::out(&format!(
+        display::print(&format!(
             "{:>9} {:>12.0} {:>12.0} {:>7.3} {:>11.1}  {}\n",
             if lookahead { "on" } else { "off" },
             of(|[alone, _]| alone.ttis_per_s),
@@ -71,20 +71,21 @@ pub fn run(args: &WatchBenchArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// What a run came to.
-struct Ran {
+/// The results of one run.
+struct MeasuredRun {
     ttis_per_s: f64,
     digest: String,
     recorded_mb: f64,
 }
 
-fn emulate(args: &WatchBenchArgs, lookahead: bool, is_watched: bool) -> anyhow::Result<Ran> {
+fn emulate(args: &WatchBenchArgs, lookahead: bool, is_watched: bool) -> anyhow::Result<MeasuredRun> {
     let folder = std::env::temp_dir().join(format!("reveille-bench-{}", std::process::id()));
     std::fs::create_dir_all(&folder)?;
     let recording = folder.join("run.mcap");
     let mut command = Command::new(std::env::current_exe()?);
     command
-        .args(["up", "--json", "--quiet", "--policy", &args.policy])
+        .args(["up", "--parent", &std::process::id().to_string()])
+        .args(["--json", "--quiet", "--policy", &args.policy])
         .args(["--devices", &args.devices.to_string(), "--ttis", &args.ttis.to_string()])
         .args(["--processes", &args.processes.to_string()])
         .args((!lookahead).then_some("--no-lookahead"))
@@ -101,23 +102,26 @@ fn emulate(args: &WatchBenchArgs, lookahead: bool, is_watched: bool) -> anyhow::
     let summary = watched(&mut command, args.browsers)?;
     let recorded = std::fs::metadata(&recording).map_or(0, |file| file.len());
     std::fs::remove_dir_all(&folder)?;
-    Ok(Ran {
+    Ok(MeasuredRun {
         ttis_per_s: summary["timing"]["ttis_per_s"].as_f64().unwrap_or(f64::NAN),
         digest: summary["digest"].as_str().unwrap_or_default().to_owned(),
         recorded_mb: recorded as f64 / 1e6,
     })
 }
 
-/// Runs `command`, looks at what it says that it serves, and gives its summary.
+/// Runs `command`, reads the addresses that it serves, and returns its summary.
 fn watched(command: &mut Command, browsers: u32) -> anyhow::Result<Value> {
     let mut run = command.spawn().context("cannot start reveille up")?;
     let (out, err) = (run.stdout.take(), run.stderr.take());
     let is_over = Arc::new(AtomicBool::new(false));
     let told = std::thread::scope(|scope| {
+        // A thread reads standard error during the run: it contains the addresses, and a full pipe would block the run.
         let watch = scope.spawn(|| watch(scope, err.into_iter().flat_map(lines), browsers, &is_over));
         let mut text = String::new();
+        // Read to the end before `wait`: the summary can be longer than a pipe holds.
         let read = out.map_or(Ok(0), |mut out| out.read_to_string(&mut text));
         let ended = run.wait();
+        // Set before the join: readers of endless answers stop only at this flag.
         is_over.store(true, Ordering::Relaxed);
         let said = watch.join().unwrap_or_default();
         let status = ended?;
@@ -132,7 +136,7 @@ fn lines(read: impl Read) -> impl Iterator<Item = String> {
     BufReader::new(read).lines().map_while(Result::ok)
 }
 
-/// Looks at each address that `lines` name, until the run is over. Gives all lines.
+/// Reads each address in `lines` until the run is over. Returns all lines.
 fn watch<'scope>(
     scope: &'scope Scope<'scope, '_>,
     lines: impl Iterator<Item = String>,
@@ -164,7 +168,7 @@ fn watch<'scope>(
     said
 }
 
-/// Asks for `path` until the run is over: again every second where the answer ends, or reading along where it does not.
+/// Requests `path` until the run is over: every second if the answer ends, or as one continuous read.
 fn look(address: &str, path: &str, is_over: &AtomicBool) {
     let mut buffer = vec![0; BUFFER];
     while !is_over.load(Ordering::Relaxed) {
@@ -172,6 +176,7 @@ fn look(address: &str, path: &str, is_over: &AtomicBool) {
         let Ok(mut stream) = TcpStream::connect(address) else {
             return;
         };
+        // A live stream can send nothing for long; the timeout lets the loop check `is_over`.
         let _unlimited = stream.set_read_timeout(Some(LOOK)).is_err();
         if stream.write_all(request.as_bytes()).is_err() {
             return;

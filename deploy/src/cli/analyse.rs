@@ -1,4 +1,4 @@
-//! The options of `reveille analyse`.
+//! Options of `reveille analyse`.
 
 use std::path::PathBuf;
 
@@ -6,21 +6,21 @@ use super::parse::one_policy;
 use clap::{Args, Subcommand};
 use reveille_bs::policy::registry;
 
-/// `reveille analyse`.
+/// Subcommands of `reveille analyse`.
 #[derive(Subcommand)]
-pub enum AnalyseCommand {
-    /// Sec. IV: the transition probabilities P_m,n as printed, beside what is counted in runs.
+pub(crate) enum AnalyseCommand {
+    /// Compare the transition probabilities P_m,n as printed (Sec. IV) with frequencies counted in runs.
     #[command(
-        after_help = "A frequency is the share of the visits of S_m whose next state is S_n, over all \
+        after_help = "A frequency is the share of visits to S_m whose next state is S_n, over all \
             devices and measured TTIs.\n\n\
             Examples:\n  \
             reveille analyse transitions\n  \
             reveille analyse transitions --policy random --devices 250 --seeds 50"
     )]
     Transitions(TransitionsArgs),
-    /// Sec. III-B: the battery Markov chain and Eq. (8), beside the batteries of device machines.
+    /// Compare the battery Markov chain and Eq. (8) (Sec. III-B) with the batteries of simulated devices.
     #[command(
-        after_help = "The energy source and the costs are the scenario's; the duty cycle is fixed.\n\n\
+        after_help = "The scenario sets the energy source and the costs; the duty cycle is fixed.\n\n\
             Examples:\n  \
             reveille analyse battery\n  \
             reveille analyse battery --duty 1/8 --e-b 5 --activation 0.02 --set harvest.lambda=0.05\n  \
@@ -28,101 +28,101 @@ pub enum AnalyseCommand {
             (the distribution, bin by bin)"
     )]
     Battery(BatteryArgs),
-    /// Sec. V-A: E(I_min) over deployments of each layout, beside Ψ p(√(ξ/2N)).
+    /// Compare E(I_min) over deployments of each layout with Ψ p(√(ξ/2N)) (Sec. V-A).
     #[command(after_help = "Example:\n  reveille analyse imin --layouts uniform,grid --devices 10,50,250 --seeds 1000")]
     Imin(IminArgs),
-    /// Figs. 13 and 14: harvest and net energy against λ, closed form and measured.
+    /// Compute harvest and net energy against λ (Figs. 13 and 14), in closed form and measured.
     #[command(
-        after_help = "Net energy is positive where the mean harvest exceeds a consumption: that of the scenario as it \
-            is (the paper's way, its Fig. 8), and what the policy would spend if no battery were ever short.\n\n\
+        after_help = "Net energy is positive where the mean harvest exceeds the consumption. Two consumptions are \
+            compared: the measured one (as in the paper's Fig. 8), and the one with batteries that never run short.\n\n\
             Examples:\n  \
             reveille analyse harvest --csv fig13.csv\n  \
             reveille analyse harvest --devices 100 --policies random,adjusted"
     )]
     Harvest(HarvestArgs),
-    /// Sec. V-D: wall time of each policy against N, with a fitted exponent.
+    /// Measure the wall time of each policy against N (Sec. V-D), and fit an exponent.
     #[command(
-        after_help = "Set-up: the devices are put on the ground and the policy is configured (clusters, search), once \
-            per deployment; this is what the paper's complexities are about.\n\
-            Run: all that happens in a TTI, devices and BS.\n\
-            Decision: the BS's answer to an event, all its wake-ups included, without devices.\n\
-            The area stays as it is, so density grows with N.\n\n\
+        after_help = "Set-up: deployment of the devices and configuration of the policy (clusters, search), once per \
+            deployment. The paper's complexities refer to this step.\n\
+            Run: one complete TTI, devices and BS.\n\
+            Decision: the BS's response to an event with all wake-ups, without devices.\n\
+            The area is constant, so density grows with N.\n\n\
             Example:\n  \
             reveille analyse runtime --devices 100,200,400,800 --policies knn"
     )]
     Runtime(RuntimeArgs),
 }
 
-/// What is studied, and how it is shown.
+/// Options for the scenario and the output of a study.
 #[derive(Args, Clone, Debug)]
-pub struct StudyArgs {
-    /// A preset's name (paper, paper-literal, quick) or a TOML file. See `reveille scenario show`.
+pub(crate) struct StudyArgs {
+    /// Preset name (paper, paper-literal, quick) or TOML file; see `reveille scenario show`.
     #[arg(long, short, default_value = "paper")]
     pub scenario: String,
-    /// Override one field, for example --set harvest.lambda=0.05. May be repeated.
+    /// Override one scenario field, for example --set harvest.lambda=0.05. May be repeated.
     #[arg(long, value_name = "FIELD=VALUE")]
     pub set: Vec<String>,
-    /// The first seed.
+    /// First seed [default: the scenario's].
     #[arg(long, allow_negative_numbers = true)]
     pub seed: Option<String>,
-    /// Print JSON instead of tables; numbers that are not defined are null.
+    /// Print JSON instead of tables; undefined numbers are null.
     #[arg(long)]
     pub json: bool,
-    /// Write the first table, in full precision, to this CSV file.
+    /// Write the first table to this CSV file, in full precision.
     #[arg(long, value_name = "FILE")]
     pub csv: Option<PathBuf>,
 }
 
-/// `reveille analyse transitions`.
+/// Arguments of `reveille analyse transitions`.
 #[derive(Args)]
-pub struct TransitionsArgs {
-    /// The study.
+pub(crate) struct TransitionsArgs {
+    /// Study options.
     #[command(flatten)]
     pub study: StudyArgs,
-    /// Number of devices N.
+    /// Number of devices N [default: the scenario's].
     #[arg(long, short = 'n', allow_negative_numbers = true)]
     pub devices: Option<String>,
-    /// One of the registered policies.
+    /// Registered policy.
     #[arg(long, short, help = one_policy())]
     pub policy: Option<String>,
-    /// Length of a run in TTIs, warm-up included.
+    /// Length of a run in TTIs, warm-up included [default: the scenario's].
     #[arg(long, short = 'k', allow_negative_numbers = true)]
     pub ttis: Option<String>,
-    /// Runs, each with a seed of its own.
+    /// Number of runs, each with a different seed.
     #[arg(long, default_value_t = 20)]
     pub seeds: u64,
 }
 
-/// `reveille analyse battery`.
+/// Arguments of `reveille analyse battery`.
 #[derive(Args)]
-pub struct BatteryArgs {
-    /// The study.
+pub(crate) struct BatteryArgs {
+    /// Study options.
     #[command(flatten)]
     pub study: StudyArgs,
     /// Duty cycles t_on/t_DRX in TTIs, separated by commas.
     #[arg(long, default_value = "1/2,1/8,2/16", allow_hyphen_values = true)]
     pub duty: String,
-    /// Energies E_B of an arrival, units, separated by commas.
+    /// Energies E_B per arrival, in units, separated by commas.
     #[arg(long, default_value = "1,5,10", allow_hyphen_values = true)]
     pub e_b: String,
-    /// Probabilities P_1,2 + P_4,2 that the device is made to transmit in a TTI, separated by commas.
+    /// Probabilities P_1,2 + P_4,2 that a device must transmit in a TTI, separated by commas.
     #[arg(long, default_value = "0,0.01,0.05", allow_hyphen_values = true)]
     pub activation: String,
-    /// Devices that are measured.
+    /// Number of measured devices.
     #[arg(long, short = 'n', default_value_t = 16)]
     pub devices: u32,
-    /// TTIs that each of them is measured, after a tenth of that as warm-up.
+    /// Measured TTIs per device, after a warm-up of a tenth of this number.
     #[arg(long, short = 'k', default_value_t = 1_000_000)]
     pub ttis: u64,
-    /// Width of a bin of the distributions, units.
+    /// Bin width of the distributions, in units.
     #[arg(long, default_value_t = 0.5)]
     pub bin: f64,
 }
 
-/// `reveille analyse imin`.
+/// Arguments of `reveille analyse imin`.
 #[derive(Args)]
-pub struct IminArgs {
-    /// The study.
+pub(crate) struct IminArgs {
+    /// Study options.
     #[command(flatten)]
     pub study: StudyArgs,
     /// Numbers of devices N, separated by commas.
@@ -131,15 +131,15 @@ pub struct IminArgs {
     /// Layouts, separated by commas.
     #[arg(long, default_value = "uniform,jittered-grid,poisson-disk,grid,hex")]
     pub layouts: String,
-    /// Deployments, each with a seed of its own.
+    /// Number of deployments, each with a different seed.
     #[arg(long, default_value_t = 200)]
     pub seeds: u64,
 }
 
-/// `reveille analyse harvest`.
+/// Arguments of `reveille analyse harvest`.
 #[derive(Args)]
-pub struct HarvestArgs {
-    /// The study.
+pub(crate) struct HarvestArgs {
+    /// Study options.
     #[command(flatten)]
     pub study: StudyArgs,
     /// Values of λ, separated by commas.
@@ -149,30 +149,30 @@ pub struct HarvestArgs {
         allow_hyphen_values = true
     )]
     pub lambda: String,
-    /// Energies E_B of an arrival, units, separated by commas.
+    /// Energies E_B per arrival, in units, separated by commas.
     #[arg(long, default_value = "1,5,10", allow_hyphen_values = true)]
     pub e_b: String,
-    /// How λ becomes a probability: eq5, exp-minus-lambda.
+    /// Formulas that convert λ into a probability, separated by commas: eq5, exp-minus-lambda.
     #[arg(long, default_value = "eq5,exp-minus-lambda")]
     pub readings: String,
-    /// Numbers of devices N whose consumption is compared; the curves are measured with the scenario's own.
+    /// Numbers of devices N at which consumption is compared, separated by commas. The curves use the scenario's N.
     #[arg(long, short = 'n', default_value = "10,100,250", allow_hyphen_values = true)]
     pub devices: String,
-    /// Policies whose consumption is compared; the curves are measured with the first.
+    /// Policies whose consumption is compared, separated by commas. The curves use the first policy.
     #[arg(long, short, default_value = "random,adjusted,knn")]
     pub policies: String,
-    /// Length of a run in TTIs, warm-up included.
+    /// Length of a run in TTIs, warm-up included [default: the scenario's].
     #[arg(long, short = 'k', allow_negative_numbers = true)]
     pub ttis: Option<String>,
-    /// Runs for each point, each with a seed of its own.
+    /// Runs per point, each with a different seed.
     #[arg(long, default_value_t = 10)]
     pub seeds: u64,
 }
 
-/// `reveille analyse runtime`.
+/// Arguments of `reveille analyse runtime`.
 #[derive(Args)]
-pub struct RuntimeArgs {
-    /// The study.
+pub(crate) struct RuntimeArgs {
+    /// Study options.
     #[command(flatten)]
     pub study: StudyArgs,
     /// Numbers of devices N, separated by commas.
@@ -183,16 +183,16 @@ pub struct RuntimeArgs {
         allow_hyphen_values = true
     )]
     pub devices: String,
-    /// Policies, separated by commas.
-    #[arg(long, short, default_value_t = registry::list(|_| true))]
+    /// Policies to time, separated by commas.
+    #[arg(long, short, default_value_t = registry::names_where(|_| true))]
     pub policies: String,
-    /// TTIs of a timed run.
+    /// Length of a timed run in TTIs.
     #[arg(long, short = 'k', default_value = "5000", allow_hyphen_values = true)]
     pub ttis: String,
-    /// Events of a timed round of decisions.
+    /// Number of events in a timed round of decisions.
     #[arg(long, default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     pub events: u64,
-    /// Repetitions, each with a seed of its own; medians count.
+    /// Repetitions, each with a different seed; the results are medians.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=1000))]
     pub repeat: u64,
 }

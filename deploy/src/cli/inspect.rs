@@ -1,174 +1,175 @@
-//! The options of everything that looks at the messages of a run.
+//! Options of `reveille inspect` and `reveille dashboard`.
 
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
 use reveille_common::message::{MessageKind, Plane};
-use reveille_view::filter::Named;
+use reveille_view::filter::StateName;
 
 use super::TargetArgs;
 use super::parse::{kind_parser, state_parser};
 
-/// `reveille inspect`.
+/// Subcommands of `reveille inspect`.
 #[derive(Subcommand)]
-pub enum InspectCommand {
-    /// Print every message of a run, decoded, one a line, as it goes or from a recording. The run never waits for it.
+pub(crate) enum InspectCommand {
+    /// Print every message of an active run or of a recording, decoded, one per line. The run never waits for this
+    /// command.
     ///
-    /// A line has the TTI, the plane, the kind, whose key it is (a device's or a host's, where the kind has one for
-    /// each), the length in bytes, and what it says.
+    /// A line gives the TTI, plane, kind, key, length in bytes and content. The key is the device or host, for kinds
+    /// that have one key for each.
     Tail(TailArgs),
-    /// Count messages and bytes by kind and plane, a TTI and a device, until the run or the recording ends.
+    /// Count messages and bytes by kind and plane, per TTI and per device, until the run or the recording ends.
     Stats(StatsArgs),
-    /// Record a run that goes on, by what it tells observers. `up --record` and `run --record` leave nothing out.
+    /// Record an active run from its observer messages. Only `up --record` and `run --record` guarantee a complete
+    /// recording.
     Record(InspectRecordArgs),
-    /// Write a recording as a file that Wireshark, Perfetto or a statistics program opens; or the dissector for
-    /// Wireshark.
+    /// Convert a recording for Wireshark, Perfetto or a statistics program, or write the Wireshark dissector.
     #[command(after_help = EXPORTS)]
     Export(ExportArgs),
-    /// Work out metrics and digest from the messages of a recording alone, and compare them with its summary.
+    /// Compute the metrics and digest from the messages of a recording alone, and compare them with its summary.
     ///
-    /// The devices are taken through the same TTIs once more: reports and batteries must be what they come to. Ends
-    /// with 1 where something does not fit, and for a recording that is torn or has no summary.
+    /// The devices go through the same TTIs again, and their reports and batteries must match the recording. The exit
+    /// code is 1 after a mismatch, and for a truncated recording or one without a summary.
     Verify(VerifyArgs),
-    /// Find where two recordings first differ: in events, δ, reports, failures, wake-ups, or what came of them.
+    /// Find the first difference between two recordings: events, δ, reports, failures, wake-ups or their outcomes.
     ///
-    /// Two runs of one scenario and seed under other policies part where the first plan differs; two runs that ought to
-    /// be the same part where something went wrong. How they were granted, with or without lookahead, makes no
-    /// difference. Ends with 1 where they differ.
+    /// Two runs of one scenario and seed under different policies diverge at the first different plan. Two runs that
+    /// should be identical diverge at the first fault. Granting with or without lookahead makes no difference. The exit
+    /// code is 1 if the recordings differ.
     Compare(CompareArgs),
 }
 
-/// `reveille inspect tail`.
+/// Arguments of `reveille inspect tail`.
 #[derive(Args)]
-pub struct TailArgs {
-    /// The run.
+pub(crate) struct TailArgs {
+    /// Run to observe.
     #[command(flatten)]
     pub target: TargetArgs,
-    /// Read this recording instead of a run that goes on.
+    /// Read this recording instead of an active run.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["connect", "run"])]
     pub from: Option<PathBuf>,
-    /// Only this plane.
+    /// Only messages of this plane.
     #[arg(long, value_enum)]
     pub plane: Option<PlaneArg>,
-    /// Only these kinds, separated by commas.
+    /// Only messages of these kinds, separated by commas.
     #[arg(long, value_parser = kind_parser(), value_delimiter = ',')]
     pub kind: Vec<MessageKind>,
-    /// Only messages to, from or about this device, and those to all.
+    /// Only messages to, from or about this device, and messages to all devices.
     #[arg(long)]
     pub device: Option<u32>,
-    /// Only messages to, from or about the devices of this cluster of the policy, and those to all.
+    /// Only messages to, from or about the devices in this cluster of the policy, and messages to all devices.
     #[arg(long)]
     pub cluster: Option<u32>,
-    /// Only messages of devices that are in one of these states before it, separated by commas.
+    /// Only messages of devices that were in one of these states before the message, separated by commas.
     #[arg(long, value_parser = state_parser(), value_delimiter = ',')]
-    pub state: Vec<Named>,
-    /// Only messages of this TTI and later ones.
+    pub state: Vec<StateName>,
+    /// Only messages from this TTI on.
     #[arg(long, value_name = "TTI")]
     pub since: Option<u64>,
-    /// Only messages up to and including this TTI; then end.
+    /// Only messages up to and including this TTI; then exit.
     #[arg(long, value_name = "TTI")]
     pub until: Option<u64>,
-    /// Show a wake-up with what came of it on one line.
+    /// Show each wake-up and its outcome on one line.
     #[arg(long)]
     pub join: bool,
-    /// One JSON object a line.
+    /// Print one JSON object per line.
     #[arg(long)]
     pub json: bool,
-    /// End after this many messages.
+    /// Exit after this many messages.
     #[arg(long, short = 'c')]
     pub count: Option<u64>,
-    /// Colours by kind; NO_COLOR turns them off.
+    /// Colour messages by kind; NO_COLOR disables colours.
     #[arg(long, value_enum, default_value = "auto")]
     pub colour: ColourArg,
 }
 
-/// `reveille inspect stats`.
+/// Arguments of `reveille inspect stats`.
 #[derive(Args)]
-pub struct StatsArgs {
-    /// The run.
+pub(crate) struct StatsArgs {
+    /// Run to observe.
     #[command(flatten)]
     pub target: TargetArgs,
-    /// Read this recording instead of a run that goes on.
+    /// Read this recording instead of an active run.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["connect", "run", "watch"])]
     pub from: Option<PathBuf>,
-    /// Show the table every second.
+    /// Update the table every second.
     #[arg(long)]
     pub watch: bool,
-    /// Also by device.
+    /// Also count by device.
     #[arg(long)]
     pub devices: bool,
-    /// Only messages of this TTI and later ones.
+    /// Only messages from this TTI on.
     #[arg(long, value_name = "TTI")]
     pub since: Option<u64>,
     /// Only messages up to and including this TTI.
     #[arg(long, value_name = "TTI")]
     pub until: Option<u64>,
-    /// One JSON object.
+    /// Print one JSON object.
     #[arg(long)]
     pub json: bool,
 }
 
-/// `reveille inspect record`.
+/// Arguments of `reveille inspect record`.
 #[derive(Args)]
-pub struct InspectRecordArgs {
-    /// The run.
+pub(crate) struct InspectRecordArgs {
+    /// Run to observe.
     #[command(flatten)]
     pub target: TargetArgs,
-    /// The file, which must not be there yet.
+    /// File to write; it must not exist yet.
     pub file: PathBuf,
 }
 
-/// Examples of `reveille inspect export`.
+/// Examples for the help of `reveille inspect export`.
 const EXPORTS: &str = "Examples:\n  reveille inspect export run.mcap --to pcapng\n  \
     reveille inspect export --dissector reveille.lua\n  \
     tshark -X lua_script:reveille.lua -r run.pcapng -Y 'reveille.wake.device == 7'\n  \
     reveille inspect export run.mcap --to perfetto      and open it at ui.perfetto.dev";
 
-/// `reveille inspect export`.
+/// Arguments of `reveille inspect export`.
 #[derive(Args)]
-pub struct ExportArgs {
-    /// The recording.
+pub(crate) struct ExportArgs {
+    /// Recording to read.
     #[arg(required_unless_present = "dissector", requires = "to")]
     pub file: Option<PathBuf>,
-    /// The form.
+    /// Format of the output file.
     #[arg(long, value_enum, requires = "file")]
     pub to: Option<ToArg>,
-    /// The file to write [default: the recording's name with another ending].
+    /// File to write [default: the recording's name with the extension of the format].
     #[arg(long, short, requires = "file")]
     pub out: Option<PathBuf>,
-    /// Write the dissector of pcapng files for Wireshark and tshark to this file.
+    /// Write the pcapng dissector for Wireshark and tshark to this file.
     #[arg(long, value_name = "FILE")]
     pub dissector: Option<PathBuf>,
-    /// Only messages of this TTI and later ones.
+    /// Only messages from this TTI on.
     #[arg(long, value_name = "TTI")]
     pub since: Option<u64>,
     /// Only messages up to and including this TTI.
     #[arg(long, value_name = "TTI")]
     pub until: Option<u64>,
-    /// With --to perfetto: TTIs between two values of a battery.
+    /// TTIs between two battery values, for --to perfetto.
     #[arg(long, value_name = "TTIS", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..))]
     pub battery_every: u64,
-    /// Replace files that are there.
+    /// Replace existing files.
     #[arg(long)]
     pub force: bool,
 }
 
-/// The form of an export.
+/// Export format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum ToArg {
+pub(crate) enum ToArg {
     /// Packets with virtual time, for Wireshark and tshark.
     Pcapng,
-    /// A trace for Perfetto: a track a device with its states, its battery, and arrows from wake-ups.
+    /// Perfetto trace: one track per device with its states and battery, and arrows from wake-ups.
     Perfetto,
-    /// A row for each message, columns separated by commas.
+    /// Comma-separated table with one row per message.
     Csv,
-    /// The same as a Parquet file.
+    /// Parquet table with one row per message.
     Parquet,
 }
 
 impl ToArg {
-    /// The usual ending of such files.
-    pub const fn ending(self) -> &'static str {
+    /// The usual extension of such files, without the dot.
+    pub(crate) const fn ending(self) -> &'static str {
         match self {
             Self::Pcapng => "pcapng",
             Self::Perfetto => "perfetto-trace",
@@ -178,58 +179,58 @@ impl ToArg {
     }
 }
 
-/// `reveille inspect verify`.
+/// Arguments of `reveille inspect verify`.
 #[derive(Args)]
-pub struct VerifyArgs {
-    /// The recording.
+pub(crate) struct VerifyArgs {
+    /// Recording to read.
     pub file: PathBuf,
 }
 
-/// `reveille inspect compare`.
+/// Arguments of `reveille inspect compare`.
 #[derive(Args)]
-pub struct CompareArgs {
-    /// A recording.
+pub(crate) struct CompareArgs {
+    /// First recording.
     pub this: PathBuf,
-    /// The recording that it is compared with.
+    /// Second recording.
     pub other: PathBuf,
 }
 
-/// `reveille dashboard`.
+/// Arguments of `reveille dashboard`.
 #[derive(Args)]
-pub struct DashboardArgs {
-    /// The run.
+pub(crate) struct DashboardArgs {
+    /// Run to observe.
     #[command(flatten)]
     pub target: TargetArgs,
-    /// Show this recording instead of a run that goes on.
+    /// Show this recording instead of an active run.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["connect", "run"])]
     pub from: Option<PathBuf>,
-    /// Show this recording beside it, and where the two first differ.
+    /// Also show this recording, and mark the first difference.
     #[arg(long, value_name = "FILE")]
     pub compare: Option<PathBuf>,
-    /// Where to serve it; port 0 takes any free one.
+    /// Address at which to serve the dashboard; port 0 selects a free port.
     #[arg(long, default_value = "127.0.0.1:8464", value_name = "ADDRESS:PORT")]
     pub listen: String,
 }
 
-/// When to use colours.
+/// Use of colours.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum ColourArg {
-    /// On a terminal.
+pub(crate) enum ColourArg {
+    /// Use colours on a terminal.
     Auto,
-    /// Always.
+    /// Always use colours.
     Always,
-    /// Never.
+    /// Never use colours.
     Never,
 }
 
-/// A plane.
+/// Message plane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum PlaneArg {
-    /// What a real deployment would send.
+    /// Messages that a real deployment also sends.
     Air,
-    /// What only the emulation needs.
+    /// Messages that only the emulation needs.
     Emu,
-    /// What happens in the modelled world and nobody sends.
+    /// Ground truth of the model, which no real device sends.
     Truth,
 }
 

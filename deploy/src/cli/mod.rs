@@ -14,43 +14,45 @@ mod tune;
 use clap::{Parser, Subcommand, ValueEnum};
 use reveille_common::logging::LogFormat;
 
-pub use analyse::{AnalyseCommand, BatteryArgs, HarvestArgs, IminArgs, RuntimeArgs, StudyArgs, TransitionsArgs};
-pub use figures::{
-    AttentionArgs, AxisArg, DeploymentArgs, FiguresArgs, FiguresCommand, FormatArg, LearningArgs, PictureArgs,
-    QTableArgs, RankingArg, RobustnessArgs, SweepFigureArgs, TimelineArgs,
+pub(crate) use analyse::{AnalyseCommand, BatteryArgs, HarvestArgs, IminArgs, RuntimeArgs, StudyArgs, TransitionsArgs};
+pub(crate) use figures::{
+    AttentionArgs, AxisArg, DeploymentArgs, FigureOutputArgs, FiguresArgs, FiguresCommand, ImageFormatArg,
+    LearningArgs, QTableArgs, RankingArg, RobustnessArgs, SweepFigureArgs, TimelineArgs,
 };
-pub use inspect::{
+pub(crate) use inspect::{
     ColourArg, CompareArgs, DashboardArgs, ExportArgs, InspectCommand, InspectRecordArgs, StatsArgs, TailArgs, ToArg,
     VerifyArgs,
 };
-pub use report::{ReportArgs, ReportCommand, SearchArgs};
-pub use run::{
-    AuditArg, BsArgs, DeviceArgs, DriveArgs, OnLossArg, OnUndecidedArg, OutputArgs, OutsideArgs, PolicyProcessArgs,
-    RunArgs, ScenarioArgs, UpArgs,
+pub(crate) use report::{ReportArgs, ReportCommand, SearchArgs};
+pub(crate) use run::{
+    AuditArg, BsArgs, DeviceArgs, DriveArgs, ExternalPolicyArgs, OnLossArg, OnUndecidedArg, OutputArgs,
+    PolicyProcessArgs, RunArgs, ScenarioArgs, UpArgs,
 };
-pub use sweep::{GridArgs, MergeArgs, SweepArgs};
-pub use tools::{
+pub(crate) use sweep::{GridArgs, MergeArgs, SweepArgs};
+pub(crate) use tools::{
     BenchCommand, BusBenchArgs, ClockArgs, MemoryBenchArgs, ScaleBenchArgs, ScenarioCommand, TargetArgs, WatchBenchArgs,
 };
-pub use train::{DtArgs, RecordArgs, TrainArgs, TrainCommand};
+#[cfg(feature = "train-dt")]
+pub(crate) use train::DtArgs;
+pub(crate) use train::{RecordArgs, TrainArgs, TrainCommand};
 #[cfg(feature = "tune")]
-pub use tune::ObjectiveArg;
-pub use tune::TuneArgs;
+pub(crate) use tune::ObjectiveArg;
+pub(crate) use tune::TuneArgs;
 
-/// Emulates a base station and many battery-less IoT devices that live on harvested energy.
+/// Emulate a base station and many battery-less IoT devices that run on harvested energy.
 #[derive(Parser)]
 #[command(name = "reveille", version, arg_required_else_help = true)]
 #[command(after_help = after_help())]
-pub struct Cli {
-    /// What to do.
+pub(crate) struct Cli {
+    /// The subcommand.
     #[command(subcommand)]
     pub command: Command,
 
-    /// Log more: -v information, -vv debugging, -vvv everything. `RUST_LOG` overrides it.
+    /// Log more: -v for information, -vv for debugging, -vvv for everything. `RUST_LOG` overrides it.
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     pub verbose: u8,
 
-    /// The form of log lines, which go to standard error.
+    /// Format of the log lines on standard error.
     #[arg(long, global = true, value_enum, default_value = "text")]
     pub log_format: LogFormatArg,
 }
@@ -63,8 +65,8 @@ fn after_help() -> String {
 }
 
 impl Cli {
-    /// The options for logging, for processes that this one starts.
-    pub fn log_options(&self) -> Vec<String> {
+    /// Returns the logging options to pass to child processes.
+    pub(crate) fn log_options(&self) -> Vec<String> {
         let format = match self.log_format {
             LogFormatArg::Text => "text",
             LogFormatArg::Json => "json",
@@ -76,49 +78,50 @@ impl Cli {
 
 /// The subcommands.
 #[derive(Subcommand)]
-pub enum Command {
-    /// Run a base station and its device processes on this machine, and sum up.
+pub(crate) enum Command {
+    /// Run a base station and its device processes on this machine, and print a summary.
     #[command(
         after_help = "Examples:\n  reveille up\n  reveille up --policy genie --devices 250 --processes 10\n  \
         reveille up --scenario my.toml --set harvest.lambda=0.05 --json"
     )]
     Up(UpArgs),
-    /// Run in memory: the same run and the same digest as `up`, without processes or a network.
+    /// Run a scenario in memory: the same run and digest as `up`, without processes or a network.
     Run(RunArgs),
-    /// Run a grid of scenario fields × policies × seeds in memory, one row per run, and give means with intervals.
+    /// Run every combination of scenario fields, policies and seeds in memory. The result table has one row per run; a
+    /// summary gives means with confidence intervals.
     #[command(
         after_help = "Examples:\n  reveille sweep --policies knn,random --devices 10,50,250 --seeds 100\n  \
         reveille sweep --grid harvest.lambda=0.05,0.1,0.2 --set harvest.e_b=10 --until-ci 1%\n  \
         reveille sweep experiment.toml --shard 2/8 --out shard-2\n\n\
-        A sweep that was cut short, even by kill -9, goes on when the same command is given again. With more --seeds \
-        and the same --out it keeps the runs that are there."
+        To resume an interrupted sweep, repeat the same command; this also works after kill -9. With more --seeds and \
+        the same --out, the sweep keeps the existing runs and adds the new ones."
     )]
     Sweep(SweepArgs),
-    /// Put the tables of the shards of a sweep together.
+    /// Merge the result tables of the shards of a sweep.
     #[command(after_help = "Example:\n  reveille merge shard-1 shard-2 shard-3 --out results.parquet")]
     Merge(MergeArgs),
-    /// Train a policy that learns, in memory, and keep what it has learned in a file.
+    /// Train a learning policy in memory, and save the result in a file.
     #[command(subcommand)]
     Train(TrainCommand),
-    /// Look for the weights μ1 and μ2 of q-learning that serve an objective best, by Bayesian optimisation. Needs the
-    /// cargo feature `tune`.
+    /// Search for the best q-learning weights μ1 and μ2 for an objective, by Bayesian optimisation. Needs the cargo
+    /// feature `tune`.
     #[command(after_help = tune::EXAMPLES)]
     Tune(TuneArgs),
-    /// Start only the base station, and wait for devices to connect.
+    /// Start only the base station, and wait for device processes to join.
     #[command(
         after_help = "Example, on two machines:\n  reveille bs --listen tcp/0.0.0.0:7447 --run demo --devices 50\n  \
         reveille device --connect tcp/HOST:7447 --run demo --count 50"
     )]
     Bs(BsArgs),
-    /// Start one process of devices, and connect it to a base station.
+    /// Start one device process, and connect it to a base station.
     Device(DeviceArgs),
-    /// Guard the process of `--policy-command`.
+    /// Supervise the process that `--policy-command` starts.
     #[command(hide = true)]
     PolicyProcess(PolicyProcessArgs),
-    /// Show or check scenarios.
+    /// Show or validate scenarios.
     #[command(subcommand)]
     Scenario(ScenarioCommand),
-    /// Look at the messages of a run, while it goes or from a recording; record it.
+    /// Inspect the messages of an active run or of a recording; record an active run.
     #[command(
         subcommand,
         after_help = "Examples:\n  reveille inspect tail --kind wake,report --join\n  \
@@ -127,7 +130,7 @@ pub enum Command {
         reveille inspect stats --from run.mcap"
     )]
     Inspect(InspectCommand),
-    /// Look at a run in the browser, while it goes or from a recording.
+    /// Show an active run or a recording in the browser.
     #[command(
         after_help = "Examples:\n  reveille up --dashboard --paused\n  reveille dashboard\n  \
         reveille dashboard --from run.mcap"
@@ -135,7 +138,7 @@ pub enum Command {
     Dashboard(DashboardArgs),
     /// Pause, step and resume the virtual clock of a run.
     Clock(ClockArgs),
-    /// Draw the paper's figures from result tables, or a picture of a deployment, or of batteries and states over time.
+    /// Draw the paper's figures from result tables, a map of a deployment, or batteries and states over time.
     #[command(
         args_conflicts_with_subcommands = true,
         subcommand_negates_reqs = true,
@@ -145,7 +148,7 @@ pub enum Command {
         reveille figures deployment --policy knn -n 80\n  reveille figures timeline --policy random --show 3,7"
     )]
     Figures(FiguresArgs),
-    /// Hold result tables against every claim of the paper: a page of HTML and one of Markdown.
+    /// Compare result tables with every claim of the paper, and write an HTML and a Markdown page.
     #[command(
         args_conflicts_with_subcommands = true,
         subcommand_negates_reqs = true,
@@ -153,7 +156,7 @@ pub enum Command {
         reveille report search unstated --out report"
     )]
     Report(ReportArgs),
-    /// Work through the paper's analysis: closed forms and Markov chains beside what the machines do.
+    /// Compare the paper's closed forms and Markov chains with simulated devices.
     #[command(subcommand)]
     Analyse(AnalyseCommand),
     /// Measure the emulator's speed against stated baselines.
@@ -164,9 +167,9 @@ pub enum Command {
 /// Log format.
 #[derive(Clone, Copy, ValueEnum)]
 pub enum LogFormatArg {
-    /// For people.
+    /// Readable text.
     Text,
-    /// One JSON object a line.
+    /// One JSON object per line.
     Json,
 }
 

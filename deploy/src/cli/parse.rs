@@ -1,30 +1,33 @@
-//! How values on the command line are read.
+//! Parsers for values on the command line.
 
 use std::time::Duration;
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use reveille_bs::policy::registry;
 use reveille_common::message::{MessageKind, Pace};
-use reveille_view::filter::Named;
+use reveille_view::filter::StateName;
+
+/// The durations that are accepted.
+const A_DURATION: &str = "a time from 1us to 1000000s in us, ms, s, m, h and d, such as 500us, 1.5s, 1m30s or 1h";
 
 /// Help for an option that names a policy.
 pub(super) fn one_policy() -> String {
-    let each = registry::POLICIES.iter().map(|policy| policy.name());
+    let each = registry::POLICIES.iter().map(|policy| policy.name);
     format!("Policy: {}.", each.collect::<Vec<_>>().join(", "))
 }
 
-/// Help for an option that names one of a run, which somebody outside may decide for.
+/// Help for the policy option of a run, which also accepts a policy process or a replay.
 pub(super) fn one_policy_or_outside() -> String {
     format!(
-        "{} Of a run it can also be external: another program decides, over the bus; and replay=FILE: what one has \
-         decided before, as the inputs.log of its run has it.",
+        "{} A run also accepts external (a policy process decides over the bus) and replay=FILE (the decisions in \
+         the inputs.log of an earlier run).",
         one_policy()
     )
 }
 
-/// Help for an option that names several.
+/// Help for an option that names several policies.
 pub(super) fn several_policies() -> String {
-    let each = registry::POLICIES.iter().map(|policy| policy.name());
+    let each = registry::POLICIES.iter().map(|policy| policy.name);
     format!(
         "Policies, separated by commas: {} [default: the scenario's].",
         each.collect::<Vec<_>>().join(", ")
@@ -38,7 +41,7 @@ pub(super) fn parse_sizes(text: &str) -> Result<(usize, usize), String> {
     pair.ok_or_else(|| "must be TICK,ANSWER".to_owned())
 }
 
-/// Reads the name of a kind of message; `--help` lists those that are declared.
+/// Parses the name of a message kind; `--help` lists all kinds.
 pub(super) fn kind_parser() -> impl TypedValueParser<Value = MessageKind> {
     let value = |kind: &MessageKind| {
         let help = format!("{}: {}", kind.direction(), kind.about());
@@ -50,26 +53,26 @@ pub(super) fn kind_parser() -> impl TypedValueParser<Value = MessageKind> {
     })
 }
 
-/// Reads the name of a state.
-pub(super) fn state_parser() -> impl TypedValueParser<Value = Named> {
-    PossibleValuesParser::new(Named::ALL.map(|(name, _)| name)).try_map(|name| {
-        let named = Named::ALL.into_iter().find(|(known, _)| *known == name);
+/// Parses the name of a device state.
+pub(super) fn state_parser() -> impl TypedValueParser<Value = StateName> {
+    PossibleValuesParser::new(StateName::ALL.map(|(name, _)| name)).try_map(|name| {
+        let named = StateName::ALL.into_iter().find(|(known, _)| *known == name);
         named.map(|(_, state)| state).ok_or("no state")
     })
 }
 
 pub(super) fn parse_whole(text: &str) -> Result<u64, String> {
     text.parse()
-        .map_err(|_| format!("must be a whole number from 0 to {}", i64::MAX))
+        .map_err(|_| format!("must be a whole number from 0 to {}", u64::MAX))
 }
 
-/// Reads a number of things of which there is one at least.
+/// Parses a count of at least 1.
 pub(super) fn parse_count(text: &str) -> Result<usize, String> {
     let count = text.parse().ok().filter(|count| *count > 0);
     count.ok_or_else(|| "must be a whole number from 1".to_owned())
 }
 
-/// Reads a field with its value.
+/// Parses FIELD=VALUE into the field and its value.
 pub(super) fn parse_field(text: &str) -> Result<(String, String), String> {
     let pair = text.split_once('=').filter(|(field, _)| !field.is_empty());
     let pair = pair.map(|(field, value)| (field.trim().to_owned(), value.trim().to_owned()));
@@ -86,21 +89,18 @@ pub(super) fn parse_pace(text: &str) -> Result<Pace, String> {
         return Ok(Pace::Max);
     }
     parse_duration(text)
+        // The accepted range ends at 10¹² µs, which fits.
         .map(|duration| Pace::RealTime(duration.as_micros() as u64))
-        .map_err(|e| format!("must be `max` or {e}"))
+        .map_err(|_| format!("must be `max` or {A_DURATION}"))
 }
 
 pub(super) fn parse_duration(text: &str) -> Result<Duration, String> {
-    let units = [("us", 1e-6), ("ms", 1e-3), ("s", 1.0), ("min", 60.0)];
-    let number = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
-    let unit = units
-        .iter()
-        .find(|(name, _)| *name == &text[number.len()..])
-        .map(|(_, seconds)| seconds);
-    match (number.parse::<f64>(), unit) {
-        (Ok(n), Some(seconds)) if n > 0.0 && n * seconds <= 1e6 => Ok(Duration::from_secs_f64(n * seconds)),
-        _ => Err("a time above 0 such as 500us, 10ms, 2s or 1min".to_owned()),
-    }
+    // Deadlines are instants; adding a longer duration to one could overflow.
+    let range = Duration::from_micros(1)..=Duration::from_secs(1_000_000);
+    let duration = humantime::parse_duration(text).ok();
+    duration
+        .filter(|duration| range.contains(duration))
+        .ok_or_else(|| format!("must be {A_DURATION}"))
 }
 
 #[cfg(test)]
@@ -108,11 +108,40 @@ mod tests {
     use super::*;
 
     #[test]
-    fn durations_are_read() {
-        assert_eq!(parse_duration("10ms"), Ok(Duration::from_millis(10)));
-        assert_eq!(parse_duration("1.5s"), Ok(Duration::from_millis(1500)));
-        for bad in ["", "10", "ms", "-1s", "0s", "nans", "1h", "1e99s"] {
-            assert!(parse_duration(bad).is_err(), "{bad}");
+    fn durations_have_units_and_a_range() {
+        for (text, micros) in [
+            ("1us", 1),
+            ("10ms", 10_000),
+            ("1.5s", 1_500_000),
+            ("1min", 60_000_000),
+            ("1m30s", 90_000_000),
+            ("1h", 3_600_000_000),
+            ("1000000s", 1_000_000_000_000),
+        ] {
+            assert_eq!(parse_duration(text), Ok(Duration::from_micros(micros)), "{text}");
         }
+        for bad in [
+            "",
+            "10",
+            "ms",
+            "-1s",
+            "0s",
+            "999ns",
+            "nans",
+            "1x",
+            "1000001s",
+            "99999999999999999999s",
+        ] {
+            let refusal = parse_duration(bad).expect_err(bad);
+            assert!(refusal.contains("1m30s"), "{refusal}");
+        }
+    }
+
+    #[test]
+    fn a_pace_is_read_as_it_is_printed() {
+        for text in ["max", "4ms", "1m 30s 500us"] {
+            assert_eq!(parse_pace(text).map(|pace| pace.to_string()), Ok(text.to_owned()));
+        }
+        assert!(parse_pace("fast").is_err_and(|refusal| refusal.contains("`max`")));
     }
 }

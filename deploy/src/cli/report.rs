@@ -1,4 +1,4 @@
-//! The options of the report, and of the search over what the paper leaves unstated.
+//! Options of `reveille report`, including the search over settings that the paper leaves unstated.
 
 use std::path::PathBuf;
 
@@ -6,29 +6,29 @@ use clap::{Args, Subcommand};
 
 use super::parse::parse_count;
 
-/// `reveille report`.
+/// Arguments of `reveille report`.
 #[derive(Args)]
-pub struct ReportArgs {
-    /// What else is judged.
+pub(crate) struct ReportArgs {
+    /// Report on a search instead of the presets.
     #[command(subcommand)]
     pub command: Option<ReportCommand>,
-    /// Result tables of `reveille sweep`, or the folders of finished sweeps, of the presets paper and paper-literal.
+    /// Result tables of `reveille sweep`, or the folders of finished sweeps, for the presets paper and paper-literal.
     #[arg(required = true, value_name = "TABLE")]
     pub tables: Vec<PathBuf>,
-    /// The folder for report.html and report.md; it is made if need be.
+    /// Folder for report.html and report.md; created if missing.
     #[arg(long, short, default_value = "report")]
     pub out: PathBuf,
-    /// Also put the tables into this page, between lines with <!-- report NAME --> and <!-- /report NAME -->;
-    /// docs/reproduction.md has them.
+    /// Also insert the tables into this page, such as docs/reproduction.md. Each table replaces the text between the
+    /// lines <!-- report NAME --> and <!-- /report NAME -->.
     #[arg(long, value_name = "FILE")]
     pub page: Option<PathBuf>,
 }
 
-/// What else is judged.
+/// Report on a search instead of the presets.
 #[derive(Subcommand)]
-pub enum ReportCommand {
-    /// Judge the paper's claims under every setting of sweeps, and rank the settings by half of the claims; the other
-    /// half tells whether the rank is more than luck.
+pub(crate) enum ReportCommand {
+    /// Judge the paper's claims under every setting of a sweep, and rank the settings. The rank uses half of the
+    /// claims; the other half shows whether a rank is more than chance.
     #[command(
         after_help = "Example:\n  reveille sweep deploy/examples/unstated.toml --out unstated\n  \
         reveille report search unstated --out report"
@@ -36,20 +36,20 @@ pub enum ReportCommand {
     Search(SearchArgs),
 }
 
-/// `reveille report search`.
+/// Arguments of `reveille report search`.
 #[derive(Args)]
-pub struct SearchArgs {
+pub(crate) struct SearchArgs {
     /// Result tables of `reveille sweep`, or the folders of finished sweeps; every setting in them is judged.
     #[arg(required = true, value_name = "TABLE")]
     pub tables: Vec<PathBuf>,
-    /// How many settings to show; the presets are shown wherever they stand.
+    /// Number of settings to show; the presets are always shown.
     #[arg(long, default_value = "20", value_parser = parse_count)]
     pub top: usize,
-    /// The folder for search.md; it is made if need be.
+    /// Folder for search.md; created if missing.
     #[arg(long, short, default_value = "report")]
     pub out: PathBuf,
-    /// Also put the tables into this page, between lines with <!-- report NAME --> and <!-- /report NAME -->;
-    /// docs/reproduction.md has them.
+    /// Also insert the tables into this page, such as docs/reproduction.md. Each table replaces the text between the
+    /// lines <!-- report NAME --> and <!-- /report NAME -->.
     #[arg(long, value_name = "FILE")]
     pub page: Option<PathBuf>,
 }

@@ -1,54 +1,54 @@
-//! The options of everything that runs a scenario.
+//! Options of the commands that run a scenario.
 
 use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::builder::NonEmptyStringValueParser;
 use clap::{Args, ValueEnum};
-use reveille_bs::host::{OnLoss, Patience, Undecided};
+use reveille_bs::server::{DecisionTimeout, OnLoss, OnUndecided};
 use reveille_common::keys::RunName;
 use reveille_common::message::Pace;
 
 use super::parse::{one_policy, one_policy_or_outside, parse_duration, parse_pace};
 
-/// The scenario where none is named.
+/// Scenario used when the command line names none.
 const DEFAULT_SCENARIO: &str = "paper";
 
-/// The options that choose the scenario.
+/// Options that select the scenario.
 #[derive(Args, Clone, Debug)]
-pub struct ScenarioArgs {
-    /// A preset's name (paper, paper-literal, quick) or a TOML file. See `reveille scenario show`.
+pub(crate) struct ScenarioArgs {
+    /// Preset name (paper, paper-literal, quick) or TOML file; see `reveille scenario show`.
     #[arg(long, short, default_value = DEFAULT_SCENARIO)]
     pub scenario: String,
 
-    /// Override one field, for example --set sensing.d_max=5. May be repeated.
+    /// Override one scenario field, for example --set sensing.d_max=5. May be repeated.
     #[arg(long, value_name = "FIELD=VALUE")]
     pub set: Vec<String>,
 
-    /// Number of devices N.
+    /// Number of devices N [default: the scenario's].
     #[arg(long, short = 'n', allow_negative_numbers = true)]
     pub devices: Option<String>,
 
-    /// One of the registered policies, or somebody outside.
+    /// Registered policy, or a policy process.
     #[arg(long, short, help = one_policy(), long_help = one_policy_or_outside())]
     pub policy: Option<String>,
 
-    /// Let a policy that learns go on learning in the run; the run folder keeps what it has learned.
+    /// Let a learning policy continue to learn during the run. The run folder keeps the learned tables.
     #[arg(long)]
     pub learn: bool,
 
-    /// Length of the run K in TTIs, warm-up included.
+    /// Length of the run K in TTIs, warm-up included [default: the scenario's].
     #[arg(long, short = 'k', allow_negative_numbers = true)]
     pub ttis: Option<String>,
 
-    /// Seed of every random draw.
+    /// Seed of every random draw [default: the scenario's].
     #[arg(long, allow_negative_numbers = true)]
     pub seed: Option<String>,
 }
 
 impl ScenarioArgs {
-    /// Whether any of them says something.
-    pub fn is_given(&self) -> bool {
+    /// Whether the command line sets any of these options.
+    pub(crate) fn is_given(&self) -> bool {
         let Self {
             scenario,
             set,
@@ -65,19 +65,19 @@ impl ScenarioArgs {
     }
 }
 
-/// The options that say where results go.
+/// Options for the results of a run.
 #[derive(Args, Clone, Debug)]
-pub struct OutputArgs {
-    /// The run folder, which must not hold a run yet [default: runs/POLICY-nN-sSEED, numbered if taken].
+pub(crate) struct OutputArgs {
+    /// Run folder; it must not hold a run yet [default: runs/POLICY-nN-sSEED, numbered if taken].
     #[arg(long, short)]
     pub out: Option<PathBuf>,
 
-    /// Replace the run that the folder given by --out holds.
+    /// Replace the existing run in the folder given by --out.
     #[arg(long, requires = "out")]
     pub force: bool,
 
-    /// Go on with the run in this folder, which was killed, interrupted or has failed. The scenario is the one in the
-    /// folder. The run is replayed in memory up to its last mark, a second before its end at the most.
+    /// Resume the killed, interrupted or failed run in FOLDER. The scenario is read from the folder. The run is
+    /// replayed in memory up to its last resume mark, at most one second before the run ended.
     #[arg(long, value_name = "FOLDER", conflicts_with_all = ["out", "force"])]
     pub resume: Option<PathBuf>,
 
@@ -85,74 +85,82 @@ pub struct OutputArgs {
     #[arg(long)]
     pub json: bool,
 
-    /// No progress bar and no table: only the digest, or what --json prints.
+    /// Hide the progress bar and the table. Print only the digest, or the JSON output of --json.
     #[arg(long, short)]
     pub quiet: bool,
 
-    /// Record all messages of the run in this file, an MCAP container, for `reveille inspect` and other tools. Nothing
-    /// is left out: the run waits for the disk if it must, and says how long it did.
+    /// Record all messages of the run in this MCAP file, for `reveille inspect` and other tools. The recording is
+    /// complete: the run waits for the disk if necessary and reports the time it waited.
     #[arg(long, value_name = "FILE")]
     pub record: Option<PathBuf>,
 
-    /// Record the states of all devices as well, once in so many TTIs.
+    /// Also record the states of all devices, once every TTIS TTIs.
     #[arg(long, value_name = "TTIS", requires = "record", value_parser = clap::value_parser!(u64).range(1..))]
     pub record_states: Option<u64>,
 
-    /// Serve metrics for Prometheus at http://ADDRESS:PORT/metrics while the run goes; port 0 takes any free one.
+    /// Serve Prometheus metrics at http://ADDRESS:PORT/metrics during the run; port 0 selects a free port.
     #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = "127.0.0.1:9464")]
     pub metrics: Option<String>,
 
-    /// TTIs in a row of windows.csv [default: a hundredth of the run].
+    /// TTIs per row of windows.csv [default: a hundredth of the run].
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
     pub window: Option<u64>,
+
+    /// Parent process; the run ends when the parent ends.
+    #[arg(long, hide = true)]
+    pub parent: Option<i32>,
 }
 
-/// `reveille run`.
+/// Arguments of `reveille run`.
 #[derive(Args)]
-pub struct RunArgs {
-    /// The scenario.
+pub(crate) struct RunArgs {
+    /// Scenario options.
     #[command(flatten)]
     pub scenario: ScenarioArgs,
-    /// The results.
+    /// Result options.
     #[command(flatten)]
     pub output: OutputArgs,
-    /// Step through every TTI by itself, as the emulator does with --no-lookahead.
+    /// Process every TTI separately, like `reveille up --no-lookahead`.
     #[arg(long)]
     pub no_lookahead: bool,
-    /// What a run over the bus depended on beside scenario and seed, the inputs.log of its folder: devices that were
-    /// lost under --on-loss continue. This run then comes to the same digest. Of decisions: --policy replay=FILE.
+    /// Input log (inputs.log) of a run over the bus. It lists the devices that were lost under --on-loss continue. With
+    /// it, this run has the same digest. To replay decisions, use --policy replay=FILE.
     #[arg(long, value_name = "FILE", conflicts_with = "resume")]
     pub inputs: Option<PathBuf>,
 }
 
-/// How the base station drives a run.
+/// Options for the clock, lost processes, the audit and the dashboard.
 #[derive(Args, Clone, Debug)]
-pub struct DriveArgs {
-    /// `max`, or the real time that a TTI takes, for example 10ms.
+pub(crate) struct DriveArgs {
+    /// Real time per TTI, for example 10ms; `max` runs as fast as possible.
     #[arg(long, default_value = "max", value_parser = parse_pace, allow_hyphen_values = true)]
     pub pace: Pace,
 
-    /// Grant every TTI by itself: the same run, more messages. A real-time --pace does so anyway.
+    /// Grant every TTI separately. The run is the same but needs more messages. A real-time --pace also disables
+    /// lookahead.
     #[arg(long)]
     pub no_lookahead: bool,
 
-    /// What to do when a device process is lost.
+    /// Action when a device process is lost.
     ///
-    /// With `wait` the clock is held until the process is back or another one carries its devices, from where a replay
-    /// of the run finds them: `up` starts another one by itself, under `bs` any `reveille device` will do. The run ends
-    /// with the same digest. `continue` is an outage: the devices are gone for good, the base station hears no more of
-    /// them and is not told. When that was is kept in inputs.log; `reveille run --inputs` gives the same digest.
+    /// With `wait`, the clock stops until the process returns or another process takes over its devices. A replay of
+    /// the run supplies the states of these devices. `up` starts a replacement process itself; under `bs`, any
+    /// `reveille device` can take over. The run ends with the same digest.
+    ///
+    /// With `continue`, the devices are removed permanently. The base station receives no more messages from them and
+    /// no notice of the loss. The input log (inputs.log) keeps the TTI of the removal; `reveille run --inputs`
+    /// reproduces the digest.
     #[arg(long, value_enum, default_value = "wait")]
     pub on_loss: OnLossArg,
 
-    /// Compare the run with a replay in memory as it goes, so that nobody changes its result unseen.
+    /// Compare the run with a replay in memory, to detect any change to its result.
     ///
-    /// A difference ends the run with an error that names the TTI. `auto` takes a twentieth of the time at the most,
-    /// and says so if the replay could not follow to the end.
+    /// A divergence ends the run with an error that names the TTI. `auto` uses at most a twentieth of the time and
+    /// prints a note if the replay does not reach the end.
     #[arg(long, value_enum, default_value = "auto")]
     pub audit: AuditArg,
 
-    /// Serve a dashboard for the browser at this address while the run goes; port 0 takes any free one.
+    /// Serve the browser dashboard at this address during the run; port 0 selects a free port.
     #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = "127.0.0.1:8464")]
     pub dashboard: Option<String>,
 
@@ -160,162 +168,162 @@ pub struct DriveArgs {
     #[arg(long)]
     pub paused: bool,
 
-    /// Decisions of another program, under --policy external.
+    /// Options of the policy process, for --policy external.
     #[command(flatten)]
-    pub outside: OutsideArgs,
+    pub outside: ExternalPolicyArgs,
 }
 
-/// How a program outside decides.
+/// Options of the policy process.
 #[derive(Args, Clone, Debug)]
-#[command(next_help_heading = "Decisions of another program (--policy external)")]
-pub struct OutsideArgs {
-    /// Start this shell command to decide for the run, and end it with the run. It is told where to answer by
-    /// REVEILLE_CONNECT, REVEILLE_RUN and REVEILLE_KEY; without it, start one by hand.
+#[command(next_help_heading = "Policy process (--policy external)")]
+pub struct ExternalPolicyArgs {
+    /// Shell command that starts the policy process; it is stopped when the run ends. It finds the policy port through
+    /// REVEILLE_CONNECT, REVEILLE_RUN and REVEILLE_KEY. Without this option, start a policy process by hand.
     #[arg(long, value_name = "COMMAND", value_parser = NonEmptyStringValueParser::new())]
     pub policy_command: Option<String>,
 
-    /// How long a decision may take, for example 30s, a program that has to be started anew included [default: as long
-    /// as it takes; after 5 s it is said who is waited for].
+    /// Time limit for a decision, for example 30s, including a restart of the policy process [default: no limit; after
+    /// 5 s a note names the missing process].
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     pub decision_timeout: Option<Duration>,
 
-    /// What to do when a decision takes longer, or three answers to a question were none.
+    /// Action when a decision exceeds the time limit, or after three invalid answers to one decision request.
     #[arg(long, value_enum, value_name = "WHAT", default_value = "end")]
     pub on_undecided: OnUndecidedArg,
 }
 
-/// When nobody decides.
+/// Action when a decision is missing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum OnUndecidedArg {
-    /// End the run with an error; --resume goes on with it.
+    /// End the run with an error; --resume continues it.
     End,
-    /// Let the plan in force hold on, and wake nobody.
+    /// Keep the current plan and wake no device.
     Hold,
 }
 
-impl From<&OutsideArgs> for Patience {
-    fn from(args: &OutsideArgs) -> Self {
+impl From<&ExternalPolicyArgs> for DecisionTimeout {
+    fn from(args: &ExternalPolicyArgs) -> Self {
         Self {
             limit: args.decision_timeout,
             then: match args.on_undecided {
-                OnUndecidedArg::End => Undecided::End,
-                OnUndecidedArg::Hold => Undecided::Hold,
+                OnUndecidedArg::End => OnUndecided::End,
+                OnUndecidedArg::Hold => OnUndecided::Hold,
             },
         }
     }
 }
 
-/// `reveille up`.
+/// Arguments of `reveille up`.
 #[derive(Args)]
-pub struct UpArgs {
-    /// The scenario.
+pub(crate) struct UpArgs {
+    /// Scenario options.
     #[command(flatten)]
     pub scenario: ScenarioArgs,
-    /// The results.
+    /// Result options.
     #[command(flatten)]
     pub output: OutputArgs,
-    /// The drive.
+    /// Clock, audit and dashboard options.
     #[command(flatten)]
     pub drive: DriveArgs,
-    /// Device processes; 0 carries all devices in this process, N (the number of devices) gives each its own [default:
-    /// 4].
+    /// Number of device processes. 0 runs all devices in this process; N (the number of devices) uses one process per
+    /// device [default: 4].
     #[arg(long, short = 'P')]
     pub processes: Option<u32>,
-    /// The run's name on the bus [default: the name of the run folder].
+    /// Run name on the bus [default: the name of the run folder].
     #[arg(long)]
     pub run: Option<RunName>,
-    /// Where the base station listens; port 0 takes any free one.
+    /// Endpoint at which the base station listens; port 0 selects a free port.
     #[arg(long, default_value = "tcp/127.0.0.1:0")]
     pub listen: String,
-    /// Do without what makes device processes fast, to measure what that brings.
+    /// Disable device-process tuning (for benchmarks).
     #[arg(long, hide = true)]
     pub untuned: bool,
 }
 
-/// `reveille bs`.
+/// Arguments of `reveille bs`.
 #[derive(Args)]
-pub struct BsArgs {
-    /// The scenario.
+pub(crate) struct BsArgs {
+    /// Scenario options.
     #[command(flatten)]
     pub scenario: ScenarioArgs,
-    /// The results.
+    /// Result options.
     #[command(flatten)]
     pub output: OutputArgs,
-    /// The drive.
+    /// Clock, audit and dashboard options.
     #[command(flatten)]
     pub drive: DriveArgs,
-    /// The run's name on the bus, which devices must name too.
+    /// Run name on the bus; device processes must give the same name.
     #[arg(long)]
     pub run: RunName,
-    /// Where to listen: tcp/ADDRESS:PORT.
+    /// Endpoint at which the base station listens: tcp/ADDRESS:PORT.
     #[arg(long, default_value = "tcp/127.0.0.1:7447")]
     pub listen: String,
-    /// Give up if not all devices have joined after this time [default: wait].
+    /// End with an error unless all devices have joined within this time [default: no limit].
     #[arg(long, value_parser = parse_duration)]
     pub join_timeout: Option<Duration>,
-    /// Let only processes carry devices that have the key in this file; the file is made if it is not there.
+    /// Admit only device processes that hold the key in this file; the file is created if missing.
     #[arg(long, value_name = "FILE")]
     pub key_file: Option<PathBuf>,
 }
 
-/// `reveille device`.
+/// Arguments of `reveille device`.
 #[derive(Args)]
-pub struct DeviceArgs {
-    /// The base station: tcp/ADDRESS:PORT.
+pub(crate) struct DeviceArgs {
+    /// Endpoint of the base station: tcp/ADDRESS:PORT.
     #[arg(long)]
     pub connect: String,
-    /// The run's name on the bus.
+    /// Run name on the bus.
     #[arg(long)]
     pub run: RunName,
-    /// How many devices to carry, at the most.
+    /// Maximum number of devices that this process runs.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     pub count: u32,
-    /// How long to try to reach the base station and to join, and to wait for one that is lost.
+    /// Time limit for reaching the base station and joining the run, and for waiting for a lost base station to return.
     #[arg(long, default_value = "30s", value_parser = parse_duration)]
     pub patience: Duration,
-    /// The file with the run's key, where the base station asks for it.
+    /// File with the run's key, if the base station requires one.
     #[arg(long, value_name = "FILE")]
     pub key_file: Option<PathBuf>,
-    /// The process that started this one; when it ends, this one does.
+    /// Parent process; this process ends when the parent ends.
     #[arg(long, hide = true)]
     pub parent: Option<i32>,
-    /// How many device processes share the machine with this one, itself included.
+    /// Number of device processes on this machine, including this one.
     #[arg(long, hide = true, default_value_t = 1)]
     pub among: u32,
-    /// Do without what makes a device process fast, to measure what that brings.
+    /// Disable device-process tuning (for benchmarks).
     #[arg(long, hide = true)]
     pub untuned: bool,
 }
 
-/// `reveille policy-process`.
+/// Arguments of `reveille policy-process`.
 #[derive(Args)]
-pub struct PolicyProcessArgs {
-    /// The process that started this one; when it ends, the command is ended.
+pub(crate) struct PolicyProcessArgs {
+    /// Parent process; the command is stopped when the parent ends.
     #[arg(long)]
     pub parent: i32,
-    /// For the shell.
+    /// Shell command to run.
     pub command: String,
 }
 
-/// When a host is lost.
+/// Action when a host is lost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum OnLossArg {
     /// End the run with an error.
     End,
-    /// Hold the clock until its devices are carried again.
+    /// Stop the clock until a process takes over its devices.
     Wait,
-    /// Go on without its devices.
+    /// Remove its devices and continue.
     Continue,
 }
 
-/// Whether a run is audited.
+/// Extent of the audit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum AuditArg {
-    /// As far as it costs little.
+pub(crate) enum AuditArg {
+    /// Audit as much of the run as fits in a twentieth of the time.
     Auto,
-    /// All of it.
+    /// Audit the whole run.
     On,
-    /// Not at all.
+    /// Disable the audit.
     Off,
 }
 

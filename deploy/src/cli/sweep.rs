@@ -1,4 +1,4 @@
-//! The options of sweeps.
+//! Options of `reveille sweep` and `reveille merge`.
 
 use std::path::PathBuf;
 
@@ -9,56 +9,56 @@ use reveille_lab::table::Format;
 
 use super::parse::{parse_whole, several_policies};
 
-/// `reveille sweep`.
+/// Arguments of `reveille sweep`.
 #[derive(Args)]
-pub struct SweepArgs {
-    /// An experiment file; see deploy/examples/experiment.toml. Options win over what it says.
+pub(crate) struct SweepArgs {
+    /// Experiment file; see deploy/examples/experiment.toml. Options on the command line take precedence.
     pub experiment: Option<PathBuf>,
 
-    /// The runs that the sweep makes.
+    /// Runs of the sweep.
     #[command(flatten)]
     pub grid: GridArgs,
 
-    /// The folder of the sweep. Give the same command again to go on with a sweep that was cut short, or with more
-    /// --seeds to add to one [default: that of EXPERIMENT if it is the experiment.toml of such a sweep, or
-    /// runs/sweep-HASH, the same for the same experiment and number of seeds].
+    /// Folder of the sweep. Repeat the same command to resume an interrupted sweep, or add runs with more --seeds
+    /// [default: the folder of EXPERIMENT if that is the experiment.toml of a sweep; otherwise runs/sweep-HASH, fixed
+    /// by experiment and number of seeds].
     #[arg(long, short, help_heading = "Output")]
     pub out: Option<PathBuf>,
 
-    /// The form of the table, one row per run: results.parquet or results.csv.
+    /// Format of the result table: results.parquet or results.csv, with one row per run.
     #[arg(long, value_enum, default_value = "parquet", help_heading = "Output")]
-    pub format: FormatArg,
+    pub format: TableFormatArg,
 
-    /// Print what came out as JSON instead of the table.
+    /// Print the results as JSON instead of a table.
     #[arg(long, help_heading = "Output")]
     pub json: bool,
 
-    /// No progress bar and no table, only where the results are.
+    /// Hide the progress bar and the table. Print only the location of the results.
     #[arg(long, short, help_heading = "Output")]
     pub quiet: bool,
 
-    /// Check every scenario, show the grid and the number of runs, and run nothing.
+    /// Check every scenario, and show the grid and the number of runs, without running them.
     #[arg(long, help_heading = "Output")]
     pub dry_run: bool,
 
-    /// Take runs that a table holds already, of the same scenario and seed, instead of making them: a table
-    /// (results.parquet, results.csv) or the folder of a finished sweep. May be repeated.
+    /// Reuse runs with the same scenario and seed from this table (results.parquet, results.csv) or folder of a
+    /// finished sweep. May be repeated.
     #[arg(long, value_name = "TABLE", help_heading = "Running")]
     pub reuse: Vec<PathBuf>,
 
-    /// Threads [default: as many as there are cores].
+    /// Number of threads [default: one per core].
     #[arg(long, short = 'j', help_heading = "Running", value_parser = clap::value_parser!(u16).range(1..=4096))]
     pub threads: Option<u16>,
 
-    /// Make only the I-th of N shares, for several machines; `reveille merge` puts their tables together.
+    /// Run only shard I of N, to share a sweep between machines. `reveille merge` combines their tables.
     #[arg(long, value_name = "I/N", help_heading = "Running")]
     pub shard: Option<Shard>,
 }
 
-/// Which runs a sweep makes.
+/// Options that select the runs of a sweep.
 #[derive(Args)]
-pub struct GridArgs {
-    /// A preset's name or a TOML file, the base of all cells [default: paper].
+pub(crate) struct GridArgs {
+    /// Preset name or TOML file, the base of all cells [default: paper].
     #[arg(long, short, help_heading = "Grid")]
     pub scenario: Option<String>,
 
@@ -76,7 +76,7 @@ pub struct GridArgs {
     )]
     pub devices: Option<Vec<String>>,
 
-    /// Lengths of the runs K in TTIs, warm-up included, separated by commas [default: the scenario's].
+    /// Run lengths K in TTIs, warm-up included, separated by commas [default: the scenario's].
     #[arg(
         long,
         short = 'k',
@@ -86,83 +86,83 @@ pub struct GridArgs {
     )]
     pub ttis: Option<Vec<String>>,
 
-    /// Sweep any field of the scenario, for example --grid harvest.lambda=0.05,0.1. May be repeated.
+    /// Sweep a scenario field, for example --grid harvest.lambda=0.05,0.1. May be repeated.
     #[arg(long, value_name = "FIELD=VALUE,VALUE…", help_heading = "Grid")]
     pub grid: Vec<String>,
 
-    /// Set one field in all cells, for example --set sensing.d_max=5. May be repeated.
+    /// Override one scenario field in all cells, for example --set sensing.d_max=5. May be repeated.
     #[arg(long, value_name = "FIELD=VALUE", help_heading = "Grid")]
     pub set: Vec<String>,
 
-    /// Seeds of each cell, the same in all; with --until-ci the most of them [default: 100].
+    /// Number of seeds, the same in every cell; the maximum with --until-ci [default: 100].
     #[arg(long, value_parser = parse_whole, allow_negative_numbers = true, help_heading = "Seeds")]
     pub seeds: Option<u64>,
 
-    /// The first seed; the others follow one by one [default: 1].
+    /// First seed; the other seeds follow consecutively [default: 1].
     #[arg(long, value_parser = parse_whole, allow_negative_numbers = true, help_heading = "Seeds")]
     pub first_seed: Option<u64>,
 
-    /// Stop a cell as soon as the 95 % intervals of its metrics are this narrow: half-width over mean, such as 1% or
-    /// 0.01. Intervals of cells that stop early cover a little less than 95 %, since they were looked at repeatedly. A
-    /// metric that is 0 in all runs is never narrow: leave it out by --ci-metrics.
+    /// Stop a cell when the 95 % confidence intervals of its metrics reach this width: half-width over mean, such as 1%
+    /// or 0.01. Intervals of cells that stop early cover slightly less than 95 %, because they are checked repeatedly.
+    /// A metric that is 0 in all runs never reaches the width; exclude it with --ci-metrics.
     #[arg(long, value_name = "WIDTH", help_heading = "Seeds")]
     pub until_ci: Option<String>,
 
-    /// The metrics that --until-ci looks at, separated by commas.
+    /// Metrics that --until-ci checks, separated by commas.
     #[arg(long, value_delimiter = ',', value_name = "METRIC,…", help_heading = "Seeds", help = ci_metrics_help())]
     pub ci_metrics: Option<Vec<String>>,
 
-    /// Runs of a cell before --until-ci looks for the first time, at most --seeds [default: 30].
+    /// Runs per cell before the first check of --until-ci, at most --seeds [default: 30].
     #[arg(long, value_parser = parse_whole, allow_negative_numbers = true, help_heading = "Seeds")]
     pub min_seeds: Option<u64>,
 }
 
-/// `reveille merge`.
+/// Arguments of `reveille merge`.
 #[derive(Args)]
-pub struct MergeArgs {
-    /// Tables of shards (results.parquet, results.csv), or the folders of their sweeps.
+pub(crate) struct MergeArgs {
+    /// Shard tables (results.parquet, results.csv), or the folders of their sweeps.
     #[arg(required = true, value_name = "SHARD")]
     pub shards: Vec<PathBuf>,
 
-    /// The merged table, .parquet or .csv.
+    /// Output file for the merged table, .parquet or .csv.
     #[arg(long, short)]
     pub out: PathBuf,
 
-    /// Replace that file if it is there.
+    /// Replace the output file if it exists.
     #[arg(long)]
     pub force: bool,
 
-    /// Merge although shards are missing; the table says which are in it.
+    /// Merge even if shards are missing; the table records which shards it contains.
     #[arg(long)]
     pub partial: bool,
 }
 
-/// The form of a table.
+/// Table format.
 #[derive(Clone, Copy, ValueEnum)]
-pub enum FormatArg {
+pub enum TableFormatArg {
     /// Apache Parquet.
     Parquet,
-    /// CSV, and beside it a .toml with what Parquet keeps in its metadata.
+    /// CSV, with the metadata of the Parquet format in a separate .toml file.
     Csv,
 }
 
-impl From<FormatArg> for Format {
-    fn from(arg: FormatArg) -> Self {
+impl From<TableFormatArg> for Format {
+    fn from(arg: TableFormatArg) -> Self {
         match arg {
-            FormatArg::Parquet => Self::Parquet,
-            FormatArg::Csv => Self::Csv,
+            TableFormatArg::Parquet => Self::Parquet,
+            TableFormatArg::Csv => Self::Csv,
         }
     }
 }
 
-/// What `--ci-metrics` takes.
+/// Returns the help text of `--ci-metrics`.
 fn ci_metrics_help() -> String {
     let names = Metrics::ALL.map(|metric| metric.name).join(", ");
     let differences = Metrics::ALL.into_iter().filter(|metric| metric.is_difference);
     let differences: Vec<&str> = differences.map(|metric| metric.name).collect();
     format!(
-        "The metrics that --until-ci looks at, separated by commas, of: {names} [default: all that are defined, but \
-         for events and {}, whose mean may be 0]",
+        "Metrics that --until-ci checks, separated by commas: {names} [default: all defined metrics except events \
+         and {}, whose mean can be 0]",
         differences.join(", ")
     )
 }

@@ -1,4 +1,4 @@
-//! The options of everything that looks at scenarios, at runs, and at speed.
+//! Options of `reveille scenario`, `reveille clock` and `reveille bench`.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -11,104 +11,104 @@ use reveille_common::message::{ClockCommand, Pace};
 
 use super::parse::{parse_duration, parse_pace, parse_sizes};
 
-/// `reveille scenario`.
+/// Subcommands of `reveille scenario`.
 #[derive(Subcommand)]
-pub enum ScenarioCommand {
-    /// Print a scenario with every field; without a name, list the presets.
+pub(crate) enum ScenarioCommand {
+    /// Print a scenario with every field, or list the presets if no name is given.
     Show {
-        /// A preset's name or a TOML file.
+        /// Preset name or TOML file.
         source: Option<String>,
-        /// Override one field. May be repeated.
+        /// Override one scenario field. May be repeated.
         #[arg(long, value_name = "FIELD=VALUE")]
         set: Vec<String>,
     },
-    /// Print a JSON Schema of scenario files, with which editors complete and check them.
+    /// Print a JSON Schema of scenario files, for completion and validation in editors.
     Schema {
-        /// Write it to this file.
+        /// Write the output to this file [default: standard output].
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
-    /// Print the reference page of all fields, docs/scenario.md.
+    /// Print docs/scenario.md, the reference page of all fields.
     #[command(hide = true)]
     Reference {
-        /// Write it to this file.
+        /// Write the output to this file [default: standard output].
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
-    /// Check scenario files and say what they come to.
+    /// Validate scenario files, and print a summary of each.
     Check {
         /// Preset names or TOML files.
         #[arg(required = true)]
         sources: Vec<String>,
-        /// Override one field. May be repeated.
+        /// Override one scenario field. May be repeated.
         #[arg(long, value_name = "FIELD=VALUE")]
         set: Vec<String>,
     },
 }
 
-/// A run on the bus.
+/// Options that select a run on the bus.
 #[derive(Args, Clone, Debug)]
-pub struct TargetArgs {
-    /// The base station: tcp/ADDRESS:PORT [default: the run on this machine].
+pub(crate) struct TargetArgs {
+    /// Endpoint of the base station: tcp/ADDRESS:PORT [default: the run on this machine].
     #[arg(long, requires = "run", global = true)]
     pub connect: Option<String>,
-    /// The run's name [default: the only run on this machine].
+    /// Run name [default: the only run on this machine].
     #[arg(long, global = true)]
     pub run: Option<RunName>,
-    /// The file with the run's key, which commands to the clock need [default: the key of a run of yours on this
-    /// machine].
+    /// File with the run's key, which clock commands need [default: the key of the current user's run on this machine].
     #[arg(long, value_name = "FILE", global = true)]
     pub key_file: Option<PathBuf>,
 }
 
-/// `reveille clock`.
+/// Arguments of `reveille clock`.
 #[derive(Args)]
-pub struct ClockArgs {
-    /// The run.
+pub(crate) struct ClockArgs {
+    /// Run to control.
     #[command(flatten)]
     pub target: TargetArgs,
-    /// What to do.
+    /// The clock command.
     #[command(subcommand)]
     pub command: ClockAction,
 }
 
-/// What to do with the clock.
+/// Clock commands.
 #[derive(Subcommand, Clone, Copy)]
 pub enum ClockAction {
-    /// Stop before the next TTI. Returns when the TTI in work is closed, or says after 2 s that it is not.
+    /// Pause the run before the next TTI. The command returns when the open TTI is closed, or reports after 2 s that it
+    /// is still open.
     Pause,
-    /// Go on for some TTIs, then stop. Returns at once, without --wait.
+    /// Advance the given number of TTIs, then pause. Without --wait, the command returns immediately.
     Step {
-        /// How many TTIs to go on for.
+        /// Number of TTIs to advance.
         #[arg(default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
         ttis: u64,
-        /// Return only when the clock has stopped there, or the run has ended. A run that fails or is interrupted
-        /// before that, or a clock that another command stops earlier, is an error.
+        /// Return only when the clock has paused there or the run has ended. A run that fails or is interrupted
+        /// earlier, or a clock that another command stops earlier, is an error.
         #[arg(long)]
         wait: bool,
     },
-    /// Go on until this TTI is the next, then stop. Returns at once, without --wait.
+    /// Advance until this TTI is next, then pause. Without --wait, the command returns immediately.
     RunTo {
-        /// The TTI.
+        /// TTI before which the clock pauses.
         tti: u64,
-        /// Return only when the clock has stopped there; as for `step`.
+        /// Return only when the clock has paused there, as for `step`.
         #[arg(long)]
         wait: bool,
     },
-    /// Go on to the end.
+    /// Resume the run until its end.
     Resume,
-    /// Let TTIs follow each other at another pace.
+    /// Change the pace of the run.
     Pace {
-        /// The time a TTI takes, such as 4ms, or `max` for as fast as the devices answer.
+        /// Real time per TTI, such as 4ms; `max` runs as fast as the devices answer.
         #[arg(value_parser = parse_pace, allow_hyphen_values = true)]
         pace: Pace,
     },
-    /// Say where the clock is.
+    /// Print the position of the clock.
     Status,
 }
 
 impl ClockAction {
-    /// Whether the command returns only when the clock has stopped.
+    /// Whether the command returns only after the clock has paused.
     pub const fn waits(self) -> bool {
         match self {
             Self::Step { wait, .. } | Self::RunTo { wait, .. } => wait,
@@ -130,35 +130,39 @@ impl From<ClockAction> for ClockCommand {
     }
 }
 
-/// `reveille bench`.
+/// Subcommands of `reveille bench`.
 #[derive(Subcommand)]
-pub enum BenchCommand {
-    /// TTIs per second over the bus, against a bare zenoh barrier and a bare unix-socket barrier, in one go.
+pub(crate) enum BenchCommand {
+    /// Measure TTIs per second over the bus, compared with bare zenoh and unix-socket barriers in the same session.
     Bus(BusBenchArgs),
-    /// Device-TTIs per second in memory, on one core.
+    /// Measure device-TTIs per second in memory, on one core.
     Memory(MemoryBenchArgs),
-    /// What a device-TTI costs against the number of devices: in memory, over the bus, over the bus TTI by TTI.
+    /// Measure the cost of a device-TTI against the number of devices: in memory, over the bus, and over the bus
+    /// without lookahead.
     Scale(ScaleBenchArgs),
-    /// TTIs per second of a run that is recorded, scraped and shown in a browser, against the same run alone.
+    /// Measure TTIs per second of a run with a recording, a metrics reader and a browser dashboard, compared with the
+    /// run alone.
     Watch(WatchBenchArgs),
-    /// One host of a bare barrier.
+    /// Run one host of a bare barrier.
     #[command(hide = true)]
     BareHost {
         /// `zenoh` or `unix`.
         kind: String,
         /// Endpoint or socket path.
         at: String,
-        /// Bytes of a tick and of its answer.
+        /// Sizes of a grant and of its answer, in bytes.
         #[arg(value_parser = parse_sizes)]
         sizes: (usize, usize),
-        /// Its number.
+        /// Number of the host.
         number: u32,
+        /// Parent process; this process ends when the parent ends.
+        parent: i32,
     },
 }
 
-/// `reveille bench bus`.
+/// Arguments of `reveille bench bus`.
 #[derive(Args)]
-pub struct BusBenchArgs {
+pub(crate) struct BusBenchArgs {
     /// Numbers of device processes to measure.
     #[arg(
         long,
@@ -167,17 +171,17 @@ pub struct BusBenchArgs {
         value_parser = clap::value_parser!(u32).range(1..)
     )]
     pub processes: Vec<u32>,
-    /// Time for each measurement.
+    /// Duration of each measurement.
     #[arg(long, default_value = "3s", value_parser = parse_duration)]
     pub time: Duration,
-    /// Repetitions; the median ratio counts.
+    /// Number of repetitions; the result is the median ratio.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     pub repeat: u32,
 }
 
-/// `reveille bench scale`.
+/// Arguments of `reveille bench scale`.
 #[derive(Args)]
-pub struct ScaleBenchArgs {
+pub(crate) struct ScaleBenchArgs {
     /// Numbers of devices to measure.
     #[arg(
         long,
@@ -187,59 +191,59 @@ pub struct ScaleBenchArgs {
         value_parser = clap::value_parser!(u32).range(1..)
     )]
     pub devices: Vec<u32>,
-    /// Device processes, where there are as many devices.
+    /// Number of device processes, at most the number of devices.
     #[arg(long, short = 'P', default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
     pub processes: u32,
     /// Policy of the runs.
     #[arg(long, short, default_value = "knn")]
     pub policy: String,
-    /// TTIs of each run.
+    /// Length of each run in TTIs.
     #[arg(long, short = 'k', default_value_t = 1_000)]
     pub ttis: u64,
-    /// Let the area grow with the number of devices, as dense as 50 of them on the preset's area.
+    /// Scale the area with the number of devices, to keep the density of 50 devices on the preset's area.
     #[arg(long)]
     pub keep_density: bool,
-    /// Repetitions; the medians count.
+    /// Number of repetitions; the results are medians.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     pub repeat: u32,
 }
 
-/// `reveille bench watch`.
+/// Arguments of `reveille bench watch`.
 #[derive(Args)]
-pub struct WatchBenchArgs {
+pub(crate) struct WatchBenchArgs {
     /// Policy of the runs.
     #[arg(long, short, default_value = "knn")]
     pub policy: String,
-    /// Devices.
+    /// Number of devices.
     #[arg(long, short = 'n', default_value_t = 250)]
     pub devices: u32,
-    /// Device processes.
+    /// Number of device processes.
     #[arg(long, short = 'P', default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..))]
     pub processes: u32,
-    /// TTIs of each run.
+    /// Length of each run in TTIs.
     #[arg(long, short = 'k', default_value_t = 40_000)]
     pub ttis: u64,
-    /// Browsers that follow the dashboard.
+    /// Number of browsers that show the dashboard.
     #[arg(long, default_value_t = 1)]
     pub browsers: u32,
-    /// Pairs of runs; the median ratio counts.
+    /// Number of pairs of runs; the result is the median ratio.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
     pub repeat: u32,
 }
 
-/// `reveille bench memory`.
+/// Arguments of `reveille bench memory`.
 #[derive(Args)]
-pub struct MemoryBenchArgs {
+pub(crate) struct MemoryBenchArgs {
     /// Numbers of devices to measure.
     #[arg(long, value_delimiter = ',', default_value = "10,50,250,2500")]
     pub devices: Vec<u32>,
     /// Policies to measure.
     #[arg(long, value_delimiter = ',', default_values_t = registry::names().map(str::to_owned))]
     pub policies: Vec<String>,
-    /// TTIs of each run.
+    /// Length of each run in TTIs.
     #[arg(long, default_value_t = 100_000)]
     pub ttis: u64,
-    /// Let the area grow with the number of devices, as dense as 250 of them on the preset's area.
+    /// Scale the area with the number of devices, to keep the density of 250 devices on the preset's area.
     #[arg(long)]
     pub keep_density: bool,
 }

@@ -1,29 +1,29 @@
-//! The options of `reveille train`.
+//! Options of `reveille train`.
 
 use std::num::NonZero;
 use std::path::PathBuf;
 
 use anyhow::bail;
 use clap::{Args, Subcommand};
-use reveille_bs::policy::dt::model::shape::Objective;
-use reveille_bs::policy::q_learning::learned::{Lookback, Training};
+use reveille_bs::policy::dt::model::ModelObjective;
+use reveille_bs::policy::q_learning::learned::{Lookback, QTrainingConfig};
 
 use super::run::ScenarioArgs;
 use super::sweep::GridArgs;
 
-/// What to train.
+/// Subcommands of `reveille train`.
 #[derive(Subcommand)]
-pub enum TrainCommand {
-    /// Learn who senses and whom to wake, for each window and N, and write the tables to a file.
+pub(crate) enum TrainCommand {
+    /// Learn duty cycling and wake-ups for each window and N, and write the tables to a file.
     #[command(after_help = "Examples:\n  reveille train q-learning --out mine.json\n  \
         reveille train q-learning --devices 700 --set policy.q-learning.mu1=5 --out mine.json\n  \
         reveille train q-learning --windows 1,2,4 --out mine.json\n  \
         reveille train q-learning --windows ages --out ages.json\n\
         Then:\n  reveille run --policy q-learning --set policy.q-learning.table=mine.json\n\n\
-        A training that was cut short, even by kill -9, goes on when the same command is given again.")]
+        To resume an interrupted training, repeat the same command; this also works after kill -9.")]
     QLearning(TrainArgs),
-    /// Record what a base station knew, did and gained in every TTI of many runs, under any policy: what `train dt`
-    /// learns from.
+    /// Record training data for `train dt`: the observation, action and reward in every TTI of many runs, under any
+    /// policy.
     #[command(
         after_help = "Examples:\n  reveille train record -p age-index --grid policy.age-index.price=0.1,0.35,1 \
         -n 50,250 --seeds 8 --out calm.parquet\n  \
@@ -33,107 +33,107 @@ pub enum TrainCommand {
         Then:\n  reveille train dt calm.parquet bursts.parquet --out model.safetensors"
     )]
     Record(RecordArgs),
-    /// Train the decision transformer from recorded trajectories alone.
+    /// Train the decision transformer from recorded trajectories only.
     #[command(
         after_help = "Examples:\n  reveille train dt calm.parquet bursts.parquet --out model.safetensors\n\
         Then:\n  reveille run --policy dt --set policy.dt.model=model.safetensors\n\n\
-        It needs a build with the cargo feature train-dt: cargo run --release --features train-dt -- train dt …"
+        Needs a build with the cargo feature train-dt: cargo run --release --features train-dt -- train dt …"
     )]
     Dt(DtArgs),
 }
 
-/// `reveille train dt`.
+/// Arguments of `reveille train dt`.
 #[derive(Args)]
-pub struct DtArgs {
-    /// Trajectories, as `reveille train record` writes them.
+pub(crate) struct DtArgs {
+    /// Trajectory files of `reveille train record`.
     #[arg(required = true, value_name = "PARQUET")]
     pub trajectories: Vec<PathBuf>,
-    /// The file for the model.
+    /// Output file for the model.
     #[arg(long, short)]
     pub out: PathBuf,
-    /// Replace that file if it is there.
+    /// Replace the output file if it exists.
     #[arg(long)]
     pub force: bool,
-    /// A preset's name or a TOML file, whose policy.dt.memory, width and heads are the shape of the model.
+    /// Preset name or TOML file; its fields policy.dt.memory, width and heads set the shape of the model.
     #[arg(long, short, default_value = "paper")]
     pub scenario: String,
-    /// Override one field, for example --set policy.dt.memory=4. May be repeated.
+    /// Override one scenario field, for example --set policy.dt.memory=4. May be repeated.
     #[arg(long, value_name = "FIELD=VALUE")]
     pub set: Vec<String>,
-    /// What is learned: the events that looks find, or the actions of the teachers (behaviour cloning).
-    #[arg(long, default_value = "events", value_parser = Objective::ALL.map(Objective::name), value_name = "OBJECTIVE")]
+    /// Learning objective: the detected events, or the actions of the teachers (behaviour cloning).
+    #[arg(long, default_value = "events", value_name = "OBJECTIVE")]
+    #[arg(value_parser = ModelObjective::ALL.map(ModelObjective::name))]
     pub objective: String,
-    /// Devices do not attend to each other.
+    /// Disable attention between devices.
     #[arg(long)]
     pub no_space: bool,
-    /// Steps of the optimiser, at most.
+    /// Maximum number of optimiser steps.
     #[arg(long, default_value_t = 3000, value_parser = clap::value_parser!(u64).range(1..))]
     pub steps: u64,
-    /// Device-TTIs of a step's batch, about.
+    /// Approximate number of device-TTIs in the batch of a step.
     #[arg(long, default_value_t = 16_000, value_parser = clap::value_parser!(u32).range(1..))]
     pub batch: u32,
-    /// Learning rate at the start.
+    /// Initial learning rate.
     #[arg(long, default_value_t = 0.002)]
     pub rate: f64,
-    /// Looks at what is held out, 200 steps apart, without a better one after which the training ends.
+    /// Stop after this many consecutive validations without improvement; a validation follows every 200 steps.
     #[arg(long, default_value_t = 6, value_parser = clap::value_parser!(u64).range(1..))]
     pub patience: u64,
-    /// Seed of everything that is drawn.
+    /// Seed of every random draw.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// No progress.
+    /// Hide progress messages.
     #[arg(long, short)]
     pub quiet: bool,
 }
 
-/// `reveille train record`.
+/// Arguments of `reveille train record`.
 #[derive(Args)]
-pub struct RecordArgs {
-    /// An experiment file, as of `reveille sweep`. Options win over what it says.
+pub(crate) struct RecordArgs {
+    /// Experiment file of `reveille sweep`; options on the command line take precedence.
     pub experiment: Option<PathBuf>,
-    /// Record the run in this folder, of `up`, `bs` or `run`, instead of a grid: it is done again in memory, bit for
-    /// bit, from the scenario there, and its digest is compared. May be repeated.
+    /// Record the run of `up`, `bs` or `run` in this folder, instead of a grid. The run is replayed bit for bit in
+    /// memory from its scenario, and its digest is compared. May be repeated.
     #[arg(long, value_name = "FOLDER", conflicts_with_all = ["experiment", "explore", "GridArgs"])]
     pub from: Vec<PathBuf>,
-    /// The runs that are recorded.
+    /// Runs to record.
     #[command(flatten)]
     pub grid: GridArgs,
-    /// TTIs of a chunk: so many are recorded one after the other.
+    /// Length of a chunk in consecutive TTIs.
     #[arg(long, default_value_t = 16, value_name = "TTIS", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub chunk: u32,
-    /// TTIs from the start of one chunk to the start of the next, more than --chunk.
+    /// TTIs from the start of one chunk to the start of the next; must exceed --chunk.
     #[arg(long, default_value_t = 100, value_name = "TTIS")]
     pub every: u32,
-    /// Shares of the TTIs in which a device does not do what its policy says, separated by commas; runs take them in
-    /// turn.
+    /// Shares of TTIs in which a device deviates from its policy, separated by commas. Runs use the shares in turn.
     #[arg(long, value_delimiter = ',', default_value = "0,0.02,0.1", value_name = "SHARE,…")]
     pub explore: Vec<f64>,
-    /// Let policies that do not look at batteries go by those that are recorded when they ask who can pay for a report:
-    /// by the true ones where the scenario's bs.battery_knowledge is "oracle". They wake others then than without a
-    /// recording. The teachers of the model that comes with the program were recorded so.
+    /// Let policies that ignore batteries use the recorded levels to find devices that can pay for a report. If
+    /// bs.battery_knowledge is "oracle", these are the true levels. Such policies then wake other devices than without
+    /// a recording. The teachers of the shipped model were recorded with this option.
     #[arg(long, conflicts_with = "from")]
     pub told: bool,
-    /// The Parquet file of the trajectories.
+    /// Parquet file for the trajectories.
     #[arg(long, short)]
     pub out: PathBuf,
-    /// Replace that file if it is there.
+    /// Replace the output file if it exists.
     #[arg(long)]
     pub force: bool,
-    /// No progress bar.
+    /// Hide the progress bar.
     #[arg(long, short)]
     pub quiet: bool,
 }
 
-/// `reveille train q-learning`.
+/// Arguments of `reveille train q-learning`.
 #[derive(Args)]
-pub struct TrainArgs {
-    /// A preset's name (paper, paper-literal, quick) or a TOML file.
+pub(crate) struct TrainArgs {
+    /// Preset name (paper, paper-literal, quick) or TOML file.
     #[arg(long, short, default_value = "paper")]
     pub scenario: String,
-    /// Override one field, for example --set policy.q-learning.mu1=5. May be repeated.
+    /// Override one scenario field, for example --set policy.q-learning.mu1=5. May be repeated.
     #[arg(long, value_name = "FIELD=VALUE")]
     pub set: Vec<String>,
-    /// Numbers of devices to train for, separated by commas.
+    /// Numbers of devices N to train for, separated by commas.
     #[arg(
         long,
         short = 'n',
@@ -141,27 +141,27 @@ pub struct TrainArgs {
         default_value = "10,20,40,60,80,100,130,160,200,250"
     )]
     pub devices: Vec<u32>,
-    /// Windows to train for, TTIs within which the area is to be covered once, separated by commas; "ages" for places
-    /// that have ages instead [default: the scenario's policy.q-learning.window, or ages].
+    /// Windows to train for, separated by commas. A window is the number of TTIs in which the area must be covered
+    /// once; "ages" uses the ages of places instead [default: the scenario's policy.q-learning.window, or ages].
     #[arg(long, short, value_delimiter = ',')]
     pub windows: Vec<Lookback>,
     #[command(flatten)]
     pub episodes: EpisodeArgs,
-    /// The file for the tables.
+    /// Output file for the tables.
     #[arg(long, short)]
     pub out: PathBuf,
-    /// Replace that file if it is there.
+    /// Replace the output file if it exists.
     #[arg(long)]
     pub force: bool,
-    /// No progress bar.
+    /// Hide the progress bar.
     #[arg(long, short)]
     pub quiet: bool,
 }
 
 #[cfg(feature = "train-dt")]
 impl DtArgs {
-    /// The scenario's options, for a model that has learned nothing yet.
-    pub fn scenario(&self) -> ScenarioArgs {
+    /// Returns the scenario options for an untrained model.
+    pub(crate) fn scenario(&self) -> ScenarioArgs {
         let untrained = ["policy.name=dt", "policy.dt.model=untrained"].map(str::to_owned);
         ScenarioArgs {
             scenario: self.scenario.clone(),
@@ -174,16 +174,19 @@ impl DtArgs {
         }
     }
 
-    /// What is learned.
-    pub fn objective(&self) -> Objective {
-        let named = |objective: &Objective| objective.name() == self.objective;
-        Objective::ALL.into_iter().find(named).unwrap_or(Objective::Events)
+    /// Returns the learning objective.
+    pub(crate) fn objective(&self) -> ModelObjective {
+        let named = |objective: &ModelObjective| objective.name() == self.objective;
+        ModelObjective::ALL
+            .into_iter()
+            .find(named)
+            .unwrap_or(ModelObjective::Events)
     }
 }
 
 impl TrainArgs {
-    /// The scenario's options.
-    pub fn scenario(&self) -> anyhow::Result<ScenarioArgs> {
+    /// Returns the scenario options.
+    pub(crate) fn scenario(&self) -> anyhow::Result<ScenarioArgs> {
         let fields = ["policy.q-learning.window", "policy.q-learning.ages"];
         let is_window = |set: &&String| fields.contains(&set.split('=').next().unwrap_or_default().trim());
         if let Some(set) = self.set.iter().find(is_window).filter(|_| !self.windows.is_empty()) {
@@ -194,7 +197,7 @@ impl TrainArgs {
             if self.windows.iter().any(|one| *one != Lookback::Ages) {
                 bail!(
                     "--windows: tables for ages and for windows are learned for other weights; train those for ages \
-                     with --windows ages, into a file of their own"
+                     with --windows ages and another --out"
                 );
             }
             set.push("policy.q-learning.ages=true".to_owned());
@@ -203,7 +206,7 @@ impl TrainArgs {
     }
 }
 
-/// Fields of a scenario that a training decides, and how to.
+/// Scenario fields that a training sets, and the option or reason.
 const DECIDED: [(&str, &str); 7] = [
     ("seed", "a training takes it from --seed"),
     ("devices", "a training takes them from --devices"),
@@ -213,20 +216,20 @@ const DECIDED: [(&str, &str); 7] = [
     ("policy.q-learning.learn", "a training learns: leave it out"),
     (
         "policy.q-learning.table",
-        "a training begins with nothing: leave it out; to go on from tables, reveille run --learn",
+        "training starts without tables; remove it, or use `reveille run --learn` to continue from tables",
     ),
 ];
 
-/// How tables are trained.
+/// Training options for tables.
 #[derive(Args)]
-pub struct EpisodeArgs {
-    /// Episodes for each table, each on a deployment of its own.
+pub(crate) struct EpisodeArgs {
+    /// Number of episodes per table, each with a different deployment.
     #[arg(long, default_value_t = 36)]
     pub episodes: u64,
-    /// Length of an episode, TTIs.
+    /// Length of an episode in TTIs.
     #[arg(long, default_value_t = 3000)]
     pub episode_ttis: u64,
-    /// Share of decisions made at random in the first episode and in the last.
+    /// Shares of random decisions in the first and in the last episode.
     #[arg(
         long,
         value_delimiter = ',',
@@ -235,21 +238,21 @@ pub struct EpisodeArgs {
         value_name = "FIRST,LAST"
     )]
     pub epsilon: Vec<f64>,
-    /// Seed of everything that is drawn.
+    /// Seed of every random draw.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Threads; the result does not depend on them [default: one for each core].
+    /// Number of threads; the result does not depend on it [default: one per core].
     #[arg(long)]
     pub threads: Option<NonZero<usize>>,
 }
 
 impl EpisodeArgs {
-    /// These options as the learner takes them.
-    pub fn training(&self) -> anyhow::Result<Training> {
+    /// Returns the configuration for the learner.
+    pub(crate) fn training(&self) -> anyhow::Result<QTrainingConfig> {
         let &[first, last] = &self.epsilon[..] else {
             bail!("--epsilon takes two shares, for example 0.1,0.03");
         };
-        Ok(Training {
+        Ok(QTrainingConfig {
             episodes: self.episodes,
             ttis: self.episode_ttis,
             epsilon: (first, last),
@@ -257,15 +260,15 @@ impl EpisodeArgs {
         })
     }
 
-    /// How many threads.
-    pub fn threads(&self) -> std::io::Result<usize> {
+    /// Returns the number of threads.
+    pub(crate) fn threads(&self) -> std::io::Result<usize> {
         match self.threads {
             Some(threads) => Ok(usize::from(threads)),
             None => Ok(std::thread::available_parallelism()?.get()),
         }
     }
 
-    /// The scenario `name` with the overrides in `set` for a learner that begins with nothing.
+    /// Returns the options of scenario `name` with the overrides in `set`, for a learner without tables.
     pub(super) fn scenario(&self, name: &str, set: &[String], devices: Option<String>) -> anyhow::Result<ScenarioArgs> {
         for set in set {
             let field = set.split('=').next().unwrap_or_default().trim();

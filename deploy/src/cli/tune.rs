@@ -1,44 +1,45 @@
-//! The options of `reveille tune`.
+//! Options of `reveille tune`.
 
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
-use super::FormatArg;
+use super::ImageFormatArg;
 #[cfg(feature = "tune")]
 use super::ScenarioArgs;
 use super::train::EpisodeArgs;
 
-/// What stands below the options.
+/// Text below the options in the help.
 pub(super) const EXAMPLES: &str = "Examples:\n  reveille tune -n 100 --out tuning.csv\n  \
     reveille tune -n 100 --set bs.ranking=posterior --objective efficiency --out efficiency.csv\n  \
     reveille tune --picture-only tuning.csv\n\n\
-    A tuning that was cut short, even by kill -9, goes on when the same command is given again; with more --iterations \
-    one that had ended does.";
+    To resume an interrupted tuning, repeat the same command; this also works after kill -9. To extend a finished \
+    tuning, repeat it with more --iterations.";
 
-/// `reveille tune`.
+/// Arguments of `reveille tune`.
 #[derive(Args)]
-pub struct TuneArgs {
-    /// A preset's name (paper, paper-literal, quick) or a TOML file.
+pub(crate) struct TuneArgs {
+    /// Preset name (paper, paper-literal, quick) or TOML file.
     #[arg(long, short, default_value = "paper")]
     pub scenario: String,
-    /// Override one field, for example --set bs.ranking=posterior. May be repeated. Weights that are set are tried
-    /// first, if the ranges hold them.
+    /// Override one scenario field, for example --set bs.ranking=posterior. May be repeated. Overridden weights are
+    /// tried first if they are within the ranges.
     #[arg(long, value_name = "FIELD=VALUE")]
     pub set: Vec<String>,
     /// Number of devices N.
     #[arg(long, short = 'n', default_value = "100")]
     pub devices: String,
-    /// What to make large.
+    /// Objective to maximise.
     #[arg(long, value_enum, default_value = "balance")]
     pub objective: ObjectiveArg,
-    /// Balance: information (P1) that one unit per device and TTI is worth.
+    /// Weight of energy in the balance: information (P1) per unit spent per device and TTI.
     #[arg(long, default_value_t = 1.0, value_name = "WEIGHT")]
     pub energy_weight: f64,
-    /// Balance: information (P1) that a misdetected share of 1 is worth, beyond what those events lack.
+    /// Weight of misdetection in the balance: information (P1) for a misdetected share of 1, in addition to the
+    /// information missing from those events.
     #[arg(long, default_value_t = 1.0, value_name = "WEIGHT")]
     pub miss_weight: f64,
-    /// Least and largest μ1.
+    /// Minimum and maximum of μ1.
     #[arg(
         long,
         value_delimiter = ',',
@@ -47,7 +48,7 @@ pub struct TuneArgs {
         value_name = "FROM,TO"
     )]
     pub mu1: Vec<f64>,
-    /// Least and largest μ2.
+    /// Minimum and maximum of μ2.
     #[arg(
         long,
         value_delimiter = ',',
@@ -56,45 +57,45 @@ pub struct TuneArgs {
         value_name = "FROM,TO"
     )]
     pub mu2: Vec<f64>,
-    /// Pairs of weights that are spread over the ranges, at least 3. The first is the scenario's own, if the
-    /// ranges hold it.
+    /// Number of initial pairs of weights, at least 3, spread over the ranges. The first is the scenario's pair if it
+    /// is within the ranges.
     #[arg(long, default_value_t = 6, value_name = "PAIRS")]
     pub design: usize,
-    /// Pairs after those, each chosen by all before it.
+    /// Number of further pairs, each chosen from all earlier results.
     #[arg(long, default_value_t = 10)]
     pub iterations: usize,
     #[command(flatten)]
     pub episodes: EpisodeArgs,
-    /// Evaluation runs of each pair, with seeds that no training has.
+    /// Evaluation runs per pair; their seeds differ from all training seeds.
     #[arg(long, default_value_t = 8)]
     pub seeds: u64,
-    /// Length of an evaluation run, TTIs.
+    /// Length of an evaluation run in TTIs.
     #[arg(long, short = 'k', default_value_t = 10_000)]
     pub ttis: u64,
-    /// The file for the history, a CSV; the picture goes beside it.
+    /// CSV file for the history; the picture is written to the same folder.
     #[arg(long, short, default_value = "tuning.csv")]
     pub out: PathBuf,
-    /// Begin anew if that file is there.
+    /// Start again and replace the history file if it exists.
     #[arg(long)]
     pub force: bool,
-    /// Only draw the picture of this history, beside it.
+    /// Only draw the picture of this history, in the same folder.
     #[arg(long, value_name = "HISTORY")]
     pub picture_only: Option<PathBuf>,
     /// File formats of the picture, separated by commas.
     #[arg(long, value_enum, value_delimiter = ',', default_value = "svg,png")]
-    pub format: Vec<FormatArg>,
+    pub format: Vec<ImageFormatArg>,
     /// Print the result as JSON.
     #[arg(long)]
     pub json: bool,
-    /// No progress bar; print the best weights alone.
+    /// Hide the progress bar, and print only the best weights.
     #[arg(long, short)]
     pub quiet: bool,
 }
 
-/// An objective.
+/// Tuning objective.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum ObjectiveArg {
-    /// Information (P1) − energy weight × units per device and TTI − miss weight × share misdetected.
+pub(crate) enum ObjectiveArg {
+    /// Information (P1) − energy weight × units per device and TTI − miss weight × misdetected share.
     Balance,
     /// Information, the objective of P1.
     Information,
@@ -104,8 +105,8 @@ pub enum ObjectiveArg {
 
 #[cfg(feature = "tune")]
 impl TuneArgs {
-    /// The scenario's options.
-    pub fn scenario(&self) -> anyhow::Result<ScenarioArgs> {
+    /// Returns the scenario options.
+    pub(crate) fn scenario(&self) -> anyhow::Result<ScenarioArgs> {
         let devices = Some(self.devices.clone());
         self.episodes.scenario(&self.scenario, &self.set, devices)
     }

@@ -1,80 +1,84 @@
-//! `reveille bs`: the base station, for devices started by hand. Also what `up` and `bs` share.
+//! `reveille bs`: the base station, for devices started by hand; also the code that `up` and `bs` share.
 
 use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context as _, anyhow, bail, ensure};
-use reveille_bs::host::port;
-use reveille_bs::host::{self, BsError, Course, Decisions, OnLoss, Progress, Served, Settings};
-use reveille_bs::observe::Observer;
+use anyhow::{anyhow, bail, ensure};
+use reveille_bs::cycle::PreparedRun;
+use reveille_bs::observer::Observer;
 use reveille_bs::policy::outside;
-use reveille_bs::prepared::Prepared;
-use reveille_common::bus::{Bus, Declared, draw_secret};
+use reveille_bs::scenario::Scenario;
+use reveille_bs::server::{self, BsError, OnLoss, RunProgress, RunSpec, ServerConfig, ServerOutcome, policy_port};
+use reveille_bs::session::Session;
+use reveille_common::bus::{Bus, DeclarationGuard, draw_secret};
 use reveille_common::keys::RunName;
-use reveille_common::message::{Describe, Description, Pace, ReadLog};
-use reveille_common::scenario::Scenario;
+use reveille_common::message::{DescribeRequest, Description, Pace, ReadLog};
 use reveille_lab::preparation::prepare as prepare_run;
 use reveille_lab::run::StopWhen;
-use reveille_view::metrics::Process;
-use tokio::sync::oneshot;
+use reveille_view::metrics::ProcessStats;
 
-use super::conclusion::{conclude, window};
 use super::inspect::source::groups;
-use super::resolution::resolve_run;
-use super::run::Interrupted;
-use super::taken::{self, Beginning};
+use super::resolve_scenario::resolve_run;
+use super::resume::{self, ResumePlan};
+use super::{conclude, window};
+use crate::audit::{self, Auditor, device_owner};
 use crate::cli::{AuditArg, BsArgs, DriveArgs, OutputArgs};
-use crate::dashboard::feed::{Feed, Hose};
-use crate::decider::{Deciding, deciding};
+use crate::dashboard::feed::{Feed, FeedHandle};
 use crate::display::{Bar, note};
+use crate::exit::Interrupted;
 use crate::input_log::{self, INPUTS, InputLog};
-use crate::marks::Marker;
 use crate::policy_process::PolicyProcess;
-use crate::results::RunFolder;
-use crate::shadow::{self, Auditor, whose};
+use crate::policy_source::{PolicySource, policy_source};
+use crate::resume_mark::ResumeMarkWriter;
+use crate::run_folder::RunFolder;
+use crate::run_watchers::RunWatchers;
+use crate::signals::{Manner, Signals, aside};
 use crate::summary::{Summary, Timing};
-use crate::watch::Watch;
-use crate::{interrupt, key, limits, local, recording};
+use crate::{file_limits, key, recording, run_registry};
 
-/// Time between two looks for a signal.
+/// Time between two checks for the cause of an end.
 const LOOK: Duration = Duration::from_millis(20);
-/// How long pages that follow the run have to be told that it has ended.
+/// Time for dashboard pages to learn that the run has ended.
 const SHOWN: Duration = Duration::from_millis(200);
-/// How long observers on the bus may take for the last messages once a run has ended.
+/// Time for observers on the bus to receive the last messages of an ended run.
 const DRAIN: Duration = Duration::from_secs(1);
 
-/// Serves a run to devices that come from elsewhere.
-pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
-    let started = crate::wall::now();
+/// Serves a run to device processes started separately.
+pub(crate) async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
+    let started = crate::runtime::now();
     let (scenario, given) = resolve_run(&args.scenario, &args.output)?;
     check(&args.output, &args.drive)?;
-    let deciding = deciding(&scenario, given, &args.drive)?;
-    limits::for_any_station(scenario.devices)?;
+    let deciding = policy_source(&scenario, given, &args.drive)?;
+    file_limits::for_any_station(scenario.run.devices)?;
+    // Installed before the bus and the folder exist, so that no signal can leave something half made.
+    let signals = Signals::install(Manner::Keeps)?;
     let bus = Bus::listen(&args.listen, args.run.clone()).await?;
+    // The folder comes last: --force empties it, and an endpoint in use must not cost the old run.
     let folder = RunFolder::create(&args.output, &scenario)?;
     let window = window(&args.output, &scenario);
     let key = match &args.key_file {
         Some(path) => key::read_or_make(path)?,
         None => draw_secret()?,
     };
-    let settings = Settings {
+    let settings = ServerConfig {
         join_patience: args.join_timeout,
         key: Some(key),
+        // A drawn key reaches no device process that was started by hand, so only a key file limits the members.
         members_only: args.key_file.is_some(),
         ..settings(&args.drive, &args.output, window)
     };
     if !args.output.quiet {
         note!(
             "waiting for {} devices: reveille device --connect {} --run {} --count …",
-            scenario.devices,
-            local::reachable(bus.endpoint()),
+            scenario.run.devices,
+            run_registry::reachable_endpoint(bus.endpoint()),
             args.run
         );
     }
-    let progress = Arc::new(Progress::default());
+    let progress = Arc::new(RunProgress::default());
     serve(
         &Service {
             bus: &bus,
@@ -86,6 +90,7 @@ pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
             audit: args.drive.audit,
             deciding,
             progress,
+            signals: &signals,
             started,
         },
         folder,
@@ -94,48 +99,50 @@ pub async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     .await
 }
 
-/// A base station about to serve.
-pub struct Service<'a> {
-    /// Its session.
+/// A base station ready to serve.
+pub(crate) struct Service<'a> {
+    /// The bus session.
     pub bus: &'a Bus,
     /// The run's name.
     pub run: &'a RunName,
     /// The scenario.
     pub scenario: &'a Scenario,
-    /// How the run is driven.
-    pub settings: Settings,
-    /// How results are shown.
+    /// Server settings of the run.
+    pub settings: ServerConfig,
+    /// Options for the display of results.
     pub output: &'a OutputArgs,
-    /// Where the dashboard is served, if it is.
+    /// Address of the dashboard, if it is served.
     pub dashboard: Option<&'a str>,
-    /// Whether it is compared with a replay.
+    /// Extent of the audit.
     pub audit: AuditArg,
-    /// Who decides, where the policy does not.
-    pub deciding: Deciding<'a>,
-    /// How far the run has come.
-    pub progress: Arc<Progress>,
-    /// When the command was given.
+    /// Source of decisions under the policy `external`.
+    pub deciding: PolicySource<'a>,
+    /// The run's progress.
+    pub progress: Arc<RunProgress>,
+    /// The signals that end the run.
+    pub signals: &'a Signals,
+    /// Start time of the command.
     pub started: Instant,
 }
 
-/// Looks whether what watches the run can be had, before there is a run folder.
+/// Checks, before a run folder exists, that the watchers of the run can be started.
 ///
 /// # Errors
-/// It cannot.
-pub fn check(output: &OutputArgs, drive: &DriveArgs) -> anyhow::Result<()> {
-    crate::watch::check(output)?;
+/// If one of them cannot.
+pub(crate) fn check(output: &OutputArgs, drive: &DriveArgs) -> anyhow::Result<()> {
+    crate::run_watchers::check(output)?;
     match &drive.dashboard {
-        Some(address) => crate::web::can_listen("--dashboard", address),
+        Some(address) => crate::metrics_server::can_listen("--dashboard", address),
         None => Ok(()),
     }
 }
 
-/// The settings that the command line means.
-pub fn settings(drive: &DriveArgs, output: &OutputArgs, window: u64) -> Settings {
+/// Returns the settings that the command line requests.
+pub(crate) fn settings(drive: &DriveArgs, output: &OutputArgs, window: u64) -> ServerConfig {
     if drive.no_lookahead && drive.pace != Pace::Max {
         tracing::warn!("--no-lookahead has no effect: a real-time --pace grants every TTI by itself anyway");
     }
-    Settings {
+    ServerConfig {
         lookahead: !drive.no_lookahead,
         pace: drive.pace,
         on_loss: drive.on_loss.into(),
@@ -148,8 +155,8 @@ pub fn settings(drive: &DriveArgs, output: &OutputArgs, window: u64) -> Settings
     }
 }
 
-/// Serves the run, writes the results, dismisses the hosts. `look` is called with the timing before anyone leaves.
-pub async fn serve(
+/// Serves the run, writes the results and dismisses the hosts. Calls `look` with the timing before any host leaves.
+pub(crate) async fn serve(
     service: &Service<'_>,
     mut folder: RunFolder,
     look: impl FnOnce(&mut Timing),
@@ -159,13 +166,14 @@ pub async fn serve(
         scenario,
         output,
         progress,
+        signals,
         started,
         ..
     } = service;
-    let Prerequisites {
+    // The first two are held to the end of the run: dropping them withdraws the registration and the queries.
+    let RunServices {
         registered: _registered,
         described: _described,
-        stop,
         watch,
         shown,
     } = match prepare(service, folder.path()).await {
@@ -186,16 +194,16 @@ pub async fn serve(
         }
     };
     let path = folder.path().to_owned();
-    let mut observer = (&mut folder, (watch.gauged(), StopWhen(watch.is_broken())));
-    let (watched, seen) = (Arc::clone(&stop), Arc::clone(progress));
+    // A recording that cannot be written ends the run at the end of a window.
+    let mut observer = (&mut folder, (watch.metrics_observer(), StopWhen(watch.is_broken())));
+    let (watched, seen) = ((*signals).clone(), Arc::clone(progress));
+    // The set-up and the loop over TTIs check `stop`, not signals.
     let relay = tokio::spawn(async move {
-        while !watched.load(Ordering::Relaxed) {
-            tokio::time::sleep(LOOK).await;
-        }
+        watched.first().await;
         seen.stop.store(true, Ordering::Relaxed);
     });
     let bar = Bar::start(progress, scenario, output.quiet);
-    let (preparing, served) = match set_up(scenario, progress).await {
+    let (preparing, served) = match set_up(scenario, progress) {
         Ok(prepared) => {
             let preparing = started.elapsed();
             prepared.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
@@ -206,10 +214,11 @@ pub async fn serve(
     };
     relay.abort();
     drop(bar);
-    let decider = decider.map(PolicyProcess::dismissed);
-    if service.deciding.decisions.port.is_some() {
-        // Who decides may leave; one that does not hear of it is ended all the same.
-        let _unheard = port::farewell(bus).await.is_err();
+    // Called before the farewell: a policy process that leaves because of it must not count as a failure.
+    let decider = decider.map(PolicyProcess::run_finished);
+    if service.deciding.patience.is_some() {
+        // Policy processes may leave now; dropping `decider` ends a started one that does not react.
+        let _unheard = policy_port::send_bye(bus).await.is_err();
     }
     drop(decider);
     let ended = match served {
@@ -220,7 +229,9 @@ pub async fn serve(
                 audit: Some(audited),
                 ..Summary::new(scenario, &served.outcome, timing)
             };
-            let kept = folder.keep_learned(scenario, &served.outcome);
+            // The recording is closed even if the learned tables cannot be written. The summary comes last: with it the
+            // folder counts as complete.
+            let kept = folder.write_learned(scenario, &served.outcome);
             let recorded = summary.to_json().and_then(|text| watch.finish(Some(text)));
             kept.and(recorded)
                 .and_then(|()| folder.finish(scenario, &served.outcome, &summary))
@@ -232,13 +243,14 @@ pub async fn serve(
                 None => error,
             };
             folder.fail(&error);
-            // The run's error is the one to tell.
+            // The run's own error is the one to report; an error of the recording would hide it.
             let _closed = watch.finish(None).is_ok();
             Err(error)
         }
     };
-    host::dismiss(bus, ended.as_ref().err().map(|error| format!("{error:#}")))?;
-    bus.drain(DRAIN).await;
+    // Sent only now: it tells the hosts whether the run failed, and writing the results can fail too.
+    server::dismiss_hosts(bus, ended.as_ref().err().map(|error| format!("{error:#}")))?;
+    bus.flush_observers(DRAIN).await;
     if let Some(hose) = shown {
         hose.end();
         tokio::time::sleep(SHOWN).await;
@@ -246,13 +258,13 @@ pub async fn serve(
     ended
 }
 
-/// The run over the bus, and its shadow beside it.
+/// Plays the run over the bus, together with its replay.
 async fn play(
     service: &Service<'_>,
-    prepared: &Prepared,
+    prepared: &PreparedRun,
     folder: &Path,
     observer: &mut impl Observer,
-) -> anyhow::Result<(Served, String)> {
+) -> anyhow::Result<(ServerOutcome, String)> {
     let Service {
         bus,
         scenario,
@@ -263,79 +275,81 @@ async fn play(
         ..
     } = service;
     let log = InputLog::new(folder, scenario);
-    let Beginning {
+    let ResumePlan {
         inputs,
         log,
         mark,
         from,
     } = match &output.resume {
-        Some(_) => tokio::task::block_in_place(|| Beginning::of_folder(folder, prepared, log))?,
-        None => Beginning::new(&service.deciding.decisions.kept, log)?,
+        // A replay can be long; `block_in_place` keeps the other tasks of the runtime going.
+        Some(_) => tokio::task::block_in_place(|| ResumePlan::from_folder(folder, prepared, log, progress))?,
+        None => ResumePlan::new(&service.deciding.recorded, log)?,
     };
+    // A resumed run keeps the window of its first part, so that windows.csv gets the same rows.
     let window = mark.as_ref().map_or(settings.window, |mark| mark.window);
-    let settings = Settings { window, ..*settings };
-    let mut marker = Marker::new(folder, scenario, window, mark);
-    let (taken, decisions) = match from {
-        Some(from) => {
-            let (taken, decisions) = tokio::task::block_in_place(|| {
-                let mut observers = (&mut *observer, &mut marker);
-                taken::replay(prepared, &inputs, from, window, progress, &mut observers)
-            })?;
-            (Some(taken), decisions)
+    let settings = ServerConfig { window, ..*settings };
+    let mut marker = ResumeMarkWriter::new(folder, scenario, window, mark);
+    let (session, resumption) = if let Some(from) = from {
+        let (session, devices) = tokio::task::block_in_place(|| {
+            let mut observers = (&mut *observer, &mut marker);
+            resume::replay(prepared, &inputs, from, window, progress, &mut observers)
+        })?;
+        (session, Some(devices))
+    } else {
+        let mut session = Session::new(prepared, window);
+        for decision in &inputs.decisions {
+            session.queue_mut().push_decision(decision.clone());
         }
-        None => (
-            None,
-            Decisions {
-                kept: inputs.decisions.clone(),
-                ..Decisions::default()
-            },
-        ),
+        (session, None)
     };
+    // Before any grant: a run that does not reproduce its mark must not continue.
     marker.check()?;
-    let start = shadow::Beginning {
+    let start = audit::AuditStart {
         from: from.unwrap_or_default(),
         inputs: &inputs,
         log,
     };
     let auditor = Auditor::start(prepared, start, *audit, progress);
+    // The replay also stores external inputs, so a policy process needs it under every --on-loss.
     let is_kept = settings.on_loss != OnLoss::End || outside::is_external(&scenario.policy);
-    let course = Course {
+    let course = RunSpec {
         prepared,
-        taken,
+        session,
+        resumption: resumption.map(Arc::new),
         replay: is_kept.then(|| auditor.replay()),
-        decisions: Decisions {
-            port: service.deciding.decisions.port,
-            ..decisions
-        },
+        patience: service.deciding.patience,
     };
-    let mut observers = (observer, (&mut marker, auditor.ear()));
-    let served = host::serve(bus, course, &settings, progress, &mut observers).await;
+    let mut observers = (observer, (&mut marker, auditor.observer()));
+    let served = server::serve(bus, course, &settings, progress, &mut observers).await;
+    // Drops the audit observer, which sends its last batch; the auditor's thread ends only when no sender is left.
     drop(observers);
     let marked = marker.finish(served.as_ref().is_ok_and(|served| served.outcome.complete));
-    // Why the run ended comes first.
+    // The run's own error takes precedence over an error of its mark.
     let served = served?;
     marked?;
     let audited = auditor.finish(&served.outcome);
     if audited.is_err() {
-        // What is wrong is not gone on with.
+        // A run that failed its audit must not be resumed, so its mark is removed.
         marker.finish(true)?;
     }
+    // A fault stops the run in order, as a signal does; only the cause tells them apart.
     if let Some(why) = progress.cause.get() {
         bail!("{why}");
     }
-    let has_all = !served.outcome.complete || served.decisions.left == 0;
+    // An interrupted run may leave logged decisions unused; a complete run that does so had the wrong log.
+    let has_all = !served.outcome.complete || served.unused_decisions == 0;
     ensure!(has_all, input_log::MISFIT);
     match audited {
         Ok(audited) => Ok((served, audited.to_string())),
         Err(difference) => bail!(
             "the run is not what it should be. {difference}{}",
-            whose(progress, &difference)
+            device_owner(progress, &difference)
         ),
     }
 }
 
-/// Why the run was stopped, if that is known: the connection of a process is gone a moment before it is.
-async fn cause(progress: &Progress) -> Option<String> {
+/// The cause of a stop, if known. Waits briefly: a process's connection ends a moment before the process.
+async fn cause(progress: &RunProgress) -> Option<String> {
     for _ in 0..10 {
         if let Some(why) = progress.cause.get() {
             return Some(why.clone());
@@ -345,8 +359,9 @@ async fn cause(progress: &Progress) -> Option<String> {
     None
 }
 
-/// `error`, which came about as `why` says. A process that has ended neither comes back nor was frozen.
+/// Adds the cause `why` to `error`. A lost host whose process has ended cannot rejoin and was not frozen.
 fn because(why: &str, error: &anyhow::Error) -> anyhow::Error {
+    // `play` may have returned the cause itself.
     if error.to_string() == why {
         return anyhow!("{why}");
     }
@@ -359,38 +374,26 @@ fn because(why: &str, error: &anyhow::Error) -> anyhow::Error {
     }
 }
 
-/// Finds out on another thread what the run needs, which takes a while with a million devices or a search before it;
-/// when it is told to stop, that is given up, since there is nothing to lose yet.
-async fn set_up(scenario: &Scenario, progress: &Progress) -> anyhow::Result<Prepared> {
-    let (sender, mut receiver) = oneshot::channel();
+/// Prepares the run on another thread, which takes a while with a million devices or a search. A stop request abandons
+/// the preparation, since there is nothing to lose yet.
+fn set_up(scenario: &Scenario, progress: &RunProgress) -> anyhow::Result<PreparedRun> {
     let scenario = scenario.clone();
-    std::thread::spawn(move || {
-        // After a signal nobody waits for it.
-        let _ = sender.send(prepare_run(&scenario));
-    });
-    loop {
-        tokio::select! {
-            ready = &mut receiver => return ready.context("the run could not be set up"),
-            () = tokio::time::sleep(LOOK) => {
-                if progress.stop.load(Ordering::Relaxed) {
-                    bail!(Interrupted);
-                }
-            }
-        }
-    }
+    let is_over = || progress.stop.load(Ordering::Relaxed);
+    // The wait blocks this thread; the task that turns a signal into `stop` runs on another one.
+    let ready = tokio::task::block_in_place(|| aside(move || prepare_run(&scenario), is_over))?;
+    ready.ok_or_else(|| Interrupted::BEFORE_RUN.into())
 }
 
-/// What a run needs beside its scenario: to be found, to be described, to be stopped, and to be watched.
-struct Prerequisites {
-    registered: Option<local::Registered>,
-    described: [Declared; 2],
-    stop: Arc<AtomicBool>,
-    watch: Watch,
-    /// What the dashboard is fed by, if there is one.
-    shown: Option<Hose>,
+/// The registration, the descriptions and the watchers of a run, held until its end.
+struct RunServices {
+    registered: Option<run_registry::Registration>,
+    described: [DeclarationGuard; 2],
+    watch: RunWatchers,
+    /// The handle that feeds the dashboard, if it is served.
+    shown: Option<FeedHandle>,
 }
 
-async fn prepare(service: &Service<'_>, folder: &Path) -> anyhow::Result<Prerequisites> {
+async fn prepare(service: &Service<'_>, folder: &Path) -> anyhow::Result<RunServices> {
     let Service {
         run,
         bus,
@@ -399,7 +402,7 @@ async fn prepare(service: &Service<'_>, folder: &Path) -> anyhow::Result<Prerequ
         progress,
         ..
     } = service;
-    let registered = local::register(run, bus.endpoint(), service.settings.key);
+    let registered = run_registry::register(run, bus.endpoint(), service.settings.key);
     if let Err(error) = &registered {
         tracing::warn!(
             "{error:#}: `clock` and `inspect` will not find this run by themselves; give them --run {run} and \
@@ -407,26 +410,29 @@ async fn prepare(service: &Service<'_>, folder: &Path) -> anyhow::Result<Prerequ
             bus.endpoint()
         );
     }
+    // Read once, so that every observer gets the same files even if they change later.
     let description = Description::from(recording::bundle(scenario)?);
     let log = folder.join(INPUTS);
     let described = [
-        bus.serve(move |_: Describe| description.clone())?,
-        bus.serve_shown(move |asked: ReadLog, _| {
-            input_log::part(&log, asked.from).map_err(|error| format!("{}: {error}", log.display()))
+        bus.serve(move |_: DescribeRequest| description.clone())?,
+        // Read from the disk for each request, since the log grows during the run.
+        bus.serve_with_secret(move |asked: ReadLog, _| {
+            input_log::read_part(&log, asked.from).map_err(|error| format!("{}: {error}", log.display()))
         })?,
     ];
     let (progress, tapped) = (Arc::clone(progress), (*bus).clone());
     let process = move || {
         let get = |value: &AtomicU64| value.load(Ordering::Relaxed);
-        Process {
+        ProcessStats {
             hosts: get(&progress.hosts),
             late_ttis: get(&progress.late_ttis),
             max_late_s: get(&progress.max_late) as f64 / 1e9,
-            left_out: tapped.left_out(),
+            left_out: tapped.dropped_frames(),
+            // Filled in by `RunWatchers::start`, which knows the recorder.
             recorder_waited_s: 0.0,
         }
     };
-    let watch = Watch::start(output, &run.to_string(), scenario, process).await?;
+    let watch = RunWatchers::start(output, &run.to_string(), scenario, process).await?;
     let mut shown = None;
     let hose = match service.dashboard {
         Some(address) => {
@@ -442,25 +448,26 @@ async fn prepare(service: &Service<'_>, folder: &Path) -> anyhow::Result<Prerequ
     };
     let sink = watch.sink();
     if hose.is_some() || sink.is_some() {
-        bus.copy_to(Box::new(move |frame| {
+        // The bus has one local sink, so one closure serves both.
+        bus.set_local_sink(Box::new(move |frame| {
             if let Some(sink) = &sink {
                 sink(frame);
             }
             if let Some(hose) = &hose {
+                // The run continues without its dashboard.
                 let _gone = hose.take(frame.clone());
             }
         }));
     }
-    Ok(Prerequisites {
+    Ok(RunServices {
         registered: registered.ok(),
         described,
-        stop: interrupt::watch()?,
         watch,
         shown,
     })
 }
 
-fn timing(served: &Served, preparing: Duration) -> Timing {
+fn timing(served: &ServerOutcome, preparing: Duration) -> Timing {
     let run_s = served.running.as_secs_f64();
     Timing {
         ready_s: (preparing + served.joining).as_secs_f64(),
@@ -477,6 +484,7 @@ fn timing(served: &Served, preparing: Duration) -> Timing {
         decisions_held: served.decisions.held,
         losses: served.losses.len(),
         longest_loss_s: served.losses.iter().max().map_or(0.0, Duration::as_secs_f64),
+        // `up` measures these: only it knows the device processes.
         host_rss_mb: 0.0,
         host_pss_mb: 0.0,
     }

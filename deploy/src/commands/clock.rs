@@ -10,18 +10,18 @@ use tokio::sync::Notify;
 
 use crate::cli::ClockArgs;
 use crate::display::{self, note};
-use crate::exit::Exit;
-use crate::local;
+use crate::exit::ExitReason;
+use crate::run_registry;
 
 const PATIENCE: Duration = Duration::from_secs(5);
-/// Time between two looks at a clock that is waited for.
+/// Time between two queries while waiting for the clock.
 const LOOK: Duration = Duration::from_millis(20);
-/// How long `clock pause` waits for the TTI in work to be closed, before it says that it is not.
+/// Time that `clock pause` waits for the open TTI to close before it reports that it is still open.
 const CLOSING: Duration = Duration::from_secs(2);
 
-/// Sends one command to a run's clock and prints where it is.
-pub async fn run(args: &ClockArgs) -> anyhow::Result<ExitCode> {
-    let found = local::find(&args.target)?;
+/// Sends a command to a run's clock and prints its position.
+pub(crate) async fn run(args: &ClockArgs) -> anyhow::Result<ExitCode> {
+    let found = run_registry::find(&args.target)?;
     let bus = Bus::connect(&found.endpoint, found.run, PATIENCE)
         .await?
         .with_key(found.key);
@@ -29,13 +29,15 @@ pub async fn run(args: &ClockArgs) -> anyhow::Result<ExitCode> {
     let bell = Arc::clone(&ended);
     let _watch = bus.watch_alive(bus.keys().bs_alive(), move |_, alive| {
         if !alive {
+            // `notify_one` keeps a permit: the token can disappear before anything waits for the bell.
             bell.notify_one();
         }
     })?;
     let command = ClockCommand::from(args.command);
-    let Some(status) = bus.ask(&command, PATIENCE).await? else {
-        return Err(bus.no_run().await.into());
+    let Some(status) = bus.query(&command, PATIENCE).await? else {
+        return Err(bus.no_run_error().await.into());
     };
+    // The clock ignores a TTI that is past or after the end; its status alone does not show that.
     if let ClockCommand::RunTo(k) = command
         && !(status.tti.0..=status.ttis).contains(&k.0)
     {
@@ -51,16 +53,16 @@ pub async fn run(args: &ClockArgs) -> anyhow::Result<ExitCode> {
         Some(patience) => reach(&bus, &ended, status, patience).await?,
         None => status.to_string(),
     };
-    display::out(&format!("{said}\n"))?;
+    display::print(&format!("{said}\n"))?;
     bus.close().await;
-    Ok(Exit::Done.into())
+    Ok(ExitReason::Done.into())
 }
 
-/// Waits until the clock stands where `first`, the answer to the command, says that it will stop. Gives what there is
-/// to say then, or after `patience`.
+/// Waits until the clock reaches the target in `first`, the answer to the command. Returns the status to print, at the
+/// latest after `patience`.
 ///
 /// # Errors
-/// If it stops before that, or the run ends before that.
+/// If the clock stops or the run ends before the target.
 async fn reach(bus: &Bus, ended: &Notify, first: ClockStatus, patience: Duration) -> anyhow::Result<String> {
     let (target, ttis) = (first.until, first.ttis);
     let mut status = first;
@@ -69,6 +71,7 @@ async fn reach(bus: &Bus, ended: &Notify, first: ClockStatus, patience: Duration
         if status.paused && status.tti < target {
             anyhow::bail!("{status}, short of TTI {target}: another command has stopped the clock");
         }
+        // Another command can have sent the clock beyond the target.
         if status.paused || status.tti > target || waited >= patience {
             return Ok(status.to_string());
         }
@@ -80,7 +83,7 @@ async fn reach(bus: &Bus, ended: &Notify, first: ClockStatus, patience: Duration
             () = ended.notified() => None,
             reply = async {
                 tokio::time::sleep(LOOK).await;
-                bus.ask(&ClockCommand::Status, PATIENCE).await
+                bus.query(&ClockCommand::Status, PATIENCE).await
             } => reply?,
         };
         waited += LOOK;
@@ -89,6 +92,7 @@ async fn reach(bus: &Bus, ended: &Notify, first: ClockStatus, patience: Duration
             if seen.0 >= ttis {
                 return Ok(format!("the run has ended: all {ttis} TTIs are done"));
             }
+            // A target at the end of the run is reached by a run that has ended, even if no status showed it.
             anyhow::ensure!(
                 target.0 >= ttis,
                 "the run ended before TTI {target}: it was interrupted or has failed; last seen at TTI {seen} of {ttis}"

@@ -1,40 +1,45 @@
-//! `reveille device`: a process that carries devices.
+//! `reveille device`: a process that runs devices.
 
 use std::process::ExitCode;
 use std::time::Duration;
 
 use reveille_common::bus::Bus;
-use reveille_device::host::{self, HostError, News, Offer};
+use reveille_device::host::{self, HostConfig, HostError, HostEvent};
 use rustix::process::Signal;
 
 use crate::cli::DeviceArgs;
 use crate::display::note;
-use crate::exit::Exit;
-use crate::{interrupt, key, launch, limits};
+use crate::exit::ExitReason;
+use crate::signals::{Manner, Signals};
+use crate::{child_process, file_limits, key};
 
-/// A child of `up` ends with it; until then it waits.
+/// The patience of a child of `up`, which ends with its parent anyway.
 const FOREVER: Duration = Duration::from_hours(24 * 365);
 
-/// Carries devices to the end of a run.
-pub async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
+/// Runs devices to the end of a run.
+pub(crate) async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
+    // Before anything else: the parent may end at any moment, and a child must not outlive it.
     if let Some(parent) = args.parent {
-        launch::die_with(parent, Signal::KILL)?;
+        child_process::exit_with_parent(parent, Signal::KILL)?;
     }
-    limits::for_device()?;
-    // Children of `up` leave the talking to it.
+    let signals = Signals::install(Manner::Leaves)?;
+    file_limits::for_device()?;
+    // `up` reports on behalf of its children.
     let is_alone = args.parent.is_none();
-    let say = |news: News| match news {
-        News::Joined(host, first, last) if is_alone => {
+    let say = |news: HostEvent| match news {
+        HostEvent::Joined(host, first, last) if is_alone => {
             note!("joined run {} as host {host} with devices {first} to {last}", args.run);
         }
-        News::StandsBy if is_alone => note!("all devices of run {} are carried; standing by for lost ones", args.run),
-        News::Joined(..) | News::StandsBy => {}
+        HostEvent::StandsBy if is_alone => {
+            note!("all devices of run {} are carried; standing by for lost ones", args.run);
+        }
+        HostEvent::Joined(..) | HostEvent::StandsBy => {}
     };
     let key = match &args.key_file {
         Some(path) => Some(key::read(path)?),
         None => key::inherited(),
     };
-    let offer = Offer {
+    let offer = HostConfig {
         count: args.count,
         name: format!("the process with pid {}", std::process::id()),
         key,
@@ -43,21 +48,16 @@ pub async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
         hands_over: args.untuned,
     };
     let work = async {
-        let bus = Bus::connect_among(args.among, &args.connect, args.run.clone(), args.patience).await?;
-        let carried = host::carry(&bus, offer, &say).await;
+        let bus = Bus::connect_with_hosts(args.among, &args.connect, args.run.clone(), args.patience).await?;
+        let carried = host::run_host(&bus, offer, &say).await;
         bus.close().await;
         carried
     };
-    tokio::select! {
-        carried = work => match carried {
-            Ok(()) => Ok(Exit::Done.into()),
-            // `up` has ended the run and says why; to it this process did not fail.
-            Err(HostError::RunFailed(_)) if !is_alone => Ok(Exit::Done.into()),
-            Err(error) => Err(error.into()),
-        },
-        told = interrupt::told() => {
-            told?;
-            Ok(Exit::Interrupted.into())
-        }
+    match signals.or(work).await {
+        Some(Ok(())) => Ok(ExitReason::Done.into()),
+        // `up` ended the run and reports the cause; its child has not failed.
+        Some(Err(HostError::RunFailed(_))) if !is_alone => Ok(ExitReason::Done.into()),
+        Some(Err(error)) => Err(error.into()),
+        None => Ok(ExitReason::Interrupted.into()),
     }
 }

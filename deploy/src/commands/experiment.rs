@@ -1,24 +1,24 @@
-//! The experiment that the command line means.
+//! The experiment that the command line selects.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use reveille_lab::sweep::{Draft, Experiment};
+use reveille_lab::sweep::{Experiment, ExperimentBuilder};
 use toml::Value;
 
 use crate::cli::GridArgs;
 
-/// What the experiment `file` says, if there is one, with the options on top.
-pub fn experiment(file: Option<&Path>, given: &GridArgs) -> anyhow::Result<Experiment> {
+/// Loads the optional experiment `file` and applies the options.
+pub(super) fn experiment(file: Option<&Path>, given: &GridArgs) -> anyhow::Result<Experiment> {
     let file = match file {
-        Some(path) => Draft::load(path)?,
-        None => Draft::default(),
+        Some(path) => ExperimentBuilder::load(path)?,
+        None => ExperimentBuilder::default(),
     };
-    Ok(options(given)?.over(file).finish()?)
+    Ok(options(given)?.with_defaults_from(file).build()?)
 }
 
-fn options(given: &GridArgs) -> anyhow::Result<Draft> {
-    let mut draft = Draft {
+fn options(given: &GridArgs) -> anyhow::Result<ExperimentBuilder> {
+    let mut draft = ExperimentBuilder {
         scenario: given.scenario.clone(),
         base_dir: PathBuf::new(),
         count: given.seeds,
@@ -26,7 +26,7 @@ fn options(given: &GridArgs) -> anyhow::Result<Draft> {
         until_ci: given.until_ci.clone(),
         ci_metrics: given.ci_metrics.clone(),
         min_seeds: given.min_seeds,
-        ..Draft::default()
+        ..ExperimentBuilder::default()
     };
     for (flag, path, values) in [
         ("--policies", "policy.name", &given.policies),
@@ -61,7 +61,7 @@ fn options(given: &GridArgs) -> anyhow::Result<Draft> {
     Ok(draft)
 }
 
-/// A TOML value, or a bare word that stands for a string.
+/// Parses a TOML value; a bare word becomes a string.
 fn value(text: &str) -> Value {
     list(&format!("[{text}]"))
         .ok()
@@ -69,7 +69,7 @@ fn value(text: &str) -> Value {
         .map_or_else(|| Value::String(text.trim().to_owned()), |[value]| value)
 }
 
-/// A TOML list.
+/// Parses a TOML list.
 fn list(text: &str) -> anyhow::Result<Vec<Value>> {
     let table: toml::Table = toml::from_str(&format!("list = {text}")).context("the list is not valid TOML")?;
     match table.into_iter().next() {

@@ -1,33 +1,33 @@
-//! `reveille figures`: pictures as SVG and PNG.
-
-mod sweep;
+//! `reveille figures`: figures as SVG and PNG.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::anyhow;
-use reveille_bs::policy::q_learning::learned::{Entry, Learned};
+use reveille_bs::policy::q_learning::learned::{LearnedTables, TableSet};
 use reveille_bs::policy::registry;
 use reveille_common::ids::Tti;
 use reveille_common::io::Disk;
 use reveille_common::scenario::WakeUpRanking;
-use reveille_study::figures::attention::{self, Attention};
-use reveille_study::figures::name::as_file;
-use reveille_study::figures::results::{Condition, Results};
+use reveille_study::figures::attention::{self, AttentionFigure};
+use reveille_study::figures::results::{Results, RunCondition};
+use reveille_study::figures::sweep::{SweepFigureSpec, named, several};
 use reveille_study::figures::timeline::Timeline;
-use reveille_study::figures::{deployment, energy, front, learning, pareto, q_table, robustness, study, timeline};
+use reveille_study::figures::{
+    as_file, deployment, energy, front, learning, pareto, q_table, robustness, study, timeline,
+};
 
-use super::pictures::{read, save, write};
-use super::resolution::resolve;
+use super::figure_files::{read, save, write};
+use super::resolve_scenario::resolve;
 use crate::cli::{
-    AttentionArgs, DeploymentArgs, FiguresArgs, FiguresCommand, LearningArgs, QTableArgs, RankingArg, RobustnessArgs,
-    TimelineArgs,
+    AttentionArgs, AxisArg, DeploymentArgs, FiguresArgs, FiguresCommand, LearningArgs, QTableArgs, RankingArg,
+    RobustnessArgs, SweepFigureArgs, TimelineArgs,
 };
 use crate::display::note;
 
-/// Draws what is asked for.
-pub fn run(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
+/// Draws the requested figures.
+pub(crate) fn run(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
     match &args.command {
         Some(FiguresCommand::Deployment(args)) => draw_deployment(args),
         Some(FiguresCommand::Timeline(args)) => draw_timeline(args),
@@ -35,7 +35,7 @@ pub fn run(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
         Some(FiguresCommand::Robustness(args)) => draw_robustness(args),
         Some(FiguresCommand::Learning(args)) => draw_learning(args),
         Some(FiguresCommand::QTable(args)) => draw_q_table(args),
-        Some(FiguresCommand::Sweep(args)) => sweep::run(args),
+        Some(FiguresCommand::Sweep(args)) => sweep(args),
         None => draw_study(args),
     }
 }
@@ -87,7 +87,7 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Says how a swept field is drawn in one picture.
+/// Suggests how to draw a swept field in one picture.
 fn hint(results: &Results) {
     let fields: BTreeSet<&str> = results
         .conditions
@@ -108,8 +108,8 @@ fn is_chosen(args: &FiguresArgs, name: &str) -> bool {
     args.only.is_empty() || args.only.iter().any(|only| only == name)
 }
 
-/// Information and delay against energy.
-fn draw_trades(args: &FiguresArgs, label: &str, conditions: &[&Condition]) -> anyhow::Result<()> {
+/// Draws information and delay against energy.
+fn draw_trades(args: &FiguresArgs, label: &str, conditions: &[&RunCondition]) -> anyhow::Result<()> {
     for trade in pareto::TRADES.iter().filter(|trade| is_chosen(args, trade.name)) {
         let name = format!("{}-{label}", trade.name);
         let Some(chart) = trade.chart(conditions) else {
@@ -126,8 +126,8 @@ fn draw_trades(args: &FiguresArgs, label: &str, conditions: &[&Condition]) -> an
     Ok(())
 }
 
-/// Information against energy for each N at which a policy has several settings.
-fn draw_fronts(args: &FiguresArgs, label: &str, conditions: &[&Condition]) -> anyhow::Result<()> {
+/// Draws information against energy for each N at which a policy has several settings.
+fn draw_fronts(args: &FiguresArgs, label: &str, conditions: &[&RunCondition]) -> anyhow::Result<()> {
     if !is_chosen(args, front::NAME) {
         return Ok(());
     }
@@ -143,8 +143,8 @@ fn draw_fronts(args: &FiguresArgs, label: &str, conditions: &[&Condition]) -> an
     Ok(())
 }
 
-/// Figs. 13 and 14.
-fn draw_energy(args: &FiguresArgs, label: &str, condition: &Condition) -> anyhow::Result<()> {
+/// Draws Figs. 13 and 14.
+fn draw_energy(args: &FiguresArgs, label: &str, condition: &RunCondition) -> anyhow::Result<()> {
     let [harvest, net] = energy::NAMES.map(|name| (is_chosen(args, name), format!("{name}-{label}")));
     if !harvest.0 && !net.0 {
         return Ok(());
@@ -179,7 +179,7 @@ fn draw_energy(args: &FiguresArgs, label: &str, condition: &Condition) -> anyhow
 
 fn draw_deployment(args: &DeploymentArgs) -> anyhow::Result<ExitCode> {
     let scenario = resolve(&args.scenario)?;
-    let moment = deployment::Moment::of(&scenario, args.event)?;
+    let moment = deployment::EventScene::of(&scenario, args.event)?;
     let name = deployment::name(&scenario, &moment);
     write(&args.pictures, &name, &deployment::scene(&scenario, &moment))?;
     Ok(ExitCode::SUCCESS)
@@ -190,14 +190,14 @@ fn draw_attention(args: &AttentionArgs) -> anyhow::Result<ExitCode> {
     given.policy.get_or_insert_with(|| "dt".to_owned());
     let scenario = resolve(&given)?;
     let tti = args.tti.map_or_else(|| scenario.warm_up_end(), Tti);
-    let attention = Attention::of(&scenario, tti, &args.show)?;
-    let name = format!("attention-n{}-s{}-t{tti}", scenario.devices, scenario.seed);
+    let attention = AttentionFigure::of(&scenario, tti, &args.show)?;
+    let name = format!("attention-n{}-s{}-t{tti}", scenario.run.devices, scenario.run.seed);
     write(&args.pictures, &name, &attention::scene(&scenario, &attention))?;
     save(&args.pictures.out, &format!("{name}.csv"), attention.csv().as_bytes())?;
     Ok(ExitCode::SUCCESS)
 }
 
-/// What an imperfect radio costs.
+/// Draws the cost of an imperfect radio.
 fn draw_robustness(args: &RobustnessArgs) -> anyhow::Result<ExitCode> {
     let policies = if args.policies.is_empty() {
         registry::names().map(str::to_owned).collect()
@@ -209,12 +209,13 @@ fn draw_robustness(args: &RobustnessArgs) -> anyhow::Result<ExitCode> {
         given.policy = Some(policy.clone());
         resolve(&given)
     };
+    // At least one, since all registered policies are used without --policies: `scenarios[0]` below exists.
     let scenarios = policies.iter().map(of).collect::<anyhow::Result<Vec<_>>>()?;
     let is_asked_for = |name: &str| args.only.is_empty() || args.only.iter().any(|only| only == name);
     let all = robustness::IMPAIRMENTS.iter();
     let impairments: Vec<_> = all.filter(|impairment| is_asked_for(impairment.name)).collect();
     let points = robustness::measure(&scenarios, &impairments, args.seeds);
-    let name = format!("{}-n{}", robustness::NAME, scenarios[0].devices);
+    let name = format!("{}-n{}", robustness::NAME, scenarios[0].run.devices);
     for impairment in impairments {
         for metric in robustness::METRICS {
             let chart = robustness::chart(&points, impairment, metric, &scenarios[0]);
@@ -261,7 +262,7 @@ fn draw_learning(args: &LearningArgs) -> anyhow::Result<ExitCode> {
 fn draw_q_table(args: &QTableArgs) -> anyhow::Result<ExitCode> {
     let (file, learned) = (args.file.display().to_string(), learned(&args.file)?);
     let entry = |devices: &u32| q_table::entry(&file, &learned, *devices, args.window);
-    let entries = args.devices.iter().map(entry).collect::<Result<Vec<&Entry>, _>>()?;
+    let entries = args.devices.iter().map(entry).collect::<Result<Vec<&TableSet>, _>>()?;
     for entry in entries {
         let window = args.window.map_or_else(String::new, |window| format!("-w{window}"));
         let name = format!("q-table-{}-n{}{window}", stem(&args.file), entry.devices);
@@ -290,17 +291,50 @@ fn draw_q_table(args: &QTableArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The learned tables of the file at `path`, or those that come with the program if it is called so.
-fn learned(path: &Path) -> anyhow::Result<Learned> {
-    let shipped = path.to_str().filter(|_| !path.exists()).and_then(Learned::shipped_as);
+/// Reads the learned tables of the file at `path`, or the shipped ones of that name.
+fn learned(path: &Path) -> anyhow::Result<LearnedTables> {
+    // A file on the disk comes before shipped tables of the same name.
+    let shipped = path
+        .to_str()
+        .filter(|_| !path.exists())
+        .and_then(LearnedTables::shipped_as);
     if let Some(tables) = shipped {
         return Ok(tables);
     }
-    Learned::read(&Disk, path).map_err(|error| anyhow!("{}: {error}", path.display()))
+    LearnedTables::read(&Disk, path).map_err(|error| anyhow!("{}: {error}", path.display()))
 }
 
-/// The name of a file without its ending, as part of another's.
+/// The name of a file without its extension, as part of another name.
 fn stem(path: &Path) -> String {
     let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
     stem.unwrap_or_default()
+}
+
+/// Draws a metric against a field, with a picture for each combination of the other fields.
+fn sweep(args: &SweepFigureArgs) -> anyhow::Result<ExitCode> {
+    let results = read(&args.tables)?;
+    let only = args.only.iter();
+    let wish = SweepFigureSpec {
+        x: named(&args.x).to_owned(),
+        y: args.y.clone(),
+        by: named(&args.by).to_owned(),
+        only: only
+            .map(|(field, value)| (named(field).to_owned(), value.clone()))
+            .collect(),
+        is_log_x: args.log.contains(&AxisArg::X),
+        is_log_y: args.log.contains(&AxisArg::Y),
+    };
+    let pictures = wish.draw(&results)?;
+    if let Some(words) = several(&pictures) {
+        note!("{words}; --where FIELD=VALUE chooses");
+    }
+    for picture in &pictures {
+        let name = wish.name(&picture.facet);
+        for line in &picture.undefined {
+            note!("{name}: without {line}, none of whose runs has a value of {}", wish.y);
+        }
+        write(&args.pictures, &name, &picture.chart.scene())?;
+        save(&args.pictures.out, &format!("{name}.csv"), picture.csv.as_bytes())?;
+    }
+    Ok(ExitCode::SUCCESS)
 }

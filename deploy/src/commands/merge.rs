@@ -1,4 +1,4 @@
-//! `reveille merge`: one table of the tables of shards.
+//! `reveille merge`: merges the tables of shards into one.
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -12,11 +12,12 @@ use crate::display;
 use crate::paths::{is_same, table_of};
 
 /// Merges tables.
-pub fn run(args: &MergeArgs) -> anyhow::Result<ExitCode> {
+pub(crate) fn run(args: &MergeArgs) -> anyhow::Result<ExitCode> {
     let format = format(&args.out)?;
     let mut tables = Vec::with_capacity(args.shards.len());
     for given in &args.shards {
         let path = table_of(given).map_err(|error| anyhow!("{error}; --partial merges shards without the others"))?;
+        // --force would replace a table that has not been read yet.
         if is_same(&path, &args.out) {
             bail!(
                 "--out {}: is one of the tables to merge, which would be lost; name another file",
@@ -36,11 +37,11 @@ pub fn run(args: &MergeArgs) -> anyhow::Result<ExitCode> {
         None => String::new(),
     };
     let runs = display::count(table.rows.len(), "run");
-    display::out(&format!("{runs} in {}{part}\n", args.out.display()))?;
+    display::print(&format!("{runs} in {}{part}\n", args.out.display()))?;
     Ok(ExitCode::SUCCESS)
 }
 
-/// The form of the table that `out` names.
+/// The format of the table at `out`.
 fn format(out: &Path) -> anyhow::Result<Format> {
     let ending = out.extension().unwrap_or_default();
     let format = [Format::Parquet, Format::Csv]

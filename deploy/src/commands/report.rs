@@ -1,5 +1,5 @@
-//! `reveille report`: the paper's claims beside the tables, as HTML and as Markdown; and the settings that meet most of
-//! them.
+//! `reveille report`: the paper's claims next to the results, as HTML and Markdown; and the settings that meet most
+//! claims.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,20 +9,20 @@ use anyhow::Context as _;
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use reveille_lab::io::replace;
-use reveille_study::figures::results::Condition;
+use reveille_study::figures::results::RunCondition;
 use reveille_study::figures::scene::Scene;
 use reveille_study::figures::{energy, pareto, study, svg};
 use reveille_study::report::page::page;
-use reveille_study::report::parts::{Part, fill};
-use reveille_study::report::search::{Search, markdown};
-use reveille_study::report::{Report, markdown as pages};
+use reveille_study::report::page_sections::{PageSection, fill};
+use reveille_study::report::search::{SettingSearch, markdown};
+use reveille_study::report::{ClaimReport, markdown as pages};
 
-use super::pictures::{read, save};
+use super::figure_files::{read, save};
 use crate::cli::{ReportArgs, ReportCommand, SearchArgs};
 use crate::display::{self, note};
 
-/// Judges what is asked for.
-pub fn run(args: &ReportArgs) -> anyhow::Result<ExitCode> {
+/// Writes the report or runs the search.
+pub(crate) fn run(args: &ReportArgs) -> anyhow::Result<ExitCode> {
     match &args.command {
         Some(ReportCommand::Search(args)) => search(args),
         None => write_report(args),
@@ -32,16 +32,16 @@ pub fn run(args: &ReportArgs) -> anyhow::Result<ExitCode> {
 /// Ranks the settings of the tables by the claims that they meet.
 fn search(args: &SearchArgs) -> anyhow::Result<ExitCode> {
     let results = read(&args.tables)?;
-    let search = Search::new(Report::new(&results));
+    let search = SettingSearch::new(ClaimReport::new(&results));
     let heads = markdown::heads(&search);
     let mut table = Table::new();
     table.load_style(UTF8_FULL_CONDENSED).set_header(&heads);
     for setting in search.shown(args.top) {
         table.add_row(markdown::row(&search, setting));
     }
-    display::out(&format!("{table}\n"))?;
+    display::print(&format!("{table}\n"))?;
     for sentence in markdown::summary(&search) {
-        display::out(&format!("{sentence}\n"))?;
+        display::print(&format!("{sentence}\n"))?;
     }
     let command = format!(
         "reveille report search {} --top {} --out {}",
@@ -58,7 +58,7 @@ fn search(args: &SearchArgs) -> anyhow::Result<ExitCode> {
 /// Judges the claims and writes the report.
 fn write_report(args: &ReportArgs) -> anyhow::Result<ExitCode> {
     let results = read(&args.tables)?;
-    let report = Report::new(&results);
+    let report = ClaimReport::new(&results);
     let mut pictures = Vec::new();
     let mut files = Vec::new();
     for preset in report.missing() {
@@ -74,7 +74,7 @@ fn write_report(args: &ReportArgs) -> anyhow::Result<ExitCode> {
             pictures.push((scene.title, number, picture));
         }
     }
-    // A figure under one preset stands beside itself under the other.
+    // Sorted by figure, so that the pictures of both presets are next to each other.
     pictures.sort_by_key(|(title, number, _)| (order(title), *number));
     let pictures: Vec<String> = pictures.into_iter().map(|(_, _, picture)| picture).collect();
     let command = command(args);
@@ -88,8 +88,8 @@ fn write_report(args: &ReportArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// All figures of a condition, with their names.
-fn scenes(condition: &Condition) -> anyhow::Result<Vec<(&'static str, Scene)>> {
+/// Draws all figures of a condition, with their names.
+fn scenes(condition: &RunCondition) -> anyhow::Result<Vec<(&'static str, Scene)>> {
     let mut scenes = Vec::new();
     for figure in study::FIGURES {
         if let Some(drawing) = figure.draw(condition) {
@@ -110,7 +110,7 @@ fn scenes(condition: &Condition) -> anyhow::Result<Vec<(&'static str, Scene)>> {
     Ok(scenes)
 }
 
-/// Where a picture stands among the others: the paper's order, then what the paper does not have.
+/// The position of a picture: the paper's order first, then figures that the paper does not have.
 fn order(title: &str) -> usize {
     let titles = study::FIGURES.iter().map(|figure| figure.title);
     let trades = pareto::TRADES.iter().map(|trade| trade.title);
@@ -119,22 +119,22 @@ fn order(title: &str) -> usize {
     known.unwrap_or(usize::MAX)
 }
 
-/// The command line that makes this report again.
+/// The command line that regenerates this report.
 fn command(args: &ReportArgs) -> String {
     format!("reveille report {} --out {}", named(&args.tables), args.out.display())
 }
 
-/// Puts `parts` between their marks in the page, if there is one.
-fn into_page(page: Option<&Path>, parts: &[Part]) -> anyhow::Result<()> {
+/// Inserts `parts` between their marks in the optional page.
+fn into_page(page: Option<&Path>, parts: &[PageSection]) -> anyhow::Result<()> {
     let Some(path) = page else { return Ok(()) };
     let text = fs::read_to_string(path).with_context(|| format!("{}: cannot be read", path.display()))?;
     let filled = fill(&text, parts).with_context(|| path.display().to_string())?;
     replace(path, filled.as_bytes()).with_context(|| format!("{}: cannot be written", path.display()))?;
-    display::out(&format!("{}\n", path.display()))?;
+    display::print(&format!("{}\n", path.display()))?;
     Ok(())
 }
 
-/// The tables as the command line names them.
+/// The tables as given on the command line.
 fn named(tables: &[PathBuf]) -> String {
     let tables: Vec<String> = tables.iter().map(|path| path.display().to_string()).collect();
     tables.join(" ")

@@ -2,61 +2,69 @@
 
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{RecvTimeoutError, channel};
-use std::time::Duration;
+use std::sync::atomic::Ordering;
 
-use anyhow::{Context, anyhow, bail, ensure};
-use reveille_bs::host::Progress;
-use reveille_bs::observe::frames::Framed;
-use reveille_bs::observe::{Happening, Observer};
+use anyhow::{Context, anyhow, ensure};
+use reveille_bs::observer::frames::FrameObserver;
+use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::policy::outside;
+use reveille_bs::scenario::Scenario;
+use reveille_bs::server::RunProgress;
+use reveille_common::bus::FrameSink;
 use reveille_common::ids::Tti;
 use reveille_common::message::Frame;
-use reveille_common::scenario::Scenario;
 use reveille_common::score::WindowRecord;
-use reveille_lab::inputs::Inputs;
+use reveille_lab::external_inputs::ExternalInputs;
 use reveille_lab::preparation::prepare;
-use reveille_lab::run::{Options, Run, StopWhen};
-use reveille_view::metrics::Process;
+use reveille_lab::run::{Run, RunOptions, StopWhen};
+use reveille_view::metrics::ProcessStats;
 
-use super::conclusion::{conclude, window};
-use super::resolution::resolve_run;
+use super::resolve_scenario::resolve_run;
+use super::{conclude, window};
+use crate::child_process;
 use crate::cli::RunArgs;
 use crate::display::Bar;
+use crate::exit::Interrupted;
 use crate::input_log::{self, InputLog};
-use crate::marks::{self, Marker};
-use crate::results::RunFolder;
+use crate::resume_mark::{self, ResumeMarkWriter};
+use crate::run_folder::RunFolder;
+use crate::run_watchers::RunWatchers;
+use crate::signals::{Manner, Signals, aside};
 use crate::summary::{Summary, Timing};
-use crate::watch::{Sink, Watch};
 
-/// Time between two looks for a signal while a run is set up.
-const LOOK: Duration = Duration::from_millis(50);
+/// TTIs between two checks for a signal: a fraction of a second for every policy, also with a recording.
+const STRIDE: u64 = 1_000;
+/// Number of devices at which a TTI costs about twice as much as without devices. With many more, every TTI has a
+/// check.
+const MANY: u64 = 20_000;
 
 /// Runs a scenario in memory.
-pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
+pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
+    child_process::end_with(args.output.parent)?;
     let (scenario, given) = resolve_run(&args.scenario, &args.output)?;
-    crate::watch::check(&args.output)?;
-    // Before there is a folder: a log that does not fit leaves none.
+    crate::run_watchers::check(&args.output)?;
+    // Read before the folder is created: a log that does not match leaves no folder behind.
     let named = named(args, &scenario, given)?;
+    let signals = Signals::install(Manner::Keeps)?;
     let folder = RunFolder::create(&args.output, &scenario)?;
     let mark = match &args.output.resume {
-        Some(_) => marks::read(folder.path(), &scenario)?,
+        Some(_) => resume_mark::read(folder.path(), &scenario)?,
         None => None,
     };
-    let options = Options {
+    // A resumed run keeps the window of its first part, so that windows.csv gets the same rows.
+    let options = RunOptions {
         lookahead: !args.no_lookahead,
         window: mark
             .as_ref()
             .map_or_else(|| window(&args.output, &scenario), |mark| mark.window),
     };
     let inputs = inputs(named, &folder, &scenario)?;
-    let mut marker = Marker::new(folder.path(), &scenario, options.window, mark);
-    let progress = Arc::new(Progress::default());
-    let runtime = crate::wall::runtime(1)?;
-    let stop = runtime.block_on(async { crate::interrupt::watch() })?;
+    let mut marker = ResumeMarkWriter::new(folder.path(), &scenario, options.window, mark);
+    let progress = Arc::new(RunProgress::default());
+    // The worker serves metrics; the run itself stays on this thread.
+    let runtime = crate::runtime::runtime(1)?;
     let name = folder.name();
-    let watch = Watch::start(&args.output, &name, &scenario, Process::default);
+    let watch = RunWatchers::start(&args.output, &name, &scenario, ProcessStats::default);
     let watch = match runtime.block_on(watch) {
         Ok(watch) => watch,
         Err(error) => {
@@ -65,49 +73,48 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         }
     };
     let bar = Bar::start(&progress, &scenario, args.output.quiet);
-    let started = crate::wall::now();
-    let mut run = match set_up(&scenario, options, &stop) {
-        Ok((mut run, warnings)) => {
-            for warning in warnings {
-                tracing::warn!("{warning}");
-            }
-            run.expect_all(&inputs);
-            run
-        }
+    let started = crate::runtime::now();
+    let mut run = match set_up(&scenario, options, &signals) {
+        Ok(run) => run,
         Err(error) => {
             folder.fail(&error);
             return Err(error);
         }
     };
+    run.schedule_inputs(&inputs);
     let states_every = args.output.record_states.unwrap_or(0);
-    let framed = |sink: Sink| Framed::new(states_every, move |frame| sink(&frame));
-    let mut shown = Shown {
+    let framed = |sink: Box<FrameSink>| FrameObserver::new(states_every, move |frame| sink(&frame));
+    let mut shown = RunObservers {
         framed: watch.sink().map(framed),
-        watchers: (watch.gauged(), StopWhen(watch.is_broken())),
+        watchers: (watch.metrics_observer(), StopWhen(watch.is_broken())),
         folder,
         progress: &progress,
-        stop: &stop,
-        devices: u64::from(scenario.devices),
+        signals: &signals,
+        devices: scenario.run.devices,
         outages: 0,
     };
-    let goes_on = run.advance(Tti(scenario.ttis), &mut (&mut shown, &mut marker));
-    if let Some(tti) = run.undecided() {
+    let mut observers = (&mut shown, &mut marker);
+    let goes_on = advance(&mut run, Tti(scenario.run.ttis), &mut observers, |_| {
+        !signals.have_come()
+    });
+    if let Some(tti) = run.missing_decision() {
         let error = anyhow!(
             "the log of inputs has no decision for TTI {tti} of {}: the run that it is of has not come further. \
              `reveille up --resume` in the folder of that run asks for the rest",
-            scenario.ttis
+            scenario.run.ttis
         );
         shown.folder.fail(&error);
         return Err(error);
     }
-    let left = run.take_decisions();
+    let unused_decisions = run.queue().decisions();
     let outcome = if goes_on {
         run.finish(&mut (&mut shown, &mut marker))
     } else {
-        run.cut_short()
+        run.partial_outcome()
     };
+    // A resumed run is replayed from TTI 0 in memory, and must have reproduced its mark by now.
     marker.check()?;
-    let has_all = left.is_empty() && shown.outages == inputs.outages.len();
+    let has_all = unused_decisions == 0 && shown.outages == inputs.outages.len();
     ensure!(!outcome.complete || has_all, input_log::MISFIT);
     let marked = marker.finish(outcome.complete);
     let run_s = started.elapsed().as_secs_f64();
@@ -120,15 +127,15 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let summary = Summary::new(&scenario, &outcome, timing);
     let path = shown.folder.path().to_owned();
     watch.finish(Some(summary.to_json()?))?;
-    shown.folder.keep_learned(&scenario, &outcome)?;
-    // What the tables have to say of a disk that is full comes first.
+    shown.folder.write_learned(&scenario, &outcome)?;
+    // On a full disk the error of the tables names the cause; the error of the mark would hide it.
     shown.folder.finish(&scenario, &outcome, &summary)?;
     marked?;
     conclude(&args.output, &summary, &path)
 }
 
-/// What the command names of inputs: a log, or decisions that were `given` for a policy.
-fn named(args: &RunArgs, scenario: &Scenario, given: Option<Inputs>) -> anyhow::Result<Option<Inputs>> {
+/// Returns the external inputs that the command names: a log, or the decisions `given` for a policy.
+fn named(args: &RunArgs, scenario: &Scenario, given: Option<ExternalInputs>) -> anyhow::Result<Option<ExternalInputs>> {
     let Some(path) = &args.inputs else {
         ensure!(
             given.is_some() || args.output.resume.is_some() || !outside::is_external(&scenario.policy),
@@ -151,8 +158,8 @@ fn named(args: &RunArgs, scenario: &Scenario, given: Option<Inputs>) -> anyhow::
     Ok(Some(inputs))
 }
 
-/// What the run depends on besides: what its folder holds, or what the command has `named`, which is copied there.
-fn inputs(named: Option<Inputs>, folder: &RunFolder, scenario: &Scenario) -> anyhow::Result<Inputs> {
+/// Returns the external inputs of the run: those in its folder, or the command's `named` ones, which are copied there.
+fn inputs(named: Option<ExternalInputs>, folder: &RunFolder, scenario: &Scenario) -> anyhow::Result<ExternalInputs> {
     let Some(inputs) = named else {
         return input_log::of_folder(folder.path(), scenario);
     };
@@ -160,56 +167,54 @@ fn inputs(named: Option<Inputs>, folder: &RunFolder, scenario: &Scenario) -> any
     Ok(inputs)
 }
 
-/// Sets a run up on another thread, which takes a while with a million devices or a search before the run; at a signal
-/// it is given up, since there is nothing to lose yet. Also gives what the user should know of the search.
-fn set_up(scenario: &Scenario, options: Options, stop: &AtomicBool) -> anyhow::Result<(Run, Vec<String>)> {
-    let (sender, receiver) = channel();
+/// Prepares a run on another thread, since that takes a while with a million devices or a search. A signal abandons it,
+/// as there is nothing to lose yet. Logs the warnings of the search.
+fn set_up(scenario: &Scenario, options: RunOptions, signals: &Signals) -> anyhow::Result<Run> {
     let scenario = scenario.clone();
-    std::thread::spawn(move || {
+    let prepared = move || {
         let prepared = prepare(&scenario);
-        let run = Run::new(&prepared, options);
-        // After a signal nobody waits for it.
-        let _ = sender.send((run, prepared.warnings));
-    });
+        (Run::new(&prepared, options), prepared.warnings)
+    };
+    let (run, warnings) = aside(prepared, || signals.have_come())?.ok_or(Interrupted::BEFORE_RUN)?;
+    for warning in warnings {
+        tracing::warn!("{warning}");
+    }
+    Ok(run)
+}
+
+/// Runs to TTI `to`, as [`Run::advance`] does. Regularly asks `goes_on` whether to continue with the next TTI.
+pub(crate) fn advance(run: &mut Run, to: Tti, observer: &mut impl Observer, goes_on: impl Fn(Tti) -> bool) -> bool {
+    // A TTI costs about 1 + n/MANY times as much as one without devices, so the stride shrinks by that factor.
+    let stride = (STRIDE * MANY / (MANY + run.machines().len() as u64)).max(1);
     loop {
-        match receiver.recv_timeout(LOOK) {
-            Ok(run) => return Ok(run),
-            Err(RecvTimeoutError::Timeout) if stop.load(Ordering::Relaxed) => bail!(Interrupted),
-            Err(RecvTimeoutError::Timeout) => {}
-            Err(RecvTimeoutError::Disconnected) => bail!("the run could not be set up"),
+        let next = run.cycle().next_tti();
+        if next >= to {
+            return true;
+        }
+        // The run itself checks for a signal only at the end of a window, by default a hundredth of its length.
+        if !goes_on(next) || !run.advance(to.min(next + stride), observer) {
+            return false;
         }
     }
 }
 
-/// Ctrl-C has ended a run before its first TTI.
-#[derive(Debug)]
-pub struct Interrupted;
-
-impl std::fmt::Display for Interrupted {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("interrupted before the first TTI")
-    }
-}
-
-impl std::error::Error for Interrupted {}
-
-/// Writes the series, records, and shows the progress.
-struct Shown<'a, F, W> {
-    framed: Option<Framed<F>>,
+/// The observers of a run: they write tables, record, and show the progress.
+struct RunObservers<'a, F, W> {
+    framed: Option<FrameObserver<F>>,
     watchers: W,
     folder: RunFolder,
-    progress: &'a Progress,
-    stop: &'a AtomicBool,
-    devices: u64,
+    progress: &'a RunProgress,
+    signals: &'a Signals,
+    devices: u32,
     outages: usize,
 }
 
-impl<F: FnMut(Frame), W: Observer> Observer for Shown<'_, F, W> {
-    fn see(&mut self, happening: &Happening<'_>) {
-        self.outages += usize::from(matches!(happening, Happening::Gone(_)));
-        self.folder.see(happening);
-        self.framed.see(happening);
-        self.watchers.see(happening);
+impl<F: FnMut(Frame), W: Observer> Observer for RunObservers<'_, F, W> {
+    fn notify(&mut self, happening: &Notification<'_>) {
+        self.outages += usize::from(matches!(happening, Notification::Gone(_)));
+        self.folder.notify(happening);
+        self.framed.notify(happening);
+        self.watchers.notify(happening);
     }
 
     fn wants_states(&self) -> bool {
@@ -220,17 +225,15 @@ impl<F: FnMut(Frame), W: Observer> Observer for Shown<'_, F, W> {
         self.framed.wants_beliefs() || self.watchers.wants_beliefs()
     }
 
-    fn window(&mut self, window: &WindowRecord) -> bool {
-        let goes_on = self.watchers.window(window);
-        let device_ttis = u128::from((window.end - window.first) * self.devices).max(1);
+    fn window_closed(&mut self, window: &WindowRecord) -> bool {
+        let goes_on = self.watchers.window_closed(window);
         self.progress.tti.store(window.end.0, Ordering::Relaxed);
         self.progress.events.fetch_add(window.events.events, Ordering::Relaxed);
         self.progress
             .misdetected
             .fetch_add(window.events.misdetected, Ordering::Relaxed);
-        self.progress
-            .mean_battery
-            .store((window.energy.battery_sum / device_ttis) as u64, Ordering::Relaxed);
-        self.folder.window(window) && goes_on && !self.stop.load(Ordering::Relaxed)
+        self.progress.set_mean_battery(self.devices, window);
+        // First in the chain: the folder must see every window, also the one in which the run stops.
+        self.folder.window_closed(window) && goes_on && !self.signals.have_come()
     }
 }

@@ -5,29 +5,29 @@ use std::process::ExitCode;
 
 use anyhow::Context as _;
 use reveille_bs::policy::registry;
-use reveille_bs::scenario::{Override, PRESETS, Preset, Scenario, load_outside, reference, schema};
+use reveille_bs::scenario::{Loaded, Override, PRESETS, Preset, load_with_external, reference, schema};
 
 use crate::cli::ScenarioCommand;
 use crate::display::{self, note};
 
 /// Shows or checks scenarios.
-pub fn run(command: &ScenarioCommand) -> anyhow::Result<ExitCode> {
+pub(crate) fn run(command: &ScenarioCommand) -> anyhow::Result<ExitCode> {
     match command {
         ScenarioCommand::Show { source: None, .. } => {
-            display::out("Presets, for --scenario and as `preset = \"…\"` in a file:\n")?;
+            display::print("Presets, for --scenario and as `preset = \"…\"` in a file:\n")?;
             for Preset { name, about, .. } in PRESETS {
-                display::out(&format!("  {name:<15} {about}\n"))?;
+                display::print(&format!("  {name:<15} {about}\n"))?;
             }
-            display::out("`reveille scenario show NAME` prints all fields of one.\n")?;
+            display::print("`reveille scenario show NAME` prints all fields of one.\n")?;
             Ok(ExitCode::SUCCESS)
         }
         ScenarioCommand::Show {
             source: Some(source),
             set,
         } => {
-            let scenario = load_outside(source, &overrides(set)?)?;
-            warn(source, &scenario);
-            display::out(&scenario.to_full_toml(&registry::kinds()))?;
+            let Loaded { scenario, warnings } = load_with_external(source, &overrides(set)?)?;
+            warn(source, &warnings);
+            display::print(&scenario.to_full_toml(&registry::kinds()))?;
             Ok(ExitCode::SUCCESS)
         }
         ScenarioCommand::Schema { out } => write(out.as_deref(), &schema()),
@@ -39,29 +39,30 @@ pub fn run(command: &ScenarioCommand) -> anyhow::Result<ExitCode> {
 fn check(sources: &[String], overrides: &[Override]) -> anyhow::Result<ExitCode> {
     let mut code = ExitCode::SUCCESS;
     for source in sources {
-        match load_outside(source, overrides) {
-            Ok(scenario) => {
-                warn(source, &scenario);
-                display::out(&format!(
+        match load_with_external(source, overrides) {
+            Ok(Loaded { scenario, warnings }) => {
+                warn(source, &warnings);
+                display::print(&format!(
                     "{source}: ok. {} devices, {} TTIs, policy {}, hash {}\n",
-                    scenario.devices,
-                    scenario.ttis,
+                    scenario.run.devices,
+                    scenario.run.ttis,
                     scenario.policy.name(),
                     &scenario.hash_hex()[..16]
                 ))?;
             }
+            // Reported without a return, so that the other sources are checked too.
             Err(error) => {
                 note!("{source}: {error}");
-                code = crate::exit::Exit::Failed.into();
+                code = crate::exit::ExitReason::Failed.into();
             }
         }
     }
     Ok(code)
 }
 
-/// Says what the scenario warns of.
-fn warn(source: &str, scenario: &Scenario) {
-    for warning in &scenario.warnings {
+/// Prints the warnings about a scenario.
+fn warn(source: &str, warnings: &[String]) {
+    for warning in warnings {
         note!("{source}: warning: {warning}");
     }
 }
@@ -70,7 +71,7 @@ fn warn(source: &str, scenario: &Scenario) {
 fn write(out: Option<&Path>, text: &str) -> anyhow::Result<ExitCode> {
     match out {
         Some(path) => std::fs::write(path, text).with_context(|| format!("{}: cannot be written", path.display()))?,
-        None => display::out(text)?,
+        None => display::print(text)?,
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -1,11 +1,10 @@
-//! `reveille tune`: the weights of q-learning by Bayesian optimisation.
+//! `reveille tune`: Bayesian optimisation of the q-learning weights.
 
 use std::ffi::OsStr;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Mutex, PoisonError};
 
 use anyhow::{anyhow, bail};
 use comfy_table::presets::UTF8_FULL_CONDENSED;
@@ -13,19 +12,22 @@ use comfy_table::{CellAlignment, Table};
 use indicatif::ProgressBar;
 use reveille_lab::io::replace;
 use reveille_lab::tuning::bayes::{Bayes, surface};
-use reveille_lab::tuning::{Evaluation, History, Objective, Pair, Plan, Point, Ranges, Tuner, TuningProgress};
+use reveille_lab::tuning::{
+    Evaluation, History, Ranges, Tuner, TuningObjective, TuningPlan, TuningPoint, TuningProgress, WeightPair,
+};
 use reveille_study::figures::{png, svg, tuning as picture};
 use serde_json::json;
 
-use super::resolution::resolve;
-use crate::cli::{FormatArg, ObjectiveArg, TuneArgs};
+use super::resolve_scenario::resolve;
+use crate::cli::{ImageFormatArg, ObjectiveArg, TuneArgs};
 use crate::display::{self, note};
+use crate::signals::{Manner, Signals};
 
-/// Points in the closing table.
+/// Number of points in the closing table.
 const SHOWN: usize = 5;
 
-/// Tunes, goes on with a tuning, or draws one.
-pub fn run(args: &TuneArgs) -> anyhow::Result<ExitCode> {
+/// Starts, resumes or draws a tuning.
+pub(crate) fn run(args: &TuneArgs) -> anyhow::Result<ExitCode> {
     let history = args.picture_only.as_ref().unwrap_or(&args.out);
     if history
         .extension()
@@ -39,17 +41,16 @@ pub fn run(args: &TuneArgs) -> anyhow::Result<ExitCode> {
     if let Some(path) = &args.picture_only {
         let (history, _) = History::read(path)?;
         for file in draw(&history, path, &args.format)? {
-            display::out(&format!("{}\n", file.display()))?;
+            display::print(&format!("{}\n", file.display()))?;
         }
         return Ok(ExitCode::SUCCESS);
     }
     let mut tuner = Tuner::open(plan(args)?, &args.out, args.force)?;
     announce(args, &tuner);
     let threads = args.episodes.threads()?;
-    let runtime = crate::wall::runtime(1)?;
-    let stop = runtime.block_on(async { crate::interrupt::watch() })?;
-    let shown = Shown::start(args, &tuner, stop);
-    let started = crate::wall::now();
+    let signals = Signals::install(Manner::Keeps)?;
+    let shown = TuningDisplay::start(args, &tuner, signals);
+    let started = crate::runtime::now();
     let bayes = Bayes {
         seed: args.episodes.seed,
     };
@@ -62,23 +63,23 @@ pub fn run(args: &TuneArgs) -> anyhow::Result<ExitCode> {
             display::count(history.points.len(), "finished point"),
             args.out.display()
         );
-        return Ok(crate::exit::Exit::Interrupted.into());
+        return Ok(crate::exit::ExitReason::Interrupted.into());
     }
     let pictures = draw(history, &args.out, &args.format)?;
     if args.json {
-        display::out(&result(args, history, &pictures)?)?;
+        display::print(&result(args, history, &pictures)?)?;
     } else if args.quiet {
         let [mu1, mu2] = best(history)?.weights;
-        display::out(&format!("mu1={mu1} mu2={mu2}\n"))?;
+        display::print(&format!("mu1={mu1} mu2={mu2}\n"))?;
     } else {
-        display::out(&summary(args, history, &pictures)?)?;
+        display::print(&summary(args, history, &pictures)?)?;
         note!("tuned in {:.1} s", started.elapsed().as_secs_f64());
     }
     Ok(ExitCode::SUCCESS)
 }
 
-/// What the command line asks for, checked.
-fn plan(args: &TuneArgs) -> anyhow::Result<Plan> {
+/// Checks the command line and returns the tuning plan.
+fn plan(args: &TuneArgs) -> anyhow::Result<TuningPlan> {
     let ends = |name: &str, ends: &[f64]| match ends {
         &[from, to] => Ok((from, to)),
         _ => Err(anyhow!(
@@ -86,16 +87,16 @@ fn plan(args: &TuneArgs) -> anyhow::Result<Plan> {
         )),
     };
     let ranges = Ranges::new(ends("mu1", &args.mu1)?, ends("mu2", &args.mu2)?)?;
-    let plan = Plan {
+    let plan = TuningPlan {
         scenario: resolve(&args.scenario()?)?,
         ranges,
         objective: match args.objective {
-            ObjectiveArg::Balance => Objective::Balance {
+            ObjectiveArg::Balance => TuningObjective::Balance {
                 energy: args.energy_weight,
                 miss: args.miss_weight,
             },
-            ObjectiveArg::Information => Objective::Information,
-            ObjectiveArg::Efficiency => Objective::Efficiency,
+            ObjectiveArg::Information => TuningObjective::Information,
+            ObjectiveArg::Efficiency => TuningObjective::Efficiency,
         },
         design: args.design,
         training: args.episodes.training()?,
@@ -106,7 +107,7 @@ fn plan(args: &TuneArgs) -> anyhow::Result<Plan> {
     Ok(plan)
 }
 
-/// Says what was found in the history.
+/// Prints the number of points found in the history.
 fn announce(args: &TuneArgs, tuner: &Tuner) {
     let (found, file) = (tuner.history().points.len(), args.out.display());
     if tuner.torn() {
@@ -121,8 +122,9 @@ fn announce(args: &TuneArgs, tuner: &Tuner) {
     }
 }
 
-/// The picture of `history` beside its file, in these formats.
-fn draw(history: &History, path: &Path, formats: &[FormatArg]) -> anyhow::Result<Vec<PathBuf>> {
+/// Draws `history` next to its file, in the given formats.
+fn draw(history: &History, path: &Path, formats: &[ImageFormatArg]) -> anyhow::Result<Vec<PathBuf>> {
+    // The ranges of the history apply: --picture-only draws points of an earlier command line.
     let (Some(mu1), Some(mu2)) = (history.range("mu1"), history.range("mu2")) else {
         bail!(
             "{}: does not say in which ranges weights were looked for",
@@ -143,8 +145,8 @@ fn draw(history: &History, path: &Path, formats: &[FormatArg]) -> anyhow::Result
     let mut files = Vec::new();
     for format in formats {
         let (ending, bytes) = match format {
-            FormatArg::Svg => ("svg", svg::svg(&scene, &name).into_bytes()),
-            FormatArg::Png => ("png", png::png(&scene)),
+            ImageFormatArg::Svg => ("svg", svg::svg(&scene, &name).into_bytes()),
+            ImageFormatArg::Png => ("png", png::png(&scene)),
         };
         let file = path.with_extension(ending);
         replace(&file, &bytes).map_err(|error| anyhow!("{}: cannot be written: {error}", file.display()))?;
@@ -153,20 +155,20 @@ fn draw(history: &History, path: &Path, formats: &[FormatArg]) -> anyhow::Result
     Ok(files)
 }
 
-fn best(history: &History) -> anyhow::Result<&Point> {
+fn best(history: &History) -> anyhow::Result<&TuningPoint> {
     let first = history.ranked().first().copied();
     first
         .map(|number| &history.points[number])
         .ok_or_else(|| anyhow!("the history holds no point"))
 }
 
-/// The command that trains tables with the best weights, as this tuning did.
-fn command(args: &TuneArgs, [mu1, mu2]: Pair) -> String {
+/// The command line that trains tables with the best weights, with the settings of this tuning.
+fn command(args: &TuneArgs, [mu1, mu2]: WeightPair) -> String {
     let mut text = format!("reveille train q-learning --devices {}", args.devices);
     if args.scenario != "paper" {
         let _ = write!(text, " --scenario {}", args.scenario);
     }
-    // Weights that were set are replaced by those that were found.
+    // Weights that were set are replaced by the best ones.
     let is_weight = |set: &&String| {
         let name = set.split('=').next().unwrap_or_default().trim();
         matches!(name, "policy.q-learning.mu1" | "policy.q-learning.mu2")
@@ -184,7 +186,7 @@ fn command(args: &TuneArgs, [mu1, mu2]: Pair) -> String {
     text
 }
 
-/// The closing table.
+/// Formats the closing table.
 fn summary(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyhow::Result<String> {
     let mut table = Table::new();
     table.load_style(UTF8_FULL_CONDENSED).set_header([
@@ -205,7 +207,7 @@ fn summary(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyhow::
         }
     };
     for number in history.ranked().into_iter().take(SHOWN) {
-        let Point {
+        let TuningPoint {
             weights: [mu1, mu2],
             evaluation: e,
         } = &history.points[number];
@@ -223,14 +225,14 @@ fn summary(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyhow::
     for column in table.column_iter_mut() {
         column.set_cell_alignment(CellAlignment::Right);
     }
-    let Point {
+    let TuningPoint {
         weights: [mu1, mu2], ..
     } = *best(history)?;
     let pictures: Vec<String> = pictures.iter().map(|path| path.display().to_string()).collect();
     Ok(format!(
         "{} · N = {} · {} points · seed {}\n{table}\nbest: μ1 = {mu1}, μ2 = {mu2}\nto train with them:\n  {}\n\
          history in {}, pictures in {}\n",
-        history.says("objective"),
+        history.header_value("objective"),
         args.devices,
         history.points.len(),
         args.episodes.seed,
@@ -240,10 +242,10 @@ fn summary(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyhow::
     ))
 }
 
-/// The result as JSON.
+/// Returns the result as JSON.
 fn result(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyhow::Result<String> {
     let point = |number: usize| {
-        let Point { weights, evaluation } = history.points[number];
+        let TuningPoint { weights, evaluation } = history.points[number];
         let mut point = json!({"point": number + 1, "mu1": weights[0], "mu2": weights[1]});
         for (name, value) in Evaluation::NAMES.iter().zip(evaluation.values()) {
             point[name] = json!(value);
@@ -267,16 +269,17 @@ fn result(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyhow::R
     Ok(text + "\n")
 }
 
-/// Shows the progress.
-struct Shown {
+/// The progress display.
+struct TuningDisplay {
     bar: ProgressBar,
-    stop: Arc<AtomicBool>,
-    best: Mutex<Option<(f64, Pair)>>,
+    signals: Signals,
+    best: Mutex<Option<(f64, WeightPair)>>,
     runs: u64,
 }
 
-impl Shown {
-    fn start(args: &TuneArgs, tuner: &Tuner, stop: Arc<AtomicBool>) -> Self {
+impl TuningDisplay {
+    fn start(args: &TuneArgs, tuner: &Tuner, signals: Signals) -> Self {
+        // A point is trained for all episodes, then evaluated by one run per seed; both advance the bar.
         let steps = args.episodes.episodes + args.seeds;
         let known = tuner.history().ranked().first().copied();
         let points = &tuner.history().points;
@@ -286,7 +289,7 @@ impl Shown {
                 "{bar:24} {percent} %  {eta} left  {msg}",
                 args.quiet,
             ),
-            stop,
+            signals,
             best: Mutex::new(known.map(|number| (points[number].evaluation.objective, points[number].weights))),
             runs: args.seeds,
         }
@@ -300,8 +303,8 @@ impl Shown {
     }
 }
 
-impl TuningProgress for Shown {
-    fn begun(&self, number: usize, [mu1, mu2]: Pair) {
+impl TuningProgress for TuningDisplay {
+    fn begun(&self, number: usize, [mu1, mu2]: WeightPair) {
         let so_far = self.so_far();
         self.bar.set_message(format!(
             "point {}: μ1 = {mu1:.3}, μ2 = {mu2:.3} ({} runs){so_far}",
@@ -318,7 +321,7 @@ impl TuningProgress for Shown {
         self.bar.inc(1);
     }
 
-    fn point(&self, point: &Point) {
+    fn point(&self, point: &TuningPoint) {
         let mut best = self.best.lock().unwrap_or_else(PoisonError::into_inner);
         let own = (point.evaluation.objective, point.weights);
         if best.is_none_or(|(known, _)| own.0 > known) {
@@ -327,6 +330,6 @@ impl TuningProgress for Shown {
     }
 
     fn stop(&self) -> bool {
-        self.stop.load(Ordering::Relaxed)
+        self.signals.have_come()
     }
 }

@@ -5,32 +5,34 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context;
-use reveille_bs::host::Settings;
-use reveille_common::bus::{self, Bus, allowed, draw_secret};
+use reveille_bs::server::ServerConfig;
+use reveille_common::bus::{self, Bus, draw_secret, scaled_timeout};
 use reveille_common::keys::RunName;
-use reveille_device::host::{self, HostError, Offer};
+use reveille_device::host::{self, HostConfig, HostError};
 
 use super::bs::{Service, check, serve, settings};
-use super::conclusion::window;
-use super::resolution::resolve_run;
-use super::run::Interrupted;
+use super::resolve_scenario::resolve_run;
+use super::window;
+use crate::child_process::{self, DeviceProcesses, Threads};
 use crate::cli::{OnLossArg, UpArgs};
-use crate::decider::deciding;
-use crate::launch::{Fleet, Threads};
-use crate::launcher::{Launcher, Orders};
-use crate::results::RunFolder;
+use crate::exit::ExitReason;
+use crate::policy_source::policy_source;
+use crate::run_folder::RunFolder;
+use crate::signals::{Manner, Signals};
 use crate::summary::Timing;
+use crate::supervisor::{Supervisor, SupervisorConfig};
 
-/// Device processes, where the command line says nothing.
+/// Default number of device processes.
 const PROCESSES: u32 = 4;
-/// How long all device processes may take to join, where they are few.
+/// Time for all device processes to join, if they are few.
 const JOIN: Duration = Duration::from_mins(1);
 
-/// Runs everything on this machine.
-pub async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
-    let started = crate::wall::now();
+/// Runs the base station and the devices on this machine.
+pub(crate) async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
+    child_process::end_with(args.output.parent)?;
+    let started = crate::runtime::now();
     let (scenario, given) = resolve_run(&args.scenario, &args.output)?;
-    let devices = scenario.devices;
+    let devices = scenario.run.devices;
     let processes = args.processes.unwrap_or(PROCESSES.min(devices));
     anyhow::ensure!(
         processes <= devices,
@@ -40,16 +42,17 @@ pub async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
         tracing::warn!("--on-loss has no effect: with --processes 0 there is no device process to lose");
     }
     check(&args.output, &args.drive)?;
-    let deciding = deciding(&scenario, given, &args.drive)?;
-    crate::limits::for_station(processes)?;
-    // Before there is a folder: one that is to be replaced stays as it is, if this is where it ends.
-    let endpoint = bus::free_to_listen(&args.listen)?;
+    let deciding = policy_source(&scenario, given, &args.drive)?;
+    crate::file_limits::for_station(processes)?;
+    // Resolved before the folder is created: an endpoint in use must not cost a run that --force replaces.
+    let endpoint = bus::resolve_listen_endpoint(&args.listen)?;
+    let signals = Signals::install(Manner::Keeps)?;
     let folder = RunFolder::create(&args.output, &scenario)?;
     match listen(args, &endpoint, &folder).await {
         Ok((bus, run)) => {
             let service = Service {
-                settings: Settings {
-                    join_patience: Some(allowed(JOIN, processes)),
+                settings: ServerConfig {
+                    join_patience: Some(scaled_timeout(JOIN, processes)),
                     key: Some(draw_secret()?),
                     members_only: true,
                     ..settings(&args.drive, &args.output, window(&args.output, &scenario))
@@ -62,6 +65,7 @@ pub async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
                 audit: args.drive.audit,
                 deciding,
                 progress: Arc::default(),
+                signals: &signals,
                 started,
             };
             attend(processes, &service, folder, (args.untuned, log)).await
@@ -79,7 +83,7 @@ async fn listen(args: &UpArgs, endpoint: &str, folder: &RunFolder) -> anyhow::Re
         None => folder.name().parse().context("the run folder's name")?,
     };
     let processes = args.processes.unwrap_or(PROCESSES);
-    let bus = Bus::listen_to(processes, endpoint, run.clone()).await?;
+    let bus = Bus::listen_for_hosts(processes, endpoint, run.clone()).await?;
     Ok((bus, run))
 }
 
@@ -90,31 +94,36 @@ async fn attend(
     folder: RunFolder,
     (is_untuned, log): (bool, &[String]),
 ) -> anyhow::Result<ExitCode> {
-    let devices = service.scenario.devices;
+    let devices = service.scenario.run.devices;
     if processes == 0 {
-        let own = service.bus.untapped();
-        let offer = Offer {
+        // Without a tap, since the base station already copies both directions.
+        let own = service.bus.without_tap();
+        let offer = HostConfig {
             count: devices,
             name: "the base station's own process".to_owned(),
             key: service.settings.key,
             patience: JOIN,
+            // With a single host there are no devices to take over.
             stands_by: false,
             hands_over: is_untuned,
         };
-        let carried = tokio::spawn(async move { host::carry(&own, offer, &|_| {}).await });
+        let carried = tokio::spawn(async move { host::run_host(&own, offer, &|_| {}).await });
         let code = serve(service, folder, |_| {}).await;
-        if code.as_ref().is_err_and(anyhow::Error::is::<Interrupted>) {
-            // They wait to join a run that there will not be.
+        if code
+            .as_ref()
+            .is_err_and(|error| ExitReason::from_error(error) == ExitReason::Interrupted)
+        {
+            // The devices would wait to join a run that never starts, or for a base station that has ended.
             carried.abort();
             return code;
         }
         return match carried.await.context("the devices' task")? {
-            // What the base station has told them is in `code`.
+            // `code` already has the error that the base station sent to the devices.
             Ok(()) | Err(HostError::RunFailed(_)) => code,
             Err(error) => Err(error.into()),
         };
     }
-    let fleet = Fleet {
+    let fleet = DeviceProcesses {
         devices,
         processes,
         endpoint: service.bus.endpoint(),
@@ -122,13 +131,13 @@ async fn attend(
         log,
         is_untuned,
     };
-    let orders = Orders {
+    let orders = SupervisorConfig {
         commands: fleet.commands(),
         key: service.settings.key,
         threads: if is_untuned { Threads::Default } else { Threads::One },
         on_loss: service.settings.on_loss,
     };
-    let launcher = match Launcher::start(orders, &service.progress) {
+    let launcher = match Supervisor::start(orders, &service.progress) {
         Ok(launcher) => launcher,
         Err(error) => {
             folder.fail(&error);
@@ -136,13 +145,14 @@ async fn attend(
         }
     };
     let code = serve(service, folder, |timing| measure(&launcher.pids(), timing)).await;
+    // After an error the drop of `launcher` ends the processes without a wait.
     if code.is_ok() {
         launcher.wait();
     }
     code
 }
 
-/// The mean memory of the device processes while they live.
+/// Measures the mean memory of the live device processes.
 fn measure(pids: &[u32], timing: &mut Timing) {
     let field = |text: &str, name: &str| -> f64 {
         let line = text.lines().find_map(|line| line.strip_prefix(name));
@@ -151,6 +161,7 @@ fn measure(pids: &[u32], timing: &mut Timing) {
     };
     let mut seen = 0.0;
     for pid in pids {
+        // A process can have ended since its pid was listed.
         if let Ok(text) = std::fs::read_to_string(format!("/proc/{pid}/smaps_rollup")) {
             timing.host_rss_mb += field(&text, "Rss:") / 1024.0;
             timing.host_pss_mb += field(&text, "Pss:") / 1024.0;

@@ -1,4 +1,4 @@
-//! What the dashboard knows of a run: its story so far, curves over it, and where it is now.
+//! The dashboard's copy of a run: its history, the curves over it and its current state.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -6,29 +6,29 @@ use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
 use reveille_common::geometry::cells;
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{EventNews, Frame, Message, MessageKind, WakeOutcome};
-use reveille_common::scenario::Scenario;
+use reveille_common::message::{EventUpdate, Frame, Message, MessageKind, WakeOutcome};
 use reveille_common::state::{DeviceState, DeviceView};
 use reveille_common::units::Energy;
-use reveille_view::batches::{Batches, step_back};
-use reveille_view::compare::{Comparison, Difference, Field, Side};
-use reveille_view::story::{Moment, Story};
-use reveille_view::traffic::Traffic;
+use reveille_view::batch_receiver::{BatchReceiver, lower_priority};
+use reveille_view::compare::{FieldDifference, FirstDifference, RunComparison, RunSide};
+use reveille_view::history::{RunHistory, TtiSnapshot};
+use reveille_view::traffic::TrafficStats;
 use serde_json::{Value, json};
 use tokio::sync::Notify;
 
-/// TTIs of a run that goes on that can be looked at again.
+/// TTIs of a live run that stay available for inspection.
 const LIVE: u64 = 100_000;
-/// Frames that may wait to be taken in.
+/// Capacity of the frame queue.
 const QUEUE: usize = 65_536;
-/// How long to wait for a frame at a time.
+/// Longest wait for one frame.
 const IDLE: Duration = Duration::from_secs(1);
-/// The most points of a curve; with more, every other one is left out.
+/// Most points of a curve; beyond that, every other point is dropped.
 const POINTS: usize = 800;
-/// TTIs from one point to the next at first, in a run that is long enough.
+/// Initial distance of two points in TTIs, in a run that is long enough.
 const SPACING: u64 = 10;
 /// Metrics that have a curve.
 const CURVES: [&str; 6] = [
@@ -39,86 +39,86 @@ const CURVES: [&str; 6] = [
     "energy_sleep_per_device_tti",
     "energy_report_per_device_tti",
 ];
-/// Events that are told of.
+/// Number of listed events.
 const TICKER: usize = 6;
-/// Quantiles of batteries that have a curve.
+/// Battery quantiles that have a curve.
 const QUANTILES: [f64; 3] = [0.05, 0.5, 0.95];
 
-/// A run, to be looked at by many.
-pub struct Feed {
+/// A run that many clients can view.
+pub(crate) struct Feed {
     e_max: Energy,
-    /// What does not change in a run.
+    /// The part of the data that is constant during the run.
     about: Value,
-    /// The group of each device, where the policy has groups.
+    /// The group of each device, if the policy has groups.
     groups: Option<Vec<u32>>,
-    known: Mutex<Known>,
+    known: Mutex<FeedState>,
     /// Length K of the run.
     ttis: u64,
-    /// The run that it is compared with.
-    beside: Option<Beside>,
-    /// Rung when something has come.
+    /// The run that this one is compared with.
+    compared: Option<ComparedRun>,
+    /// Notified when new data has arrived.
     pub bell: Notify,
-    /// Whether no more comes.
+    /// Whether the feed is complete.
     is_over: AtomicBool,
 }
 
 /// A recording that a run is compared with.
-pub struct Beside {
-    /// What is known of it.
+pub(crate) struct ComparedRun {
+    /// Its data.
     pub feed: Arc<Feed>,
-    /// The fields of the scenario in which they differ.
-    pub fields: Vec<Field>,
-    /// The comparison, with all of the recording taken in.
-    pub comparison: Comparison,
+    /// The scenario fields in which the two runs differ.
+    pub fields: Vec<FieldDifference>,
+    /// The comparison, which already contains the whole recording.
+    pub comparison: RunComparison,
 }
 
-struct Known {
-    story: Story,
-    comparison: Option<Comparison>,
-    traffic: Traffic,
-    /// A point of every curve.
+struct FeedState {
+    story: RunHistory,
+    comparison: Option<RunComparison>,
+    traffic: TrafficStats,
+    /// One entry per time, with a value for every curve.
     points: Vec<Value>,
-    /// TTIs from one point to the next.
+    /// TTIs between two points.
     spacing: u64,
     due: Tti,
-    /// Why states are not those of the run any more, if it is so.
+    /// The reason why the states no longer follow the run, if they do not.
     broken: Option<String>,
-    /// What came of the event under way.
+    /// Outcomes so far of the current event.
     under_way: Vec<String>,
-    /// What came of the last events, the latest first.
+    /// The last events with their outcomes, the latest first.
     ticker: VecDeque<Value>,
 }
 
-/// Hands frames to a feed.
+/// Sends frames to a feed.
 #[derive(Clone)]
-pub struct Hose(SyncSender<Item>);
+pub(crate) struct FeedHandle(SyncSender<FeedItem>);
 
-enum Item {
+enum FeedItem {
     Frame(Frame),
-    /// No more comes.
+    /// The last item.
     End,
 }
 
-impl Hose {
-    /// Takes in a frame; waits while too many are waiting. False once nobody takes them any more.
-    pub fn take(&self, frame: Frame) -> bool {
-        self.0.send(Item::Frame(frame)).is_ok()
+impl FeedHandle {
+    /// Queues a frame and blocks while the queue is full. Returns false once the receiver has ended.
+    pub(crate) fn take(&self, frame: Frame) -> bool {
+        self.0.send(FeedItem::Frame(frame)).is_ok()
     }
 
-    /// No more comes: what is waiting is still taken in.
-    pub fn end(&self) {
-        let _gone = self.0.send(Item::End).is_err();
+    /// Ends the feed after the queued frames.
+    pub(crate) fn end(&self) {
+        let _gone = self.0.send(FeedItem::End).is_err();
     }
 }
 
 impl Feed {
-    /// The feed of the run called `run`, of `scenario`. `is_live` where it goes on; of a recording all is kept.
-    pub fn new(
+    /// Creates the feed of the run called `run`, of `scenario`. A feed that is not `is_live` keeps a whole recording.
+    pub(crate) fn new(
         run: &str,
         scenario: &Scenario,
         groups: Option<Vec<u32>>,
         is_live: bool,
-        mut beside: Option<Beside>,
+        mut compared: Option<ComparedRun>,
     ) -> Arc<Self> {
         let deployment = Deployment::new(scenario);
         let positions = deployment.positions();
@@ -130,10 +130,10 @@ impl Feed {
         let about = json!({
             "run": run,
             "policy": scenario.policy.name(),
-            "preset": scenario.preset,
-            "seed": scenario.seed,
-            "devices": scenario.devices,
-            "ttis": scenario.ttis,
+            "preset": scenario.run.preset,
+            "seed": scenario.run.seed,
+            "devices": scenario.run.devices,
+            "ttis": scenario.run.ttis,
             "warm_up_end": scenario.warm_up_end(),
             "area": [scenario.area.width, scenario.area.height],
             "d_max": scenario.sensing.d_max,
@@ -143,7 +143,7 @@ impl Feed {
             "e_max": e_max,
             "curves": CURVES,
             "live": is_live,
-            "compared": beside.is_some(),
+            "compared": compared.is_some(),
         });
         let length = if is_live { LIVE } else { u64::MAX };
         let e_max = deployment.devices.iter().map(|device| device.energy.e_max).max();
@@ -151,33 +151,36 @@ impl Feed {
             e_max: e_max.unwrap_or(Energy::ZERO),
             about,
             groups,
-            known: Mutex::new(Known {
-                comparison: beside.as_mut().map(|beside| std::mem::take(&mut beside.comparison)),
-                story: Story::new(scenario, length),
-                traffic: Traffic::default(),
+            known: Mutex::new(FeedState {
+                comparison: compared
+                    .as_mut()
+                    .map(|compared| std::mem::take(&mut compared.comparison)),
+                story: RunHistory::new(scenario, length),
+                traffic: TrafficStats::default(),
                 points: Vec::new(),
-                spacing: (scenario.ttis / POINTS as u64).clamp(1, SPACING),
+                // A short run gets a point for every TTI; a long one starts with SPACING, and `draw` thins it out.
+                spacing: (scenario.run.ttis / POINTS as u64).clamp(1, SPACING),
                 due: Tti::ZERO,
                 broken: None,
                 under_way: Vec::new(),
                 ticker: VecDeque::new(),
             }),
-            ttis: scenario.ttis,
-            beside,
+            ttis: scenario.run.ttis,
+            compared,
             bell: Notify::new(),
             is_over: AtomicBool::new(false),
         })
     }
 
-    /// Starts a thread that takes in what comes through the hose, until that is gone.
+    /// Starts a thread that takes frames from the returned handle until the handle is dropped.
     ///
     /// # Errors
     /// If no thread can be started.
-    pub fn open(self: &Arc<Self>) -> std::io::Result<Hose> {
+    pub(crate) fn open(self: &Arc<Self>) -> std::io::Result<FeedHandle> {
         let (send, frames) = sync_channel(QUEUE);
-        let (feed, mut batches) = (Arc::clone(self), Batches::new(frames));
+        let (feed, mut batches) = (Arc::clone(self), BatchReceiver::new(frames));
         let take = move || {
-            step_back();
+            lower_priority();
             let mut is_over = false;
             loop {
                 match batches.next(IDLE) {
@@ -185,8 +188,8 @@ impl Feed {
                         let mut known = feed.known();
                         for item in batch {
                             match item {
-                                Item::Frame(frame) => known.take(frame),
-                                Item::End => is_over = true,
+                                FeedItem::Frame(frame) => known.take(frame),
+                                FeedItem::End => is_over = true,
                             }
                         }
                     }
@@ -201,43 +204,44 @@ impl Feed {
             }
         };
         std::thread::Builder::new().name("dashboard".to_owned()).spawn(take)?;
-        Ok(Hose(send))
+        Ok(FeedHandle(send))
     }
 
-    /// Takes in a frame.
-    pub fn take(&self, frame: Frame) {
+    /// Takes a frame.
+    pub(crate) fn take(&self, frame: Frame) {
         self.known().take(frame);
     }
 
-    /// What comes next cannot be read, for the reason given.
-    pub fn tear(&self, why: String) {
+    /// Marks the rest of the run as unreadable, for the given reason.
+    pub(crate) fn mark_torn(&self, why: String) {
         self.known().broken = Some(why);
     }
 
-    /// No more comes.
-    pub fn end(&self) {
+    /// Ends the feed.
+    pub(crate) fn end(&self) {
         let mut known = self.known();
         let (_, next) = known.story.span();
         if next > Tti::ZERO {
             known.draw(next);
         }
-        // What a run that was cut short would have done is not known.
+        // A run that was cut short cannot be compared beyond its end.
         let is_whole = next.0 >= self.ttis;
         if let Some(comparison) = known.comparison.as_mut().filter(|_| is_whole) {
-            comparison.end(Side::This);
+            comparison.end(RunSide::This);
         }
+        // Released before the bell: the readers that it wakes take the lock.
         drop(known);
         self.is_over.store(true, Ordering::Relaxed);
         self.bell.notify_waiters();
     }
 
-    /// What does not change in the run.
-    pub const fn about(&self) -> &Value {
+    /// The data that is constant during the run.
+    pub(crate) const fn about(&self) -> &Value {
         &self.about
     }
 
-    /// Where the run is: the TTIs that can be looked at, and the states of the last.
-    pub fn now(&self) -> Value {
+    /// The available TTIs and the latest states.
+    pub(crate) fn now(&self) -> Value {
         let mut known = self.known();
         let (first, next) = known.story.span();
         let moment = known.story.latest();
@@ -254,13 +258,13 @@ impl Feed {
         now
     }
 
-    /// TTI `tti`, if it can be looked at.
-    pub fn at(&self, tti: Tti) -> Option<Value> {
+    /// The data of TTI `tti`, if it is available.
+    pub(crate) fn at(&self, tti: Tti) -> Option<Value> {
         let moment = self.known().story.at(tti)?;
         Some(self.told(tti, &moment))
     }
 
-    fn told(&self, tti: Tti, moment: &Moment) -> Value {
+    fn told(&self, tti: Tti, moment: &TtiSnapshot) -> Value {
         let woken: Vec<Value> = moment
             .woken
             .iter()
@@ -287,79 +291,81 @@ impl Feed {
         })
     }
 
-    /// Whether all TTIs of the run were taken in.
-    pub fn is_whole(&self) -> bool {
+    /// Whether the feed has received all TTIs of the run.
+    pub(crate) fn is_whole(&self) -> bool {
         self.known().story.span().1.0 >= self.ttis
     }
 
-    /// The run that it is compared with, if there is one.
-    pub fn other(&self) -> Option<&Self> {
-        self.beside.as_ref().map(|beside| &*beside.feed)
+    /// The run that this one is compared with, if any.
+    pub(crate) fn other(&self) -> Option<&Self> {
+        self.compared.as_ref().map(|compared| &*compared.feed)
     }
 
-    /// Where it first differs from the run that it is compared with, if there is one.
-    pub fn compared(&self) -> Option<Value> {
-        let Beside { feed, fields, .. } = self.beside.as_ref()?;
+    /// Returns the first difference from the compared run; `None` without a compared run.
+    pub(crate) fn compared(&self) -> Option<Value> {
+        let ComparedRun { feed, fields, .. } = self.compared.as_ref()?;
         let known = self.known();
         let comparison = known.comparison.as_ref()?;
-        let told = |difference: &Difference| {
+        let told = |difference: &FirstDifference| {
             json!({
                 "tti": difference.tti,
                 "kind": difference.kind.name(),
-                "this": difference.says(Side::This),
-                "other": difference.says(Side::Other),
+                "this": difference.describe(RunSide::This),
+                "other": difference.describe(RunSide::Other),
                 "devices": difference.devices(),
             })
         };
         Some(json!({
             "other": feed.about,
             "fields": fields,
+            // A side that has ended counts as compared to `NEVER`; the run's own end limits that.
             "compared": comparison.compared().min(known.story.span().1),
             "differences": comparison.differences().into_iter().map(told).collect::<Vec<_>>(),
         }))
     }
 
-    /// The devices of a group of the policy; nothing if it has none of that number.
-    pub fn group(&self, number: u32) -> Option<Vec<DeviceId>> {
+    /// The devices of a group of the policy; `None` if the group does not exist.
+    pub(crate) fn group(&self, number: u32) -> Option<Vec<DeviceId>> {
         let ids = (0..).map(DeviceId).zip(self.groups.as_ref()?);
         let own: Vec<DeviceId> = ids.filter(|(_, group)| **group == number).map(|(id, _)| id).collect();
         (!own.is_empty()).then_some(own)
     }
 
     /// The points of all curves so far.
-    pub fn curves(&self) -> Value {
+    pub(crate) fn curves(&self) -> Value {
         json!(self.known().points)
     }
 
-    /// Does `look` with the story.
-    pub fn story<T>(&self, look: impl FnOnce(&Story) -> T) -> T {
+    /// Calls `look` with the run's history.
+    pub(crate) fn story<T>(&self, look: impl FnOnce(&RunHistory) -> T) -> T {
         look(&self.known().story)
     }
 
-    fn known(&self) -> MutexGuard<'_, Known> {
+    fn known(&self) -> MutexGuard<'_, FeedState> {
         self.known.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Two hexadecimal digits a device: its battery, 00 to ff of the largest E_max.
+    /// The batteries, two hexadecimal digits per device: 00 to ff of the largest E_max.
     fn batteries(&self, views: &[DeviceView]) -> String {
         let most = self.e_max.micro().max(1);
+        // Rounded up, so that only an empty battery is 00.
         let level = |view: &DeviceView| format!("{:02x}", (view.battery.micro() * 255).div_ceil(most).min(255));
         views.iter().map(level).collect()
     }
 }
 
-impl Known {
+impl FeedState {
     fn take(&mut self, frame: Frame) {
         self.traffic.count(&frame);
         if self.broken.is_some() {
-            // Nothing that comes fits to what was before it any more.
+            // Later frames do not follow from the last known states.
             return;
         }
         self.tick(&frame);
         if let Some(comparison) = &mut self.comparison {
-            comparison.take(Side::This, &frame);
+            comparison.push(RunSide::This, &frame);
         }
-        if let Err(error) = self.story.take(frame) {
+        if let Err(error) = self.story.push(frame) {
             self.broken = Some(format!(
                 "states are not known any more: {error}; start the dashboard once more"
             ));
@@ -370,7 +376,7 @@ impl Known {
         }
     }
 
-    /// Notes what `frame` tells of events.
+    /// Records the outcome that `frame` reports for an event.
     fn tick(&mut self, frame: &Frame) {
         let is_news = matches!(
             frame.kind,
@@ -380,7 +386,7 @@ impl Known {
             return;
         };
         let whose = frame.number.map_or_else(String::new, |number| number.to_string());
-        if let Message::Event(EventNews::Started(_)) = message {
+        if let Message::Event(EventUpdate::Started(_)) = message {
             self.under_way.clear();
         } else if let Message::Event(news) = message {
             let (tti, text) = (frame.tti, news.to_string());
@@ -396,7 +402,7 @@ impl Known {
         } else if let Message::Woken(woken) = message {
             let came = match woken.outcome {
                 WakeOutcome::Reported(_) => {
-                    // Its report was noted before.
+                    // The frame of its report came first, and was recorded as a report without a wake-up.
                     self.under_way.pop();
                     "woken"
                 }
@@ -409,10 +415,11 @@ impl Known {
         }
     }
 
-    /// One more point of every curve, before TTI `next`.
+    /// Adds a point to every curve, before TTI `next`.
     fn draw(&mut self, next: Tti) {
         let point = self.point(next);
         self.points.push(point);
+        // Keeps every other point, the first included, at twice the distance, so that memory stays bounded.
         if self.points.len() > POINTS {
             let mut is_odd = false;
             self.points.retain(|_| {
@@ -424,7 +431,7 @@ impl Known {
         self.due = next + self.spacing;
     }
 
-    /// A point of every curve, before TTI `next`.
+    /// Computes a point of every curve, before TTI `next`.
     fn point(&mut self, next: Tti) -> Value {
         let views = self.story.views();
         let mut levels: Vec<Energy> = views.iter().map(|view| view.battery).collect();
@@ -446,7 +453,7 @@ impl Known {
     }
 }
 
-/// A letter a device: `1` S1, `2` S2, `3` S3, `4` S4, `0` S4 without power for the wake-up radio.
+/// The states, one letter per device: `1` S1, `2` S2, `3` S3, `4` S4, `0` S4 without power for the wake-up radio.
 pub(super) fn states(views: &[DeviceView]) -> String {
     let letter = |view: &DeviceView| match view.state {
         DeviceState::Idle => '1',

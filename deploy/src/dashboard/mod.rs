@@ -1,10 +1,10 @@
-//! The dashboard: a run in the browser, while it goes or from a recording.
+//! The dashboard: a live or recorded run in the browser.
 //!
-//! One page that loads nothing from elsewhere, and what it asks for. Looking needs no token on a loopback address;
-//! whatever changes something does, and so does everything where others may connect.
+//! It is a single page that loads nothing from other sites, and an HTTP interface. On a loopback address reading needs
+//! no token. Changes need one, and so does every request if other machines can connect.
 
 mod api;
-pub mod feed;
+pub(crate) mod feed;
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -18,10 +18,10 @@ use axum::routing::{get, post};
 use reveille_common::bus::Bus;
 use tokio::net::TcpListener;
 
-use self::api::{Served, guard};
+use self::api::{ApiState, guard};
 use self::feed::Feed;
 
-/// What the page consists of: path, type, text.
+/// The files of the page: path, type, content.
 const PAGE: [(&str, &str, &str); 6] = [
     ("/", "text/html; charset=utf-8", include_str!("page/index.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
@@ -39,28 +39,28 @@ const PAGE: [(&str, &str, &str); 6] = [
     ("/api.js", "text/javascript; charset=utf-8", include_str!("page/api.js")),
 ];
 
-/// What the browser may load: what comes from here.
+/// The content security policy: the browser loads content from this server only.
 const POLICY: &str = "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; base-uri 'none'; \
                       form-action 'none'; frame-ancestors 'none'";
 
-/// A dashboard that is served.
-pub struct Dashboard {
-    /// Its address for a person, with the token.
+/// A running dashboard.
+pub(crate) struct Dashboard {
+    /// Its address for the browser, with the token.
     pub url: String,
 }
 
-/// Serves `feed` at `address` until the program ends; the clock of the run on `bus` may be driven from it, if there is
-/// one.
+/// Serves `feed` at `address` until the program ends. With a `bus`, the page can control the clock of that run.
 ///
 /// # Errors
-/// If nothing can listen there.
-pub async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> anyhow::Result<Dashboard> {
+/// If it cannot listen there.
+pub(crate) async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> anyhow::Result<Dashboard> {
     let named = || format!("--dashboard {address}");
     let listener = TcpListener::bind(address).await.with_context(named)?;
     let at: SocketAddr = listener.local_addr().with_context(named)?;
     let token = token().context("cannot draw a token")?;
+    // Browsers send no fragment to a server, so the token stays out of logs.
     let url = format!("http://{at}/#{token}");
-    let served = Served::new(feed, bus, token, at);
+    let served = ApiState::new(feed, bus, token, at);
     let mut router = Router::new()
         .route("/api/run", get(api::about))
         .route("/api/now", get(api::now))
@@ -88,6 +88,7 @@ pub async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> anyhow::
         };
         router = router.route(path, get(page));
     }
+    // A layer covers the routes added before it: all of them, the pages included.
     let router = router
         .layer(middleware::from_fn_with_state(served.clone(), guard))
         .with_state(served);
@@ -99,10 +100,10 @@ pub async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> anyhow::
     Ok(Dashboard { url })
 }
 
-/// A token that nobody can guess.
+/// Draws a random token.
 fn token() -> std::io::Result<String> {
     use std::io::Read;
     let mut bytes = [0; 16];
     std::fs::File::open("/dev/urandom")?.read_exact(&mut bytes)?;
-    Ok(reveille_view::line::hex(&bytes))
+    Ok(reveille_view::frame_line::hex(&bytes))
 }

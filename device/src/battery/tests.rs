@@ -1,4 +1,4 @@
-//! The battery by itself, in micro-units that can be added up by hand.
+//! The battery alone, in micro-units that can be added up by hand.
 
 use proptest::prelude::*;
 use reveille_common::scenario::EnergyModel;

@@ -1,43 +1,42 @@
-//! The tokio shell of a device: one task, one mailbox, one [`Machine`].
+//! The tokio task of a device, with one mailbox and one [`Machine`].
 
 use std::sync::Arc;
 
 use reveille_common::event::Stimulus;
 use reveille_common::ids::Tti;
-use reveille_common::message::{Answer, WakeOutcome};
+use reveille_common::message::{HostAnswer, WakeOutcome};
 use reveille_common::plan::DutyCycle;
 use tokio::sync::mpsc::UnboundedReceiver;
 
-use crate::host::round::{Part, Round};
-use crate::host::uplink::Uplink;
-use crate::machine::{Machine, Physics, Sensed};
+use super::answer_round::{DeviceAnswer, Round, Uplink};
+use crate::machine::{Machine, Physics, SenseOutcome};
 
-/// What reaches a device.
-pub enum Input {
-    /// Air: δ from a TTI on.
+/// A command to a device.
+pub(crate) enum DeviceCommand {
+    /// Air plane: δ from a TTI on.
     Duty(Tti, DutyCycle),
-    /// Emulation: end all TTIs before this one and add the sums to the round.
+    /// Emulation plane: end all TTIs before this one and add the totals to the round.
     Settle(Tti, Arc<Round>),
-    /// Emulation: begin this TTI, if it has not begun, and add state and battery to the round.
+    /// Emulation plane: begin this TTI, if it has not begun, and add state and battery to the round.
     View(Tti, Arc<Round>),
-    /// The physical world in a TTI.
+    /// The stimulus of the physical world in a TTI.
     Sense(Tti, Stimulus, Arc<Round>),
-    /// Air: the wake-up radio in a TTI, and what the world shows when the device is awake.
+    /// Air plane: a wake-up signal in a TTI, and the stimulus that the device senses once it is awake.
     Wake(Tti, Option<Stimulus>),
 }
 
 /// A device's task.
-pub struct Actor {
+pub(crate) struct Actor {
     machine: Machine,
     physics: Arc<Physics>,
     uplink: Arc<Uplink>,
-    /// The last wake-up and what came of it: the BS may ask again.
+    /// The last wake-up and its outcome, because the base station may repeat the wake-up.
     last_wake: Option<(Tti, WakeOutcome)>,
 }
 
 impl Actor {
-    /// The task of `machine`.
-    pub const fn new(machine: Machine, physics: Arc<Physics>, uplink: Arc<Uplink>) -> Self {
+    /// Creates the task of `machine`.
+    pub(crate) const fn new(machine: Machine, physics: Arc<Physics>, uplink: Arc<Uplink>) -> Self {
         Self {
             machine,
             physics,
@@ -46,24 +45,27 @@ impl Actor {
         }
     }
 
-    /// Lives until the mailbox is closed.
-    pub async fn run(mut self, mut mailbox: UnboundedReceiver<Input>) {
+    /// Runs until the mailbox is closed.
+    pub(crate) async fn run(mut self, mut mailbox: UnboundedReceiver<DeviceCommand>) {
         while let Some(input) = mailbox.recv().await {
             match input {
-                Input::Duty(from, duty) => self.machine.set_duty(from, duty),
-                Input::Settle(k, round) => {
-                    self.machine.settle(k);
+                DeviceCommand::Duty(from, duty) => self.machine.set_duty(from, duty),
+                DeviceCommand::Settle(k, round) => {
+                    self.machine.advance_to(k);
                     round.add(
-                        &Part::Books(self.machine.id(), Box::new(self.machine.ledger())),
+                        &DeviceAnswer::Books(self.machine.id(), Box::new(self.machine.ledger())),
                         &self.uplink,
                     );
                 }
-                Input::View(tti, round) => {
+                DeviceCommand::View(tti, round) => {
                     self.machine.begin(tti);
-                    round.add(&Part::View(self.machine.id(), self.machine.view()), &self.uplink);
+                    round.add(
+                        &DeviceAnswer::View(self.machine.id(), self.machine.view()),
+                        &self.uplink,
+                    );
                 }
-                Input::Sense(tti, stimulus, round) => self.sense(tti, &stimulus, &round),
-                Input::Wake(tti, stimulus) => self.wake(tti, stimulus.as_ref()),
+                DeviceCommand::Sense(tti, stimulus, round) => self.sense(tti, &stimulus, &round),
+                DeviceCommand::Wake(tti, stimulus) => self.wake(tti, stimulus.as_ref()),
             }
         }
     }
@@ -72,11 +74,13 @@ impl Actor {
         let sensed = self.machine.sense(tti, stimulus, &self.physics);
         tracing::trace!(%tti, device = %self.machine.id(), ?sensed, state = ?self.machine.state(), "sensed");
         let part = match sensed {
-            Sensed::Nothing => Part::Nothing,
-            Sensed::Failed(failure) => Part::Failed(failure),
-            Sensed::Reported(report) => {
+            SenseOutcome::Nothing => DeviceAnswer::Nothing,
+            SenseOutcome::Failed(failure) => DeviceAnswer::Failed(failure),
+            SenseOutcome::Reported(report) => {
+                // Sent before the part is added: the answer states the number of reports and has to follow them on the
+                // link.
                 self.uplink.report(&report);
-                Part::Reported(report)
+                DeviceAnswer::Reported(report)
             }
         };
         round.add(&part, &self.uplink);
@@ -84,6 +88,7 @@ impl Actor {
 
     fn wake(&mut self, tti: Tti, stimulus: Option<&Stimulus>) {
         let outcome = match self.last_wake {
+            // A repeated wake-up must not consume energy again.
             Some((last, outcome)) if last == tti => outcome,
             Some(_) | None => self.machine.wake(tti, stimulus, &self.physics),
         };
@@ -91,10 +96,10 @@ impl Actor {
         self.last_wake = Some((tti, outcome));
         let device = self.machine.id();
         match outcome {
-            // What is lost on its way was sent.
+            // The modelled air loses a report after transmission, and the base station draws that loss itself.
             WakeOutcome::Reported(report) | WakeOutcome::Lost(report) => self.uplink.report(&report),
             WakeOutcome::Failed(_) | WakeOutcome::Unheard | WakeOutcome::Late { .. } => {
-                self.uplink.answer(&Answer::NotWoken { device, tti, outcome });
+                self.uplink.answer(&HostAnswer::NotWoken { device, tti, outcome });
             }
         }
     }

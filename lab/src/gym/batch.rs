@@ -1,39 +1,39 @@
-//! Environments that step together, on threads of their own, and write what they show into memory of the caller's.
+//! Environments that step together on separate threads and write their observations into the caller's memory.
 
 use rayon::iter::{IndexedParallelIterator, IntoParallelIterator, IntoParallelRefMutIterator, ParallelIterator};
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
-use reveille_bs::policy::external::{DEVICE, GLOBAL, Stage};
-use reveille_common::scenario::Scenario;
+use reveille_bs::policy::external::{DEVICE, DecisionStage, GLOBAL};
+use reveille_bs::scenario::Scenario;
 
-use super::environment::{Environment, Ground, Step, Weights};
+use super::environment::{Environment, EpisodeTemplate, RewardWeights, StepResult};
 
-/// Where the environments of a batch write what they show, one after the other.
+/// The output buffers of a batch, one environment after another.
 #[derive(Debug)]
-pub struct Views<'a> {
-    /// [`DEVICE`], `[K, N, F]`.
+pub struct BatchBuffers<'a> {
+    /// The features [`DEVICE`], `[K, N, F]`.
     pub devices: &'a mut [f32],
-    /// [`GLOBAL`], `[K, G]`.
+    /// The features [`GLOBAL`], `[K, G]`.
     pub global: &'a mut [f32],
-    /// 0 or 1, `[K]`.
+    /// The stage, 0 or 1, `[K]`.
     pub stage: &'a mut [i64],
-    /// What can be answered, 2 for either and 0 for 0 alone, `[K, N]`.
+    /// The action mask: 2 if both values are allowed, 0 if only 0 is, `[K, N]`.
     pub mask: &'a mut [i8],
     /// The reward of the last step, `[K]`.
     pub reward: &'a mut [f64],
-    /// Its parts as in [`Step`], `[K, 4]`.
+    /// The terms of the reward as in [`StepResult`], `[K, 4]`.
     pub parts: &'a mut [f64],
-    /// TTIs that are closed, `[K]`.
+    /// The number of closed TTIs, `[K]`.
     pub ttis: &'a mut [i64],
-    /// Whether the run is at its end, `[K]`.
+    /// Whether the run has ended, `[K]`.
     pub ended: &'a mut [bool],
 }
 
-/// The parts of a reward.
+/// The number of terms of a reward.
 pub const PARTS: usize = 4;
 
-/// Where one environment writes.
+/// The output buffers of one environment.
 #[derive(Debug)]
-struct Place<'a> {
+struct EnvBuffers<'a> {
     devices: &'a mut [f32],
     global: &'a mut [f32],
     stage: &'a mut i64,
@@ -44,15 +44,16 @@ struct Place<'a> {
     ended: &'a mut bool,
 }
 
-impl<'a> Views<'a> {
-    /// The place of each of the environments, which have `n` devices.
-    fn places(self, n: usize) -> Vec<Place<'a>> {
+impl<'a> BatchBuffers<'a> {
+    /// Splits the buffers by environment, each with `n` devices.
+    fn places(self, n: usize) -> Vec<EnvBuffers<'a>> {
+        // The slices are disjoint, so threads write without a lock.
         let rows = self.devices.chunks_exact_mut(n * DEVICE.len());
         let rows = rows.zip(self.global.chunks_exact_mut(GLOBAL.len()));
         let rows = rows.zip(self.mask.chunks_exact_mut(n)).zip(self.stage);
         let results = self.reward.iter_mut().zip(self.parts.chunks_exact_mut(PARTS));
         let results = results.zip(self.ttis).zip(self.ended);
-        let place = |((((devices, global), mask), stage), (((reward, parts), ttis), ended))| Place {
+        let place = |((((devices, global), mask), stage), (((reward, parts), ttis), ended))| EnvBuffers {
             devices,
             global,
             stage,
@@ -66,9 +67,9 @@ impl<'a> Views<'a> {
     }
 }
 
-impl Place<'_> {
-    fn show(&mut self, environment: &Environment, step: Step) {
-        let Step {
+impl EnvBuffers<'_> {
+    fn show(&mut self, environment: &Environment, step: StepResult) {
+        let StepResult {
             asleep,
             missed,
             information,
@@ -82,35 +83,40 @@ impl Place<'_> {
         question.write_devices(self.devices);
         question.write_global(self.global);
         question.write_mask(self.mask);
-        *self.stage = i64::from(question.stage == Stage::Wake);
+        *self.stage = i64::from(question.stage == DecisionStage::Wake);
     }
 }
 
-/// Environments of equally many devices.
-pub struct Batch {
+/// Environments with equal numbers of devices.
+pub struct EnvBatch {
     environments: Vec<Environment>,
     devices: usize,
-    weights: Weights,
-    /// None for the caller's thread.
+    weights: RewardWeights,
+    /// The thread pool; `None` to run on the caller's thread.
     pool: Option<ThreadPool>,
 }
 
-impl Batch {
-    /// Environments of these `scenarios`, at least one, with equally many devices each, on `threads` threads, or as
-    /// many as there are environments if that is fewer.
+impl EnvBatch {
+    /// Creates one environment for each of `scenarios`, on `threads` threads or one per environment, whichever is
+    /// fewer.
     ///
     /// # Errors
-    /// There are no such threads to be had.
+    /// If the threads cannot be started.
     ///
     /// # Panics
-    /// If there is none, or the numbers of devices differ.
-    pub fn new(scenarios: &[Scenario], weights: Weights, threads: usize) -> Result<Self, ThreadPoolBuildError> {
-        let devices = scenarios.first().expect("at least one environment").devices as usize;
-        assert!(scenarios.iter().all(|scenario| scenario.devices as usize == devices));
+    /// If `scenarios` is empty, or the numbers of devices differ.
+    pub fn new(scenarios: &[Scenario], weights: RewardWeights, threads: usize) -> Result<Self, ThreadPoolBuildError> {
+        let devices = scenarios.first().expect("at least one environment").run.devices as usize;
+        assert!(
+            scenarios
+                .iter()
+                .all(|scenario| scenario.run.devices as usize == devices)
+        );
         let threads = threads.min(scenarios.len());
+        // A pool of one thread would only add a thread switch to each step.
         let pool = (threads > 1).then(|| ThreadPoolBuilder::new().num_threads(threads).build());
         let pool = pool.transpose()?;
-        let make = |scenario: &Scenario| Environment::new(Ground::new(scenario), weights);
+        let make = |scenario: &Scenario| Environment::new(EpisodeTemplate::new(scenario), weights);
         Ok(Self {
             environments: scenarios.iter().map(make).collect(),
             devices,
@@ -119,17 +125,17 @@ impl Batch {
         })
     }
 
-    /// Number of environments K.
+    /// The number of environments K.
     pub const fn len(&self) -> usize {
         self.environments.len()
     }
 
-    /// Whether there is none; there is always one.
+    /// Whether the batch is empty; always `false`.
     pub const fn is_empty(&self) -> bool {
         self.environments.is_empty()
     }
 
-    /// Number of devices N of each.
+    /// The number of devices N of each environment.
     pub const fn devices(&self) -> usize {
         self.devices
     }
@@ -139,25 +145,25 @@ impl Batch {
         &self.environments
     }
 
-    /// Puts `environment` in the place of another.
+    /// Replaces the environment with index `at`.
     ///
     /// # Panics
-    /// If it has another number of devices, or there is no such place.
+    /// If the new one has another number of devices, or `at` is out of range.
     pub fn put(&mut self, at: usize, environment: Environment) {
-        assert_eq!(environment.ground().scenario().devices as usize, self.devices);
+        assert_eq!(environment.ground().scenario().run.devices as usize, self.devices);
         self.environments[at] = environment;
     }
 
-    /// Begins again where there is a scenario.
+    /// Restarts each environment that has a scenario in `scenarios`.
     ///
     /// # Panics
-    /// If one has another number of devices.
+    /// If `scenarios` has another length, or one of them has another number of devices.
     pub fn reset(&mut self, scenarios: Vec<Option<Scenario>>) {
         assert_eq!(scenarios.len(), self.environments.len());
         let weights = self.weights;
         let begin = |(environment, scenario): (&mut Environment, Option<Scenario>)| {
             if let Some(scenario) = scenario {
-                *environment = Environment::new(Ground::new(&scenario), weights);
+                *environment = Environment::new(EpisodeTemplate::new(&scenario), weights);
             }
         };
         let Self { environments, pool, .. } = self;
@@ -167,20 +173,21 @@ impl Batch {
         }
     }
 
-    /// A step of each environment with its row of `actions`, `[K, N]`, 0 or not 0; where it `rests`, `[K]`, none. Then
-    /// all of them are shown.
+    /// Takes a step in each environment with its row of `actions`, `[K, N]`, 0 or not 0. Environments with `rests`,
+    /// `[K]`, take no step. Then writes the observations of all environments.
     ///
     /// # Panics
-    /// If a slice is of another length.
-    pub fn step(&mut self, actions: &[i8], rests: &[bool], views: Views<'_>) {
+    /// If a slice has another length.
+    pub fn step(&mut self, actions: &[i8], rests: &[bool], views: BatchBuffers<'_>) {
         let n = self.devices;
         let places = views.places(n);
         let all = self.environments.len();
+        // `chunks_exact_mut` and `zip` silently drop a remainder, so a short slice would skip environments.
         assert_eq!((actions.len(), rests.len(), places.len()), (all * n, all, all));
-        let step = |at: usize, environment: &mut Environment, mut place: Place<'_>| {
+        let step = |at: usize, environment: &mut Environment, mut place: EnvBuffers<'_>| {
             let action = &actions[at * n..][..n];
             let step = if rests[at] {
-                Step::default()
+                StepResult::default()
             } else {
                 environment.step(|j| action[j] != 0)
             };
@@ -198,11 +205,11 @@ impl Batch {
         }
     }
 
-    /// Shows all environments without a step.
+    /// Writes the observations of all environments without a step.
     ///
     /// # Panics
-    /// If a slice is of another length.
-    pub fn show(&mut self, views: Views<'_>) {
+    /// If a slice has another length.
+    pub fn show(&mut self, views: BatchBuffers<'_>) {
         let all = self.environments.len();
         self.step(&vec![0; all * self.devices], &vec![true; all], views);
     }

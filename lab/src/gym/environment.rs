@@ -3,48 +3,55 @@
 use std::sync::Arc;
 
 use reveille_bs::beliefs::coverage::Union;
-use reveille_bs::beliefs::reward::{self, Looked, MU1, MU2};
-use reveille_bs::observe::{Happening, Observer};
-use reveille_bs::outcome::Outcome;
-use reveille_bs::policy::external::{Decision, Question, Stage};
-use reveille_bs::policy::outside::EXTERNAL;
-use reveille_bs::prepared::Prepared;
+use reveille_bs::beliefs::reward::{self, CoverageReward, MU1, MU2};
+use reveille_bs::cycle::{Outcome, PreparedRun};
+use reveille_bs::observer::{Notification, Observer};
+use reveille_bs::policy::external::{DecisionContext, DecisionStage, PlanDecision};
+use reveille_bs::policy::outside::is_external;
+use reveille_bs::scenario::Scenario;
 use reveille_common::ids::DeviceId;
 use reveille_common::message::WakeOutcome;
 use reveille_common::plan::Plan;
-use reveille_common::scenario::Scenario;
 use reveille_common::sensing::Sensing;
 use reveille_common::world::World;
 
-use crate::run::Options;
-use crate::stepping::Stepping;
+use crate::run::RunOptions;
+use crate::stepped_run::SteppedRun;
 
 /// The weights of the rewards (Sec. V-B).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Weights {
-    /// μ1, of misdetections, ≥ 0.
+pub struct RewardWeights {
+    /// μ1, the weight of misdetections, ≥ 0.
     pub mu1: f64,
-    /// μ2, of information, ≥ 0.
+    /// μ2, the weight of information, ≥ 0.
     pub mu2: f64,
 }
 
-impl Default for Weights {
+impl Default for RewardWeights {
     fn default() -> Self {
         Self { mu1: MU1, mu2: MU2 }
     }
 }
 
-/// A scenario put on the ground for environments, with what is worth keeping from one episode to the next.
+/// A deployed scenario for environments, with the data shared by all episodes.
 #[derive(Clone, Debug)]
-pub struct Ground {
-    prepared: Arc<Prepared>,
+pub struct EpisodeTemplate {
+    prepared: Arc<PreparedRun>,
     union: Union,
 }
 
-impl Ground {
-    /// The ground of `scenario`, whose policy is `external`.
+impl EpisodeTemplate {
+    /// Prepares `scenario`, whose policy must be `external`.
+    ///
+    /// # Panics
+    /// If it has another policy.
     pub fn new(scenario: &Scenario) -> Self {
-        let prepared = Prepared::with_policies(scenario, EXTERNAL);
+        assert!(
+            is_external(&scenario.policy),
+            "{} decides itself",
+            scenario.policy.name()
+        );
+        let prepared = PreparedRun::without_pilots(scenario);
         let union = reward::union(&prepared.knowledge());
         Self {
             prepared: Arc::new(prepared),
@@ -58,87 +65,87 @@ impl Ground {
     }
 }
 
-/// What a step has brought.
+/// The reward of a step, by term.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Step {
-    /// The share of devices that sleep, the first term of r(k); 0 at stage 1.
+pub struct StepResult {
+    /// The share of sleeping devices, the first term of r(k); 0 at stage 1.
     pub asleep: f64,
-    /// −α μ1 times the share of the area that nobody looks at, the second term of r(k) as it is to be expected; 0 at
-    /// stage 1.
+    /// −α μ1 times the uncovered share of the area, the expectation of the second term of r(k); 0 at stage 1.
     pub missed: f64,
-    /// μ2 times what wake-ups have added to Î, a share of Ψ; 0 at stage 0.
+    /// μ2 times the gain in Î by wake-ups, as a share of Ψ; 0 at stage 0.
     pub information: f64,
-    /// −1/N times the number of devices that were woken; 0 at stage 0.
+    /// −1/N times the number of woken devices; 0 at stage 0.
     pub woken: f64,
 }
 
-impl Step {
+impl StepResult {
     /// r(k) at stage 0, the step's share of r*(k) at stage 1.
     pub fn reward(&self) -> f64 {
         self.asleep + self.missed + self.information + self.woken
     }
 }
 
-/// What wake-ups bring, as the base station hears of it.
+/// Accumulates the gain of wake-ups from the base station's notifications.
 #[derive(Clone, Debug)]
-struct Ear {
+struct StepObserver {
     sensing: Sensing,
     information: f64,
     wake_ups: u32,
 }
 
-impl Observer for Ear {
-    fn see(&mut self, happening: &Happening<'_>) {
+impl Observer for StepObserver {
+    fn notify(&mut self, happening: &Notification<'_>) {
         match *happening {
-            Happening::Granted(_) => self.information = 0.0,
-            Happening::Reported(report)
-            | Happening::Woken {
+            // Î counts the reports of one TTI; a grant opens the next one.
+            Notification::Granted(_) => self.information = 0.0,
+            Notification::Reported(report)
+            | Notification::Woken {
                 outcome: WakeOutcome::Reported(report),
                 ..
             } => self.information = self.sensing.fuse(self.information, report.information),
-            Happening::WakeUp { .. } => self.wake_ups += 1,
-            Happening::Plan { .. }
-            | Happening::EventStarted(_)
-            | Happening::Lost(_)
-            | Happening::Failed { .. }
-            | Happening::Woken { .. }
-            | Happening::Believed { .. }
-            | Happening::Gone(_)
-            | Happening::EventEnded(_)
-            | Happening::Closed(_)
-            | Happening::States(_) => {}
+            Notification::WakeUp { .. } => self.wake_ups += 1,
+            Notification::Plan { .. }
+            | Notification::EventStarted(_)
+            | Notification::Lost(_)
+            | Notification::Failed { .. }
+            | Notification::Woken { .. }
+            | Notification::Believed { .. }
+            | Notification::Gone(_)
+            | Notification::EventEnded(_)
+            | Notification::Closed(_)
+            | Notification::States(_) => {}
         }
     }
 }
 
-/// A run to be stepped through, from its first TTI to its last.
+/// A run that is stepped from its first TTI to its last.
 pub struct Environment {
-    ground: Ground,
-    weights: Weights,
-    stepping: Stepping<Ear>,
+    ground: EpisodeTemplate,
+    weights: RewardWeights,
+    stepping: SteppedRun<StepObserver>,
     devices: usize,
-    /// δ of the last plan; kept for its memory.
+    /// δ of the last plan; kept to reuse its memory.
     on: Vec<bool>,
     chosen: Vec<DeviceId>,
 }
 
 impl Environment {
-    /// The run on `ground` at its first question.
-    pub fn new(ground: Ground, weights: Weights) -> Self {
+    /// Creates the run of `ground` at its first decision request.
+    pub fn new(ground: EpisodeTemplate, weights: RewardWeights) -> Self {
         let prepared = &ground.prepared;
         let world = World::new(&prepared.scenario, &prepared.deployment);
         Self::with_world(ground, world, weights)
     }
 
-    /// As [`Self::new`], in a world of the caller's, such as one with scripted events.
-    pub fn with_world(ground: Ground, world: World, weights: Weights) -> Self {
-        let ear = Ear {
+    /// Creates the run as [`Self::new`] does, in the caller's world, such as one with scripted events.
+    pub fn with_world(ground: EpisodeTemplate, world: World, weights: RewardWeights) -> Self {
+        let ear = StepObserver {
             sensing: ground.prepared.scenario.sensing.clone(),
             information: 0.0,
             wake_ups: 0,
         };
         Self {
-            stepping: Stepping::with_world(&ground.prepared, world, Options::default(), ear),
+            stepping: SteppedRun::with_world(&ground.prepared, world, RunOptions::default(), ear),
             devices: ground.prepared.deployment.devices.len(),
             ground,
             weights,
@@ -147,65 +154,68 @@ impl Environment {
         }
     }
 
-    /// Where it stands.
-    pub const fn ground(&self) -> &Ground {
+    /// The template of the environment.
+    pub const fn ground(&self) -> &EpisodeTemplate {
         &self.ground
     }
 
-    /// What is to be decided; nothing at the end.
-    pub fn question(&self) -> Option<Question<'_>> {
-        self.stepping.question()
+    /// The pending decision request; `None` at the end of the run.
+    pub fn question(&self) -> Option<DecisionContext<'_>> {
+        self.stepping.pending_decision()
     }
 
-    /// What is to be decided; at the end, what would be if it went on.
-    pub fn view(&self) -> Question<'_> {
+    /// The pending decision request; at the end of the run, the one that would follow.
+    pub fn view(&self) -> DecisionContext<'_> {
         self.stepping.view()
     }
 
-    /// TTIs that are closed.
+    /// The number of closed TTIs.
     pub const fn ttis_done(&self) -> u64 {
         self.stepping.now().0
     }
 
-    /// Takes a step with the action `is_set`, by device. At the end nothing happens.
-    pub fn step(&mut self, is_set: impl Fn(usize) -> bool) -> Step {
-        match self.stepping.question().map(|question| question.stage) {
-            None => Step::default(),
-            Some(Stage::Plan) => self.sense(is_set),
-            Some(Stage::Wake) => self.wake(is_set),
+    /// Takes a step with the action `is_set`, by device. Has no effect at the end of the run.
+    pub fn step(&mut self, is_set: impl Fn(usize) -> bool) -> StepResult {
+        match self.stepping.pending_decision().map(|question| question.stage) {
+            None => StepResult::default(),
+            Some(DecisionStage::Plan) => self.sense(is_set),
+            Some(DecisionStage::Wake) => self.wake(is_set),
         }
     }
 
-    fn sense(&mut self, is_set: impl Fn(usize) -> bool) -> Step {
+    fn sense(&mut self, is_set: impl Fn(usize) -> bool) -> StepResult {
         self.on.clear();
         self.on.extend((0..self.devices).map(is_set));
-        let looked = Looked::of(&mut self.ground.union, &self.on);
-        self.stepping.decide(Decision {
+        let looked = CoverageReward::of(&mut self.ground.union, &self.on);
+        self.stepping.decide(PlanDecision {
             plan: Plan::from_bits(self.on.iter().copied()),
+            // A step is one decision, so a plan is due in every TTI.
             next: self.stepping.now() + 1,
         });
         let alpha = self.ground.scenario().events.alpha;
-        Step {
+        StepResult {
             asleep: looked.asleep,
             missed: looked.reward(alpha, self.weights.mu1) - looked.asleep,
-            ..Step::default()
+            ..StepResult::default()
         }
     }
 
-    fn wake(&mut self, is_set: impl Fn(usize) -> bool) -> Step {
+    fn wake(&mut self, is_set: impl Fn(usize) -> bool) -> StepResult {
         self.chosen.clear();
         let devices = (0..self.devices).filter(|j| is_set(*j));
         self.chosen.extend(devices.map(|j| DeviceId(j as u32)));
+        // Reports of sensing devices count in Î before the first wake-up; only the gain by wake-ups is rewarded.
         let (psi, before) = (self.ground.scenario().sensing.psi, self.information());
         self.stepping.observer_mut().wake_ups = 0;
         self.stepping.wake(&self.chosen);
+        // A plan is due in every TTI, so the run stops before the next grant: Î still belongs to this TTI.
         let ear = self.stepping.observer();
         let brought = (ear.information - before) / psi;
         let [information, woken] = reward::of_wake_ups(self.weights.mu2, brought, ear.wake_ups, self.devices);
-        Step {
+        StepResult {
             information,
             woken,
-            ..Step::default()
+            ..StepResult::default()
         }
     }
 
@@ -213,7 +223,7 @@ impl Environment {
         self.stepping.observer().information
     }
 
-    /// A copy that goes on from here.
+    /// Returns a copy that continues from the current state.
     #[must_use]
     pub fn branch(&self) -> Self {
         Self {
@@ -225,8 +235,9 @@ impl Environment {
         }
     }
 
-    /// What the run has come to; cut short before its end.
+    /// The outcome of the run so far; incomplete before its end.
     pub fn outcome(&self) -> Outcome {
+        // `finish` consumes a run and answers an open request, so it works on a copy.
         self.stepping.branch().finish().0
     }
 }

@@ -1,16 +1,101 @@
-//! Environments to train policies in: runs whose decisions come from outside, one step for each, with observations as
-//! numbers and the rewards of Sec. V-B.
+//! Environments for training policies: runs with external decisions, one step per decision, numeric observations, and
+//! the rewards of Sec. V-B.
 //!
-//! A step answers one question. At stage 0 the action is δ(k), a bit for each device; at stage 1 it is whom to wake,
-//! and nobody ends the wake-ups of the TTI. Devices of one action are woken in the order of ids. An action cannot be
-//! wrong: what cannot be done is dropped ([`reveille_bs::policy::external`]).
+//! A step answers one decision request. At stage 0 the action is δ(k), a bit for each device. At stage 1 it is the set
+//! of devices to wake; an empty set ends the wake-ups of the TTI. Devices of one action are woken in the order of ids.
+//! Every action is valid: impossible parts are dropped ([`reveille_bs::policy::external`]).
 
 mod batch;
 mod environment;
-mod stream;
+
+use std::collections::BTreeMap;
+
+use reveille_bs::cycle::Outcome;
+use reveille_bs::observer::{Notification, Observer};
+use reveille_bs::policy::external::DecisionStage;
+use reveille_bs::scenario::Scenario;
+use reveille_common::ids::DeviceId;
+use reveille_common::plan::Plan;
+
+use crate::preparation::prepare;
+use crate::run::{Run, RunOptions};
+
+pub use batch::{BatchBuffers, EnvBatch, PARTS};
+pub use environment::{Environment, EpisodeTemplate, RewardWeights, StepResult};
+
+/// A run of a policy, and the actions that reproduce it in an environment.
+#[derive(Clone, Debug)]
+pub struct Actions {
+    /// One action per step, 0 or 1, `[T, N]`. Devices are woken one at a time.
+    pub rows: Vec<i8>,
+    /// The stage of each step, 0 or 1, `[T]`.
+    pub stages: Vec<i8>,
+    /// The outcome of the policy's run.
+    pub own: Outcome,
+    /// The outcome of the environment. It has the digest of [`Self::own`] if the policy sends bits. For duty cycles the
+    /// environment sends bits whenever they change, so the digests differ.
+    pub stepped: Outcome,
+}
+
+/// The commands of a base station.
+#[derive(Default)]
+struct Commands {
+    plans: BTreeMap<u64, Plan>,
+    wake_ups: BTreeMap<u64, Vec<DeviceId>>,
+}
+
+impl Observer for Commands {
+    fn notify(&mut self, happening: &Notification<'_>) {
+        // A plan that is resent for synchronisation repeats the last one.
+        if let Notification::Plan { update, is_new: true } = happening {
+            self.plans.insert(update.from.0, update.plan.clone());
+        }
+        if let Notification::WakeUp { tti, device, .. } = happening {
+            self.wake_ups.entry(tti.0).or_default().push(*device);
+        }
+    }
+}
+
+/// Records the run of `scenario` as actions in the environment of `outside`, the same scenario with the policy
+/// `external`. Returns `None` for the genie, which wakes devices without a report.
+pub fn record(scenario: &Scenario, outside: &Scenario) -> Option<Actions> {
+    let prepared = prepare(scenario);
+    if prepared.policy(&prepared.knowledge()).oracle().is_some() {
+        return None;
+    }
+    let mut commands = Commands::default();
+    let own = Run::new(&prepared, RunOptions::default()).finish(&mut commands);
+    let mut environment = Environment::new(EpisodeTemplate::new(outside), RewardWeights::default());
+    let (mut rows, mut stages) = (Vec::new(), Vec::new());
+    let mut woken = 0;
+    while let Some(question) = environment.question() {
+        let (now, n) = (question.seen.now, question.seen.known.n());
+        let action: Vec<bool> = match question.stage {
+            DecisionStage::Plan => {
+                woken = 0;
+                // A plan holds until the next one, and each run starts with a plan in TTI 0.
+                let (_, plan) = commands.plans.range(..=now.0).next_back().expect("a plan in TTI 0");
+                (0..n as u32).map(|j| plan.duty_cycle(DeviceId(j)).is_on(now)).collect()
+            }
+            DecisionStage::Wake => {
+                // One device per step, because one action wakes its devices in the order of ids. After the last device
+                // the action is empty, which ends the wake-ups of the TTI.
+                let next = commands.wake_ups.get(&now.0).and_then(|all| all.get(woken));
+                woken += 1;
+                (0..n).map(|j| next.is_some_and(|device| device.index() == j)).collect()
+            }
+        };
+        stages.push(i8::from(question.stage == DecisionStage::Wake));
+        rows.extend(action.iter().map(|on| i8::from(*on)));
+        environment.step(|j| action[j]);
+    }
+    Some(Actions {
+        rows,
+        stages,
+        own,
+        stepped: environment.outcome(),
+    })
+}
+
 #[cfg(test)]
 mod tests;
-
-pub use batch::{Batch, PARTS, Views};
-pub use environment::{Environment, Ground, Step, Weights};
-pub use stream::{Actions, record};

@@ -1,9 +1,10 @@
+//! Environments against runs of the policies whose actions they repeat.
+
 use reveille_bs::policy::external::{DEVICE, GLOBAL};
 use reveille_bs::policy::outside;
-use reveille_bs::scenario::{Override, load};
+use reveille_bs::scenario::{Override, Scenario, load};
 use reveille_common::io::Disk;
 use reveille_common::rng::{Purpose, Stream};
-use reveille_common::scenario::Scenario;
 
 use super::batch::PARTS;
 use super::*;
@@ -17,10 +18,12 @@ fn overrides(policy: &str, set: &[&str]) -> Vec<Override> {
 
 fn external(set: &[&str]) -> Scenario {
     let overrides = overrides("external", set);
-    reveille_common::scenario::load("paper", &overrides, &outside::kinds(), &Disk).expect("a scenario")
+    reveille_common::scenario::load("paper", &overrides, &outside::kinds_with_external(), &Disk)
+        .expect("a scenario")
+        .scenario
 }
 
-/// Memory for what `k` environments of `n` devices show.
+/// The output buffers of `k` environments of `n` devices.
 struct Shown {
     devices: Vec<f32>,
     global: Vec<f32>,
@@ -46,8 +49,8 @@ impl Shown {
         }
     }
 
-    fn views(&mut self) -> Views<'_> {
-        Views {
+    fn views(&mut self) -> BatchBuffers<'_> {
+        BatchBuffers {
             devices: &mut self.devices,
             global: &mut self.global,
             stage: &mut self.stage,
@@ -64,20 +67,20 @@ impl Shown {
 fn what_a_policy_does_is_done_by_steps_with_its_digest() {
     for set in [&[][..], &["bs.battery_knowledge=reported", "radio.uplink_loss=0.1"]] {
         for policy in ["age-index", "q-learning", "dt"] {
-            let own = load("paper", &overrides(policy, set)).expect("a scenario");
+            let own = load("paper", &overrides(policy, set)).expect("a scenario").scenario;
             let actions = record(&own, &external(set)).expect("no genie");
             assert_eq!(actions.own.digest, actions.stepped.digest, "{policy}");
             assert!(actions.stages.contains(&1) && actions.rows.len() == actions.stages.len() * 24);
         }
-        // A periodic plan is sent as bits: the same happens, but more is sent.
-        let own = load("paper", &overrides("knn", set)).expect("a scenario");
+        // A periodic plan is sent as bits: the outcome is equal, but more plans are sent.
+        let own = load("paper", &overrides("knn", set)).expect("a scenario").scenario;
         let actions = record(&own, &external(set)).expect("no genie");
         let [own, stepped] = [&actions.own, &actions.stepped];
         assert_ne!(own.digest, stepped.digest);
         assert_eq!(own.totals.events, stepped.totals.events);
         assert_eq!(own.totals.energy, stepped.totals.energy);
     }
-    let genie = load("paper", &overrides("genie", &[])).expect("a scenario");
+    let genie = load("paper", &overrides("genie", &[])).expect("a scenario").scenario;
     assert!(record(&genie, &external(&[])).is_none());
 }
 
@@ -86,10 +89,10 @@ fn a_batch_on_threads_shows_what_each_environment_shows_alone() {
     let scenarios: Vec<Scenario> = (0..5)
         .map(|seed| external(&[&format!("seed={seed}"), "ttis=60"]))
         .collect();
-    let mut whole = Batch::new(&scenarios, Weights::default(), 3).expect("threads");
-    let mut alone: Vec<Batch> = scenarios
+    let mut whole = EnvBatch::new(&scenarios, RewardWeights::default(), 3).expect("threads");
+    let mut alone: Vec<EnvBatch> = scenarios
         .iter()
-        .map(|scenario| Batch::new(std::slice::from_ref(scenario), Weights::default(), 1).expect("no threads"))
+        .map(|scenario| EnvBatch::new(std::slice::from_ref(scenario), RewardWeights::default(), 1).expect("no threads"))
         .collect();
     let (mut all, mut one) = (Shown::new(5, 24), Shown::new(1, 24));
     let mut stream = Stream::new(3, Purpose::Training, 0);
@@ -123,18 +126,18 @@ fn a_batch_on_threads_shows_what_each_environment_shows_alone() {
     }
 }
 
-/// r* is what Î has gained, and 1/N for each device.
+/// r* is the gain in Î, minus 1/N for each device.
 #[test]
 fn rewards_are_those_of_the_paper() {
     let scenario = external(&["sensing.psi=2", "ttis=2000"]);
-    let mut environment = Environment::new(Ground::new(&scenario), Weights { mu1: 3.0, mu2: 5.0 });
+    let mut environment = Environment::new(EpisodeTemplate::new(&scenario), RewardWeights { mu1: 3.0, mu2: 5.0 });
     let mut wakes = 0;
     while let Some(question) = environment.question() {
         let (stage, before, k) = (question.stage, question.seen.information, question.seen.now.0 % 4);
         let free: Vec<usize> = (0..24)
             .filter(|j| question.may_wake(reveille_common::ids::DeviceId(*j as u32)))
             .collect();
-        if stage == reveille_bs::policy::external::Stage::Plan {
+        if stage == reveille_bs::policy::external::DecisionStage::Plan {
             let step = environment.step(|j| j as u64 % 4 == k);
             assert!(
                 (step.asleep - 0.75).abs() < 1e-12 && step.missed < 0.0 && step.missed >= -3.0 * scenario.events.alpha
@@ -142,7 +145,7 @@ fn rewards_are_those_of_the_paper() {
             assert_eq!((step.information, step.woken), (0.0, 0.0));
             continue;
         }
-        // The others, which cannot be woken, cost nothing.
+        // The other devices, which cannot be woken, cost nothing.
         let two = &free[..free.len().min(6)];
         let now = question.seen.now;
         let step = environment.step(|j| two.contains(&j) || !free.contains(&j));

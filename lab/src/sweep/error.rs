@@ -1,4 +1,4 @@
-//! Why a sweep cannot start, go on, or be merged.
+//! Errors of a sweep.
 
 use std::fmt::Display;
 use std::io;
@@ -8,7 +8,7 @@ use reveille_common::scenario::ScenarioError;
 
 use crate::table::TableError;
 
-/// A sweep that cannot start, go on, or be merged, and why.
+/// A reason why a sweep cannot start, resume or be merged.
 #[derive(Debug, thiserror::Error)]
 pub enum SweepError {
     /// The experiment file cannot be read.
@@ -16,35 +16,35 @@ pub enum SweepError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         error: io::Error,
     },
-    /// The experiment file is not TOML, or has fields that experiments do not have.
+    /// The experiment file is not TOML, or has unknown fields.
     #[error("{name}, line {line}: {reason}")]
     Syntax {
         /// The file's name.
         name: String,
         /// The line, from 1.
         line: usize,
-        /// What is wrong there.
+        /// The cause.
         reason: String,
     },
-    /// A value of the experiment cannot be used.
+    /// A value of the experiment is invalid.
     #[error("{field} = {value}: {allowed}")]
     Invalid {
         /// The option or field.
         field: String,
-        /// Its value.
+        /// The value.
         value: String,
-        /// What it has to be, and what to do.
+        /// The allowed values and the fix.
         allowed: String,
     },
-    /// A cell's scenario cannot be used.
+    /// The scenario of a cell is invalid.
     #[error("the cell {cell}: {error}")]
     Scenario {
         /// The cell.
         cell: String,
-        /// What is wrong with its scenario.
+        /// The cause.
         error: Box<ScenarioError>,
     },
     /// The output folder cannot be used.
@@ -52,7 +52,7 @@ pub enum SweepError {
     Folder {
         /// The folder.
         folder: PathBuf,
-        /// What is wrong, and what to do.
+        /// The cause and the fix.
         reason: String,
     },
     /// The journal cannot be written, for example because the disk is full.
@@ -64,15 +64,15 @@ pub enum SweepError {
     Journal {
         /// The journal.
         path: PathBuf,
-        /// Runs that it holds.
+        /// The number of runs in it.
         kept: usize,
-        /// What the operating system said.
+        /// The error of the operating system.
         error: io::Error,
     },
     /// The result table cannot be read or written.
     #[error(transparent)]
     Table(#[from] TableError),
-    /// The table of a sweep cannot be written, for example because the disk is full; its runs are safe.
+    /// The table of a sweep cannot be written, for example because the disk is full; the runs are kept.
     #[error(
         "{error}; the runs, {kept} so far, are kept in {}: free some space or mend the disk, then give the \
          same command again to go on",
@@ -81,28 +81,28 @@ pub enum SweepError {
     Results {
         /// The folder of the sweep.
         folder: PathBuf,
-        /// Runs that its journal holds.
+        /// The number of runs in its journal.
         kept: usize,
-        /// The table, and what the operating system said.
+        /// The table and the error of the operating system.
         error: TableError,
     },
-    /// A folder holds no table that tells of all its runs.
+    /// A folder holds no table with all its runs.
     #[error("{}: {reason}", folder.display())]
     NoTable {
         /// The folder.
         folder: PathBuf,
-        /// What is wrong, and what to do.
+        /// The cause and the fix.
         reason: String,
     },
-    /// Tables do not make up one sweep.
+    /// The tables are not the shards of one sweep.
     #[error("{}: {reason}", path.display())]
     Merge {
         /// The table that does not fit.
         path: PathBuf,
-        /// What is wrong, and what to do.
+        /// The cause and the fix.
         reason: String,
     },
-    /// The runs of a table cannot be taken over.
+    /// The runs of a table cannot be reused.
     #[error(
         "--reuse {}: was written by reveille {version}, whose runs may have come out differently; make them anew, or \
          go on with that version",
@@ -117,15 +117,15 @@ pub enum SweepError {
     /// Threads cannot be started.
     #[error("--threads {threads}: {reason}")]
     Threads {
-        /// The number of threads that was asked for.
+        /// The requested number of threads.
         threads: usize,
-        /// Why they cannot be started.
+        /// The cause.
         reason: String,
     },
 }
 
 impl SweepError {
-    /// A value that cannot be used.
+    /// Creates the error of an invalid value; shows at most 60 characters of it.
     pub(super) fn invalid(field: impl Into<String>, value: impl Display, allowed: impl Into<String>) -> Self {
         let value = value.to_string();
         let shown: String = value.chars().take(60).collect();

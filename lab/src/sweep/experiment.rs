@@ -4,37 +4,37 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use reveille_bs::scenario::declaration;
-use reveille_common::declare::{Declaration, FileError, Files, Form, LONGEST_TEXT, dotted};
+use reveille_common::declare::{Declaration, FieldType, FileError, Files, LONGEST_TEXT, dotted};
 use reveille_common::scenario::PRESETS;
 use reveille_common::score::Metrics;
 use toml::{Table, Value};
 
 use super::error::SweepError;
 
-/// The most seeds of a cell.
+/// The largest number of seeds of a cell.
 const MOST_SEEDS: u64 = 10_000_000;
-/// Runs between two looks at the intervals, at the least.
+/// The smallest number of runs between two checks of the intervals.
 const BATCH: u64 = 10;
 
-/// A field of the scenario and the values that it takes in turn.
+/// A field of the scenario and its swept values.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Axis {
+pub struct SweepAxis {
     /// The field's dotted path, such as `harvest.lambda`.
     pub path: String,
-    /// Its values, at least one.
+    /// The values, at least one.
     pub values: Vec<Value>,
-    /// Where the axis was asked for, for messages.
+    /// The origin of the axis, for messages.
     pub origin: String,
 }
 
-impl Axis {
-    /// The place among the axes: preset, policy, N, TTIs, then the others by path; the first varies slowest.
+impl SweepAxis {
+    /// The rank of the axis: preset, policy, N, TTIs, then the others by path; the first varies slowest.
     pub(super) fn rank(&self) -> (usize, &str) {
         let known = Self::COLUMNS.iter().position(|(path, _)| *path == self.path);
         (known.unwrap_or(Self::COLUMNS.len()), &self.path)
     }
 
-    /// Fields that have a column in every table, with its name.
+    /// The fields that have a column in every table, with its name.
     pub(super) const COLUMNS: [(&'static str, &'static str); 4] = [
         ("preset", "preset"),
         ("policy.name", "policy"),
@@ -43,12 +43,12 @@ impl Axis {
     ];
 
     /// Whether the field has a column in every table.
-    pub fn is_built_in(&self) -> bool {
+    pub(crate) fn is_built_in(&self) -> bool {
         Self::COLUMNS.iter().any(|(path, _)| *path == self.path)
     }
 }
 
-/// The seeds of every cell: `first ..= first + count - 1`. All cells have the same (common random numbers).
+/// The seeds of every cell: `first ..= first + count - 1`. All cells have the same seeds (common random numbers).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Seeds {
     /// The first seed.
@@ -63,6 +63,7 @@ impl Seeds {
             let allowed = format!("must be a number of seeds from 1 to {MOST_SEEDS}");
             return Err(SweepError::invalid("seeds", self.count, allowed));
         }
+        // Tables and TOML hold whole numbers as `i64`. The subtraction is safe, because the count is at least 1.
         let last = self.first.checked_add(self.count - 1);
         if last.is_none_or(|last| i64::try_from(last).is_err()) {
             let allowed = format!("with {} seeds the last one would be above {}", self.count, i64::MAX);
@@ -72,71 +73,71 @@ impl Seeds {
     }
 }
 
-/// When a cell has enough runs: as soon as the 95 % interval of each of these metrics is narrow, looked at in the order
-/// of seeds after `min_seeds` runs, then after every quarter more (at least ten).
+/// The condition that ends a cell: the 95 % interval of each of these metrics is narrow. It is checked in the order of
+/// seeds, after `min_seeds` runs and then after every quarter more (at least ten).
 ///
-/// A cell whose spread looks small by chance is stopped too soon, and every look gives chance another opportunity:
-/// intervals of cells that were stopped early cover a little less than 95 %. A metric that is 0 in all runs is never
-/// narrow.
+/// A cell with an accidentally small spread ends too early, and every check is another opportunity for this. Intervals
+/// of cells that ended early therefore cover a little less than 95 %. A metric that is 0 in all runs is never narrow.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UntilCi {
-    /// The half-width over the mean, `(0, 1]`.
+    /// The largest half-width over the mean, `(0, 1]`.
     pub target: f64,
-    /// The metrics that must be that narrow; one that is not defined in any run does not count.
+    /// The metrics that must be that narrow; a metric that is undefined in every run does not count.
     pub metrics: Vec<String>,
-    /// Runs before the first look, ≥ 2; where a cell has fewer seeds, it is looked at when they are all there.
+    /// The number of runs before the first check, ≥ 2; a cell with fewer seeds is checked after all of them.
     pub min_seeds: u64,
 }
 
 impl UntilCi {
-    /// Runs before the first look, where nothing else is asked for.
-    pub const MIN_SEEDS: u64 = 30;
+    /// The default number of runs before the first check.
+    pub(crate) const MIN_SEEDS: u64 = 30;
 
-    /// All metrics with a column of their own but for differences: where the mean may be 0, a width has nothing to be
-    /// relative to.
-    pub fn default_metrics() -> Vec<String> {
+    /// Returns all metrics that have a column, except differences: their mean may be 0, so a relative width has no
+    /// meaning.
+    pub(crate) fn default_metrics() -> Vec<String> {
         let metrics = Metrics::ALL[..Metrics::COUNT].iter();
         let chosen = metrics.filter(|metric| !metric.is_difference);
         chosen.map(|metric| metric.name.to_owned()).collect()
     }
 
-    /// The number of runs at the look after the one at `runs`, of at most `count`.
-    pub fn next_look(&self, runs: u64, count: u64) -> u64 {
+    /// Returns the number of runs at the check after the one at `runs`, at most `count`.
+    pub(crate) fn next_check(&self, runs: u64, count: u64) -> u64 {
         if runs < self.min_seeds {
             return self.min_seeds.min(count);
         }
+        // Below 4 runs the quotient is 0, whose next multiple is 0.
         let more = (runs / 4).next_multiple_of(BATCH).max(BATCH);
         (runs + more).min(count)
     }
 }
 
-/// Whether `name` is a metric's.
+/// Returns whether `name` is the name of a metric.
 pub(super) fn is_metric(name: &str) -> bool {
     Metrics::named(name).is_some()
 }
 
-/// What a sweep runs.
+/// The complete description of a sweep.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Experiment {
     /// A preset's name or a scenario file.
     pub scenario: String,
-    /// Where a relative scenario file is looked for.
+    /// The folder of a relative scenario file.
     pub base_dir: PathBuf,
-    /// The copy of the scenario file that a sweep has left in its folder: read instead of the file. It is no part of
-    /// what the experiment is, and not in [`Experiment::to_toml`].
+    /// The copy of the scenario file in the folder of a sweep, which is read instead of the file. It does not belong to
+    /// the identity of the experiment and is not in [`Experiment::to_toml`].
     pub copy: Option<PathBuf>,
-    /// Fields set in all cells: path, value and who set it.
+    /// The fields set in all cells: path, value and origin.
     pub set: Vec<(String, Value, String)>,
     /// The swept fields; the first varies slowest.
-    pub axes: Vec<Axis>,
-    /// The seeds of every cell, or the most of them with `until_ci`.
+    pub axes: Vec<SweepAxis>,
+    /// The seeds of every cell; with `until_ci`, the largest number of them.
     pub seeds: Seeds,
-    /// When a cell has enough runs; `None` for all seeds.
+    /// The condition that ends a cell; `None` to run all seeds.
     pub until_ci: Option<UntilCi>,
 }
 
 impl Experiment {
-    /// The scenario's name for [`reveille_common::scenario::load`]: a preset's, or the path of a file.
+    /// The scenario's name for [`reveille_common::scenario::load`]: the name of a preset, or the path of a file.
     pub(super) fn source(&self) -> String {
         if let Some(copy) = &self.copy {
             return copy.to_string_lossy().into_owned();
@@ -152,11 +153,11 @@ impl Experiment {
         PRESETS.iter().any(|preset| preset.name == self.scenario)
     }
 
-    /// The text of the scenario file, for a folder of its own: files that it names stand there with their full paths.
-    /// `None` for a preset. `files` opens it.
+    /// Returns the text of the scenario file for use in another folder: its files are named with full paths. `None` for
+    /// a preset. `files` opens it.
     ///
     /// # Errors
-    /// The file cannot be read any more.
+    /// If the file cannot be read any more.
     pub(super) fn scenario_text(&self, files: &dyn Files) -> io::Result<Option<String>> {
         if self.is_preset() {
             return Ok(None);
@@ -168,23 +169,24 @@ impl Experiment {
         })?;
         let text = String::from_utf8(bytes).map_err(io::Error::other)?;
         let table: Table = toml::from_str(&text).map_err(io::Error::other)?;
+        // The parent of a bare file name is the empty path, which has no absolute form; `.` has one.
         let folder = files.absolute(&path.parent().unwrap_or(Path::new("")).join("."))?;
         let mut placed = Value::Table(table);
         place(&declaration(), "", &mut placed, &folder);
         Ok(Some(placed.as_table().map(Table::to_string).unwrap_or_default()))
     }
 
-    /// Cells of the grid: the product of the axes' lengths.
-    pub fn cell_count(&self) -> u64 {
+    /// The number of cells of the grid: the product of the axes' lengths.
+    pub(crate) fn cell_count(&self) -> u64 {
         let lengths = self.axes.iter().map(|axis| axis.values.len() as u64);
         lengths.fold(1, u64::saturating_mul)
     }
 
-    /// The experiment as TOML that reads back as the same experiment. Equal experiments have equal texts, whoever asked
-    /// for them.
+    /// Returns the experiment as TOML that reads back as the same experiment. Equal experiments have equal texts,
+    /// regardless of their origin.
     pub fn to_toml(&self) -> String {
         let mut lines = vec![format!("scenario = {}", Value::String(self.scenario.clone()))];
-        let list = |axis: &Axis| Value::Array(axis.values.clone()).to_string();
+        let list = |axis: &SweepAxis| Value::Array(axis.values.clone()).to_string();
         for (field, path) in [
             ("preset", "preset"),
             ("policies", "policy.name"),
@@ -197,7 +199,7 @@ impl Experiment {
         let Seeds { first, count } = self.seeds;
         lines.push(format!("seeds = {{ first = {first}, count = {count} }}"));
         if let Some(until) = &self.until_ci {
-            // A bare 1 is refused on reading: it may be meant as 1 %.
+            // A bare 1 is refused on reading, because it may mean 1 %.
             lines.push(if until.target < 1.0 {
                 format!("until_ci = {}", Value::Float(until.target))
             } else {
@@ -205,7 +207,7 @@ impl Experiment {
             });
             let names = until.metrics.iter().cloned().map(Value::String);
             lines.push(format!("ci_metrics = {}", Value::Array(names.collect())));
-            // The default may be above the number of seeds, which who asks for it may not.
+            // Written out, the default could exceed the number of seeds, which reading refuses.
             if until.min_seeds != UntilCi::MIN_SEEDS {
                 lines.push(format!("min_seeds = {}", until.min_seeds));
             }
@@ -215,7 +217,7 @@ impl Experiment {
             let set = self.set.iter();
             lines.extend(set.map(|(path, value, _)| format!("{} = {value}", quoted(path))));
         }
-        let others: Vec<&Axis> = self.axes.iter().filter(|axis| !axis.is_built_in()).collect();
+        let others: Vec<&SweepAxis> = self.axes.iter().filter(|axis| !axis.is_built_in()).collect();
         if !others.is_empty() {
             lines.push("\n[grid]".to_owned());
             lines.extend(
@@ -228,19 +230,19 @@ impl Experiment {
     }
 }
 
-/// Whether the field at `path` with this `value` names a file.
+/// Returns whether the field at `path` with this `value` names a file.
 fn is_file(fields: &Declaration, path: &str, value: &str) -> bool {
     let field = fields
         .field_at(path)
         .or_else(|| fields.field_at(path.strip_prefix("class.")?));
     match field.map(|(_, field)| &field.form) {
-        Some(Form::File) => !value.is_empty(),
-        Some(Form::Source(words)) => !value.is_empty() && words.iter().all(|word| word.name != value),
+        Some(FieldType::File) => !value.is_empty(),
+        Some(FieldType::Source(words)) => !value.is_empty() && words.iter().all(|word| word.name != value),
         Some(_) | None => false,
     }
 }
 
-/// Puts `folder` in front of the relative files in the field or table at `path`.
+/// Prepends `folder` to the relative files in the field or table at `path`.
 fn place(fields: &Declaration, path: &str, value: &mut Value, folder: &Path) {
     match value {
         Value::String(file) if is_file(fields, path, file) => {
@@ -251,7 +253,7 @@ fn place(fields: &Declaration, path: &str, value: &mut Value, folder: &Path) {
                 place(fields, &dotted(path, name), value, folder);
             }
         }
-        // The items of a list of tables; the values of an axis stay as they are.
+        // Only the items of a list of tables; the values of an axis stay unchanged.
         Value::Array(items) => {
             let tables = items.iter_mut().filter(|item| item.is_table());
             tables.for_each(|item| place(fields, path, item, folder));

@@ -1,41 +1,41 @@
 //! The folder of a sweep.
 //!
-//! | file | what |
+//! | file | content |
 //! |---|---|
 //! | `experiment.toml` | the experiment; `reveille sweep FOLDER/experiment.toml` runs it again |
 //! | `experiment.scenario.toml` | its scenario file, if it has one |
-//! | `runs.journal` | a line for every finished run; what a sweep that was cut short goes on from |
-//! | `results.parquet` or `results.csv` | the table, once all runs are there |
+//! | `runs.journal` | a line for every finished run, from which an interrupted sweep resumes |
+//! | `results.parquet` or `results.csv` | the table, once all runs are complete |
 //!
-//! The number of seeds in the journal's first line is what counts. When it is raised, it is so first; then the table of
-//! fewer seeds goes, and `experiment.toml` is written. A folder that was left in between is one that can be gone on
-//! with.
+//! The number of seeds in the journal's first line is authoritative. To raise it, the journal changes first; then the
+//! table of fewer seeds is removed, and `experiment.toml` is written. An interruption in between leaves a folder that
+//! can be resumed.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use reveille_common::io::Disk;
 
-use super::draft::Draft;
-use super::engine::{CellEnd, SweepProgress, run};
 use super::error::SweepError;
+use super::executor::{CellSummary, SweepProgress, run};
 use super::experiment::Experiment;
-use super::grid::Grid;
-use super::journal::{Job, Journal, Keeper as _};
-use super::reuse::Known;
+use super::experiment_builder::ExperimentBuilder;
+use super::grid::SweepGrid;
+use super::journal::{Journal, JournalEntry, RunIndex, RunStore as _};
 use super::shard::Shard;
-use crate::io::{read, replace, with_names};
-use crate::table::{About, Format, Hash, Row, Table, TableError};
+use crate::io::{read, read_short, replace, with_names};
+use crate::table::{Format, Hash, ResultRow, Table, TableError, TableMetadata};
 
 const EXPERIMENT: &str = "experiment.toml";
 const SCENARIO: &str = "experiment.scenario.toml";
 const JOURNAL: &str = "runs.journal";
 const RESULTS: &str = "results";
 
-/// A sweep in its folder, ready to go or to go on.
+/// A sweep in its folder that can start or resume.
 #[derive(Debug)]
 pub struct Sweep<'g> {
-    grid: &'g Grid,
+    grid: &'g SweepGrid,
     shard: Shard,
     folder: PathBuf,
     journal: Journal,
@@ -44,22 +44,22 @@ pub struct Sweep<'g> {
 
 /// The result of a sweep.
 #[derive(Debug)]
-pub struct Finished {
+pub struct SweepResult {
     /// The table.
     pub table: Table,
     /// The path of the table.
     pub path: PathBuf,
-    /// How each cell ended.
-    pub cells: Vec<CellEnd>,
+    /// The summaries of the cells.
+    pub cells: Vec<CellSummary>,
 }
 
 impl<'g> Sweep<'g> {
-    /// Opens `folder` for `grid`, or makes it. It may hold the same sweep with fewer seeds, whose runs are taken over.
+    /// Opens or creates `folder` for `grid`. It may hold the same sweep with fewer seeds, whose runs are reused.
     ///
     /// # Errors
-    /// The folder holds something else, another sweep or more seeds, another process is at work in it, it cannot be
-    /// used, or shards are asked for together with `until_ci`.
-    pub fn open(grid: &'g Grid, shard: Shard, folder: &Path) -> Result<Self, SweepError> {
+    /// If the folder holds other files, another sweep or more seeds, is used by another process, or cannot be used.
+    /// Also if shards are combined with `until_ci`.
+    pub fn open(grid: &'g SweepGrid, shard: Shard, folder: &Path) -> Result<Self, SweepError> {
         grid.check_shard(shard)?;
         let refused = |reason: String| SweepError::Folder {
             folder: folder.to_owned(),
@@ -72,6 +72,7 @@ impl<'g> Sweep<'g> {
         };
         for name in with_names(folder).map_err(unusable)? {
             let is_ours = name.to_str().is_some_and(|name| {
+                // A process that was killed while writing a file leaves NAME.part.
                 let name = name.strip_suffix(".part").unwrap_or(name);
                 [EXPERIMENT, SCENARIO, JOURNAL].contains(&name) || name.starts_with(RESULTS)
             });
@@ -84,6 +85,7 @@ impl<'g> Sweep<'g> {
         }
         let (cells, seeds) = (grid.cells.len() as u64, grid.experiment.seeds.count);
         let path = folder.join(JOURNAL);
+        // Checked first, because `open` creates the journal.
         let is_known = path.exists();
         let journal = Journal::open(&path, &identity(grid, shard), cells, seeds).map_err(refused)?;
         let unwritable = |error: std::io::Error| {
@@ -92,6 +94,7 @@ impl<'g> Sweep<'g> {
                  give the same command again"
             ))
         };
+        // In this order: a process killed in between leaves a folder that the same command resumes.
         if is_known {
             remove_stale(grid, folder).map_err(unwritable)?;
         }
@@ -107,26 +110,26 @@ impl<'g> Sweep<'g> {
         Ok(sweep)
     }
 
-    /// Finished runs that the folder held when it was opened.
+    /// The number of finished runs found on opening the folder, plus the reused ones.
     pub fn found(&self) -> usize {
         self.found
     }
 
-    /// Lines of the journal that were torn or garbled, and have been taken out when the folder was opened.
+    /// The number of torn or garbled journal lines that were removed on opening the folder.
     pub fn dropped(&self) -> usize {
         self.journal.dropped()
     }
 
-    /// Finished runs.
+    /// The number of finished runs.
     pub fn done(&self) -> usize {
         self.journal.runs().keys().filter(|job| self.holds(**job)).count()
     }
 
-    /// Takes the runs that are missing here and are in `known`, as if they had been made, and says how many.
+    /// Copies missing runs from `known` into the journal, and returns their number.
     ///
     /// # Errors
-    /// The journal cannot be written.
-    pub fn take_over(&mut self, known: &Known) -> Result<usize, SweepError> {
+    /// If the journal cannot be written.
+    pub fn reuse(&mut self, known: &ReusableRuns) -> Result<usize, SweepError> {
         if known.is_empty() {
             return Ok(0);
         }
@@ -134,7 +137,7 @@ impl<'g> Sweep<'g> {
         let mut taken = 0;
         for (number, cell) in self.grid.cells.iter().enumerate() {
             for seed in self.shard.seeds(number as u64, seeds.count) {
-                let job = Job {
+                let job = RunIndex {
                     cell: number as u32,
                     seed: seed as u32,
                 };
@@ -143,6 +146,7 @@ impl<'g> Sweep<'g> {
                 }
                 let scenario = cell.with_seed(seeds.first + seed);
                 if let Some(entry) = known.run(Hash(scenario.hash())) {
+                    // No work is at risk, because the table still holds the run: it does not count towards a sync.
                     self.journal.add(job, entry.clone(), 0)?;
                     taken += 1;
                 }
@@ -153,21 +157,21 @@ impl<'g> Sweep<'g> {
         Ok(taken)
     }
 
-    fn holds(&self, job: Job) -> bool {
+    fn holds(&self, job: RunIndex) -> bool {
         self.shard.holds(u64::from(job.cell), u64::from(job.seed))
     }
 
-    /// Makes the runs that are missing on `threads` threads and writes the table; `None` if the observer has stopped
+    /// Executes the missing runs on `threads` threads and writes the table. Returns `None` if the observer has stopped
     /// it.
     ///
     /// # Errors
-    /// The disk is full or fails; finished runs are kept.
+    /// If the disk is full or fails; finished runs are kept.
     pub fn run(
         &mut self,
         threads: usize,
         format: Format,
         observer: &impl SweepProgress,
-    ) -> Result<Option<Finished>, SweepError> {
+    ) -> Result<Option<SweepResult>, SweepError> {
         let Some(cells) = run(self.grid, self.shard, threads, &mut self.journal, observer)? else {
             return Ok(None);
         };
@@ -186,30 +190,31 @@ impl<'g> Sweep<'g> {
             | TableError::Columns { .. }
             | TableError::Broken { .. } => error.into(),
         })?;
-        Ok(Some(Finished { table, path, cells }))
+        Ok(Some(SweepResult { table, path, cells }))
     }
 
-    /// The table of the runs that count.
-    fn table(&self, ends: &[CellEnd]) -> Table {
+    /// Returns the table of the runs that count.
+    fn table(&self, ends: &[CellSummary]) -> Table {
         let mut rows = Vec::with_capacity(self.journal.runs().len());
         for (number, (cell, end)) in self.grid.cells.iter().zip(ends).enumerate() {
             let cell_number = number as u32;
-            let place = |seed: u64| Job {
+            let place = |seed: u64| RunIndex {
                 cell: cell_number,
                 seed: seed as u32,
             };
             let (preset, policy) = (
-                Arc::<str>::from(cell.scenario.preset.as_str()),
+                Arc::<str>::from(cell.scenario.run.preset.as_str()),
                 Arc::<str>::from(cell.scenario.policy.name()),
             );
+            // With `until_ci` the journal may hold runs beyond the check that ended the cell, such as reused ones.
             let runs = self.journal.runs().range(place(0)..place(end.runs));
             for (job, entry) in runs.filter(|(job, _)| self.holds(**job)) {
-                rows.push(Row {
+                rows.push(ResultRow {
                     scenario_hash: entry.scenario_hash,
                     preset: Arc::clone(&preset),
                     policy: Arc::clone(&policy),
-                    n: cell.scenario.devices,
-                    ttis: cell.scenario.ttis,
+                    n: cell.scenario.run.devices,
+                    ttis: cell.scenario.run.ttis,
                     seed: self.grid.experiment.seeds.first + u64::from(job.seed),
                     swept: Arc::clone(&cell.swept),
                     metrics: entry.metrics,
@@ -219,7 +224,7 @@ impl<'g> Sweep<'g> {
             }
         }
         Table {
-            about: About {
+            about: TableMetadata {
                 version: env!("CARGO_PKG_VERSION").to_owned(),
                 experiment: self.grid.experiment.to_toml(),
                 grid: self.grid.fingerprint().to_string(),
@@ -231,8 +236,8 @@ impl<'g> Sweep<'g> {
     }
 }
 
-/// Writes the experiment into its folder, so that it can be run again from there alone.
-fn describe(grid: &Grid, folder: &Path) -> std::io::Result<()> {
+/// Writes the experiment into the folder, so that the folder alone suffices to repeat it.
+fn describe(grid: &SweepGrid, folder: &Path) -> std::io::Result<()> {
     let mut text = grid.experiment.to_toml();
     if let Some(scenario) = grid.experiment.scenario_text(&Disk)? {
         describe_in(&folder.join(SCENARIO), &scenario)?;
@@ -241,7 +246,7 @@ fn describe(grid: &Grid, folder: &Path) -> std::io::Result<()> {
     describe_in(&folder.join(EXPERIMENT), &text)
 }
 
-/// Writes a file that does not say `text` yet: a full disk is no harm to one that does.
+/// Writes a file unless it already contains `text`, so that a full disk does no harm to a complete one.
 fn describe_in(path: &Path, text: &str) -> std::io::Result<()> {
     if read(path).is_ok_and(|found| found == text.as_bytes()) {
         return Ok(());
@@ -249,17 +254,17 @@ fn describe_in(path: &Path, text: &str) -> std::io::Result<()> {
     replace(path, text.as_bytes())
 }
 
-/// Where the table of the sweep in `folder` is.
+/// Returns the path of the table of the sweep in `folder`.
 fn results(folder: &Path, format: Format) -> PathBuf {
     folder.join(format!("{RESULTS}.{}", format.ending()))
 }
 
-/// Takes tables away that are not of all the runs of `grid`: those of fewer seeds.
-fn remove_stale(grid: &Grid, folder: &Path) -> std::io::Result<()> {
+/// Removes tables that lack runs of `grid`, because they have fewer seeds.
+fn remove_stale(grid: &SweepGrid, folder: &Path) -> std::io::Result<()> {
     let experiment = grid.experiment.to_toml();
     for format in [Format::Parquet, Format::Csv] {
         let path = results(folder, format);
-        let is_own = || About::read(&path).is_ok_and(|about| about.experiment == experiment);
+        let is_own = || TableMetadata::read(&path).is_ok_and(|about| about.experiment == experiment);
         if path.exists() && !is_own() {
             Table::remove(&path, format)?;
         }
@@ -267,10 +272,10 @@ fn remove_stale(grid: &Grid, folder: &Path) -> std::io::Result<()> {
     Ok(())
 }
 
-/// The table of the sweep in `folder`.
+/// Returns the path of the table of the sweep in `folder`.
 ///
 /// # Errors
-/// There is none, or it is of fewer seeds than the folder's experiment asks for.
+/// If the folder has no table, or the table has another number of seeds than the folder's experiment.
 pub fn table_in(folder: &Path) -> Result<PathBuf, SweepError> {
     let refused = |reason: String| SweepError::NoTable {
         folder: folder.to_owned(),
@@ -284,12 +289,14 @@ pub fn table_in(folder: &Path) -> Result<PathBuf, SweepError> {
             "the folder holds no table of a sweep".to_owned()
         }));
     };
-    let seeds = |draft: Draft| draft.finish().map(|experiment| experiment.seeds.count);
-    let asked = Draft::load(&folder.join(EXPERIMENT)).and_then(seeds).ok();
-    // If the table cannot be read, who reads it says so.
-    let about = About::read(&table).ok().filter(|about| !about.experiment.is_empty());
+    let seeds = |draft: ExperimentBuilder| draft.build().map(|experiment| experiment.seeds.count);
+    let asked = ExperimentBuilder::load(&folder.join(EXPERIMENT)).and_then(seeds).ok();
+    // An unreadable table is not refused here: its reader reports the cause.
+    let about = TableMetadata::read(&table)
+        .ok()
+        .filter(|about| !about.experiment.is_empty());
     let held = about.and_then(|about| {
-        let draft = Draft::parse(&about.experiment, "its experiment", Path::new(""));
+        let draft = ExperimentBuilder::parse(&about.experiment, "its experiment", Path::new(""));
         draft.and_then(seeds).ok()
     });
     if let (Some(asked), Some(held)) = (asked, held)
@@ -304,28 +311,85 @@ pub fn table_in(folder: &Path) -> Result<PathBuf, SweepError> {
     Ok(table)
 }
 
-/// Seeds of each cell that the sweep in `folder` is for, if it is that of `grid` and `shard`, with any number of them.
-pub fn seeds_in(grid: &Grid, shard: Shard, folder: &Path) -> Option<u64> {
+/// Returns the seeds per cell of the sweep in `folder`, if it belongs to `grid` and `shard`, regardless of their
+/// number.
+pub fn seeds_in(grid: &SweepGrid, shard: Shard, folder: &Path) -> Option<u64> {
     Journal::seeds(&folder.join(JOURNAL), &identity(grid, shard))
 }
 
-/// What tells the sweeps of folders apart: all but how many seeds a cell has, which may be raised.
-fn identity(grid: &Grid, shard: Shard) -> String {
+/// Returns the identity of a sweep: everything except the seeds per cell, which may be raised.
+fn identity(grid: &SweepGrid, shard: Shard) -> String {
     let mut experiment = grid.experiment.clone();
     experiment.seeds.count = 0;
     let hash = hash_of(grid, &experiment);
     format!("{} {hash} {shard}", env!("CARGO_PKG_VERSION"))
 }
 
-/// SHA-256 over the experiment, its number of seeds included, and the scenarios of its cells; hexadecimal.
-pub fn hash(grid: &Grid) -> String {
+/// Returns a SHA-256 over the experiment, its number of seeds included, and the scenarios of its cells; hexadecimal.
+pub fn hash(grid: &SweepGrid) -> String {
     hash_of(grid, &grid.experiment)
 }
 
-fn hash_of(grid: &Grid, experiment: &Experiment) -> String {
+fn hash_of(grid: &SweepGrid, experiment: &Experiment) -> String {
     use sha2::{Digest, Sha256};
     let mut sum = Sha256::new();
     sum.update(grid.fingerprint().0);
     sum.update(experiment.to_toml());
     crate::table::Hash(sum.finalize().into()).to_string()
+}
+
+/// The runs of some tables, by the hash of everything that determines a run, its seed included.
+#[derive(Debug, Default)]
+pub struct ReusableRuns(BTreeMap<Hash, JournalEntry>);
+
+impl ReusableRuns {
+    /// Collects the runs of `tables`, each with the path it was read from.
+    ///
+    /// # Errors
+    /// If a table was written by another version of the program, whose runs may have other results.
+    pub fn of(tables: &[(PathBuf, Table)]) -> Result<Self, SweepError> {
+        let mut runs = BTreeMap::new();
+        for (path, table) in tables {
+            if table.about.version != env!("CARGO_PKG_VERSION") {
+                return Err(SweepError::Reuse {
+                    path: path.clone(),
+                    version: table.about.version.clone(),
+                });
+            }
+            runs.extend(
+                table
+                    .rows
+                    .iter()
+                    .map(|row| (row.scenario_hash, JournalEntry::from(row))),
+            );
+        }
+        Ok(Self(runs))
+    }
+
+    /// Whether there are no runs.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Returns the run whose scenario has this `hash`.
+    pub(super) fn run(&self, hash: Hash) -> Option<&JournalEntry> {
+        self.0.get(&hash)
+    }
+}
+
+/// Length limit of an experiment file, bytes.
+const LONGEST_EXPERIMENT: u64 = 1 << 20;
+
+impl ExperimentBuilder {
+    /// Reads the experiment file at `path`.
+    ///
+    /// # Errors
+    /// If the file cannot be read, or as for [`ExperimentBuilder::parse`].
+    pub fn load(path: &Path) -> Result<Self, SweepError> {
+        let text = read_short(path, LONGEST_EXPERIMENT).map_err(|error| SweepError::Read {
+            path: path.to_owned(),
+            error,
+        })?;
+        Self::parse(&text, &path.to_string_lossy(), path.parent().unwrap_or(Path::new("")))
+    }
 }

@@ -1,74 +1,71 @@
-//! The cells of an experiment, each with its scenario checked.
+//! The cells of an experiment, each with a checked scenario.
 
 use std::sync::Arc;
 
-use reveille_bs::policy::registry::{POLICIES, pilots};
 use reveille_bs::scenario::{Override, Scenario, ScenarioError, load_with};
 use reveille_common::declare::Files;
 use sha2::{Digest as _, Sha256};
 use toml::Value as Toml;
 
 use super::error::SweepError;
-use super::experiment::{Axis, Experiment};
+use super::experiment::{Experiment, SweepAxis};
 use super::shard::Shard;
-use crate::table::{ColumnType, Hash, Schema, Value};
+use crate::table::{ColumnType, Hash, Schema, SweptValue};
 
-/// The most cells of a grid.
+/// The largest number of cells of a grid.
 const MOST_CELLS: u64 = 100_000;
-/// The most runs of a sweep, which are kept in memory.
+/// The largest number of runs of a sweep, which are kept in memory.
 const MOST_RUNS: u64 = 100_000_000;
 
-/// One cell: a scenario but for its seed.
+/// One cell: a scenario except for its seed.
 #[derive(Clone, Debug)]
-pub struct Cell {
-    /// How it is called in messages and tables: `knn, devices = 50, harvest.lambda = 0.05`.
+pub struct GridCell {
+    /// The cell's label in messages and tables: `knn, devices = 50, harvest.lambda = 0.05`.
     pub label: String,
     /// The values of the swept columns.
-    pub swept: Arc<[Value]>,
-    /// Its scenario with the first seed.
+    pub swept: Arc<[SweptValue]>,
+    /// The scenario with the first seed.
     pub scenario: Scenario,
+    /// The warnings about the scenario, a sentence each without its stop.
+    pub warnings: Vec<String>,
 }
 
-impl Cell {
-    /// The scenario of the run with `seed`.
+impl GridCell {
+    /// Returns the scenario of the run with `seed`.
     pub fn with_seed(&self, seed: u64) -> Scenario {
-        Scenario {
-            seed,
-            ..self.scenario.clone()
-        }
+        self.scenario.with_seed(seed)
     }
 
-    /// Device-TTIs of a run, those of a search before it included.
+    /// The number of device-TTIs of a run, including a preceding search.
     pub fn device_ttis(&self) -> u64 {
-        let pilots = pilots(POLICIES, &self.scenario.policy);
-        let searched = pilots.map_or(0, |pilots| {
-            pilots.ttis().saturating_mul(pilots.candidates().len() as u64)
-        });
-        let ttis = self.scenario.ttis.saturating_add(searched);
-        ttis.saturating_mul(u64::from(self.scenario.devices))
+        let pilots = self.scenario.policy.settings().pilots();
+        let searched = pilots.map_or(0, |pilots| pilots.ttis.saturating_mul(pilots.candidates.len() as u64));
+        let ttis = self.scenario.run.ttis.saturating_add(searched);
+        ttis.saturating_mul(u64::from(self.scenario.run.devices))
     }
 }
 
 /// All cells of an experiment, in its order.
 #[derive(Clone, Debug)]
-pub struct Grid {
+pub struct SweepGrid {
     /// The experiment.
     pub experiment: Experiment,
-    /// The columns of its table.
+    /// The columns of the table.
     pub schema: Schema,
     /// The cells.
-    pub cells: Vec<Cell>,
+    pub cells: Vec<GridCell>,
 }
 
-impl Grid {
-    /// The grid of `experiment`. Every scenario is checked; `files` opens what they name.
+impl SweepGrid {
+    /// Creates the grid of `experiment` and checks every scenario; `files` opens the scenario files.
     ///
     /// # Errors
-    /// A value stands in a list twice, the grid is too large, or a cell's scenario cannot be used; the message names
-    /// the field.
+    /// If a value is listed twice, the grid is too large, or the scenario of a cell is invalid; the message names the
+    /// field.
     pub fn new(experiment: Experiment, files: &dyn Files) -> Result<Self, SweepError> {
+        // Before any cell is built: a few long lists multiply to more cells than memory holds.
         check_size(&experiment)?;
-        let columns: Vec<(String, Vec<Value>)> = experiment.axes.iter().map(column).collect::<Result<_, _>>()?;
+        let columns: Vec<(String, Vec<SweptValue>)> = experiment.axes.iter().map(column).collect::<Result<_, _>>()?;
         let schema = Schema {
             swept: experiment
                 .axes
@@ -90,10 +87,10 @@ impl Grid {
         })
     }
 
-    /// Checks that the runs can be dealt to shards, if `shard` is one.
+    /// Checks that the runs can be distributed to shards, if `shard` is one.
     ///
     /// # Errors
-    /// With `until_ci` they cannot.
+    /// If the experiment has `until_ci`.
     pub fn check_shard(&self, shard: Shard) -> Result<(), SweepError> {
         if shard == Shard::WHOLE || self.experiment.until_ci.is_none() {
             return Ok(());
@@ -103,7 +100,7 @@ impl Grid {
         Err(SweepError::invalid("shard", shard, allowed))
     }
 
-    /// SHA-256 over the scenarios of all cells: equal exactly if the grids run the same.
+    /// Returns a SHA-256 over the scenarios of all cells: equal exactly if the grids run the same scenarios.
     pub fn fingerprint(&self) -> Hash {
         let mut sum = Sha256::new();
         for cell in &self.cells {
@@ -112,12 +109,12 @@ impl Grid {
         Hash(sum.finalize().into())
     }
 
-    /// Runs of the whole experiment; with `until_ci` the most there can be.
+    /// The number of runs of the whole experiment; with `until_ci` the largest possible number.
     pub fn runs(&self) -> u64 {
         self.cells.len() as u64 * self.experiment.seeds.count
     }
 
-    /// Runs of the experiment that belong to `shard`.
+    /// Returns the number of runs that belong to `shard`.
     pub fn share(&self, shard: Shard) -> u64 {
         shard.runs(self.cells.len() as u64, self.experiment.seeds.count)
     }
@@ -141,15 +138,15 @@ pub(super) fn check_size(experiment: &Experiment) -> Result<(), SweepError> {
     Ok(())
 }
 
-/// The values of an axis as its column holds them.
-fn column(axis: &Axis) -> Result<(String, Vec<Value>), SweepError> {
-    let values: Vec<Value> = axis.values.iter().map(value).collect();
+/// Converts the values of an axis to the type of its column.
+fn column(axis: &SweepAxis) -> Result<(String, Vec<SweptValue>), SweepError> {
+    let values: Vec<SweptValue> = axis.values.iter().map(value).collect();
     let column_type = values
         .iter()
-        .map(Value::column_type)
+        .map(SweptValue::column_type)
         .reduce(ColumnType::join)
         .unwrap_or(ColumnType::Text);
-    let values: Vec<Value> = values.into_iter().map(|value| value.into_type(column_type)).collect();
+    let values: Vec<SweptValue> = values.into_iter().map(|value| value.into_type(column_type)).collect();
     for (at, value) in values.iter().enumerate() {
         if values[..at].contains(value) {
             let allowed = format!("is listed twice; set by {}", axis.origin);
@@ -159,18 +156,18 @@ fn column(axis: &Axis) -> Result<(String, Vec<Value>), SweepError> {
     Ok((axis.path.clone(), values))
 }
 
-fn value(given: &Toml) -> Value {
+fn value(given: &Toml) -> SweptValue {
     match given {
-        Toml::Integer(value) => Value::Int(*value),
-        Toml::Float(value) => Value::Float(*value),
-        Toml::String(value) => Value::Text(value.clone()),
-        Toml::Boolean(_) | Toml::Datetime(_) | Toml::Array(_) | Toml::Table(_) => Value::Text(given.to_string()),
+        Toml::Integer(value) => SweptValue::Int(*value),
+        Toml::Float(value) => SweptValue::Float(*value),
+        Toml::String(value) => SweptValue::Text(value.clone()),
+        Toml::Boolean(_) | Toml::Datetime(_) | Toml::Array(_) | Toml::Table(_) => SweptValue::Text(given.to_string()),
     }
 }
 
 fn base_overrides(experiment: &Experiment) -> Result<Vec<Override>, SweepError> {
     let set = experiment.set.iter();
-    set.map(|(path, value, by)| Override::flag(by, path, &value.to_string()))
+    set.map(|(path, value, by)| Override::from_flag(by, path, &value.to_string()))
         .collect::<Result<_, _>>()
         .map_err(|error| refused("of every seed", error))
 }
@@ -184,13 +181,14 @@ fn refused(cell: &str, error: ScenarioError) -> SweepError {
 
 fn cell(
     experiment: &Experiment,
-    columns: &[(String, Vec<Value>)],
+    columns: &[(String, Vec<SweptValue>)],
     base: &[Override],
     number: u64,
     files: &dyn Files,
-) -> Result<Cell, SweepError> {
+) -> Result<GridCell, SweepError> {
     let mut rest = usize::try_from(number).unwrap_or(usize::MAX);
     let mut at = vec![0; experiment.axes.len()];
+    // The number in mixed radix, from its last digit: the first axis varies slowest.
     for (place, axis) in at.iter_mut().zip(&experiment.axes).rev() {
         *place = rest % axis.values.len();
         rest /= axis.values.len();
@@ -205,7 +203,7 @@ fn cell(
         if !axis.is_built_in() {
             swept.push(values[at].clone());
         }
-        let given = Override::flag(&axis.origin, &axis.path, &axis.values[at].to_string());
+        let given = Override::from_flag(&axis.origin, &axis.path, &axis.values[at].to_string());
         overrides.push(given.map_err(|error| refused(&label.join(", "), error))?);
     }
     let label = if label.is_empty() {
@@ -214,11 +212,12 @@ fn cell(
         label.join(", ")
     };
     let seed = experiment.seeds.first.to_string();
-    overrides.push(Override::flag("--first-seed", "seed", &seed).map_err(|error| refused(&label, error))?);
-    let scenario = load_with(&experiment.source(), &overrides, files).map_err(|error| refused(&label, error))?;
-    Ok(Cell {
+    overrides.push(Override::from_flag("--first-seed", "seed", &seed).map_err(|error| refused(&label, error))?);
+    let loaded = load_with(&experiment.source(), &overrides, files).map_err(|error| refused(&label, error))?;
+    Ok(GridCell {
         label,
         swept: Arc::from(swept),
-        scenario,
+        scenario: loaded.scenario,
+        warnings: loaded.warnings,
     })
 }

@@ -1,22 +1,22 @@
-//! Puts the tables of shards together.
+//! Merges the tables of shards.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::vec::IntoIter;
 
-use super::draft::Draft;
 use super::error::SweepError;
 use super::experiment::Experiment;
+use super::experiment_builder::ExperimentBuilder;
 use super::grid::check_size;
 use super::shard::Shard;
-use crate::table::{About, ColumnType, Row, Schema, Table};
+use crate::table::{ColumnType, ResultRow, Schema, Table, TableMetadata};
 
-/// The table of the whole sweep from those of its shards, in any order: the same as that of an undivided sweep. With
-/// `partial`, shards may be missing, and the table says which are there.
+/// Merges the tables of shards, in any order, into the table of an undivided sweep. With `partial`, shards may be
+/// missing, and the table names the shards that it holds.
 ///
 /// # Errors
-/// The tables are of different experiments or versions, are no shards, overlap, or (without `partial`) are not all
-/// there.
+/// If the tables come from different experiments or versions, are not shards, overlap, or (without `partial`) are
+/// incomplete.
 pub fn merge(tables: Vec<(PathBuf, Table)>, partial: bool) -> Result<Table, SweepError> {
     let mut shards = Vec::new();
     for (path, table) in tables {
@@ -38,6 +38,7 @@ pub fn merge(tables: Vec<(PathBuf, Table)>, partial: bool) -> Result<Table, Swee
             return Err(wrong(path, reason));
         }
     }
+    // Sorted by index, so equal shards are neighbours.
     for pair in shards.windows(2) {
         let [(a, path_a, _), (b, path_b, _)] = pair else {
             continue;
@@ -64,13 +65,14 @@ pub fn merge(tables: Vec<(PathBuf, Table)>, partial: bool) -> Result<Table, Swee
         );
         return Err(wrong(first_path, reason));
     }
-    let experiment = Draft::parse(&first.about.experiment, "its experiment", Path::new(""))?.finish()?;
+    let experiment = ExperimentBuilder::parse(&first.about.experiment, "its experiment", Path::new(""))?.build()?;
+    // The experiment comes from a file: without a bound, the loops over its cells and seeds could run for years.
     check_size(&experiment)?;
     for (shard, path, table) in &shards {
         complete(&experiment, *shard, path, table)?;
     }
     let indices: Vec<String> = present.iter().map(ToString::to_string).collect();
-    let about = About {
+    let about = TableMetadata {
         shard: (!missing.is_empty()).then(|| format!("{}/{count}", indices.join(","))),
         ..first.about.clone()
     };
@@ -87,8 +89,8 @@ pub fn merge(tables: Vec<(PathBuf, Table)>, partial: bool) -> Result<Table, Swee
     })
 }
 
-/// Columns that hold what those of any shard hold: a CSV file without its kinds is read by what its own values look
-/// like, and one without rows does not tell at all.
+/// Returns columns whose types hold the values of all shards. Without its types, a CSV file gets them from its values,
+/// and a file without rows gives no information.
 fn schema_of(shards: &[(Shard, PathBuf, Table)]) -> Schema {
     let mut telling = shards
         .iter()
@@ -167,7 +169,7 @@ fn fits(first_path: &Path, first: &Table, path: &Path, table: &Table) -> Result<
     Err(wrong(path, reason))
 }
 
-/// Checks that the table holds its share and nothing else: by the number and the seeds of its rows.
+/// Checks by the number and the seeds of its rows that the table holds exactly its share.
 fn complete(experiment: &Experiment, shard: Shard, path: &Path, table: &Table) -> Result<(), SweepError> {
     let (cells, seeds) = (experiment.cell_count(), experiment.seeds);
     let own = (0..cells).flat_map(|cell| shard.seeds(cell, seeds.count));
@@ -182,8 +184,8 @@ fn complete(experiment: &Experiment, shard: Shard, path: &Path, table: &Table) -
     Ok(())
 }
 
-/// The rows of the shards, of which there are `count`, in the order of cells and then of seeds.
-fn in_order(experiment: &Experiment, count: u64, mut tables: BTreeMap<u64, IntoIter<Row>>) -> Vec<Row> {
+/// Returns the rows of the `count` shards, in the order of cells and then of seeds.
+fn in_order(experiment: &Experiment, count: u64, mut tables: BTreeMap<u64, IntoIter<ResultRow>>) -> Vec<ResultRow> {
     let mut rows = Vec::with_capacity(tables.values().map(IntoIter::len).sum());
     for cell in 0..experiment.cell_count() {
         for seed in 0..experiment.seeds.count {

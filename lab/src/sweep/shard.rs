@@ -1,55 +1,57 @@
-//! Shares of a sweep for several machines.
+//! Shards of a sweep for several machines.
 
 use std::fmt;
 use std::str::FromStr;
 
-/// The `index`-th of `count` shares. The runs of a cell are dealt round robin, those of the next cell from the next
-/// share on: each share has some of every cell, and where a run falls does not depend on how many seeds there are.
+/// The `index`-th of `count` shards. The runs of a cell are distributed round robin; the next cell starts at the next
+/// shard. Each shard has some runs of every cell, and a run's shard does not depend on the number of seeds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shard {
-    /// The number of the share, from 1.
+    /// The index of the shard, from 1.
     index: u64,
     count: u64,
 }
 
 impl Shard {
-    /// The most shares.
+    /// The largest number of shards.
     pub const MOST: u64 = 100_000;
 
-    /// The only share of an undivided sweep.
+    /// The only shard of an undivided sweep.
     pub const WHOLE: Self = Self { index: 1, count: 1 };
 
-    /// The number of the share, from 1.
+    /// The index of the shard, from 1.
     pub const fn index(self) -> u64 {
         self.index
     }
 
-    /// The number of shares.
+    /// The number of shards.
     pub const fn count(self) -> u64 {
         self.count
     }
 
-    /// The share of `count` that has the run of a cell and a seed, both counted from 0.
+    /// Returns the shard of `count` with the run of a cell and a seed, both counted from 0.
     pub const fn of(cell: u64, seed: u64, count: u64) -> u64 {
+        // Each term is reduced first: the sum of a cell and a seed could overflow.
         (cell % count + seed % count) % count + 1
     }
 
-    /// Whether the run of a cell and a seed, both counted from 0, belongs to the share.
+    /// Returns whether the run of a cell and a seed, both counted from 0, belongs to the shard.
     pub const fn holds(self, cell: u64, seed: u64) -> bool {
         Self::of(cell, seed, self.count) == self.index
     }
 
-    /// The first of the share's seeds of `cell`.
+    /// Returns the first of the shard's seeds of `cell`.
     const fn first(self, cell: u64) -> u64 {
+        // The count is added before the subtraction, which would otherwise go below zero.
         (self.index - 1 + self.count - cell % self.count) % self.count
     }
 
-    /// The share's seeds of `cell`, which has `seeds` of them; counted from 0.
+    /// Iterates over the shard's seeds of `cell`, which has `seeds` of them; counted from 0.
     pub fn seeds(self, cell: u64, seeds: u64) -> impl Iterator<Item = u64> {
         (self.first(cell)..seeds).step_by(self.count as usize)
     }
 
-    /// How many runs the share has of `cells` with `seeds` each.
+    /// Returns the number of the shard's runs of `cells` with `seeds` each.
     pub fn runs(self, cells: u64, seeds: u64) -> u64 {
         let runs = |cell| seeds.saturating_sub(self.first(cell)).div_ceil(self.count);
         (0..cells).map(runs).sum()
@@ -100,7 +102,7 @@ mod tests {
                 let named = (0..cells).flat_map(|cell| shard.seeds(cell, seeds).map(move |seed| (cell, seed)));
                 assert_eq!(named.collect::<Vec<_>>(), own, "{shard}");
                 assert_eq!(shard.runs(cells, seeds), own.len() as u64, "{shard}");
-                // Of each cell as many as of any other, but for one.
+                // The numbers of runs per cell differ by at most one.
                 let of_cell = |cell| own.iter().filter(|(other, _)| *other == cell).count() as u64;
                 assert!((0..cells).all(|cell| (seeds / count..=seeds.div_ceil(count)).contains(&of_cell(cell))));
                 sizes.push(own.len() as u64);

@@ -1,4 +1,4 @@
-//! Experiments read, expanded, run and put together.
+//! Reading, expanding, running and merging experiments.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,9 +9,9 @@ use reveille_common::io::Disk;
 use super::*;
 use crate::preparation;
 use crate::stats;
-use crate::table::{ColumnType, Format, Table, Value};
+use crate::table::{ColumnType, Format, SweptValue, Table};
 
-/// A folder of its own, gone with it.
+/// A temporary folder that is removed on drop.
 struct Folder(PathBuf);
 
 impl Folder {
@@ -29,7 +29,7 @@ impl Drop for Folder {
     }
 }
 
-/// Stops after some runs have begun.
+/// Stops after some runs have started.
 struct Until(AtomicU64);
 
 impl SweepProgress for Until {
@@ -49,12 +49,12 @@ fn never() -> Until {
     Until(AtomicU64::new(u64::MAX))
 }
 
-fn draft(text: &str) -> Result<Draft, SweepError> {
-    Draft::parse(text, "e.toml", Path::new(""))
+fn draft(text: &str) -> Result<ExperimentBuilder, SweepError> {
+    ExperimentBuilder::parse(text, "e.toml", Path::new(""))
 }
 
-fn grid(text: &str) -> Result<Grid, SweepError> {
-    Grid::new(draft(text)?.finish()?, &Disk)
+fn grid(text: &str) -> Result<SweepGrid, SweepError> {
+    SweepGrid::new(draft(text)?.build()?, &Disk)
 }
 
 const SMALL: &str = r#"
@@ -66,7 +66,7 @@ seeds = { first = 3, count = 7 }
 harvest.lambda = [0.1, 1]
 "#;
 
-fn swept(grid: &Grid, shard: &str, threads: usize, folder: &Path) -> (Finished, Vec<u8>) {
+fn swept(grid: &SweepGrid, shard: &str, threads: usize, folder: &Path) -> (SweepResult, Vec<u8>) {
     let mut sweep = Sweep::open(grid, shard.parse().expect("a shard"), folder).expect("a folder");
     let ended = sweep.run(threads, Format::Parquet, &never());
     let finished = ended.expect("no failure").expect("not stopped");
@@ -83,9 +83,9 @@ fn cells_come_in_the_order_of_the_contract() {
     assert_eq!(labels[2], "random, devices = 12, ttis = 300, harvest.lambda = 0.1");
     assert_eq!(labels[7], "knn, devices = 12, ttis = 300, harvest.lambda = 1");
     assert_eq!(grid.schema.swept, [("harvest.lambda".to_owned(), ColumnType::Float)]);
-    assert_eq!(*grid.cells[7].swept, [Value::Float(1.0)]);
+    assert_eq!(*grid.cells[7].swept, [SweptValue::Float(1.0)]);
     assert_eq!((grid.cells.len(), grid.runs()), (8, 56));
-    assert_eq!(grid.cells[0].scenario.seed, 3);
+    assert_eq!(grid.cells[0].scenario.run.seed, 3);
 }
 
 #[test]
@@ -99,9 +99,9 @@ fn an_experiment_reads_back_from_its_own_text() {
         "until_ci = \"100%\"",
         "until_ci = 0.01\nmin_seeds = 5\nseeds = 5",
     ] {
-        let experiment = draft(text).expect("valid").finish().expect("valid");
+        let experiment = draft(text).expect("valid").build().expect("valid");
         let own = experiment.to_toml();
-        let again = draft(&own).expect("valid").finish().expect("valid");
+        let again = draft(&own).expect("valid").build().expect("valid");
         assert_eq!(again.to_toml(), own);
         assert_eq!(again.axes.len(), experiment.axes.len());
         assert_eq!((again.seeds, again.until_ci), (experiment.seeds, experiment.until_ci));
@@ -153,14 +153,17 @@ fn what_cannot_be_run_is_refused_with_its_field() {
 
 #[test]
 fn the_command_line_wins_over_the_file() {
-    let mut above = Draft {
+    let mut above = ExperimentBuilder {
         count: Some(2),
-        ..Draft::default()
+        ..ExperimentBuilder::default()
     };
     above
         .axis("--devices", "devices", vec![toml::Value::Integer(9)])
         .expect("valid");
-    let experiment = above.over(draft(SMALL).expect("valid")).finish().expect("valid");
+    let experiment = above
+        .with_defaults_from(draft(SMALL).expect("valid"))
+        .build()
+        .expect("valid");
     assert_eq!(experiment.seeds, Seeds { first: 3, count: 2 });
     assert_eq!(experiment.cell_count(), 4);
 }
@@ -179,7 +182,7 @@ fn rows_are_those_of_single_runs() {
             let outcome = preparation::run(&scenario);
             assert_eq!(
                 (row.seed, row.n, &*row.policy),
-                (seed, scenario.devices, scenario.policy.name())
+                (seed, scenario.run.devices, scenario.policy.name())
             );
             assert_eq!(row.digest.to_string(), outcome.digest.to_string());
             assert_eq!(row.scenario_hash.to_string(), scenario.hash_hex());
@@ -255,7 +258,7 @@ fn threads_interruptions_and_shards_change_nothing() {
 fn runs_of_another_sweep_are_taken_over_and_change_nothing() {
     let (first, fresh, own) = (Folder::new("first"), Folder::new("fresh"), Folder::new("own"));
     let (made, _) = swept(&grid(SMALL).expect("valid"), "1/1", 2, &first.0);
-    // Half of its cells and more seeds, and devices that it does not have.
+    // Half of its cells, more seeds, and a number of devices that it lacks.
     let other = grid(
         "policies = [\"knn\"]\ndevices = [12, 20]\nttis = 300\nseeds = { first = 1, count = 10 }\n[grid]\n\
          harvest.lambda = [1, 0.1, 0.3]\n",
@@ -265,18 +268,20 @@ fn runs_of_another_sweep_are_taken_over_and_change_nothing() {
 
     let mut known = vec![(made.path, made.table)];
     let mut sweep = Sweep::open(&other, Shard::WHOLE, &own.0).expect("a folder");
-    let taken = sweep.take_over(&Known::of(&known).expect("of this version"));
-    // Seeds 3 to 9 with both rates of 12 devices.
+    let taken = sweep.reuse(&ReusableRuns::of(&known).expect("of this version"));
+    // Seeds 3 to 9 with both rates for 12 devices.
     assert_eq!((taken.expect("written"), sweep.found()), (14, 14));
     assert_eq!(
-        sweep.take_over(&Known::of(&known).expect("the same")).expect("written"),
+        sweep
+            .reuse(&ReusableRuns::of(&known).expect("the same"))
+            .expect("written"),
         0
     );
     drop(sweep);
     assert!(swept(&other, "1/1", 2, &own.0).1 == expected, "the table differs");
 
     known[0].1.about.version = "0.0.1".to_owned();
-    let refused = Known::of(&known).expect_err("another version").to_string();
+    let refused = ReusableRuns::of(&known).expect_err("another version").to_string();
     assert!(refused.contains("--reuse") && refused.contains("0.0.1"), "{refused}");
 }
 
@@ -383,10 +388,10 @@ fn a_cell_stops_at_the_first_look_at_which_it_is_narrow() {
         "interrupted"
     );
 
-    // The same by hand: all prefixes at the looks, with the two-pass formulas.
+    // The expected decision: all prefixes at the checks, with the two-pass formulas.
     let looks = [5u64, 15, 25, 35, 45, 65, 85, 115, 145, 185, 200];
     let until = grid.experiment.until_ci.as_ref().expect("set");
-    let steps: Vec<u64> = std::iter::successors(Some(5), |&runs| Some(until.next_look(runs, 200)))
+    let steps: Vec<u64> = std::iter::successors(Some(5), |&runs| Some(until.next_check(runs, 200)))
         .take(11)
         .collect();
     assert_eq!(steps, looks);
@@ -469,7 +474,7 @@ fn a_raised_folder_loses_its_old_table_and_no_other() {
     assert_eq!(there(), [true, true, false]);
     assert_eq!(table_in(&folder.0).expect("a table"), folder.0.join("results.csv"));
 
-    // A table of fewer seeds beside an experiment of more is not taken for its own.
+    // A table with fewer seeds than the experiment next to it is refused.
     let path = folder.0.join("experiment.toml");
     let text = fs::read_to_string(&path).expect("there");
     fs::write(&path, text.replace("count = 3", "count = 4")).expect("written");

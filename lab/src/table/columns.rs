@@ -1,19 +1,19 @@
-//! Which columns a result table has.
+//! The columns of a result table.
 
 use std::fmt;
 
 use reveille_common::score::Metrics;
 
-use super::error::Refusal;
+use super::error::SchemaMismatch;
 
-/// The columns in front of the swept ones.
+/// The columns before the swept ones.
 pub(super) const IDENTITY: [&str; 6] = ["scenario_hash", "preset", "policy", "n", "ttis", "seed"];
-/// The columns behind the metrics.
+/// The columns after the metrics.
 pub(super) const TAIL: [&str; 2] = ["events", "digest"];
 
 /// The value of a swept field.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Value {
+pub enum SweptValue {
     /// A whole number.
     Int(i64),
     /// A number.
@@ -22,7 +22,7 @@ pub enum Value {
     Text(String),
 }
 
-impl fmt::Display for Value {
+impl fmt::Display for SweptValue {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Int(value) => write!(f, "{value}"),
@@ -32,7 +32,7 @@ impl fmt::Display for Value {
     }
 }
 
-/// What a swept column holds.
+/// The type of a swept column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ColumnType {
     /// Whole numbers.
@@ -43,8 +43,8 @@ pub enum ColumnType {
     Text,
 }
 
-impl Value {
-    /// What it is.
+impl SweptValue {
+    /// The type of the value.
     pub const fn column_type(&self) -> ColumnType {
         match self {
             Self::Int(_) => ColumnType::Int,
@@ -53,10 +53,10 @@ impl Value {
         }
     }
 
-    /// The value as a column of `column_type` holds it: whole numbers among numbers become numbers, anything among text
-    /// text.
+    /// Converts the value to the type of its column: whole numbers to floats in a float column, any value to text in a
+    /// text column.
     #[must_use]
-    pub fn into_type(self, column_type: ColumnType) -> Self {
+    pub(crate) fn into_type(self, column_type: ColumnType) -> Self {
         match (column_type, self) {
             (ColumnType::Float, Self::Int(value)) => Self::Float(value as f64),
             (ColumnType::Text, value) => Self::Text(value.to_string()),
@@ -69,7 +69,7 @@ impl ColumnType {
     /// All types.
     const ALL: [Self; 3] = [Self::Int, Self::Float, Self::Text];
 
-    /// Its name in side-cars.
+    /// The name in sidecars.
     pub(super) const fn name(self) -> &'static str {
         match self {
             Self::Int => "int",
@@ -78,12 +78,12 @@ impl ColumnType {
         }
     }
 
-    /// The type of this name.
+    /// Returns the type with this name.
     pub(super) fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|column_type| column_type.name() == name)
     }
 
-    /// The type that holds both.
+    /// Returns the type that holds both.
     #[must_use]
     pub const fn join(self, other: Self) -> Self {
         match (self, other) {
@@ -109,14 +109,15 @@ impl Schema {
         IDENTITY.into_iter().chain(swept).chain(fixed).collect()
     }
 
-    /// The number of the column of the swept field at `path`.
+    /// Returns the index of the swept field at `path`.
     pub fn position(&self, path: &str) -> Option<usize> {
         self.swept.iter().position(|(name, _)| name == path)
     }
 
-    /// The names of the swept columns among `header`, after a check of all others.
-    pub(super) fn swept_among<'h>(header: &[&'h str]) -> Result<Vec<&'h str>, Refusal> {
+    /// Returns the names of the swept columns in `header`, after a check of all others.
+    pub(super) fn swept_among<'h>(header: &[&'h str]) -> Result<Vec<&'h str>, SchemaMismatch> {
         let fixed = IDENTITY.len() + Metrics::COUNT + TAIL.len();
+        // Any CSV or Parquet file may be given, also one with fewer columns.
         let swept = header.len().checked_sub(fixed);
         let Some(swept) = swept else {
             return Err(mismatch(&Self::default().names(), header));
@@ -137,12 +138,13 @@ impl Schema {
     }
 }
 
-fn mismatch(expected: &[&str], found: &[&str]) -> Refusal {
+fn mismatch(expected: &[&str], found: &[&str]) -> SchemaMismatch {
+    // Without this column the file belongs to another program, and a list of missing columns would mislead.
     if !found.contains(&IDENTITY[0]) {
-        return Refusal::NotOurs;
+        return SchemaMismatch::NotOurs;
     }
     let missing = expected.iter().find(|name| !found.contains(name));
-    Refusal::Columns(missing.map_or_else(
+    SchemaMismatch::Columns(missing.map_or_else(
         || "they are in another order".to_owned(),
         |name| format!("there is no column `{name}`, or there are columns of metrics that this version does not know"),
     ))

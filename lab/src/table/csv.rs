@@ -1,17 +1,17 @@
-//! The text of CSV files and the tables that it holds.
+//! Encoding and decoding of tables as CSV.
 
 use std::str::FromStr;
 use std::sync::Arc;
 
 use reveille_common::score::Metrics;
 
-use super::columns::{ColumnType, IDENTITY, Schema, Value};
-use super::contents::Table;
-use super::error::Refusal;
-use super::row::{Row, Shared};
-use super::side_car::Side;
+use super::Table;
+use super::columns::{ColumnType, IDENTITY, Schema, SweptValue};
+use super::error::SchemaMismatch;
+use super::row::{LastText, ResultRow};
+use super::sidecar::Sidecar;
 
-/// The bytes of the file of `table`. Numbers are written so that they read back as the same bits.
+/// Encodes the file of `table`. Numbers read back as the same bits.
 pub(super) fn to_bytes(table: &Table) -> Result<Vec<u8>, String> {
     encode(table).map_err(|error| error.to_string())
 }
@@ -42,19 +42,24 @@ fn encode(table: &Table) -> Result<Vec<u8>, csv::Error> {
     writer.into_inner().map_err(|error| error.into_error().into())
 }
 
-/// A swept value; a number that happens to be whole keeps its point, so that its column stays one of numbers.
-fn written(value: &Value) -> String {
+/// Formats a swept value. A float with a whole value keeps its decimal point, so that its column stays one of floats.
+fn written(value: &SweptValue) -> String {
     match value {
-        Value::Float(value) => format!("{value:?}"),
-        Value::Int(_) | Value::Text(_) => value.to_string(),
+        SweptValue::Float(value) => format!("{value:?}"),
+        SweptValue::Int(_) | SweptValue::Text(_) => value.to_string(),
     }
 }
 
-/// The swept columns: of the types that the side-car tells, or else of those that their values look like.
-fn schema(names: &[&str], told: Option<Vec<ColumnType>>, records: &[csv::StringRecord]) -> Result<Schema, Refusal> {
+/// Returns the swept columns, with the types `told` by the sidecar or else guessed from the values.
+fn schema(
+    names: &[&str],
+    told: Option<Vec<ColumnType>>,
+    records: &[csv::StringRecord],
+) -> Result<Schema, SchemaMismatch> {
     let names = Schema::swept_among(names)?;
     let types = told.unwrap_or_else(|| {
         let column_type = |at: usize| {
+            // The reader refuses rows of another length than the header, so the index is valid.
             let types = records.iter().map(|record| guess(&record[IDENTITY.len() + at]));
             types.reduce(ColumnType::join).unwrap_or(ColumnType::Text)
         };
@@ -62,7 +67,7 @@ fn schema(names: &[&str], told: Option<Vec<ColumnType>>, records: &[csv::StringR
     });
     if types.len() != names.len() {
         let (told, found) = (types.len(), names.len());
-        return Err(Refusal::Broken(format!(
+        return Err(SchemaMismatch::Broken(format!(
             "its side-car tells of {told} swept columns, but it has {found}"
         )));
     }
@@ -71,11 +76,11 @@ fn schema(names: &[&str], told: Option<Vec<ColumnType>>, records: &[csv::StringR
     })
 }
 
-/// The table in `text`, with what its side-car says.
-pub(super) fn decode(text: &str, side: Side) -> Result<Table, Refusal> {
-    let broken = |error: csv::Error| Refusal::Broken(error.to_string());
+/// Decodes the table in `text`, with the content of its sidecar.
+pub(super) fn decode(text: &str, side: Sidecar) -> Result<Table, SchemaMismatch> {
+    let broken = |error: csv::Error| SchemaMismatch::Broken(error.to_string());
     if !text.ends_with('\n') {
-        return Err(Refusal::Broken("its last row has no end".to_owned()));
+        return Err(SchemaMismatch::Broken("its last row has no end".to_owned()));
     }
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let header = reader.headers().map_err(broken)?.clone();
@@ -83,7 +88,7 @@ pub(super) fn decode(text: &str, side: Side) -> Result<Table, Refusal> {
     let schema = schema(&header.iter().collect::<Vec<_>>(), side.types, &records)?;
     if let Some(rows) = side.rows.filter(|rows| *rows != records.len()) {
         let found = records.len();
-        return Err(Refusal::Broken(format!(
+        return Err(SchemaMismatch::Broken(format!(
             "it has {found} rows, but its side-car says {rows}"
         )));
     }
@@ -94,17 +99,18 @@ pub(super) fn decode(text: &str, side: Side) -> Result<Table, Refusal> {
     })
 }
 
-fn rows(schema: &Schema, records: &[csv::StringRecord]) -> Result<Vec<Row>, Refusal> {
-    let (mut preset, mut policy, mut cell) = (Shared::default(), Shared::default(), Arc::from([]));
+fn rows(schema: &Schema, records: &[csv::StringRecord]) -> Result<Vec<ResultRow>, SchemaMismatch> {
+    let (mut preset, mut policy, mut cell) = (LastText::default(), LastText::default(), Arc::from([]));
     let mut rows = Vec::with_capacity(records.len());
     for (number, record) in records.iter().enumerate() {
         let fields = Fields { record, number };
-        let swept: Vec<Value> = schema
+        let swept: Vec<SweptValue> = schema
             .swept
             .iter()
             .enumerate()
             .map(|(at, (_, column_type))| fields.swept(IDENTITY.len() + at, *column_type))
             .collect::<Result<_, _>>()?;
+        // Rows are sorted by cell, so nearly all of them share the values of the previous row.
         if *cell != *swept {
             cell = Arc::from(swept);
         }
@@ -115,7 +121,7 @@ fn rows(schema: &Schema, records: &[csv::StringRecord]) -> Result<Vec<Row>, Refu
                 *slot = fields.get(first + at)?;
             }
         }
-        let row = Row {
+        let row = ResultRow {
             scenario_hash: fields.get(0)?,
             preset: preset.of(&record[1]),
             policy: policy.of(&record[2]),
@@ -132,7 +138,7 @@ fn rows(schema: &Schema, records: &[csv::StringRecord]) -> Result<Vec<Row>, Refu
     Ok(rows)
 }
 
-/// What a cell seems to hold.
+/// Guesses the type of a value.
 fn guess(text: &str) -> ColumnType {
     if text.parse::<i64>().is_ok() {
         ColumnType::Int
@@ -150,19 +156,19 @@ struct Fields<'r> {
 }
 
 impl Fields<'_> {
-    fn get<T: FromStr>(&self, at: usize) -> Result<T, Refusal> {
+    fn get<T: FromStr>(&self, at: usize) -> Result<T, SchemaMismatch> {
         let text = &self.record[at];
         text.parse().map_err(|_| {
             let row = self.number + 1;
-            Refusal::Broken(format!("row {row}, field {}: \"{}\"", at + 1, text.escape_default()))
+            SchemaMismatch::Broken(format!("row {row}, field {}: \"{}\"", at + 1, text.escape_default()))
         })
     }
 
-    fn swept(&self, at: usize, column_type: ColumnType) -> Result<Value, Refusal> {
+    fn swept(&self, at: usize, column_type: ColumnType) -> Result<SweptValue, SchemaMismatch> {
         Ok(match column_type {
-            ColumnType::Int => Value::Int(self.get(at)?),
-            ColumnType::Float => Value::Float(self.get(at)?),
-            ColumnType::Text => Value::Text(self.record[at].to_owned()),
+            ColumnType::Int => SweptValue::Int(self.get(at)?),
+            ColumnType::Float => SweptValue::Float(self.get(at)?),
+            ColumnType::Text => SweptValue::Text(self.record[at].to_owned()),
         })
     }
 }

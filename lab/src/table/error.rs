@@ -1,44 +1,45 @@
-//! Why a result table cannot be read or written.
+//! Errors of reading and writing a result table.
 
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::keys::TABLE_VERSION;
+/// The version of the table format, raised when a column changes its meaning.
+pub(crate) const TABLE_VERSION: u32 = 1;
 
-/// A result table that cannot be read or written, and why.
+/// A reason why a result table cannot be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum TableError {
-    /// The operating system refuses.
+    /// The operating system refuses to read the file.
     #[error("{}: cannot be read: {error}", path.display())]
     Read {
         /// The file.
         path: PathBuf,
-        /// What it said.
+        /// The error of the operating system.
         error: io::Error,
     },
-    /// The operating system refuses, for example because the disk is full.
+    /// The operating system refuses to write the file, for example because the disk is full.
     #[error("{}: cannot be written: {error}", path.display())]
     Write {
         /// The file.
         path: PathBuf,
-        /// What it said.
+        /// The error of the operating system.
         error: io::Error,
     },
-    /// The rows do not go into the format.
+    /// The rows do not fit the format.
     #[error("{}: the table cannot be encoded: {reason}", path.display())]
     Encode {
         /// The file.
         path: PathBuf,
-        /// Why it cannot be encoded.
+        /// The cause.
         reason: String,
     },
-    /// The file is no table of Reveille.
+    /// The file is not a table of Reveille.
     #[error("{}: is not a result table of Reveille; `reveille sweep` and `reveille merge` write those", path.display())]
     NotOurs {
         /// The file.
         path: PathBuf,
     },
-    /// A table of another version.
+    /// The table has another version.
     #[error(
         "{}: is a result table of version {found}, written by reveille {by}; this reveille reads version \
          {TABLE_VERSION}: use that one, or run the sweep again",
@@ -47,20 +48,20 @@ pub enum TableError {
     Version {
         /// The file.
         path: PathBuf,
-        /// Its version.
+        /// The version found in it.
         found: String,
         /// The version of Reveille that wrote it.
         by: String,
     },
-    /// The columns are not those of this version.
+    /// The columns differ from this version's.
     #[error("{}: has not the columns of a result table: {reason}", path.display())]
     Columns {
         /// The file.
         path: PathBuf,
-        /// What differs.
+        /// The difference.
         reason: String,
     },
-    /// Cut off or corrupt.
+    /// The file is cut off or corrupt.
     #[error(
         "{}: is cut off or corrupt ({reason}); run `reveille sweep` or `reveille merge` again to make it anew",
         path.display()
@@ -68,47 +69,47 @@ pub enum TableError {
     Broken {
         /// The file.
         path: PathBuf,
-        /// What the reader stumbled over.
+        /// The cause.
         reason: String,
     },
 }
 
-/// Why metadata or columns are not those of a table of this version.
-pub(super) enum Refusal {
+/// A mismatch between a file and the tables of this version.
+pub(super) enum SchemaMismatch {
     NotOurs,
     Version { found: String, by: String },
     Columns(String),
     Broken(String),
 }
 
-/// Why a read failed, before the file's name is put in front.
-pub(super) enum Failure {
+/// A read error without the file's name.
+pub(super) enum ReadFailure {
     Io(io::Error),
-    Refused(Refusal),
+    Refused(SchemaMismatch),
 }
 
-impl From<io::Error> for Failure {
+impl From<io::Error> for ReadFailure {
     fn from(error: io::Error) -> Self {
         Self::Io(error)
     }
 }
 
-impl From<Refusal> for Failure {
-    fn from(refusal: Refusal) -> Self {
+impl From<SchemaMismatch> for ReadFailure {
+    fn from(refusal: SchemaMismatch) -> Self {
         Self::Refused(refusal)
     }
 }
 
-impl Failure {
-    /// The error of the file at `path`.
+impl ReadFailure {
+    /// Adds the path of the file.
     pub(super) fn of(self, path: &Path) -> TableError {
         let path = path.to_owned();
         match self {
             Self::Io(error) => TableError::Read { path, error },
-            Self::Refused(Refusal::NotOurs) => TableError::NotOurs { path },
-            Self::Refused(Refusal::Version { found, by }) => TableError::Version { path, found, by },
-            Self::Refused(Refusal::Columns(reason)) => TableError::Columns { path, reason },
-            Self::Refused(Refusal::Broken(reason)) => TableError::Broken { path, reason },
+            Self::Refused(SchemaMismatch::NotOurs) => TableError::NotOurs { path },
+            Self::Refused(SchemaMismatch::Version { found, by }) => TableError::Version { path, found, by },
+            Self::Refused(SchemaMismatch::Columns(reason)) => TableError::Columns { path, reason },
+            Self::Refused(SchemaMismatch::Broken(reason)) => TableError::Broken { path, reason },
         }
     }
 }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use reveille_common::score::Metrics;
 
-use super::{About, ColumnType, Hash, Row, Schema, Table, Value};
+use super::{ColumnType, Hash, ResultRow, Schema, SweptValue, Table, TableMetadata};
 
 /// Five runs of three cells; `info_per_event` is undefined in the first two.
 pub(crate) fn table() -> Table {
@@ -17,14 +17,18 @@ pub(crate) fn table() -> Table {
                 _ => seed as f64 * (0.1 + at as f64 / 3.0),
             };
         }
-        Row {
+        ResultRow {
             scenario_hash: Hash([seed as u8 + n as u8; 32]),
             preset: Arc::from("paper"),
             policy: Arc::from(policy),
             n,
             ttis: 1000,
             seed,
-            swept: Arc::from([Value::Float(lambda), Value::Int(4), Value::Text(kind.to_owned())]),
+            swept: Arc::from([
+                SweptValue::Float(lambda),
+                SweptValue::Int(4),
+                SweptValue::Text(kind.to_owned()),
+            ]),
             metrics,
             events: 100 + seed,
             digest: Hash([0xA0 + seed as u8; 32]),
@@ -32,7 +36,7 @@ pub(crate) fn table() -> Table {
     };
     let path = |name: &str| name.to_owned();
     Table {
-        about: About {
+        about: TableMetadata {
             version: "0.1.0".to_owned(),
             experiment: "devices = [10, 50]\nname = \"a \\\"quoted\\\" one\"\n".to_owned(),
             grid: "00".repeat(32),

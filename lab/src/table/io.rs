@@ -4,25 +4,24 @@ use std::fs::File;
 use std::io;
 use std::path::Path;
 
-use super::about::About;
-use super::contents::Table;
-use super::error::{Failure, TableError};
-use super::side_car::{self, Side};
-use super::{csv, parquet};
+use super::error::{ReadFailure, TableError};
+use super::metadata::TableMetadata;
+use super::sidecar::{self, Sidecar};
+use super::{Table, csv, parquet};
 use crate::io::{read_text, remove, replace};
 
-/// File formats.
+/// A file format.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Format {
     /// Apache Parquet.
     #[default]
     Parquet,
-    /// CSV, with a side-car `NAME.csv.toml` that holds what Parquet keeps in its metadata.
+    /// CSV, with a sidecar `NAME.csv.toml` that holds the metadata.
     Csv,
 }
 
 impl Format {
-    /// The usual ending of its files.
+    /// The usual extension of its files.
     pub const fn ending(self) -> &'static str {
         match self {
             Self::Parquet => "parquet",
@@ -30,7 +29,7 @@ impl Format {
         }
     }
 
-    /// The format of a file, by its ending; Parquet unless it is `.csv`.
+    /// Returns the format of a file by its extension; Parquet unless it is `.csv`.
     pub fn of(path: &Path) -> Self {
         if path
             .extension()
@@ -43,11 +42,11 @@ impl Format {
     }
 }
 
-impl About {
-    /// What the table at `path` says of itself, without its rows.
+impl TableMetadata {
+    /// Reads the metadata of the table at `path`, without its rows.
     ///
     /// # Errors
-    /// As [`Table::read`].
+    /// See [`Table::read`].
     pub fn read(path: &Path) -> Result<Self, TableError> {
         let read = match Format::of(path) {
             Format::Parquet => open(path).and_then(|file| Ok(parquet::about(file)?)),
@@ -58,10 +57,10 @@ impl About {
 }
 
 impl Table {
-    /// Reads a table, in the format that the file's ending says.
+    /// Reads a table, in the format of the file's extension.
     ///
     /// # Errors
-    /// The file cannot be read, is no result table, is one of another version, or is cut off or corrupt.
+    /// If the file cannot be read, is not a result table, has another version, or is cut off or corrupt.
     pub fn read(path: &Path) -> Result<Self, TableError> {
         let read = match Format::of(path) {
             Format::Parquet => open(path).and_then(|file| Ok(parquet::decode(file)?)),
@@ -70,11 +69,10 @@ impl Table {
         read.map_err(|failure| failure.of(path))
     }
 
-    /// Writes the table to `path` in `format`. The file is whole or not there: it is written under another name, synced
-    /// to the disk and renamed.
+    /// Writes the table to `path` in `format`, atomically: under another name, synced to the disk and then renamed.
     ///
     /// # Errors
-    /// It cannot be written; a file that was there before is untouched.
+    /// If the file cannot be written; an existing file is unchanged.
     pub fn write(&self, path: &Path, format: Format) -> Result<(), TableError> {
         let bytes = match format {
             Format::Parquet => parquet::to_bytes(self),
@@ -90,39 +88,41 @@ impl Table {
                 error,
             })
         };
+        // The sidecar first: a table that exists counts as complete, so its sidecar must exist too.
         if format == Format::Csv {
-            write(&side_car::path_of(path), side_car::text(self).as_bytes())?;
+            write(&sidecar::path_of(path), sidecar::text(self).as_bytes())?;
         }
         write(path, &bytes)
     }
 
-    /// Takes the table in `format` at `path` away, and with it its side-car.
+    /// Removes the table in `format` at `path`, and its sidecar.
     ///
     /// # Errors
-    /// It is there and cannot be removed.
+    /// If a file exists and cannot be removed.
     pub fn remove(path: &Path, format: Format) -> io::Result<()> {
+        // In the reverse order of `write`: no table is ever without its sidecar.
         remove(path)?;
         match format {
             Format::Parquet => Ok(()),
-            Format::Csv => remove(&side_car::path_of(path)),
+            Format::Csv => remove(&sidecar::path_of(path)),
         }
     }
 }
 
-fn open(path: &Path) -> Result<File, Failure> {
+fn open(path: &Path) -> Result<File, ReadFailure> {
     Ok(crate::io::open(path)?)
 }
 
-fn csv_at(path: &Path) -> Result<Table, Failure> {
+fn csv_at(path: &Path) -> Result<Table, ReadFailure> {
     let text = read_text(path)?;
     Ok(csv::decode(&text, side_of(path)?)?)
 }
 
-/// What the side-car of the CSV file at `path` says; nothing if there is none.
-fn side_of(path: &Path) -> Result<Side, Failure> {
-    match read_text(&side_car::path_of(path)) {
-        Ok(text) => Ok(side_car::parse(&text)?),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Side::default()),
+/// Reads the sidecar of the CSV file at `path`; empty if it does not exist.
+fn side_of(path: &Path) -> Result<Sidecar, ReadFailure> {
+    match read_text(&sidecar::path_of(path)) {
+        Ok(text) => Ok(sidecar::parse(&text)?),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Sidecar::default()),
         Err(error) => Err(error.into()),
     }
 }

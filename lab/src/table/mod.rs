@@ -1,34 +1,41 @@
 //! The result table: one row per run, as Parquet or CSV.
 //!
-//! | columns | what |
+//! | columns | content |
 //! |---|---|
-//! | `scenario_hash`, `preset`, `policy`, `n`, `ttis`, `seed` | which run |
-//! | one per swept field, named by its path (`harvest.lambda`) | what the sweep set there |
-//! | one per metric of [`reveille_common::score`] | what came out; empty where it is not defined (no events) |
-//! | `events`, `digest` | events counted; the run's fingerprint |
+//! | `scenario_hash`, `preset`, `policy`, `n`, `ttis`, `seed` | the identity of the run |
+//! | one per swept field, named by its path (`harvest.lambda`) | the swept value |
+//! | one per metric of [`reveille_common::score`] | the metric; empty if it is not defined (no events) |
+//! | `events`, `digest` | number of counted events; the run's digest |
 //!
-//! Rows are in the order of the experiment's cells, then of seeds. The same rows always give the same bytes.
+//! Rows are in the order of the experiment's cells, then of seeds. Equal rows always give the same bytes.
 
-mod about;
 mod columns;
-mod contents;
 mod csv;
 mod error;
 #[cfg(test)]
 pub(crate) mod fixtures;
 mod io;
-pub mod keys;
+mod metadata;
 mod parquet;
 mod row;
-mod side_car;
+mod sidecar;
 
-pub use about::About;
-pub use columns::{ColumnType, Schema, Value};
-pub use contents::Table;
+pub use columns::{ColumnType, Schema, SweptValue};
 pub use error::TableError;
 pub use io::Format;
-pub use keys::TABLE_VERSION;
-pub use row::{Hash, Row};
+pub use metadata::TableMetadata;
+pub use row::{Hash, ResultRow};
+
+/// A result table.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Table {
+    /// The origin of the runs.
+    pub about: TableMetadata,
+    /// The columns.
+    pub schema: Schema,
+    /// One row per run.
+    pub rows: Vec<ResultRow>,
+}
 
 #[cfg(test)]
 mod tests;

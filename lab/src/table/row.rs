@@ -1,15 +1,15 @@
-//! One run's row.
+//! The row of one run.
 
 use std::fmt;
 use std::str::FromStr;
 use std::sync::Arc;
 
-use reveille_bs::outcome::Outcome;
-use reveille_common::scenario::Scenario;
+use reveille_bs::cycle::Outcome;
+use reveille_bs::scenario::Scenario;
 use reveille_common::score::Metrics;
 
-use super::columns::Value;
-use super::error::Refusal;
+use super::columns::SweptValue;
+use super::error::SchemaMismatch;
 
 /// A SHA-256 sum; shown and read as 64 hexadecimal digits.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -32,6 +32,7 @@ impl FromStr for Hash {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let wrong = || format!("\"{}\" is not 64 hexadecimal digits", text.escape_default());
+        // ASCII digits only: the slices below need character boundaries, and `from_str_radix` also accepts a sign.
         if text.len() != 64 || !text.bytes().all(|byte| byte.is_ascii_hexdigit()) {
             return Err(wrong());
         }
@@ -43,44 +44,44 @@ impl FromStr for Hash {
     }
 }
 
-/// No metric of any run is as large: a table with a larger one, or an infinite one, was not written by Reveille.
+/// A bound above every metric of any run: a table with a larger or infinite value was not written by Reveille.
 const LARGEST_METRIC: f64 = 1e15;
 
-/// One run: what it was and what came out.
+/// One run: its identity and its results.
 #[derive(Clone, Debug)]
-pub struct Row {
-    /// SHA-256 of everything that decides the run.
+pub struct ResultRow {
+    /// SHA-256 of everything that determines the run.
     pub scenario_hash: Hash,
     /// The preset that the scenario starts from.
     pub preset: Arc<str>,
     /// The policy's name.
     pub policy: Arc<str>,
-    /// Number of devices N.
+    /// The number of devices N.
     pub n: u32,
-    /// Length of the run K, TTIs.
+    /// The length of the run K, TTIs.
     pub ttis: u64,
     /// The seed, `0 ..= 2⁶³-1`.
     pub seed: u64,
     /// The values of the swept fields, in the order of [`super::Schema::swept`].
-    pub swept: Arc<[Value]>,
+    pub swept: Arc<[SweptValue]>,
     /// The metrics, in the order of [`Metrics::NAMES`]; NaN where not defined.
     pub metrics: [f64; Metrics::COUNT],
-    /// Events counted.
+    /// The number of events that count.
     pub events: u64,
     /// The run's fingerprint.
     pub digest: Hash,
 }
 
-impl Row {
+impl ResultRow {
     /// The row of a complete run of `scenario` with the swept values `swept`.
-    pub fn new(scenario: &Scenario, swept: Arc<[Value]>, outcome: &Outcome) -> Self {
+    pub fn new(scenario: &Scenario, swept: Arc<[SweptValue]>, outcome: &Outcome) -> Self {
         Self {
             scenario_hash: Hash(scenario.hash()),
-            preset: Arc::from(scenario.preset.as_str()),
+            preset: Arc::from(scenario.run.preset.as_str()),
             policy: Arc::from(scenario.policy.name()),
-            n: scenario.devices,
-            ttis: scenario.ttis,
-            seed: scenario.seed,
+            n: scenario.run.devices,
+            ttis: scenario.run.ttis,
+            seed: scenario.run.seed,
             swept,
             metrics: outcome.metrics.values(),
             events: outcome.metrics.events,
@@ -88,12 +89,13 @@ impl Row {
         }
     }
 
-    /// Checks that its metrics are numbers that a run can come to; `number` is the row's, from 1.
-    pub(super) fn check(self, number: usize) -> Result<Self, Refusal> {
+    /// Checks that the metrics are possible values; `number` is the row's, from 1.
+    pub(super) fn check(self, number: usize) -> Result<Self, SchemaMismatch> {
+        // False for NaN, which stands for an undefined metric.
         let is_odd = |value: &f64| value.abs() > LARGEST_METRIC;
         match self.metrics.iter().position(is_odd) {
             None => Ok(self),
-            Some(at) => Err(Refusal::Broken(format!(
+            Some(at) => Err(SchemaMismatch::Broken(format!(
                 "row {number}, {}: no run comes to {:e}",
                 Metrics::NAMES[at],
                 self.metrics[at]
@@ -101,8 +103,7 @@ impl Row {
         }
     }
 
-    /// The metric called `name`, `events` included; `None` if there is no such metric or it is not defined for this
-    /// run.
+    /// Returns the metric called `name`, `events` included; `None` if it does not exist or is not defined for this run.
     pub fn metric(&self, name: &str) -> Option<f64> {
         if name == "events" {
             return Some(self.events as f64);
@@ -112,8 +113,8 @@ impl Row {
     }
 }
 
-/// Bit for bit: an undefined metric equals an undefined metric.
-impl PartialEq for Row {
+/// Compares bit for bit; an undefined metric equals an undefined metric.
+impl PartialEq for ResultRow {
     fn eq(&self, other: &Self) -> bool {
         let identity = |row: &Self| (row.scenario_hash, row.n, row.ttis, row.seed, row.events, row.digest);
         let bits = |row: &Self| {
@@ -128,12 +129,12 @@ impl PartialEq for Row {
     }
 }
 
-/// The same text many times over, held once.
+/// A cache of the last text, so that repeated texts share one allocation.
 #[derive(Default)]
-pub(super) struct Shared(Option<Arc<str>>);
+pub(super) struct LastText(Option<Arc<str>>);
 
-impl Shared {
-    /// `text`, as it is held already if it is the one before.
+impl LastText {
+    /// Returns `text`, shared with the previous one if it is equal.
     pub(super) fn of(&mut self, text: &str) -> Arc<str> {
         match &self.0 {
             Some(known) if **known == *text => Arc::clone(known),

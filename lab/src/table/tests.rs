@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use super::*;
 
-/// A folder of its own, gone with it.
+/// A temporary folder that is removed on drop.
 struct Folder(PathBuf);
 
 impl Folder {
@@ -24,13 +24,6 @@ impl Drop for Folder {
     fn drop(&mut self) {
         let _ = fs::remove_dir_all(&self.0);
     }
-}
-
-#[test]
-fn names_of_metrics_are_those_of_the_contract() {
-    let names = Schema::default().names().join(" ");
-    let [first, last] = ["seed info_p1 info_per_event detection_delay_ttis", "events digest"];
-    assert!(names.contains(first) && names.ends_with(last), "{names}");
 }
 
 #[test]
@@ -113,7 +106,12 @@ fn text_that_looks_like_numbers_stays_text() {
     let folder = Folder::new("kinds");
     let mut table = fixtures::table();
     for row in &mut table.rows {
-        row.swept = [Value::Float(2.0), Value::Int(4), Value::Text("5".to_owned())].into();
+        row.swept = [
+            SweptValue::Float(2.0),
+            SweptValue::Int(4),
+            SweptValue::Text("5".to_owned()),
+        ]
+        .into();
     }
     let path = folder.path("t.csv");
     table.write(&path, Format::Csv).expect("written");
@@ -128,9 +126,8 @@ fn text_that_looks_like_numbers_stays_text() {
 
 #[test]
 fn a_parquet_file_of_another_version_is_refused() {
-    use ::parquet::file::metadata::KeyValue;
     use ::parquet::file::reader::{FileReader, SerializedFileReader};
-    use ::parquet::file::writer::SerializedFileWriter;
+    use reveille_common::parquet::Writer;
 
     let folder = Folder::new("parquet-version");
     let path = folder.path("t.parquet");
@@ -138,15 +135,13 @@ fn a_parquet_file_of_another_version_is_refused() {
     let rewritten = |version: &str| {
         let reader = SerializedFileReader::new(fs::File::open(&path).expect("there")).expect("Parquet");
         let metadata = reader.metadata().file_metadata();
-        let schema = metadata.schema_descr().root_schema_ptr();
         let other = fs::File::create(folder.path("other.parquet")).expect("writable");
-        let mut writer = SerializedFileWriter::new(other, schema, std::sync::Arc::default()).expect("a writer");
-        for pair in metadata.key_value_metadata().expect("ours") {
-            let value = pair.value.clone().filter(|_| pair.key != keys::TABLE);
-            let value = value.unwrap_or_else(|| version.to_owned());
-            writer.append_key_value_metadata(KeyValue::new(pair.key.clone(), value));
-        }
-        writer.close().expect("written");
+        let pairs = metadata.key_value_metadata().expect("ours").iter().map(|pair| {
+            let value = pair.value.clone().filter(|_| pair.key != metadata::TABLE);
+            (pair.key.clone(), value.unwrap_or_else(|| version.to_owned()))
+        });
+        let writer = Writer::begin(other, metadata.schema().clone(), pairs);
+        writer.and_then(Writer::finish).expect("written");
         Table::read(&folder.path("other.parquet"))
     };
     assert!(rewritten("1").expect("this version").rows.is_empty());

@@ -4,22 +4,23 @@ use std::path::Path;
 
 use super::Trajectories;
 use super::parquet::{TrajectoryError, from_bytes, to_bytes};
-use crate::io;
+use crate::io::{read, replace};
 use crate::table::Hash;
 
-/// Writes `trajectories` to the Parquet file at `path`.
-///
-/// # Errors
-/// It cannot be written.
-pub fn write(path: &Path, trajectories: &Trajectories) -> Result<(), TrajectoryError> {
-    let bytes = to_bytes(trajectories)?;
-    io::replace(path, &bytes).map_err(TrajectoryError::Io)
-}
+impl Trajectories {
+    /// Reads the Parquet file at `path`. Returns its trajectories and the SHA-256 of its bytes.
+    ///
+    /// # Errors
+    /// If the file cannot be read or is not a file of trajectories.
+    pub fn read(path: &Path) -> Result<(Self, Hash), TrajectoryError> {
+        from_bytes(read(path).map_err(TrajectoryError::Io)?)
+    }
 
-/// The trajectories in the Parquet file at `path`, with the SHA-256 of its bytes.
-///
-/// # Errors
-/// It cannot be read, or is no such file.
-pub fn read(path: &Path) -> Result<(Trajectories, Hash), TrajectoryError> {
-    from_bytes(io::read(path).map_err(TrajectoryError::Io)?)
+    /// Writes the trajectories to the Parquet file at `path`, in one step.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn write(&self, path: &Path) -> Result<(), TrajectoryError> {
+        replace(path, &to_bytes(self)?).map_err(TrajectoryError::Io)
+    }
 }

@@ -1,8 +1,8 @@
-//! Trajectories: what a base station knew, did and gained, TTI by TTI, under any policy; what the decision transformer
-//! is trained from.
+//! Trajectories: the knowledge, actions and gains of a base station, TTI by TTI, under any policy. They are the
+//! training data of the decision transformer.
 //!
-//! A run is recorded in chunks of consecutive TTIs, far enough from each other to differ. Nothing is in them that a
-//! base station could not know.
+//! A run is recorded in chunks of consecutive TTIs, far enough apart to differ. Chunks only hold data that a base
+//! station can know.
 
 mod io;
 mod parquet;
@@ -10,47 +10,44 @@ mod parquet;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
-use reveille_bs::cycle::Cycle;
-use reveille_bs::policy::age_index::settings::AgeIndexSettings;
-use reveille_bs::policy::dt::record::{Manner, Recorded, Step};
+use reveille_bs::base_station::Station;
+use reveille_bs::cycle::{Cycle, PreparedRun};
+use reveille_bs::policy::age_index::AgeIndexSettings;
+use reveille_bs::policy::dt::record::{RecordingOptions, RecordingPolicy, TrajectoryStep};
 use reveille_bs::policy::dt::settings::DtSettings;
-use reveille_bs::policy::mind::Mind;
-use reveille_bs::prepared::Prepared;
-use reveille_bs::station::Station;
+use reveille_bs::scenario::Scenario;
 use reveille_common::ids::Tti;
 use reveille_common::rng::{Purpose, Stream};
-use reveille_common::scenario::Scenario;
 use reveille_common::score::Digest;
 use reveille_common::units::Energy;
 use reveille_common::world::World;
 
-use crate::preparation::Workshop;
-use crate::run::{Options, Run, StopWhen};
-use crate::sweep::Grid;
+use crate::preparation::RunPreparer;
+use crate::run::{Run, RunOptions, StopWhen};
+use crate::sweep::SweepGrid;
 
-pub use io::{read, write};
 pub use parquet::TrajectoryError;
 
-/// TTIs over which a return is the mean.
+/// The number of TTIs over which a return is the mean.
 pub const HORIZON: usize = 20;
 
-/// How runs are recorded.
+/// The parameters of a recording.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Recording {
-    /// TTIs of a chunk, ≥ 1.
+pub struct RecordingConfig {
+    /// The number of TTIs in a chunk, ≥ 1.
     pub length: usize,
-    /// TTIs from the start of one chunk to the start of the next, > `length`: what follows without a gap is one chunk.
+    /// The number of TTIs from one chunk's start to the next, > `length`: chunks without a gap would be one chunk.
     pub stride: usize,
-    /// Probabilities, `[0, 1)`, with which a device does not do what its policy says; runs take them in turn.
+    /// The probabilities, `[0, 1)`, that a device deviates from its policy; runs use them in turn.
     pub explore: Vec<f64>,
-    /// See [`Manner::told`].
+    /// See [`RecordingOptions::told`].
     pub told: bool,
 }
 
-impl Recording {
-    /// How a run is recorded in which a device does otherwise with probability `explores`.
-    const fn manner(&self, explores: f64) -> Manner {
-        Manner {
+impl RecordingConfig {
+    /// Returns the options for a run in which a device deviates with probability `explores`.
+    const fn manner(&self, explores: f64) -> RecordingOptions {
+        RecordingOptions {
             explores,
             told: self.told,
         }
@@ -60,41 +57,42 @@ impl Recording {
 /// Consecutive TTIs of one run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chunk {
-    /// The run, counted from 0 over all cells and seeds.
+    /// The index of the run, from 0 over all cells and seeds.
     pub run: u32,
-    /// The policy that was recorded.
+    /// The recorded policy.
     pub policy: Arc<str>,
-    /// The price θ that it chose by, where it has one.
+    /// The price θ of the policy, if it has one.
     pub price: Option<f32>,
-    /// Number of devices N.
+    /// The number of devices N.
     pub devices: usize,
-    /// The TTIs, one after the other.
-    pub steps: Vec<Step>,
-    /// By TTI, the mean of [`Step::share`] over the [`HORIZON`] TTIs from it on: the return.
+    /// The TTIs, in order.
+    pub steps: Vec<TrajectoryStep>,
+    /// The returns by TTI: the mean of [`TrajectoryStep::share`] over the next [`HORIZON`] TTIs, the current one
+    /// included.
     pub returns: Vec<f32>,
 }
 
 impl Chunk {
-    /// Devices times TTIs.
+    /// The number of devices times the number of TTIs.
     pub const fn device_ttis(&self) -> usize {
         self.devices * self.steps.len()
     }
 }
 
-/// What was recorded.
+/// The recorded data of several runs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trajectories {
-    /// Where it comes from: key and value, for the metadata of files.
+    /// The origin of the data as key and value, for the metadata of files.
     pub about: Vec<(String, String)>,
-    /// By run and TTI.
+    /// The chunks, by run and TTI.
     pub chunks: Vec<Chunk>,
 }
 
-/// Records every run of `grid`, on the threads of the pool that this is called in. `None` if `stop` has said so.
-/// `ended` hears of each run.
+/// Records every run of `grid`, on the threads of the current pool. Calls `ended` after each run. Returns `None` if
+/// `stop` returns true.
 pub fn record(
-    grid: &Grid,
-    recording: &Recording,
+    grid: &SweepGrid,
+    recording: &RecordingConfig,
     stop: &(dyn Fn() -> bool + Sync),
     ended: &(dyn Fn() + Sync),
 ) -> Option<Trajectories> {
@@ -102,7 +100,7 @@ pub fn record(
     let runs: Vec<(usize, u64)> = (0..grid.cells.len())
         .flat_map(|cell| (0..seeds.count).map(move |index| (cell, index)))
         .collect();
-    let workshop = Workshop::default();
+    let workshop = RunPreparer::default();
     let one = |(cell, index): (usize, u64)| {
         let run = cell as u64 * seeds.count + index;
         let explores = recording.explore[(run % recording.explore.len() as u64) as usize];
@@ -111,7 +109,7 @@ pub fn record(
         ended();
         chunks
     };
-    // The first run that is stopped ends it: those that are left are not even set up.
+    // `None` from one run ends the iteration, so the remaining runs are not even prepared.
     let chunks: Option<Vec<Vec<Chunk>>> = runs.into_par_iter().map(one).collect();
     let about = vec![
         ("experiment".to_owned(), grid.experiment.to_toml()),
@@ -125,29 +123,29 @@ pub fn record(
     })
 }
 
-/// Records a run of the emulator: what it did follows from its `scenario`, so it is done again in memory. Gives the
-/// digest of the run that is recorded, which is that of the run before if nothing was changed; none for the genie,
-/// which decides by what no base station knows. `None` if `stop` has said so.
-pub fn record_again(
+/// Records a run of the emulator by repeating it in memory from its `scenario`. Also returns the digest, which equals
+/// the original run's if nothing was changed. The digest is `None` for the genie, which uses knowledge that no base
+/// station has. Returns `None` if `stop` returns true.
+pub fn record_from_scenario(
     scenario: &Scenario,
     run: u32,
-    recording: &Recording,
+    recording: &RecordingConfig,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Option<(Option<Digest>, Vec<Chunk>)> {
-    record_prepared(&Workshop::default().prepare(scenario), run, recording, 0.0, stop)
+    record_prepared(&RunPreparer::default().prepare(scenario), run, recording, 0.0, stop)
 }
 
-/// The chunks of a run of `scenario` from random batteries.
+/// Returns the chunks of a run of `scenario` from random batteries.
 fn record_run(
-    workshop: &Workshop,
+    workshop: &RunPreparer,
     scenario: &Scenario,
     run: u32,
-    recording: &Recording,
+    recording: &RecordingConfig,
     explores: f64,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Option<Vec<Chunk>> {
     let mut prepared = workshop.prepare(scenario);
-    let mut stream = Stream::new(scenario.seed, Purpose::Training, 0);
+    let mut stream = Stream::new(scenario.run.seed, Purpose::Training, 0);
     for device in &mut prepared.deployment.devices {
         device.energy.initial = Energy::from_micro((stream.unit() * device.energy.e_max.micro() as f64) as u64);
     }
@@ -155,16 +153,16 @@ fn record_run(
 }
 
 fn record_prepared(
-    prepared: &Prepared,
+    prepared: &PreparedRun,
     run: u32,
-    recording: &Recording,
+    recording: &RecordingConfig,
     explores: f64,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Option<(Option<Digest>, Vec<Chunk>)> {
     let (length, stride) = (recording.length, recording.stride);
-    let take = move |(shares, kept): &mut (Vec<f32>, Vec<Step>), step: Step| {
+    let take = move |(shares, kept): &mut (Vec<f32>, Vec<TrajectoryStep>), step: TrajectoryStep| {
         shares.push(step.share);
-        // The first TTIs of a run are like no others, and a policy begins in them: they are kept as well.
+        // TTI 0 starts a chunk: a policy starts there without history, so the model must learn these TTIs too.
         if (step.tti.0 as usize) % stride < length {
             kept.push(step);
         }
@@ -173,65 +171,74 @@ fn record_prepared(
     Some((digest, chunks(prepared, run, recording, &shares, kept)))
 }
 
-/// The TTIs `from` to `last` of a run of `scenario`, as they are recorded. Nothing if its policy is the genie, which
-/// decides by what no base station knows, or if the run ends before.
-pub fn steps(scenario: &Scenario, from: Tti, last: Tti) -> Vec<Step> {
-    // A TTI is complete when the next one begins.
-    let scenario = Scenario {
-        ttis: scenario.ttis.min(last.0 + 2),
-        ..scenario.clone()
-    };
-    let prepared = Workshop::default().prepare(&scenario);
-    let take = move |kept: &mut Vec<Step>, step: Step| {
+/// Records the TTIs `from` to `last` of a run of `scenario`. Returns no steps for the genie, which uses knowledge that
+/// no base station has, or if the run ends before.
+pub fn steps(scenario: &Scenario, from: Tti, last: Tti) -> Vec<TrajectoryStep> {
+    // A step is complete when the next TTI begins, so one more TTI is run.
+    let mut scenario = scenario.clone();
+    scenario.run.ttis = scenario.run.ttis.min(last.0 + 2);
+    let prepared = RunPreparer::default().prepare(&scenario);
+    let take = move |kept: &mut Vec<TrajectoryStep>, step: TrajectoryStep| {
         if (from..=last).contains(&step.tti) {
             kept.push(step);
         }
     };
-    let watched = watched(&prepared, Manner::default(), take, &|| false);
+    let watched = watched(&prepared, RecordingOptions::default(), take, &|| false);
     watched.map_or_else(Vec::new, |(_, steps)| steps)
 }
 
-/// The digest of a run, none for the genie's, and what `take` has made of its steps, one after the other. `None` if
-/// `stop` has said so.
+/// Runs `prepared` and collects its steps in order with `take`. Also returns the digest, which is `None` for the genie.
+/// Returns `None` if `stop` returns true.
 fn watched<T: Default + Send + 'static>(
-    prepared: &Prepared,
-    manner: Manner,
-    take: impl Fn(&mut T, Step) + Send + 'static,
+    prepared: &PreparedRun,
+    manner: RecordingOptions,
+    take: impl Fn(&mut T, TrajectoryStep) + Send + 'static,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Option<(Option<Digest>, T)> {
     let taken = Arc::new(Mutex::new(T::default()));
     let sink = {
         let taken = Arc::clone(&taken);
-        move |step: Step| take(&mut taken.lock().unwrap_or_else(PoisonError::into_inner), step)
+        move |step: TrajectoryStep| take(&mut taken.lock().unwrap_or_else(PoisonError::into_inner), step)
     };
     let known = prepared.knowledge();
-    let mind = match prepared.mind(&known) {
-        Mind::Policy(policy) => Mind::of(Recorded::new(policy, &known, manner, sink)),
-        Mind::Genie(_) | Mind::External(_) => return Some((None, T::default())),
-    };
+    let mut policy = prepared.policy(&known);
+    // Data for a base station must not come from a policy that knows the ground truth.
+    if policy.oracle().is_some() {
+        return Some((None, T::default()));
+    }
+    let recorded = Box::new(RecordingPolicy::new(policy, &known, manner, sink));
     let world = World::new(&prepared.scenario, &prepared.deployment);
-    let cycle = Cycle::with_station(prepared, world, Station::new(known, mind));
-    let options = Options {
+    let cycle = Cycle::with_station(prepared, world, Station::new(known, recorded));
+    let options = RunOptions {
+        // A run stops at the end of a window; the length of windows changes no outcome.
         window: 200,
-        ..Options::default()
+        ..RunOptions::default()
     };
     let outcome = Run::with_cycle(prepared, cycle, options).finish(&mut StopWhen(stop));
     let taken = std::mem::take(&mut *taken.lock().unwrap_or_else(PoisonError::into_inner));
     outcome.complete.then_some((Some(outcome.digest), taken))
 }
 
-fn chunks(prepared: &Prepared, run: u32, recording: &Recording, shares: &[f32], kept: Vec<Step>) -> Vec<Chunk> {
+fn chunks(
+    prepared: &PreparedRun,
+    run: u32,
+    recording: &RecordingConfig,
+    shares: &[f32],
+    kept: Vec<TrajectoryStep>,
+) -> Vec<Chunk> {
     let policy = &prepared.scenario.policy;
-    let price = policy
-        .settings::<AgeIndexSettings>()
+    let settings = policy.settings();
+    let price = settings
+        .downcast_ref::<AgeIndexSettings>()
         .map(|settings| settings.price)
-        .or_else(|| policy.settings::<DtSettings>().and_then(DtSettings::fixed_price));
+        .or_else(|| settings.downcast_ref::<DtSettings>().and_then(DtSettings::fixed_price));
     let name: Arc<str> = policy.name().into();
     let mut chunks: Vec<Chunk> = Vec::new();
     for step in kept {
         let k = step.tti.0 as usize;
-        // Near the end of a run there is no return.
+        // The last TTIs of a run have too few TTIs after them for a return.
         let Some(ahead) = shares.get(k..k + HORIZON) else { break };
+        // Summed in the order of TTIs, so that the mean is equal on every machine.
         let mean = ahead.iter().sum::<f32>() / HORIZON as f32;
         if k.is_multiple_of(recording.stride) {
             chunks.push(Chunk {
@@ -247,7 +254,7 @@ fn chunks(prepared: &Prepared, run: u32, recording: &Recording, shares: &[f32], 
         chunk.steps.push(step);
         chunk.returns.push(mean);
     }
-    // A chunk that the end has cut short is left out.
+    // The end of the run can cut the last chunk short; a batch holds chunks of one length only.
     chunks.retain(|chunk| chunk.steps.len() == recording.length);
     chunks
 }

@@ -1,33 +1,30 @@
-//! What is recorded is what happened, and files hold all of it.
+//! Recordings match the run, and files hold all of it.
 
 use ::parquet::basic::Type as Physical;
-use ::parquet::file::metadata::KeyValue;
-use ::parquet::file::properties::WriterProperties;
-use ::parquet::file::writer::SerializedFileWriter;
-use ::parquet::schema::types::Type;
-use reveille_bs::policy::dt::senses::{COUNT, FEATURES};
+use reveille_bs::policy::dt::tokens::{COUNT, FEATURES};
 use reveille_common::declare::NoFiles;
+use reveille_common::parquet::{Column, Writer, schema};
 
 use super::parquet::{KEY, TrajectoryError, from_bytes, to_bytes};
 use super::*;
-use crate::sweep::Draft;
+use crate::sweep::ExperimentBuilder;
 
-fn grid(text: &str) -> Grid {
-    let draft = Draft::parse(text, "test", std::path::Path::new("")).expect("an experiment");
-    Grid::new(draft.finish().expect("complete"), &NoFiles).expect("a grid")
+fn grid(text: &str) -> SweepGrid {
+    let draft = ExperimentBuilder::parse(text, "test", std::path::Path::new("")).expect("an experiment");
+    SweepGrid::new(draft.build().expect("complete"), &NoFiles).expect("a grid")
 }
 
-fn recorded(recording: &Recording) -> Trajectories {
+fn recorded(recording: &RecordingConfig) -> Trajectories {
     let text = "scenario = \"paper\"\npolicies = [\"age-index\", \"knn\"]\ndevices = [30]\nttis = 300\n\
                 seeds = { first = 5, count = 2 }\n";
     record(&grid(text), recording, &|| false, &|| ()).expect("not stopped")
 }
 
-/// Spoils what was recorded.
+/// A corruption of recorded data.
 type Spoil = fn(&mut Chunk);
 
-fn recording(explore: &[f64]) -> Recording {
-    Recording {
+fn recording(explore: &[f64]) -> RecordingConfig {
+    RecordingConfig {
         length: 6,
         stride: 50,
         explore: explore.to_vec(),
@@ -52,7 +49,7 @@ fn chunks_are_whole_and_what_they_say_fits_together() {
             for (j, look) in step.looks.iter().enumerate() {
                 assert!(!look.found || look.on, "who reports first has looked");
                 let next = &after.tokens[j * COUNT..(j + 1) * COUNT];
-                // In the next TTI the base station knows that an event was found, and who has just looked.
+                // In the next TTI the base station knows that an event was found, and which devices have just sensed.
                 assert_eq!(next[is_found] > 0.5, reporters > 0);
                 assert_eq!(next[idle] == 0.0, look.on, "TTI {:?}, device {j}", step.tti);
                 woken += usize::from(look.wake_up.is_some());
@@ -79,8 +76,7 @@ fn files_hold_all_of_it_and_the_same_runs_give_the_same_bytes() {
     assert_eq!(read, trajectories);
 }
 
-/// Whoever is recorded does what it does in a run that is not, where it may not look at the batteries that are
-/// recorded.
+/// A recorded policy decides as in an unrecorded run, even if it may not see the recorded batteries.
 #[test]
 fn what_is_recorded_is_the_run() {
     let draft = "scenario = \"paper\"\npolicies = [\"random\", \"adjusted\", \"knn\", \"q-learning\", \"dt\"]\n\
@@ -90,13 +86,13 @@ fn what_is_recorded_is_the_run() {
     let mut others = 0;
     for cell in &grid.cells {
         let scenario = cell.with_seed(3);
-        let outcome = Run::new(&Workshop::default().prepare(&scenario), Options::default()).finish(&mut ());
+        let outcome = Run::new(&RunPreparer::default().prepare(&scenario), RunOptions::default()).finish(&mut ());
         let digest = |told: bool| {
-            let recording = Recording {
+            let recording = RecordingConfig {
                 told,
                 ..recording(&[0.0])
             };
-            let again = record_again(&scenario, 0, &recording, &|| false).expect("not stopped");
+            let again = record_from_scenario(&scenario, 0, &recording, &|| false).expect("not stopped");
             again.0.expect("no genie")
         };
         assert_eq!(digest(false), outcome.digest, "{}", scenario.policy.name());
@@ -141,17 +137,10 @@ fn files_that_hold_something_else_are_refused() {
     );
 }
 
-/// A Parquet file with another column, which says that it is of `version`.
+/// A Parquet file with another column, labelled with `version`.
 fn other(version: Option<&str>) -> Vec<u8> {
-    let column = Type::primitive_type_builder("x", Physical::INT32)
-        .build()
-        .expect("a column");
-    let schema = Type::group_type_builder("other")
-        .with_fields(vec![Arc::new(column)])
-        .build()
-        .expect("a schema");
-    let pairs = version.map(|version| vec![KeyValue::new(KEY.to_owned(), version.to_owned())]);
-    let properties = WriterProperties::builder().set_key_value_metadata(pairs).build();
-    let writer = SerializedFileWriter::new(Vec::new(), Arc::new(schema), Arc::new(properties));
-    writer.and_then(SerializedFileWriter::into_inner).expect("a file")
+    let schema = schema("other", [Column::required("x", Physical::INT32)]).expect("a schema");
+    let about = version.map(|version| (KEY.to_owned(), version.to_owned()));
+    let writer = Writer::begin(Vec::new(), schema, about);
+    writer.and_then(Writer::finish).expect("a file")
 }

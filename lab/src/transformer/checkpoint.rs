@@ -1,4 +1,4 @@
-//! The state of a training as a file, from which it goes on as if nothing had been.
+//! Checkpoints of a training, from which it resumes with an identical result.
 
 use std::collections::BTreeMap;
 
@@ -7,20 +7,20 @@ use reveille_bs::policy::dt::model::weights::metadata;
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
 
-use super::{ByWeight, State, Training, TransformerError};
+use super::{ByWeight, DtTrainingConfig, State, TransformerError};
 
 /// The only key of the metadata.
 const KEY: &str = "reveille.dt-training";
-/// The tensors of weights, of the means of their gradients, and of the means of those squared.
+/// The prefixes of the tensors: weights, running means of their gradients, and running means of the squared gradients.
 const KINDS: [&str; 3] = ["weight", "mean", "square"];
-/// The file of the best model.
+/// The name of the best model's file.
 const BEST: &str = "best";
 
 impl State {
-    /// The bytes of a checkpoint.
+    /// Encodes a checkpoint.
     pub(super) fn to_checkpoint(
         &self,
-        training: &Training,
+        training: &DtTrainingConfig,
         about: &BTreeMap<String, String>,
     ) -> Result<Vec<u8>, TransformerError> {
         let mut values: Vec<(String, Dtype, Vec<usize>, Vec<u8>)> = Vec::new();
@@ -46,7 +46,7 @@ impl State {
         let counts = [
             self.optimiser.steps,
             self.looks_since,
-            // All of its bits.
+            // As bits, because it is infinite before the first evaluation.
             self.best_loss.to_bits(),
         ];
         let text = format!(
@@ -58,13 +58,13 @@ impl State {
         Ok(safetensors::serialize(tensors, Some(metadata))?)
     }
 
-    /// The state in the bytes of a checkpoint of this training.
+    /// Restores the state from the bytes of a checkpoint of this training.
     ///
     /// # Errors
-    /// They are damaged, or of another training.
+    /// If they are damaged, or belong to another training.
     pub(super) fn from_checkpoint(
         bytes: &[u8],
-        training: &Training,
+        training: &DtTrainingConfig,
         about: &BTreeMap<String, String>,
     ) -> Result<Self, TransformerError> {
         let damaged = || TransformerError::Checkpoint("is no checkpoint, or damaged".to_owned());
@@ -78,6 +78,7 @@ impl State {
             ));
         }
         let counts: Vec<u64> = counts.split(' ').filter_map(|count| count.parse().ok()).collect();
+        // Unreadable text is dropped above, so damage changes the number of counts.
         let &[steps, looks_since, best_loss] = &counts[..] else {
             return Err(damaged());
         };
@@ -86,6 +87,7 @@ impl State {
         for (name, size) in training.shape.tensors() {
             for (kind, map) in KINDS.iter().zip(&mut maps) {
                 let view = file.tensor(&format!("{kind}.{name}")).map_err(|_| damaged())?;
+                // The tensors have the size of the shape, so no bytes are left over below.
                 if view.dtype() != Dtype::F32 || view.shape() != size {
                     return Err(damaged());
                 }
@@ -108,7 +110,7 @@ impl State {
     }
 }
 
-/// What a checkpoint must have in common with the training that goes on from it.
-fn identity(training: &Training, about: &BTreeMap<String, String>) -> String {
+/// Returns the parameters that a checkpoint must share with the training that resumes from it.
+fn identity(training: &DtTrainingConfig, about: &BTreeMap<String, String>) -> String {
     format!("{training:?}\n{}", metadata(training.shape, about))
 }

@@ -1,26 +1,26 @@
-//! Batches of what was recorded.
+//! Batches of recorded data.
 
 use std::collections::BTreeMap;
 
 #[cfg(test)]
 use candle_core::DType;
 use candle_core::{Device, Result, Tensor};
-use reveille_bs::policy::dt::model::shape::{Objective, Shape};
-use reveille_bs::policy::dt::senses::{CAN_SENSE, COUNT};
+use reveille_bs::policy::dt::model::{ModelObjective, ModelShape};
+use reveille_bs::policy::dt::tokens::{CAN_SENSE, COUNT};
 use reveille_common::rng::Stream;
 
 use crate::trajectories::{Chunk, Trajectories};
 
-/// Of ten runs, as many are held out.
+/// The number of runs out of ten that are held out.
 const HELD_OUT: u32 = 1;
 
-/// Device-TTIs of a look at what is held out, about.
+/// The approximate number of device-TTIs of an evaluation on held-out data.
 const JUDGED: usize = 500_000;
 
-/// Chunks to learn from, and chunks of other runs to be judged by, each by N and length.
-pub struct Data {
+/// Training chunks, and held-out chunks of other runs, each by N and length.
+pub(super) struct Data {
     groups: Vec<Group>,
-    /// Device-TTIs of each group's learning chunks: how often it is drawn.
+    /// The device-TTIs of each group's training chunks, which weight its draws.
     weights: Vec<f64>,
 }
 
@@ -31,19 +31,20 @@ struct Group {
 }
 
 /// A batch.
-pub struct Batch {
-    /// What is learned from it.
-    pub objective: Objective,
-    /// `[C, T, N, F]`.
+pub(super) struct TrainingBatch {
+    /// The training objective.
+    pub objective: ModelObjective,
+    /// The features of the tokens, `[C, T, N, F]`.
     pub tokens: Tensor,
-    /// `[C, T]` each.
+    /// The target returns, `[C, T]`, as for `prices` and `priced`.
     pub targets: Tensor,
-    /// The logarithm of the teacher's price; 0 where it has none.
+    /// The logarithm of the teacher's price; 0 without a price.
     pub prices: Tensor,
-    /// 1 where there is a price to learn, else 0.
+    /// 1 for a TTI with a price to learn, else 0.
     pub priced: Tensor,
-    /// `[C, T, N]` each: events expected of those that looked, events found; what wake-ups were expected to bring, and
-    /// what they brought. Where actions are learned: 1 for those that could sense, and for those of them that did.
+    /// The labels, `[C, T, N]` each: events expected from devices that looked, events found, the expected gain of
+    /// wake-ups, and their gain. For a model that learns actions, the first two are 1 for devices that could sense
+    /// and for devices that sensed.
     pub expected: Tensor,
     pub found: Tensor,
     pub wake_expected: Tensor,
@@ -51,17 +52,20 @@ pub struct Batch {
 }
 
 impl Data {
-    /// Of `trajectories`. One run of ten is held out. Runs of a grid that differ in their settings alone have their
-    /// seeds in common, and so their events: what is held out is other batteries and decisions in the same worlds.
-    pub fn new(trajectories: Vec<Trajectories>) -> Self {
+    /// Groups the chunks of `trajectories` and holds out one run of ten. Runs of a grid that differ in their settings
+    /// alone share seeds and events. The held-out data then has other batteries and decisions in the same worlds.
+    pub(super) fn new(trajectories: Vec<Trajectories>) -> Self {
         let mut groups: BTreeMap<(usize, usize), Group> = BTreeMap::new();
         for (file, one) in trajectories.into_iter().enumerate() {
             for chunk in one.chunks {
+                // A batch is one tensor, so its chunks must have the same N and length.
                 let key = (chunk.devices, chunk.steps.len());
                 let group = groups.entry(key).or_insert_with(|| Group {
                     learn: Vec::new(),
                     judge: Vec::new(),
                 });
+                // Whole runs: chunks of one run share its deployment and events. The number of the file shifts the
+                // choice, so that files with few runs are held out in turn.
                 let is_held_out = (chunk.run + file as u32) % 10 < HELD_OUT;
                 if is_held_out {
                     &mut group.judge
@@ -79,24 +83,25 @@ impl Data {
         }
     }
 
-    /// Chunks to learn from.
-    pub fn learned_from(&self) -> usize {
+    /// The number of training chunks.
+    pub(super) fn learned_from(&self) -> usize {
         self.groups.iter().map(|group| group.learn.len()).sum()
     }
 
-    /// Chunks that are held out.
-    pub fn held_out(&self) -> usize {
+    /// The number of held-out chunks.
+    pub(super) fn held_out(&self) -> usize {
         self.groups.iter().map(|group| group.judge.len()).sum()
     }
 
-    /// Chunks with the same N and length, of about `device_ttis` together, drawn by `stream`.
-    pub fn draw(&self, device_ttis: usize, stream: &mut Stream) -> Vec<&Chunk> {
+    /// Draws chunks with the same N and length, of about `device_ttis` in all, from `stream`.
+    pub(super) fn draw(&self, device_ttis: usize, stream: &mut Stream) -> Vec<&Chunk> {
         let all: f64 = self.weights.iter().sum();
         let mut left = stream.unit() * all;
         let chosen = self.weights.iter().position(|weight| {
             left -= weight;
             left < 0.0
         });
+        // Rounding may leave a remainder above zero after the last group.
         let group = &self.groups[chosen.unwrap_or(self.groups.len() - 1)];
         let count = (device_ttis / group.learn[0].device_ttis()).max(1);
         (0..count)
@@ -104,9 +109,9 @@ impl Data {
             .collect()
     }
 
-    /// What is held out, of each group as much as makes [`JUDGED`] device-TTIs in all, as chunks of batches of about
-    /// `device_ttis`.
-    pub fn held_out_batches(&self, device_ttis: usize) -> Vec<Vec<&Chunk>> {
+    /// Returns batches of held-out chunks, each of about `device_ttis`. Groups are sampled evenly, to about [`JUDGED`]
+    /// device-TTIs in all.
+    pub(super) fn held_out_batches(&self, device_ttis: usize) -> Vec<Vec<&Chunk>> {
         let size = |group: &Group| group.judge.iter().map(Chunk::device_ttis).sum::<usize>();
         let all: usize = self.groups.iter().map(size).sum();
         let every = all.div_ceil(JUDGED).max(1);
@@ -121,10 +126,10 @@ impl Data {
     }
 }
 
-impl Batch {
-    /// Of `chunks`, all with the same N and length, for a model of `shape`. TTIs before the Z-th of a chunk are not
-    /// learned from, unless a run begins with it: what was before them is not known.
-    pub fn of(chunks: &[&Chunk], shape: Shape) -> Result<Self> {
+impl TrainingBatch {
+    /// Creates a batch of `chunks`, all with the same N and length, for a model of `shape`. TTIs before the Z-th of a
+    /// chunk do not count, unless the run starts with the chunk: their history is unknown.
+    pub(super) fn of(chunks: &[&Chunk], shape: ModelShape) -> Result<Self> {
         let (c, t, n) = (chunks.len(), chunks[0].steps.len(), chunks[0].devices);
         let mut tokens = Vec::with_capacity(c * t * n * COUNT);
         let mut flat: [Vec<f32>; 7] = std::array::from_fn(|_| Vec::with_capacity(c * t * n));
@@ -140,9 +145,9 @@ impl Batch {
                 priced.push(f32::from(u8::from(price.is_some())));
                 for (look, token) in step.looks.iter().zip(step.tokens.as_chunks::<COUNT>().0) {
                     let (weight, is_hit) = match shape.objective {
-                        Objective::Events if look.on => (look.expected, look.found),
-                        Objective::Actions if token[CAN_SENSE] > 0.5 => (1.0, look.on),
-                        Objective::Events | Objective::Actions => (0.0, false),
+                        ModelObjective::Events if look.on => (look.expected, look.found),
+                        ModelObjective::Actions if token[CAN_SENSE] > 0.5 => (1.0, look.on),
+                        ModelObjective::Events | ModelObjective::Actions => (0.0, false),
                     };
                     let weight = if counts { weight.max(0.0) } else { 0.0 };
                     expected.push(weight);
@@ -172,9 +177,9 @@ impl Batch {
         })
     }
 
-    /// The same as numbers of another type.
+    /// Converts the batch to numbers of another type.
     #[cfg(test)]
-    pub fn of_type(&self, dtype: DType) -> Result<Self> {
+    pub(super) fn of_type(&self, dtype: DType) -> Result<Self> {
         let of = |tensor: &Tensor| tensor.to_dtype(dtype);
         Ok(Self {
             tokens: of(&self.tokens)?,

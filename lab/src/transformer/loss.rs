@@ -1,29 +1,29 @@
-//! What is minimised, and how good a net is.
+//! Loss function and evaluation scores of a net.
 //!
-//! Events found by a look are Poisson with mean λ = λ₀·e^m: λ₀ is what is expected without history, m what the net
-//! says. Its negative log likelihood is λ − y·m for y events, but for a constant. What a wake-up brings is judged in
-//! the same way, which is a quasi-likelihood: it is least where the mean is right. Where the actions of teachers are
-//! learned, m are log-odds, and the likelihood is that of what each device did.
+//! Events found by a look are Poisson with mean λ = λ₀·e^m: λ₀ is the expectation without history, m the net's output.
+//! The negative log likelihood of y events is λ − y·m, up to a constant. The gain of a wake-up uses the same formula as
+//! a quasi-likelihood, which is least at the correct mean. For a net that learns the actions of teachers, m are
+//! log-odds. The likelihood is then the one of each device's action.
 
 use candle_core::{DType, Result, Tensor};
+use reveille_bs::policy::dt::model::ModelObjective;
 
-use super::data::Batch;
+use super::data::TrainingBatch;
 use super::net::Outputs;
-use reveille_bs::policy::dt::model::shape::Objective;
 
-/// Sums over a batch; ratios of them are what is shown.
-pub struct Sums {
-    /// Negative log likelihood of what looks found, and what was expected of them.
+/// Sums over a batch, from which ratios are reported.
+pub(super) struct Sums {
+    /// Negative log likelihood of the events found by looks.
     pub looks: Tensor,
-    /// The events that they were expected to find.
+    /// Expected number of events found by looks.
     pub expected: f64,
-    /// The same of wake-ups, in Ψ.
+    /// Negative log quasi-likelihood of the gain of wake-ups, in Ψ.
     pub wakes: Tensor,
-    /// What they were expected to bring.
+    /// Expected gain of wake-ups, in Ψ.
     pub hoped: f64,
-    /// Squared errors of ln θ.
+    /// Sum of squared errors of ln θ.
     pub prices: Tensor,
-    /// TTIs with a price.
+    /// Number of TTIs with a price.
     pub priced: f64,
 }
 
@@ -31,25 +31,26 @@ fn sum(tensor: &Tensor) -> Result<f64> {
     tensor.sum_all()?.to_dtype(DType::F64)?.to_scalar()
 }
 
-/// λ₀(e^m − 1) − y·m, summed: 0 for a net that says nothing.
+/// Sums λ₀(e^m − 1) − y·m, which is 0 for m = 0.
 fn likelihood(expected: &Tensor, found: &Tensor, logs: &Tensor) -> Result<Tensor> {
     ((expected * (logs.exp()? - 1.0)?)? - (found * logs)?)?.sum_all()
 }
 
-/// n·ln((1 + e^m)/2) − y·m, summed, of n devices of which y were in S1: 0 for a net that says nothing.
+/// Sums n·ln((1 + e^m)/2) − y·m over n devices of which y were in S1; this is 0 for m = 0.
 fn cross_entropy(devices: &Tensor, sensing: &Tensor, logs: &Tensor) -> Result<Tensor> {
+    // The net limits m to ±3, so e^m neither overflows nor vanishes.
     let certain = (((logs.exp()? + 1.0)? / 2.0)?.log()? * devices)?;
     (certain - (sensing * logs)?)?.sum_all()
 }
 
 impl Sums {
-    /// Of what the net makes of `batch`.
-    pub fn of(batch: &Batch, outputs: &Outputs) -> Result<Self> {
+    /// Computes the sums for the net's `outputs` on `batch`.
+    pub(super) fn of(batch: &TrainingBatch, outputs: &Outputs) -> Result<Self> {
         let head = |index: usize| outputs.logs.narrow(3, index, 1)?.squeeze(3);
         let error = (&outputs.price - &batch.prices)?.sqr()?;
         let looks = match batch.objective {
-            Objective::Events => likelihood,
-            Objective::Actions => cross_entropy,
+            ModelObjective::Events => likelihood,
+            ModelObjective::Actions => cross_entropy,
         };
         Ok(Self {
             looks: looks(&batch.expected, &batch.found, &head(0)?)?,
@@ -61,30 +62,31 @@ impl Sums {
         })
     }
 
-    /// The loss: per event expected, per Ψ hoped for, and per TTI with a price, of all the `whole` that this is a part
-    /// of.
-    pub fn loss(&self, whole: Whole) -> Result<Tensor> {
+    /// Returns the loss per expected event, per expected Ψ and per TTI with a price. The divisors are the totals
+    /// `whole` of all batches of the update.
+    pub(super) fn loss(&self, whole: LossWeights) -> Result<Tensor> {
+        // A batch may have no priced TTI or no wake-up; its sum is then 0.
         let part = |sum: &Tensor, by: f64| sum / by.max(1.0);
         (part(&self.looks, whole.expected)? + (part(&self.wakes, whole.hoped)? + part(&self.prices, whole.priced)?)?)?
             .sum_all()
     }
 }
 
-/// What losses are shared out over.
+/// The divisors of the three parts of a loss.
 #[derive(Clone, Copy, Debug)]
-pub struct Whole {
-    /// Events expected.
+pub(super) struct LossWeights {
+    /// Expected number of events.
     pub expected: f64,
-    /// What wake-ups were expected to bring.
+    /// Expected gain of wake-ups, in Ψ.
     pub hoped: f64,
-    /// TTIs with a price.
+    /// Number of TTIs with a price.
     pub priced: f64,
 }
 
-impl Whole {
-    /// Of all these batches.
-    pub fn of(batches: &[Batch]) -> Result<Self> {
-        let all = |of: fn(&Batch) -> &Tensor| batches.iter().map(|batch| sum(of(batch))).sum::<Result<f64>>();
+impl LossWeights {
+    /// Computes the divisors over all `batches`.
+    pub(super) fn of(batches: &[TrainingBatch]) -> Result<Self> {
+        let all = |of: fn(&TrainingBatch) -> &Tensor| batches.iter().map(|batch| sum(of(batch))).sum::<Result<f64>>();
         Ok(Self {
             expected: all(|batch| &batch.expected)?,
             hoped: all(|batch| &batch.wake_expected)?,
@@ -93,43 +95,43 @@ impl Whole {
     }
 }
 
-/// How good a net is on what is held out.
+/// The quality of a net on held-out data.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Score {
-    /// Gain in log likelihood per event expected, over expecting nothing but α, nats.
+pub struct EvalScore {
+    /// Gain in log likelihood per expected event over a net that expects α alone, nats.
     pub looks: f64,
-    /// The same of wake-ups, per Ψ hoped for.
+    /// Gain in log quasi-likelihood of wake-ups per expected Ψ.
     pub wakes: f64,
-    /// Accuracy: how often, of a look that found an event and one that did not, more was expected of the first. A half
-    /// is chance.
+    /// Probability that a look that found an event had a larger expectation than one that did not. Chance is 0.5.
     pub accuracy: f64,
-    /// The same by age and α alone, which is what there is to beat.
+    /// Accuracy of age and α alone, the baseline.
     pub plain_accuracy: f64,
-    /// Root of the mean squared error of ln θ.
+    /// Root mean squared error of ln θ.
     pub price_error: f64,
 }
 
-/// Adds up to a [`Score`].
+/// Accumulates an [`EvalScore`].
 #[derive(Clone, Debug, Default)]
-pub struct Scores {
+pub(super) struct Scores {
     looks: f64,
     expected: f64,
     wakes: f64,
     hoped: f64,
     prices: f64,
     priced: f64,
-    /// Of each look, what was expected without history and with it, and whether it found anything.
+    /// The looks, each with its expectation without and with history, and whether it found an event.
     seen: Vec<(f32, f32, bool)>,
 }
 
 impl Scores {
-    /// Of what the net makes of `batch`.
-    pub fn of(batch: &Batch, outputs: &Outputs) -> Result<Self> {
+    /// Computes the scores of the net's `outputs` on `batch`.
+    pub(super) fn of(batch: &TrainingBatch, outputs: &Outputs) -> Result<Self> {
         let sums = Sums::of(batch, outputs)?;
         let logs = outputs.logs.narrow(3, 0, 1)?.flatten_all()?.to_vec1::<f32>()?;
         let expected = batch.expected.flatten_all()?.to_vec1::<f32>()?;
         let found = batch.found.flatten_all()?.to_vec1::<f32>()?;
         let looks = expected.into_iter().zip(logs).zip(found);
+        // 0 marks a device that did not look, or a TTI that does not count.
         let looks = looks.filter(|((expected, _), _)| *expected > 0.0);
         Ok(Self {
             looks: -sum(&sums.looks)?,
@@ -144,8 +146,8 @@ impl Scores {
         })
     }
 
-    /// Those of one more batch.
-    pub fn add(&mut self, more: Self) {
+    /// Adds the scores of another batch.
+    pub(super) fn add(&mut self, more: Self) {
         self.looks += more.looks;
         self.expected += more.expected;
         self.wakes += more.wakes;
@@ -155,9 +157,9 @@ impl Scores {
         self.seen.extend(more.seen);
     }
 
-    /// The score of all of them.
-    pub fn score(&self) -> Score {
-        Score {
+    /// Returns the score over all batches.
+    pub(super) fn score(&self) -> EvalScore {
+        EvalScore {
             looks: self.looks / self.expected.max(1e-9),
             wakes: self.wakes / self.hoped.max(1e-9),
             accuracy: accuracy(self.seen.iter().map(|(_, with, found)| (*with, *found))),
@@ -167,9 +169,9 @@ impl Scores {
     }
 }
 
-/// How often one that is found has the larger number than one that is not; equal ones count half. A half if there are
-/// none of one kind.
-pub fn accuracy(numbers: impl Iterator<Item = (f32, bool)>) -> f64 {
+/// Returns the probability that a found item has a larger number than one that is not found. Equal numbers count half.
+/// Returns 0.5 if either kind is missing.
+pub(super) fn accuracy(numbers: impl Iterator<Item = (f32, bool)>) -> f64 {
     let mut numbers: Vec<(f32, bool)> = numbers.collect();
     numbers.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
     let (mut below, mut pairs, mut found) = (0.0, 0.0, 0.0);

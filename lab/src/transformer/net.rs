@@ -1,23 +1,23 @@
-//! The model in the training framework: the same sums as in [`reveille_bs::policy::dt::model`], which can be derived.
+//! The model in the training framework: the same sums as in [`reveille_bs::policy::dt::model`], in differentiable form.
 
 use std::collections::BTreeMap;
 
 use candle_core::{D, DType, Device, Result, Tensor, Var};
 use candle_nn::ops::softmax;
 use reveille_bs::policy::dt::model::infer::{LEAST_FEATURE, LIMIT};
-use reveille_bs::policy::dt::model::shape::{HEADS, Shape};
+use reveille_bs::policy::dt::model::{HEADS, ModelShape};
 use reveille_common::rng::{Purpose, Stream};
 
-/// What keeps norms finite.
+/// Keeps norms finite.
 use reveille_bs::policy::dt::model::NORM_EPSILON;
 
-/// The weights that are learned.
+/// The trainable weights of a model.
 pub struct Net {
-    shape: Shape,
+    shape: ModelShape,
     vars: BTreeMap<&'static str, Var>,
 }
 
-/// What the net makes of a batch.
+/// The outputs of a net for a batch.
 pub struct Outputs {
     /// Logarithms by chunk, TTI, device and head, `[C, T, N, HEADS]`.
     pub logs: Tensor,
@@ -26,11 +26,11 @@ pub struct Outputs {
 }
 
 impl Net {
-    /// A net that expects nothing but what α says, with weights drawn from `seed`.
+    /// Creates a net that expects events by α alone, with weights drawn from `seed`.
     ///
     /// # Errors
-    /// The framework has failed.
-    pub fn new(shape: Shape, seed: u64) -> Result<Self> {
+    /// If the framework fails.
+    pub fn new(shape: ModelShape, seed: u64) -> Result<Self> {
         let mut vars = BTreeMap::new();
         for (id, (name, size)) in (0..).zip(shape.tensors()) {
             let count = size.iter().product();
@@ -40,6 +40,7 @@ impl Net {
             } else if name.ends_with("bias") || name == "head.weight" {
                 vec![0.0; count]
             } else {
+                // Uniform on ±√(3/fan-in): a variance of 1/fan-in.
                 let bound = (3.0 / size[0] as f64).sqrt();
                 (0..count)
                     .map(|_| (bound * (2.0 * stream.unit() - 1.0)) as f32)
@@ -50,7 +51,7 @@ impl Net {
         Ok(Self { shape, vars })
     }
 
-    /// The same weights as numbers of another type.
+    /// Converts the weights to numbers of another type.
     #[cfg(test)]
     pub(super) fn of_type(&self, dtype: DType) -> Result<Self> {
         let var = |(name, var): (&&'static str, &Var)| -> Result<_> {
@@ -62,13 +63,13 @@ impl Net {
         })
     }
 
-    /// Its weights by name, in a fixed order.
-    pub const fn vars(&self) -> &BTreeMap<&'static str, Var> {
+    /// The weights by name, in a fixed order.
+    pub(crate) const fn vars(&self) -> &BTreeMap<&'static str, Var> {
         &self.vars
     }
 
     /// The shape.
-    pub const fn shape(&self) -> Shape {
+    pub const fn shape(&self) -> ModelShape {
         self.shape
     }
 
@@ -76,10 +77,10 @@ impl Net {
         self.vars[name].as_tensor()
     }
 
-    /// What it makes of `tokens`, `[C, T, N, F]`, with the targets of each chunk and TTI, `[C, T]`.
+    /// Computes the outputs for `tokens`, `[C, T, N, F]`, with the targets of each chunk and TTI, `[C, T]`.
     ///
     /// # Errors
-    /// Other shapes.
+    /// If the tensors have other shapes.
     pub fn forward(&self, tokens: &Tensor, targets: &Tensor) -> Result<Outputs> {
         let (c, t, n, f) = tokens.dims4()?;
         let d = self.shape.width;
@@ -92,7 +93,7 @@ impl Net {
         let last = self.norm(&state, "head.norm")?;
         let out = self.linear(&last, "head.weight", "head.bias")?;
         let limited = (out.clone() * f64::from(LIMIT))?.div(&(out.abs()? + 1.0)?)?;
-        // The price is read off what was learned for the rest, and does not change it.
+        // Detached: the price is learned from the other features without changing them.
         let pooled = last.detach().reshape((c * t, n, d))?.mean(1)?;
         let asked = Tensor::cat(&[&pooled, &targets.reshape((c * t, 1))?], 1)?;
         let inner = self.linear(&asked, "price.in.weight", "price.in.bias")?.relu()?;
@@ -137,6 +138,7 @@ impl Net {
         );
         let scale = 1.0 / (width as f64).sqrt();
         let scores = (query.matmul(&key.t()?.contiguous()?)? * scale)?.broadcast_add(&self.lags(t)?)?;
+        // Not `softmax_last_dim`, which has no backward pass.
         let gathered = softmax(&scores, D::Minus1)?.matmul(&value)?;
         let gathered = gathered.reshape((c, n, heads, t, width))?.permute((0, 3, 1, 2, 4))?;
         let gathered = gathered.contiguous()?.reshape((c * t * n, heads * width))?;
@@ -153,7 +155,7 @@ impl Net {
         )
     }
 
-    /// What the lag between two TTIs adds to a score, `[heads, T, T]`; a TTI attends to the last Z alone.
+    /// Returns the bias of the lag between two TTIs, `[heads, T, T]`; a TTI only attends to the last Z.
     fn lags(&self, t: usize) -> Result<Tensor> {
         let (heads, z) = (self.shape.heads, self.shape.memory);
         let bias = self.var("time.bias");
@@ -182,6 +184,7 @@ impl Net {
         let (query, key) = (feature(by_tti("space.query")?)?, feature(by_tti("space.key")?)?);
         let summary = key.t()?.contiguous()?.matmul(&by_tti("space.value")?)?;
         let all = query.broadcast_mul(&key.sum_keepdim(2)?)?.sum_keepdim(D::Minus1)?;
+        // Every feature is at least `LEAST_FEATURE`, so the divisor is above 0.
         let gathered = query.matmul(&summary)?.broadcast_div(&all)?;
         let gathered = gathered
             .transpose(1, 2)?
@@ -200,10 +203,10 @@ impl Net {
         )
     }
 
-    /// The values of a weight.
+    /// Returns the values of a weight.
     ///
     /// # Errors
-    /// The framework has failed.
+    /// If the framework fails.
     pub fn values(&self, name: &str) -> Result<Vec<f32>> {
         self.var(name).to_dtype(DType::F32)?.flatten_all()?.to_vec1()
     }

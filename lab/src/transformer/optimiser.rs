@@ -1,4 +1,4 @@
-//! AdamW with a clipped gradient, whose state can be kept.
+//! AdamW with a clipped gradient, whose state can be saved.
 
 use std::collections::BTreeMap;
 
@@ -13,21 +13,21 @@ const CLIP: f64 = 1.0;
 const DECAY: f64 = 0.01;
 
 /// A tensor for each weight.
-pub type ByWeight = BTreeMap<&'static str, Tensor>;
+pub(super) type ByWeight = BTreeMap<&'static str, Tensor>;
 
 /// The running means of each weight's gradient, and of its square.
-pub struct AdamW {
-    /// Steps done.
+pub(super) struct AdamW {
+    /// The number of completed steps.
     pub steps: u64,
-    /// By weight.
+    /// The mean gradients by weight.
     pub means: ByWeight,
-    /// By weight.
+    /// The mean squared gradients by weight.
     pub squares: ByWeight,
 }
 
 impl AdamW {
-    /// Before the first step.
-    pub fn new(vars: &BTreeMap<&'static str, Var>) -> Result<Self> {
+    /// Creates the optimiser before the first step.
+    pub(super) fn new(vars: &BTreeMap<&'static str, Var>) -> Result<Self> {
         let zeros = || {
             vars.iter()
                 .map(|(name, var)| Ok((*name, var.zeros_like()?)))
@@ -40,12 +40,13 @@ impl AdamW {
         })
     }
 
-    /// Goes a step of `rate` against `gradients`, one for each weight.
+    /// Takes a step of `rate` against `gradients`, one for each weight.
     ///
     /// # Errors
-    /// The framework has failed.
-    pub fn step(&mut self, vars: &BTreeMap<&'static str, Var>, gradients: &ByWeight, rate: f64) -> Result<()> {
+    /// If the framework fails.
+    pub(super) fn step(&mut self, vars: &BTreeMap<&'static str, Var>, gradients: &ByWeight, rate: f64) -> Result<()> {
         let mut sum = 0.0;
+        // One norm over all weights, in the order of their names: the clip keeps the direction of the step.
         for gradient in gradients.values() {
             sum += f64::from(gradient.sqr()?.sum_all()?.to_scalar::<f32>()?);
         }
@@ -56,6 +57,7 @@ impl AdamW {
         let unbias = |beta: f64| 1.0 - libm::pow(beta, self.steps as f64);
         for (name, var) in vars {
             let gradient = (&gradients[name] * clip)?;
+            // Detached: otherwise each mean would hold the graph of all earlier steps.
             let mean = ((&self.means[name] * first)? + (&gradient * (1.0 - first))?)?.detach();
             let square = ((&self.squares[name] * second)? + (gradient.sqr()? * (1.0 - second))?)?.detach();
             let size = ((&square / unbias(second))?.sqrt()? + EPSILON)?;

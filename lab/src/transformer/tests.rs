@@ -1,32 +1,33 @@
-//! What is learned is what runs; its gradient is right; and it finds what is there.
+//! The trained net equals the deployed one, its gradient is right, and training recovers known structure.
 
+use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use candle_core::{DType, Device, Tensor};
 use reveille_bs::policy::dt::model::infer::Forward;
-use reveille_bs::policy::dt::model::shape::{HEADS, Objective, Shape};
-use reveille_bs::policy::dt::model::weights::Weights;
-use reveille_bs::policy::dt::record::{Look, Step};
-use reveille_bs::policy::dt::senses::{CAN_SENSE, COUNT};
+use reveille_bs::policy::dt::model::weights::ModelWeights;
+use reveille_bs::policy::dt::model::{HEADS, ModelObjective, ModelShape};
+use reveille_bs::policy::dt::record::{DeviceStep, TrajectoryStep};
+use reveille_bs::policy::dt::tokens::{CAN_SENSE, COUNT};
 use reveille_common::ids::Tti;
 use reveille_common::rng::{Purpose, Stream};
 
-use super::data::Batch;
-use super::loss::Whole;
+use super::data::TrainingBatch;
+use super::loss::LossWeights;
 use super::*;
 use crate::trajectories::Chunk;
 
-const SHAPE: Shape = Shape {
+const SHAPE: ModelShape = ModelShape {
     memory: 3,
     width: 8,
     heads: 2,
     has_space: true,
-    objective: Objective::Events,
+    objective: ModelObjective::Events,
 };
 
-/// A net whose heads say something.
-fn net(shape: Shape, seed: u64) -> Net {
+/// A net with random heads.
+fn net(shape: ModelShape, seed: u64) -> Net {
     let net = Net::new(shape, seed).expect("a net");
     for (id, (name, var)) in (100..).zip(net.vars()) {
         let mut stream = Stream::new(seed, Purpose::Training, id);
@@ -39,8 +40,8 @@ fn net(shape: Shape, seed: u64) -> Net {
     net
 }
 
-/// Chunks in which a device finds `e^m` times as many events as expected where its first feature is above 0, and
-/// `e^-m` times as many elsewhere.
+/// Chunks in which a device finds `e^m` times the expected number of events if its first feature is above 0, and `e^-m`
+/// times otherwise.
 fn chunks(count: u32, m: f32) -> Vec<Chunk> {
     let (devices, ttis) = (6, 5);
     let chunk = |run: u32| {
@@ -52,14 +53,14 @@ fn chunks(count: u32, m: f32) -> Vec<Chunk> {
             let look = |j: usize| {
                 let more = if tokens[j * COUNT] > 0.0 { m } else { -m };
                 let hoped = 0.2 + 0.3 * stream.unit() as f32;
-                Look {
+                DeviceStep {
                     expected: 0.2,
                     on: stream.unit() < 0.7,
                     found: stream.unit() < f64::from(0.2 * libm::expf(more)),
                     wake_up: (stream.unit() < 0.3).then_some((hoped, 0.5 * hoped)),
                 }
             };
-            Step {
+            TrajectoryStep {
                 tti: Tti(100 + k),
                 looks: (0..devices).map(look).collect(),
                 tokens,
@@ -82,19 +83,19 @@ fn chunks(count: u32, m: f32) -> Vec<Chunk> {
 
 #[test]
 fn what_is_learned_is_what_runs() {
-    let wide = Shape {
+    let wide = ModelShape {
         width: 40,
-        ..Shape::USUAL
+        ..ModelShape::USUAL
     };
-    [SHAPE, Shape::USUAL, wide].into_iter().for_each(compare_outputs);
+    [SHAPE, ModelShape::USUAL, wide].into_iter().for_each(compare_outputs);
 }
 
-fn compare_outputs(shape: Shape) {
+fn compare_outputs(shape: ModelShape) {
     let net = net(shape, 3);
     let bytes = file(&net, &BTreeMap::new()).expect("a file");
-    let weights = Arc::new(Weights::read(&bytes).expect("a model"));
+    let weights = Arc::new(ModelWeights::read(&bytes).expect("a model"));
     let chunks = chunks(2, 0.5);
-    let batch = Batch::of(&chunks.iter().collect::<Vec<_>>(), shape).expect("a batch");
+    let batch = TrainingBatch::of(&chunks.iter().collect::<Vec<_>>(), shape).expect("a batch");
     let outputs = net.forward(&batch.tokens, &batch.targets).expect("outputs");
     let (logs, prices) = (outputs.logs.flatten_all(), outputs.price.flatten_all());
     let logs: Vec<f32> = logs.and_then(|logs| logs.to_vec1()).expect("numbers");
@@ -115,28 +116,28 @@ fn compare_outputs(shape: Shape) {
 
 #[test]
 fn the_gradient_of_each_weight_is_the_slope_of_the_loss() {
-    Objective::ALL.into_iter().for_each(compare_gradients);
+    ModelObjective::ALL.into_iter().for_each(compare_gradients);
 }
 
-fn compare_gradients(objective: Objective) {
-    // In double precision, so that steps are short beside the distance to where a relu bends.
+fn compare_gradients(objective: ModelObjective) {
+    // In double precision, so that steps are short compared with the distance to the kink of a relu.
     let net = net(SHAPE, 4);
     let net = net.of_type(DType::F64).expect("a net");
-    // What the price is read off does not learn from it, so the others are looked at without prices.
+    // The features that the price head reads must not learn from it, so the other weights are checked without prices.
     let priced = chunks(3, 0.5);
     let mut others = priced.clone();
     for chunk in &mut others {
         chunk.price = None;
     }
     let batch = |chunks: &[Chunk]| {
-        let shape = Shape { objective, ..SHAPE };
-        let batch = Batch::of(&chunks.iter().collect::<Vec<_>>(), shape);
+        let shape = ModelShape { objective, ..SHAPE };
+        let batch = TrainingBatch::of(&chunks.iter().collect::<Vec<_>>(), shape);
         batch.and_then(|batch| batch.of_type(DType::F64)).expect("a batch")
     };
     let batches = [batch(&others), batch(&priced)];
-    let loss = |batch: &Batch| {
+    let loss = |batch: &TrainingBatch| {
         let outputs = net.forward(&batch.tokens, &batch.targets).expect("outputs");
-        let whole = Whole::of(std::slice::from_ref(batch)).expect("sums");
+        let whole = LossWeights::of(std::slice::from_ref(batch)).expect("sums");
         Sums::of(batch, &outputs)
             .and_then(|sums| sums.loss(whole))
             .expect("a loss")
@@ -169,7 +170,7 @@ fn compare_gradients(objective: Objective) {
     }
 }
 
-/// Where actions are learned, the held-out gain is that of knowing how often a device senses: 7 times of 10 here.
+/// The held-out gain of learned actions equals knowing how often a device senses: 7 times of 10 here.
 #[test]
 fn actions_of_teachers_are_learned_as_odds() {
     let mut chunks = chunks(300, 0.0);
@@ -178,9 +179,9 @@ fn actions_of_teachers_are_learned_as_odds() {
             token[CAN_SENSE] = f32::from(u8::from(token[CAN_SENSE] > -0.5));
         }
     }
-    let training = Training {
-        shape: Shape {
-            objective: Objective::Actions,
+    let training = DtTrainingConfig {
+        shape: ModelShape {
+            objective: ModelObjective::Actions,
             ..SHAPE
         },
         steps: 80,
@@ -192,17 +193,26 @@ fn actions_of_teachers_are_learned_as_odds() {
     };
     let about = Vec::new();
     let mut score = None;
-    let mut show = |progress: Progress, _: &[u8]| {
+    let mut show = |progress: DtTrainingStatus, _: &[u8]| {
         score = Some(progress.score);
         true
     };
     let trajectories = vec![Trajectories { about, chunks }];
-    let bytes = train(trajectories, &training, &BTreeMap::new(), None, &mut show).expect("trained");
-    let model = Weights::read(&bytes).expect("a model");
-    assert_eq!(model.shape().objective, Objective::Actions);
+    let trained = train(trajectories, &training, &BTreeMap::new(), None, &mut show, &|| false);
+    let bytes = model(trained.expect("trained"));
+    let model = ModelWeights::read(&bytes).expect("a model");
+    assert_eq!(model.shape().objective, ModelObjective::Actions);
     let worth = 0.7 * libm::log(1.4) + 0.3 * libm::log(0.6);
     let score = score.expect("a look");
     assert!((score.looks - worth).abs() < 0.25 * worth, "{score:?}, not {worth}");
+}
+
+/// The file of a training that reached its end.
+fn model(trained: Trained) -> Vec<u8> {
+    match trained {
+        Trained::Model(bytes) => bytes,
+        Trained::Stopped(_) => panic!("it was not stopped"),
+    }
 }
 
 #[test]
@@ -229,7 +239,7 @@ fn accuracy_is_the_share_of_pairs_in_order() {
 
 #[test]
 fn a_training_finds_what_is_there_and_goes_on_to_the_same_bytes() {
-    let training = Training {
+    let training = DtTrainingConfig {
         shape: SHAPE,
         steps: 120,
         batch: 600,
@@ -245,51 +255,66 @@ fn a_training_finds_what_is_there_and_goes_on_to_the_same_bytes() {
         }]
     };
     let about = BTreeMap::from([("data".to_owned(), "a test".to_owned())]);
-    let train = |from: Option<&[u8]>, most: u64| {
+    let stopped = |from: Option<&[u8]>, most: u64, stop: &dyn Fn() -> bool| {
         let mut last = None;
-        let mut show = |progress: Progress, checkpoint: &[u8]| {
+        let mut show = |progress: DtTrainingStatus, checkpoint: &[u8]| {
             last = Some((progress.score, checkpoint.to_vec()));
             progress.step < most
         };
-        super::train(trajectories(), &training, &about, from, &mut show).map(|bytes| (bytes, last))
+        super::train(trajectories(), &training, &about, from, &mut show, stop).map(|trained| (trained, last))
     };
+    let train =
+        |from: Option<&[u8]>, most: u64| stopped(from, most, &|| false).map(|(trained, last)| (model(trained), last));
     let (bytes, last) = train(None, 1000).expect("trained");
     let (score, _) = last.expect("a look");
-    assert_eq!(Weights::read(&bytes).expect("a model").about["data"], "a test");
-    // Cut short after the first look, and gone on with.
+    assert_eq!(ModelWeights::read(&bytes).expect("a model").about["data"], "a test");
+    // Interrupted after the first evaluation, and resumed.
     let (_, last) = train(None, 40).expect("cut short");
     let (_, kept) = last.expect("a look");
     assert_eq!(bytes, train(Some(&kept), 1000).expect("trained").0);
+    // Stopped between two evaluations, and right after one.
+    for steps in [17_u64, 40, 57] {
+        let left = Cell::new(steps);
+        let stop = || left.replace(left.get().saturating_sub(1)) == 0;
+        let Ok((Trained::Stopped(kept), _)) = stopped(None, 1000, &stop) else {
+            panic!("it was not stopped before step {steps}");
+        };
+        assert_eq!(
+            bytes,
+            train(Some(&kept), 1000).expect("trained").0,
+            "stopped before step {steps}"
+        );
+    }
     for bad in [&kept[..kept.len() - 1], &bytes[..], b""] {
         assert!(matches!(train(Some(bad), 1000), Err(TransformerError::Checkpoint(_))));
     }
-    let other = Training {
+    let other = DtTrainingConfig {
         seed: 2,
         ..training.clone()
     };
-    let refused = super::train(trajectories(), &other, &about, Some(&kept), &mut |_, _| true);
+    let refused = super::train(trajectories(), &other, &about, Some(&kept), &mut |_, _| true, &|| false);
     assert!(refused.expect_err("another training").to_string().contains("another"));
-    // With half of the tokens on each side, knowing the side is worth m·sinh m − (cosh m − 1) nats an event expected.
+    // With half of the tokens on each side, knowing the side is worth m·sinh m − (cosh m − 1) nats per expected event.
     let worth = 0.7 * libm::sinh(0.7) - (libm::cosh(0.7) - 1.0);
     assert!(
         score.looks > 0.6 * worth && score.looks < 1.4 * worth,
         "{score:?}, not {worth}"
     );
-    // All wake-ups bring half of what was hoped for: ln 2/2 − 1/2 + 1 nats less 1/2.
+    // All wake-ups bring half of the expected gain: ln 2/2 − 1/2 + 1 nats less 1/2.
     let halved = 0.5 - 0.5 * std::f64::consts::LN_2;
     assert!((score.wakes - halved).abs() < 0.05, "{score:?}, not {halved}");
     assert!(score.price_error < 0.1, "{score:?}");
-    // Which side a token is on tells; the mean that age and α give is the same for all.
+    // The side of a token is informative; the mean from age and α is equal for all tokens.
     assert!(
         score.accuracy > 0.55 && (score.plain_accuracy - 0.5).abs() < 1e-9,
         "{score:?}"
     );
 }
 
-/// The parts of a batch are summed in their order, whoever computed them.
+/// The parts of a batch are summed in their order, on any number of threads.
 #[test]
 fn threads_do_not_show() {
-    let training = Training {
+    let training = DtTrainingConfig {
         shape: SHAPE,
         steps: 12,
         batch: 600,
@@ -307,8 +332,8 @@ fn threads_do_not_show() {
             about: Vec::new(),
             chunks: chunks(40, 0.7),
         }];
-        let mut go_on = |_: Progress, _: &[u8]| true;
-        pool.install(|| super::train(trajectories, &training, &BTreeMap::new(), None, &mut go_on))
+        let mut go_on = |_: DtTrainingStatus, _: &[u8]| true;
+        pool.install(|| super::train(trajectories, &training, &BTreeMap::new(), None, &mut go_on, &|| false))
             .expect("a model")
     };
     let one = model(1);

@@ -1,8 +1,7 @@
-//! Bayesian optimisation: a Gaussian process over (ln μ1, ln μ2), and the pair of the largest expected improvement
-//! next.
+//! Bayesian optimisation: a Gaussian process over (ln μ1, ln μ2) proposes the pair with the largest expected
+//! improvement.
 //!
-//! The work is done by egobox. It runs on one thread and from one seed, so the same points always lead to the same next
-//! one.
+//! The optimiser is egobox. It runs on one thread and from one seed, so equal points always give the same proposal.
 
 use egobox_ego::{CorrelationSpec, EgorServiceBuilder, InfillStrategy, RegressionSpec};
 use egobox_gp::GaussianProcess;
@@ -15,23 +14,23 @@ use ndarray::{Array1, Array2, array};
 use super::error::TuningError;
 use super::history::History;
 use super::plan::pool;
-use super::proposer::{Proposer, Surface};
-use super::ranges::{Pair, Ranges};
+use super::ranges::{Ranges, WeightPair};
+use super::{Proposer, Surface};
 
 /// Values along each side of a surface.
 const SIDE: usize = 40;
-/// The least noise that a surrogate has, as a share of the variance of its points: matrices are regular with it.
+/// The smallest noise of a surrogate, as a share of the variance of its points; it keeps matrices regular.
 const LEAST_NOISE: f64 = 1e-6;
 
 /// The optimiser: log expected improvement.
 #[derive(Clone, Copy, Debug)]
 pub struct Bayes {
-    /// Its seed.
+    /// The seed.
     pub seed: u64,
 }
 
 /// The places of `points` in the unit square, and their objectives with mean 0 and variance 1.
-fn standard(ranges: &Ranges, points: &[(Pair, f64)]) -> (Array2<f64>, Array1<f64>, (f64, f64)) {
+fn standard(ranges: &Ranges, points: &[(WeightPair, f64)]) -> (Array2<f64>, Array1<f64>, (f64, f64)) {
     let places: Array1<[f64; 2]> = points.iter().map(|(pair, _)| ranges.place(*pair)).collect();
     let x = Array2::from_shape_fn((points.len(), 2), |(row, column)| places[row][column]);
     let count = points.len() as f64;
@@ -41,15 +40,16 @@ fn standard(ranges: &Ranges, points: &[(Pair, f64)]) -> (Array2<f64>, Array1<f64
         .map(|(_, value)| (value - mean) * (value - mean))
         .sum::<f64>()
         / count;
+    // Equal objectives have no deviation to divide by.
     let deviation = variance.sqrt().max(f64::MIN_POSITIVE);
     let y = points.iter().map(|(_, value)| (value - mean) / deviation).collect();
     (x, y, (mean, deviation))
 }
 
 impl Proposer for Bayes {
-    fn propose(&self, ranges: &Ranges, points: &[(Pair, f64)]) -> Result<Pair, TuningError> {
+    fn propose(&self, ranges: &Ranges, points: &[(WeightPair, f64)]) -> Result<WeightPair, TuningError> {
         let (x, y, _) = standard(ranges, points);
-        // The optimiser looks for a minimum.
+        // The optimiser minimises.
         let y = y.mapv(|value| -value).insert_axis(ndarray::Axis(1));
         let optimiser = EgorServiceBuilder::optimize()
             .configure(|config| {
@@ -66,6 +66,7 @@ impl Proposer for Bayes {
                 what: "optimiser",
                 why: error.to_string(),
             })?;
+        // On one thread, so that equal points always give the same proposal.
         let next = pool(1)?.install(|| optimiser.suggest(&x, &y));
         let place = next.row(0).iter().copied().collect::<Vec<f64>>();
         match place[..] {
@@ -78,12 +79,13 @@ impl Proposer for Bayes {
     }
 }
 
-/// The mean of a Gaussian process through the points of `history`, at the middles of 40 × 40 cells of `ranges`.
+/// Computes the mean of a Gaussian process through the points of `history`, at the centres of 40 × 40 cells of
+/// `ranges`.
 ///
 /// Its noise is the mean variance of the objective's mean at a point, from the intervals.
 ///
 /// # Errors
-/// The points do not determine a process.
+/// If the points do not determine a process.
 pub fn surface(ranges: &Ranges, history: &History) -> Result<Surface, TuningError> {
     let failed = |error: egobox_gp::GpError| TuningError::Model {
         what: "surrogate",
@@ -107,14 +109,15 @@ pub fn surface(ranges: &Ranges, history: &History) -> Result<Surface, TuningErro
     })
 }
 
-/// The noise of a point as a share of the variance of all, whose root is `deviation`.
+/// Returns the noise of a point as a share of the variance of all points, which is `deviation` squared.
 fn noise(history: &History, deviation: f64) -> f64 {
     let halves = history.points.iter().map(|point| point.evaluation.objective_half);
     let errors: Vec<f64> = halves
         .filter(|half| half.is_finite())
-        // A 95 % interval reaches about two standard errors to each side.
+        // A 95 % interval extends about two standard errors to each side.
         .map(|half| (0.5 * half / deviation) * (0.5 * half / deviation))
         .collect();
+    // Points of a single run have no interval, so `errors` may be empty.
     let mean = errors.iter().sum::<f64>() / errors.len().max(1) as f64;
     mean.clamp(LEAST_NOISE, 1.0)
 }

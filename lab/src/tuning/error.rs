@@ -1,37 +1,37 @@
-//! What can be wrong with a tuning.
+//! Errors of a tuning.
 
 use std::path::PathBuf;
 
 use crate::training::TrainingError;
 
-/// Why a tuning could not be begun or finished.
+/// A reason why a tuning cannot start or finish.
 #[derive(Debug, thiserror::Error)]
 pub enum TuningError {
-    /// A value is out of its range.
+    /// A value is out of range.
     #[error("{what} = {value}: {allowed}")]
     Invalid {
         /// The name of the value.
         what: &'static str,
-        /// The value that was given.
+        /// The value.
         value: String,
-        /// What the value may be.
+        /// The allowed range.
         allowed: String,
     },
     /// The tables of a pair cannot be trained.
     #[error(transparent)]
     Training(#[from] TrainingError),
-    /// No evaluation run had an event that counts.
+    /// No evaluation run has an event that counts.
     #[error("none of the evaluation runs of {ttis} TTIs had an event that counts: longer ones do (--ttis)")]
     NoEvent {
         /// The length of the evaluation runs, TTIs.
         ttis: u64,
     },
-    /// The file is no history.
+    /// The file is not a history.
     #[error("{}: is no history of a tuning: {why}", path.display())]
     NotOurs {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// The cause.
         why: String,
     },
     /// The history belongs to another tuning.
@@ -43,7 +43,7 @@ pub enum TuningError {
     Foreign {
         /// The file.
         path: PathBuf,
-        /// What differs.
+        /// The differences.
         why: String,
     },
     /// The history cannot be read.
@@ -51,7 +51,7 @@ pub enum TuningError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         error: std::io::Error,
     },
     /// The history cannot be written.
@@ -59,7 +59,7 @@ pub enum TuningError {
     Write {
         /// The file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         error: std::io::Error,
     },
     /// The optimiser or the surrogate has failed.
@@ -67,7 +67,7 @@ pub enum TuningError {
     Model {
         /// The part that failed.
         what: &'static str,
-        /// What it said.
+        /// The cause.
         why: String,
     },
 }

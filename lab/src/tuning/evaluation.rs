@@ -1,6 +1,6 @@
 //! The measured result of a pair of weights.
 
-use super::ranges::Pair;
+use super::ranges::WeightPair;
 
 /// The measured result of a pair of weights, means over the evaluation runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -13,16 +13,16 @@ pub struct Evaluation {
     pub information: f64,
     /// Half the width of its 95 % interval; NaN for a single run.
     pub information_half: f64,
-    /// Events without a report, % of events.
+    /// The share of events without a report, %.
     pub misdetection_pct: f64,
-    /// Units spent per device and TTI.
+    /// The units spent per device and TTI.
     pub energy: f64,
-    /// Wake-ups per event.
+    /// The number of wake-ups per event.
     pub wake_ups: f64,
 }
 
 impl Evaluation {
-    /// What [`Self::values`] are called in files, in their order.
+    /// The names of [`Self::values`] in files, in their order.
     pub const NAMES: [&str; 7] = [
         "objective",
         "objective_half_width",
@@ -33,7 +33,7 @@ impl Evaluation {
         "wake_ups_per_event",
     ];
 
-    /// The fields.
+    /// The fields in the order of [`Self::NAMES`].
     pub const fn values(&self) -> [f64; 7] {
         [
             self.objective,
@@ -46,7 +46,7 @@ impl Evaluation {
         ]
     }
 
-    /// The evaluation with these [`Self::values`].
+    /// Creates an evaluation from [`Self::values`].
     pub const fn of(values: [f64; 7]) -> Self {
         let [
             objective,
@@ -71,9 +71,9 @@ impl Evaluation {
 
 /// A pair of weights and its measured result.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Point {
+pub struct TuningPoint {
     /// The pair.
-    pub weights: Pair,
-    /// Its measured result.
+    pub weights: WeightPair,
+    /// The measured result.
     pub evaluation: Evaluation,
 }

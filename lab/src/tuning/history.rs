@@ -1,29 +1,29 @@
-//! The points of a tuning and their file: CSV with what the tuning is in lines of comment, one line for each point.
+//! The points of a tuning and their CSV file: the description of the tuning in comment lines, then one line per point.
 
 use std::fmt::Write as _;
 
-use super::evaluation::{Evaluation, Point};
-use super::ranges::Pair;
+use super::evaluation::{Evaluation, TuningPoint};
+use super::ranges::WeightPair;
 
 /// The first line of a history.
 const FIRST: &str = "# reveille tuning 1";
 
-/// The line above the points.
+/// The column names.
 fn columns() -> String {
     format!("number,mu1,mu2,{}", Evaluation::NAMES.join(","))
 }
 
-/// The points of a tuning, in the order in which they were tried.
+/// The points of a tuning, in order of evaluation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct History {
-    /// What the tuning is, by name.
+    /// The description of the tuning, by name.
     pub header: Vec<(String, String)>,
     /// The points.
-    pub points: Vec<Point>,
+    pub points: Vec<TuningPoint>,
 }
 
 impl History {
-    /// The history of a tuning that has not begun.
+    /// Creates the history of a tuning without points.
     pub const fn new(header: Vec<(String, String)>) -> Self {
         Self {
             header,
@@ -31,56 +31,58 @@ impl History {
         }
     }
 
-    /// The pairs with the objective of each.
-    pub fn objectives(&self) -> Vec<(Pair, f64)> {
+    /// Returns the pairs with their objectives.
+    pub(crate) fn objectives(&self) -> Vec<(WeightPair, f64)> {
         let points = self.points.iter();
         points
             .map(|point| (point.weights, point.evaluation.objective))
             .collect()
     }
 
-    /// The numbers of the points, best first; of equals the earlier first.
+    /// Returns the numbers of the points, best first, and the earlier one first if equal.
     pub fn ranked(&self) -> Vec<usize> {
         let mut numbers: Vec<usize> = (0..self.points.len()).collect();
         let objective = |number: usize| self.points[number].evaluation.objective;
+        // A stable sort keeps equal points in order of evaluation.
         numbers.sort_by(|&a, &b| objective(b).total_cmp(&objective(a)));
         numbers
     }
 
-    /// What the header says of `name`; nothing if it does not.
-    pub fn says(&self, name: &str) -> &str {
+    /// The header's value of `name`; empty if it has none.
+    pub fn header_value(&self, name: &str) -> &str {
         let own = self.header.iter().find(|(own, _)| own == name);
         own.map_or("", |(_, value)| value)
     }
 
-    /// The two numbers of a range in the header.
+    /// The two limits of a range in the header.
     pub fn range(&self, name: &str) -> Option<(f64, f64)> {
-        let (from, to) = self.says(name).split_once(" to ")?;
+        let (from, to) = self.header_value(name).split_once(" to ")?;
         Some((from.parse().ok()?, to.parse().ok()?))
     }
 
-    /// Why this is not the history of a tuning with `header` and `design`, a phrase for each reason.
-    pub fn differences(&self, header: &[(String, String)], design: &[Pair]) -> Vec<String> {
-        let other = header.iter().filter(|(name, value)| self.says(name) != value);
+    /// Lists the differences from a tuning with `header` and `design`, one phrase for each.
+    pub fn differences(&self, header: &[(String, String)], design: &[WeightPair]) -> Vec<String> {
+        let other = header.iter().filter(|(name, value)| self.header_value(name) != value);
         let mut why: Vec<String> = other
-            .map(|(name, value)| format!("{name}: {} there, {value} here", self.says(name)))
+            .map(|(name, value)| format!("{name}: {} there, {value} here", self.header_value(name)))
             .collect();
-        let bits = |pair: &Pair| pair.map(f64::to_bits);
+        let bits = |pair: &WeightPair| pair.map(f64::to_bits);
         let mut first = self.points.iter().zip(design);
+        // With another header the design differs for that reason alone.
         if why.is_empty() && first.any(|(point, pair)| bits(&point.weights) != bits(pair)) {
             why.push("other pairs at the start".to_owned());
         }
         why
     }
 
-    /// The file. Numbers are written in full: reading them gives the same bits.
-    pub fn to_csv(&self) -> String {
+    /// Returns the file's text. Numbers are written in full, so that reading restores the same bits.
+    pub(crate) fn to_csv(&self) -> String {
         let mut out = format!("{FIRST}\n");
         for (name, value) in &self.header {
             let _ = writeln!(out, "# {name} = {value}");
         }
         let _ = writeln!(out, "{}", columns());
-        for (number, Point { weights, evaluation }) in self.points.iter().enumerate() {
+        for (number, TuningPoint { weights, evaluation }) in self.points.iter().enumerate() {
             let _ = write!(out, "{number}");
             for value in weights.iter().chain(&evaluation.values()) {
                 let _ = write!(out, ",{value}");
@@ -90,10 +92,10 @@ impl History {
         out
     }
 
-    /// The history in `text`, and whether half a line at its end was left out.
+    /// Parses `text`. Also returns whether an incomplete last line was dropped.
     ///
     /// # Errors
-    /// What is wrong with it.
+    /// If the text is not a history; the error is the cause.
     pub fn parse(text: &str) -> Result<(Self, bool), String> {
         let torn = !text.ends_with('\n');
         let whole = text.rfind('\n').map_or("", |end| &text[..end]);
@@ -123,8 +125,8 @@ impl History {
     }
 }
 
-/// The point `number` that `line` tells of.
-fn point(number: usize, line: &str) -> Option<Point> {
+/// Parses `line` as the point `number`.
+fn point(number: usize, line: &str) -> Option<TuningPoint> {
     let (own, rest) = line.split_once(',')?;
     let values: Vec<f64> = rest
         .split(',')
@@ -134,11 +136,12 @@ fn point(number: usize, line: &str) -> Option<Point> {
         .filter(|_| own.parse() == Ok(number))?;
     let (weights, values) = values.split_first_chunk::<2>()?;
     let evaluation = Evaluation::of(values.try_into().ok()?);
+    // Half-widths are NaN with a single run, and some means may be NaN too. The proposer only uses these three.
     let is_finite = weights
         .iter()
         .chain([&evaluation.objective])
         .all(|value| value.is_finite());
-    (is_finite && weights.iter().all(|weight| *weight > 0.0)).then_some(Point {
+    (is_finite && weights.iter().all(|weight| *weight > 0.0)).then_some(TuningPoint {
         weights: *weights,
         evaluation,
     })

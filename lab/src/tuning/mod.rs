@@ -1,35 +1,49 @@
-//! Tuning of the weights μ1 and μ2 of `q-learning`: tables are trained with a pair of weights, runs with those tables
-//! are measured, and the next pair is chosen by what is known so far.
+//! Tuning of the weights μ1 and μ2 of `q-learning`. Each step trains tables with a pair of weights, measures runs with
+//! those tables, and chooses the next pair from all results so far.
 //!
 //! ```text
 //! Plan ─► design ─► evaluate ─► History (a CSV file, written after every point)
 //!            ▲                     │
 //!            └──── Proposer ◄──────┘
 //! ```
-//! Every pair sees the same seeds in training and in evaluation (common random numbers), so that pairs differ in
-//! nothing but the weights. A next pair depends on the history alone, so a tuning that was cut short goes on to the
-//! same end. The proposer of the program is `bayes::Bayes`, with the cargo feature `tune`.
+//! Every pair uses the same seeds in training and in evaluation (common random numbers), so that pairs only differ in
+//! the weights. The next pair depends on the history alone, so a resumed tuning reaches the same result. The program's
+//! proposer is `bayes::Bayes`, with the cargo feature `tune`.
 
 #[cfg(feature = "tune")]
 pub mod bayes;
 mod error;
 mod evaluation;
 mod history;
-mod io;
 mod objective;
 mod plan;
-mod proposer;
 mod ranges;
 mod tuner;
 
+pub use error::TuningError;
+pub use evaluation::{Evaluation, TuningPoint};
+pub use history::History;
+pub use objective::TuningObjective;
+pub use plan::{TuningPlan, TuningProgress};
+pub use ranges::{LEAST_DESIGN, Ranges, WeightPair, design};
+pub use tuner::Tuner;
+
+/// Chooses the next pair of weights.
+pub trait Proposer {
+    /// Returns the pair to try next, in `ranges`, after `points`: pairs with their objectives, at least
+    /// [`LEAST_DESIGN`].
+    ///
+    /// # Errors
+    /// If no pair can be found.
+    fn propose(&self, ranges: &Ranges, points: &[(WeightPair, f64)]) -> Result<WeightPair, TuningError>;
+}
+
+/// Values over ranges of weights.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Surface {
+    /// Values at the centres of equal cells of the logarithms, in ascending μ2; each row in ascending μ1.
+    pub rows: Vec<Vec<f64>>,
+}
+
 #[cfg(test)]
 mod tests;
-
-pub use error::TuningError;
-pub use evaluation::{Evaluation, Point};
-pub use history::History;
-pub use objective::Objective;
-pub use plan::{Plan, TuningProgress, evaluation_seed};
-pub use proposer::{Proposer, Surface};
-pub use ranges::{LEAST_DESIGN, Pair, Ranges, design};
-pub use tuner::Tuner;

@@ -1,30 +1,31 @@
-//! What is to be made large.
+//! The objective of a tuning.
 
 use std::fmt;
 
 use reveille_common::score::Metrics;
 
-/// What a run is worth. Information is `info_p1`, the objective of P1: Σ I_i / (αK). Information per event would favour
-/// policies that look seldom, as what they miss by coming late does not count there.
+/// The objective that a tuning maximises. Information is `info_p1`, the objective of P1: Σ I_i / (αK). Information per
+/// event would favour policies that rarely look, because it ignores events that they miss.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Objective {
+pub enum TuningObjective {
     /// Information (P1) − `energy` · (units spent per device and TTI) − `miss` · (share of events misdetected).
     Balance {
-        /// Information (P1) that one unit per device and TTI is worth, ≥ 0.
+        /// Value of one unit per device and TTI in information (P1), ≥ 0.
         energy: f64,
-        /// Information (P1) that all events misdetected would cost, beyond the information that they lack, ≥ 0.
+        /// Cost of misdetecting all events in information (P1), beyond the information lost, ≥ 0.
         miss: f64,
     },
-    /// Information (P1), `[0, Ψ]` on the mean.
+    /// Information (P1), with a mean in `[0, Ψ]`.
     Information,
     /// Information per unit spent: Σ I_i / energy of all devices, over the measured TTIs.
     Efficiency,
 }
 
-impl Objective {
-    /// Its value for a run with these metrics; NaN if it has no event or spends nothing where that counts.
+impl TuningObjective {
+    /// Returns the value of a run with these metrics. It is NaN if the run has no event, or spends no energy with
+    /// [`Self::Efficiency`].
     ///
-    /// `alpha` is α, events per TTI and `devices` is N: Σ I_i / Σ energy = `info_p1` · α / (N · energy per device and
+    /// `alpha` is α, events per TTI; `devices` is N. Σ I_i / Σ energy = `info_p1` · α / (N · energy per device and
     /// TTI).
     pub fn of(self, metrics: &Metrics, alpha: f64, devices: u32) -> f64 {
         let Metrics {
@@ -47,7 +48,7 @@ impl Objective {
         }
     }
 
-    /// Its name, as on the command line.
+    /// The name on the command line.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Balance { .. } => "balance",
@@ -57,7 +58,7 @@ impl Objective {
     }
 }
 
-impl fmt::Display for Objective {
+impl fmt::Display for TuningObjective {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Balance { energy, miss } => {

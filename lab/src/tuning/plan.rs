@@ -1,43 +1,44 @@
-//! How a pair of weights is judged: tables are trained with it, and runs with those tables are measured.
+//! The evaluation of a pair of weights: trains tables with it and measures runs with those tables.
 
 use std::sync::Arc;
 
 use rayon::ThreadPool;
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
-use reveille_bs::policy::q_learning::learned::{CurvePoint, Entry, Training, Weights};
+use reveille_bs::cycle::PreparedRun;
+use reveille_bs::policy::q_learning::learned::{CurvePoint, QTrainingConfig, QWeights, TableSet};
 use reveille_bs::policy::q_learning::settings::QLearningSettings;
-use reveille_bs::prepared::Prepared;
-use reveille_common::scenario::{MAX_TTIS, Scenario};
+use reveille_bs::scenario::{PolicyChoice, Scenario};
+use reveille_common::scenario::MAX_TTIS;
 use reveille_common::score::Metrics;
 
 use super::error::TuningError;
-use super::evaluation::{Evaluation, Point};
-use super::objective::Objective;
-use super::ranges::{LEAST_DESIGN, Pair, Ranges, design};
-use crate::run::{Options, Run, StopWhen};
+use super::evaluation::{Evaluation, TuningPoint};
+use super::objective::TuningObjective;
+use super::ranges::{LEAST_DESIGN, Ranges, WeightPair, design};
+use crate::run::{Run, RunOptions, StopWhen};
 use crate::stats::Estimate;
 use crate::training::{self, Trainer, TrainingError, TrainingProgress};
 
-/// Added to the seeds of evaluation runs: no training and no sweep comes near them.
+/// An offset to the seeds of evaluation runs, far from the seeds of trainings and sweeps.
 const SEEDS: u64 = 0xE7A1_5EED_0000_0000;
-/// TTIs between two looks at whether to stop.
+/// The number of TTIs between two checks whether to stop.
 const LOOK: u64 = 200;
-/// The most evaluation runs of a pair.
+/// The largest number of evaluation runs of a pair.
 const MOST_RUNS: u64 = 10_000;
-/// The most pairs of a design.
+/// The largest number of pairs in a design.
 const MOST_DESIGN: usize = 1000;
 
-/// Follows a tuning. Called from all threads.
+/// Callbacks of a tuning. All threads call them.
 pub trait TuningProgress: Sync {
-    /// The evaluation of a pair, the point `number` from 0, has begun.
-    fn begun(&self, _number: usize, _weights: Pair) {}
-    /// An episode of the pair's training has ended.
+    /// Reports the start of the evaluation of a pair, the point `number` from 0.
+    fn begun(&self, _number: usize, _weights: WeightPair) {}
+    /// Reports the end of an episode of the pair's training.
     fn episode(&self) {}
-    /// One of the pair's evaluation runs has ended.
+    /// Reports the end of one of the pair's evaluation runs.
     fn run(&self) {}
-    /// The evaluation has ended, and its point is in the history.
-    fn point(&self, _point: &Point) {}
-    /// Whether to stop; the point under way is lost.
+    /// Reports the end of the evaluation, once its point is in the history.
+    fn point(&self, _point: &TuningPoint) {}
+    /// Returns whether to stop, which discards the point in progress.
     fn stop(&self) -> bool;
 }
 
@@ -47,32 +48,33 @@ impl TuningProgress for () {
     }
 }
 
-/// What is tuned, and how each pair is judged.
+/// The parameters of a tuning and of its evaluations.
 #[derive(Clone, Debug)]
-pub struct Plan {
-    /// What tables are trained and measured on. Its weights are tried first, its seed decides everything drawn.
+pub struct TuningPlan {
+    /// The scenario for training and measurement. Its weights are tried first; its seed determines all random draws.
     pub scenario: Scenario,
-    /// Where weights are looked for.
+    /// The search ranges of the weights.
     pub ranges: Ranges,
-    /// The objective that is maximised.
-    pub objective: Objective,
-    /// Pairs before the first that is chosen by the others, ≥ [`LEAST_DESIGN`].
+    /// The objective to maximise.
+    pub objective: TuningObjective,
+    /// The number of pairs before the proposer chooses, ≥ [`LEAST_DESIGN`].
     pub design: usize,
-    /// How tables are trained.
-    pub training: Training,
-    /// Evaluation runs of each pair, ≥ 1.
+    /// The training parameters.
+    pub training: QTrainingConfig,
+    /// The number of evaluation runs of each pair, ≥ 1.
     pub runs: u64,
     /// The length of an evaluation run, TTIs.
     pub ttis: u64,
 }
 
-impl Plan {
-    /// Checks every number.
+impl TuningPlan {
+    /// Checks every parameter.
     ///
     /// # Errors
-    /// The policy is not `q-learning`, or a number is out of its range.
+    /// If the policy is not `q-learning`, or a number is out of range.
     pub fn check(&self) -> Result<(), TuningError> {
-        Trainer::new(&self.scenario, &[self.scenario.devices], &[], &self.training)?;
+        // The trainer only serves to check the policy and the training parameters.
+        Trainer::new(&self.scenario, &[self.scenario.run.devices], &[], &self.training)?;
         let invalid = |what, value: &dyn std::fmt::Display, allowed: &str| {
             Err(TuningError::Invalid {
                 what,
@@ -96,7 +98,7 @@ impl Plan {
                 return invalid(what, &ttis, &allowed);
             }
         }
-        if let Objective::Balance { energy, miss } = self.objective {
+        if let TuningObjective::Balance { energy, miss } = self.objective {
             for (what, weight) in [("energy-weight", energy), ("miss-weight", miss)] {
                 if !(0.0..=1e6).contains(&weight) {
                     return invalid(what, &weight, "must be at least 0 and at most 1000000");
@@ -110,19 +112,20 @@ impl Plan {
         let policy = &self.scenario.policy;
         policy
             .settings()
+            .downcast_ref()
             .ok_or_else(|| TrainingError::Policy(policy.name().to_owned()).into())
     }
 
-    /// The pairs that are tried first.
-    pub fn design(&self) -> Vec<Pair> {
+    /// The pairs to try first.
+    pub fn design(&self) -> Vec<WeightPair> {
         let start = self.settings().map_or([0.0; 2], |s| [s.weights.mu1, s.weights.mu2]);
-        design(&self.ranges, start, self.design, self.scenario.seed)
+        design(&self.ranges, start, self.design, self.scenario.run.seed)
     }
 
-    /// What makes this tuning another than others, by name. The number of pairs after the design is no part of it.
+    /// The parameters that identify this tuning, by name. The number of pairs after the design is not one of them.
     pub fn header(&self) -> Vec<(String, String)> {
         let Ranges { mu1, mu2 } = self.ranges;
-        let Training {
+        let QTrainingConfig {
             episodes,
             ttis,
             epsilon,
@@ -131,10 +134,10 @@ impl Plan {
         let all = [
             ("made by", training::MADE_BY.to_owned()),
             ("scenario", self.scenario.hash_hex()),
-            ("preset", self.scenario.preset.clone()),
+            ("preset", self.scenario.run.preset.clone()),
             ("ranking", self.scenario.bs.ranking.name().to_owned()),
-            ("devices", self.scenario.devices.to_string()),
-            ("seed", self.scenario.seed.to_string()),
+            ("devices", self.scenario.run.devices.to_string()),
+            ("seed", self.scenario.run.seed.to_string()),
             ("objective", format!("{}: {}", self.objective.name(), self.objective)),
             ("mu1", format!("{} to {}", mu1.0, mu1.1)),
             ("mu2", format!("{} to {}", mu2.0, mu2.1)),
@@ -151,13 +154,13 @@ impl Plan {
         all.map(|(name, value)| (name.to_owned(), value)).to_vec()
     }
 
-    /// The evaluation of `weights`, on the threads of `pool`; `None` if the observer has stopped it.
+    /// Evaluates `weights` on the threads of `pool`. Returns `None` if the observer has stopped it.
     ///
     /// # Errors
-    /// The tables cannot be trained, or there was no event.
+    /// If the tables cannot be trained, or there was no event.
     pub fn evaluate(
         &self,
-        weights: Pair,
+        weights: WeightPair,
         pool: &ThreadPool,
         observer: &impl TuningProgress,
     ) -> Result<Option<Evaluation>, TuningError> {
@@ -165,28 +168,27 @@ impl Plan {
             return Ok(None);
         };
         let one = |index: u64| {
-            let own = Scenario {
-                seed: evaluation_seed(self.scenario.seed, index),
-                ..scenario.clone()
-            };
-            let options = Options {
+            let own = scenario.with_seed(evaluation_seed(self.scenario.run.seed, index));
+            let options = RunOptions {
                 window: LOOK,
-                ..Options::default()
+                ..RunOptions::default()
             };
-            let outcome = Run::new(&Prepared::without_pilots(&own), options).finish(&mut StopWhen(|| observer.stop()));
+            let outcome =
+                Run::new(&PreparedRun::without_pilots(&own), options).finish(&mut StopWhen(|| observer.stop()));
             observer.run();
             outcome.complete.then_some(outcome.metrics)
         };
+        // Collected by index, so that means are summed in the same order on any number of threads.
         let metrics: Option<Vec<Metrics>> = pool.install(|| (0..self.runs).into_par_iter().map(one).collect());
         metrics.map(|metrics| self.judge(&metrics)).transpose()
     }
 
-    /// The scenario of the evaluation runs but for their seeds, with tables that were trained with `weights`.
-    fn trained(&self, weights: Pair, observer: &impl TuningProgress) -> Result<Option<Scenario>, TuningError> {
+    /// Returns the scenario of the evaluation runs, except their seeds, with tables trained with `weights`.
+    fn trained(&self, weights: WeightPair, observer: &impl TuningProgress) -> Result<Option<Scenario>, TuningError> {
         let settings = self.settings()?;
         let [mu1, mu2] = weights;
         let settings = QLearningSettings {
-            weights: Weights {
+            weights: QWeights {
                 mu1,
                 mu2,
                 ..settings.weights
@@ -194,10 +196,16 @@ impl Plan {
             ..settings.clone()
         };
         let with = |settings: QLearningSettings| Scenario {
-            policy: self.scenario.policy.with_settings(settings),
+            policy: PolicyChoice::new(self.scenario.policy.kind(), Arc::new(settings)),
             ..self.scenario.clone()
         };
-        let mut trainer = Trainer::new(&with(settings.clone()), &[self.scenario.devices], &[], &self.training)?;
+        let mut trainer = Trainer::new(
+            &with(settings.clone()),
+            &[self.scenario.run.devices],
+            &[],
+            &self.training,
+        )?;
+        // One window and one N make one entry, whose episodes run in order: more threads would idle.
         if !trainer.train(1, &|_| Ok(()), &Episodes(observer))? {
             return Ok(None);
         }
@@ -208,15 +216,14 @@ impl Plan {
             start: Arc::new(entry),
             ..settings
         };
-        Ok(Some(Scenario {
-            ttis: self.ttis,
-            ..with(settings)
-        }))
+        let mut trained = with(settings);
+        trained.run.ttis = self.ttis;
+        Ok(Some(trained))
     }
 
-    /// The means over `metrics`, those of runs.
+    /// Returns the means over the `metrics` of the runs.
     fn judge(&self, metrics: &[Metrics]) -> Result<Evaluation, TuningError> {
-        let (alpha, devices) = (self.scenario.events.alpha, self.scenario.devices);
+        let (alpha, devices) = (self.scenario.events.alpha, self.scenario.run.devices);
         let over = |of: &dyn Fn(&Metrics) -> f64| Estimate::over(metrics.iter().map(of));
         let objective = over(&|m| self.objective.of(m, alpha, devices));
         if objective.runs == 0 {
@@ -235,12 +242,12 @@ impl Plan {
     }
 }
 
-/// The seed of evaluation run `index` of a tuning with `seed`.
-pub const fn evaluation_seed(seed: u64, index: u64) -> u64 {
+/// Returns the seed of evaluation run `index` of a tuning with `seed`.
+pub(crate) const fn evaluation_seed(seed: u64, index: u64) -> u64 {
     SEEDS.wrapping_add(seed.wrapping_mul(0x1_0000_0001)).wrapping_add(index)
 }
 
-/// `threads` threads.
+/// Creates a pool of `threads` threads.
 pub(super) fn pool(threads: usize) -> Result<ThreadPool, TrainingError> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
     pool.map_err(|error| TrainingError::Threads {
@@ -249,11 +256,11 @@ pub(super) fn pool(threads: usize) -> Result<ThreadPool, TrainingError> {
     })
 }
 
-/// Tells of the episodes of a training.
+/// Forwards the episodes of a training.
 struct Episodes<'a, O>(&'a O);
 
 impl<O: TuningProgress> TrainingProgress for Episodes<'_, O> {
-    fn episode(&self, _: &Entry, _: &CurvePoint) {
+    fn episode(&self, _: &TableSet, _: &CurvePoint) {
         self.0.episode();
     }
 

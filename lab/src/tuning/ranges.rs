@@ -1,38 +1,38 @@
-//! Where weights are looked for, by their logarithms, and which pairs are tried first.
+//! The search ranges of the weights on a logarithmic scale, and the first pairs to try.
 
 use libm::{exp, log};
 use reveille_common::rng::{Purpose, Stream};
 
 use super::error::TuningError;
 
-/// μ1, the weight of misdetections, and μ2, that of information (Sec. V-B).
-pub type Pair = [f64; 2];
+/// μ1, the weight of misdetections, and μ2, the weight of information (Sec. V-B).
+pub type WeightPair = [f64; 2];
 
-/// The fewest pairs of a design: a surrogate of two variables needs them.
+/// The smallest number of pairs in a design: a surrogate of two variables needs them.
 pub const LEAST_DESIGN: usize = 3;
-/// The largest weight that a range may have.
+/// The largest weight in a range.
 const LARGEST: f64 = 1e6;
-/// Latin hypercubes among which that of the widest gaps is taken.
+/// The number of Latin hypercubes, of which the one with the widest gaps is used.
 const HYPERCUBES: u32 = 64;
-/// Pairs among which the one farthest from all others is taken.
+/// The number of random pairs, of which the one farthest from all others is used.
 const CANDIDATES: u32 = 256;
-/// Pairs at most so far apart, as a share of the ranges, count as the same.
+/// Distance, as a share of the ranges, up to which two pairs count as equal.
 const NEAR: f64 = 2e-3;
 
 /// The ranges of both weights.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ranges {
-    /// Least and largest μ1.
+    /// The smallest and largest μ1.
     pub mu1: (f64, f64),
-    /// Least and largest μ2.
+    /// The smallest and largest μ2.
     pub mu2: (f64, f64),
 }
 
 impl Ranges {
-    /// The ranges between these ends.
+    /// Creates ranges with these limits.
     ///
     /// # Errors
-    /// An end is not above 0 or too large, or the first is not below the second.
+    /// If a limit is not above 0 or is too large, or the first is not below the second.
     pub fn new(mu1: (f64, f64), mu2: (f64, f64)) -> Result<Self, TuningError> {
         for (what, (from, to)) in [("mu1", mu1), ("mu2", mu2)] {
             if !(from > 0.0 && from < to && to <= LARGEST) {
@@ -50,17 +50,18 @@ impl Ranges {
         [self.mu1, self.mu2]
     }
 
-    /// The pair at `place`, shares of the ranges' logarithms, `[0, 1]` each.
-    pub fn at(&self, place: [f64; 2]) -> Pair {
+    /// Returns the pair at `place`, given as shares of the ranges' logarithms, `[0, 1]` each.
+    pub fn at(&self, place: [f64; 2]) -> WeightPair {
         let ends = self.ends();
         [0, 1].map(|i| {
             let (from, to) = ends[i];
+            // `exp` of a logarithm may leave the range in its last bits.
             exp(log(from) + place[i] * (log(to) - log(from))).clamp(from, to)
         })
     }
 
-    /// Where `pair` is, as [`Self::at`] has it.
-    pub fn place(&self, pair: Pair) -> [f64; 2] {
+    /// Returns the place of `pair`, the inverse of [`Self::at`].
+    pub fn place(&self, pair: WeightPair) -> [f64; 2] {
         let ends = self.ends();
         [0, 1].map(|i| {
             let (from, to) = ends[i];
@@ -68,38 +69,39 @@ impl Ranges {
         })
     }
 
-    /// Whether `pair` lies in them.
-    pub fn hold(&self, pair: Pair) -> bool {
+    /// Returns whether `pair` lies in the ranges.
+    pub fn contains(&self, pair: WeightPair) -> bool {
         let ends = self.ends();
         [0, 1].iter().all(|&i| ends[i].0 <= pair[i] && pair[i] <= ends[i].1)
     }
 
-    /// `pair` to five digits, so that whoever types it trains the same tables.
-    pub fn rounded(&self, pair: Pair) -> Pair {
+    /// Rounds `pair` to five digits, so that typing it trains the same tables.
+    pub fn rounded(&self, pair: WeightPair) -> WeightPair {
         let ends = self.ends();
         [0, 1].map(|i| {
             let short: f64 = format!("{:.4e}", pair[i]).parse().unwrap_or(pair[i]);
+            // A limit with more than five digits may be rounded out of the range.
             short.clamp(ends[i].0, ends[i].1)
         })
     }
 
-    /// The distance to the closest of `others`, as a share of the ranges; infinite if there is none.
-    fn gap(&self, pair: Pair, others: &[Pair]) -> f64 {
+    /// Returns the distance to the closest of `others`, as a share of the ranges; infinite if `others` is empty.
+    fn gap(&self, pair: WeightPair, others: &[WeightPair]) -> f64 {
         let [x, y] = self.place(pair);
-        let distance = |other: &Pair| {
+        let distance = |other: &WeightPair| {
             let [u, v] = self.place(*other);
             ((x - u) * (x - u) + (y - v) * (y - v)).sqrt()
         };
         others.iter().map(distance).fold(f64::INFINITY, f64::min)
     }
 
-    /// Whether one of `others` is as good as the same.
-    pub fn is_near(&self, pair: Pair, others: &[Pair]) -> bool {
+    /// Returns whether one of `others` counts as equal to `pair`.
+    pub fn is_near(&self, pair: WeightPair, others: &[WeightPair]) -> bool {
         self.gap(pair, others) <= NEAR
     }
 
-    /// A pair far from all of `others`, drawn with `seed` for the point `number`.
-    pub fn farthest(&self, others: &[Pair], seed: u64, number: u64) -> Pair {
+    /// Returns a pair far from all of `others`, drawn with `seed` for the point `number`.
+    pub fn farthest(&self, others: &[WeightPair], seed: u64, number: u64) -> WeightPair {
         let mut stream = Stream::new(seed, Purpose::Tuning, number);
         let drawn = (0..CANDIDATES).map(|_| self.rounded(self.at([stream.unit(), stream.unit()])));
         let best = drawn.map(|pair| (self.gap(pair, others), pair));
@@ -108,9 +110,10 @@ impl Ranges {
     }
 }
 
-/// The pairs to try first: `start`, if `ranges` hold it, and a Latin hypercube, `count` in all.
-pub fn design(ranges: &Ranges, start: Pair, count: usize, seed: u64) -> Vec<Pair> {
-    let known: Vec<Pair> = Some(start).filter(|pair| ranges.hold(*pair)).into_iter().collect();
+/// Returns the first pairs to try: `start`, if `ranges` contain it, and a Latin hypercube, `count` in all.
+pub fn design(ranges: &Ranges, start: WeightPair, count: usize, seed: u64) -> Vec<WeightPair> {
+    let known: Vec<WeightPair> = Some(start).filter(|pair| ranges.contains(*pair)).into_iter().collect();
+    // `count` is at least `LEAST_DESIGN`, and at most one pair is known.
     let rest = count - known.len();
     let mut stream = Stream::new(seed, Purpose::Tuning, 0);
     let hypercubes = (0..HYPERCUBES).map(|_| {
@@ -127,7 +130,7 @@ pub fn design(ranges: &Ranges, start: Pair, count: usize, seed: u64) -> Vec<Pair
     widest.expect("there are hypercubes").1
 }
 
-/// Places of which no two share a row or a column of a grid with `count` of each.
+/// Draws places of which no two share a row or a column of a grid with `count` of each.
 fn hypercube(count: usize, stream: &mut Stream) -> Vec<[f64; 2]> {
     let (columns, mut rows): (Vec<usize>, Vec<usize>) = ((0..count).collect(), (0..count).collect());
     stream.shuffle(&mut rows);

@@ -1,13 +1,13 @@
-//! Tunings of cheap things, and what is left of them when they are cut short.
+//! Short tunings, and their state after an interruption.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use reveille_bs::policy::q_learning::learned::Training;
+use reveille_bs::policy::q_learning::learned::QTrainingConfig;
 use reveille_bs::scenario::{Override, Scenario, load};
 use reveille_common::score::Metrics;
 
-use super::plan::pool;
+use super::plan::{evaluation_seed, pool};
 use super::*;
 use crate::preparation::run;
 
@@ -19,16 +19,16 @@ fn scenario(overrides: &[&str]) -> Scenario {
         "policy.q-learning.table=nothing",
     ];
     let overrides: Vec<Override> = base.iter().chain(overrides).map(parse).collect();
-    load("paper", &overrides).expect("a scenario")
+    load("paper", &overrides).expect("a scenario").scenario
 }
 
-fn plan() -> Plan {
-    Plan {
+fn plan() -> TuningPlan {
+    TuningPlan {
         scenario: scenario(&["devices=12"]),
         ranges: Ranges::new((0.5, 20.0), (1.0, 5.0)).expect("ranges"),
-        objective: Objective::Balance { energy: 1.0, miss: 1.0 },
+        objective: TuningObjective::Balance { energy: 1.0, miss: 1.0 },
         design: 3,
-        training: Training {
+        training: QTrainingConfig {
             episodes: 2,
             ttis: 100,
             epsilon: (0.1, 0.0),
@@ -61,22 +61,22 @@ impl Drop for File {
     }
 }
 
-/// Proposes what depends on all points: between the best and the last.
+/// A proposer that depends on all points: it proposes a pair between the best and the last one.
 struct Between;
 
 impl Proposer for Between {
-    fn propose(&self, ranges: &Ranges, points: &[(Pair, f64)]) -> Result<Pair, TuningError> {
+    fn propose(&self, ranges: &Ranges, points: &[(WeightPair, f64)]) -> Result<WeightPair, TuningError> {
         let best = points.iter().max_by(|a, b| a.1.total_cmp(&b.1)).expect("points").0;
         let (a, b) = (ranges.place(best), ranges.place(points[points.len() - 1].0));
         Ok(ranges.at([0.6 * a[0] + 0.4 * b[0], 0.5 * a[1] + 0.5 * b[1]]))
     }
 }
 
-/// Stops in the point of this number.
+/// Stops in the point with this number.
 struct StopIn(usize, AtomicUsize);
 
 impl TuningProgress for StopIn {
-    fn begun(&self, number: usize, _: Pair) {
+    fn begun(&self, number: usize, _: WeightPair) {
         self.1.store(number, Ordering::Relaxed);
     }
 
@@ -125,12 +125,12 @@ fn a_design_has_the_start_and_fills_the_ranges() {
     }
     let without = design(&ranges, [100.0, 1.6], 6, 1);
     assert_eq!(without.len(), 6);
-    assert!(without.iter().all(|pair| ranges.hold(*pair)));
+    assert!(without.iter().all(|pair| ranges.contains(*pair)));
 }
 
 #[test]
 fn plans_out_of_range_are_refused() {
-    let refused = |change: &dyn Fn(&mut Plan), part: &str| {
+    let refused = |change: &dyn Fn(&mut TuningPlan), part: &str| {
         let mut plan = plan();
         change(&mut plan);
         let error = plan.check().expect_err(part).to_string();
@@ -138,9 +138,9 @@ fn plans_out_of_range_are_refused() {
     };
     assert!(plan().check().is_ok());
     refused(&|p| p.design = 2, "design");
-    let many = |p: &mut Plan| p.scenario = scenario(&["devices=1000000", "energy.e_max=10000", "ttis=100"]);
-    let long = |of: fn(&mut Plan)| {
-        move |p: &mut Plan| {
+    let many = |p: &mut TuningPlan| p.scenario = scenario(&["devices=1000000", "energy.e_max=10000", "ttis=100"]);
+    let long = |of: fn(&mut TuningPlan)| {
+        move |p: &mut TuningPlan| {
             many(p);
             of(p);
         }
@@ -154,12 +154,12 @@ fn plans_out_of_range_are_refused() {
     refused(&|p| p.ttis = 3, "ttis");
     refused(&|p| p.training.episodes = 0, "episodes");
     refused(
-        &|p| p.scenario = load("paper", &[]).expect("a preset"),
+        &|p| p.scenario = load("paper", &[]).expect("a preset").scenario,
         "only q-learning",
     );
     refused(
         &|p| {
-            p.objective = Objective::Balance {
+            p.objective = TuningObjective::Balance {
                 energy: f64::NAN,
                 miss: 1.0,
             };
@@ -175,22 +175,22 @@ fn an_objective_is_what_it_says() {
         (run(&scenario), scenario)
     };
     let metrics: &Metrics = &outcome.metrics;
-    let of = |objective: Objective| objective.of(metrics, scenario.events.alpha, 30);
-    // From the totals, not from the metrics.
+    let of = |objective: TuningObjective| objective.of(metrics, scenario.events.alpha, 30);
+    // From the totals instead of the metrics.
     let totals = &outcome.totals;
     let events = totals.events.events as f64;
     let information = totals.events.information_pico as f64 / 1e12;
     let spent = totals.energy.spent.total().units();
-    // The objective of P1: all 2000 TTIs are measured, and an event is expected in α of them.
+    // The objective of P1: all 2000 TTIs are measured, with α expected events each.
     let expected = scenario.events.alpha * 2000.0;
-    assert!((of(Objective::Information) - information / expected).abs() < 1e-12);
+    assert!((of(TuningObjective::Information) - information / expected).abs() < 1e-12);
     assert!((expected - events).abs() > 10.0, "or it might be per event");
-    assert!((of(Objective::Efficiency) - information / spent).abs() < 1e-9 * information / spent);
+    assert!((of(TuningObjective::Efficiency) - information / spent).abs() < 1e-9 * information / spent);
     let missed = totals.events.misdetected as f64 / events;
     let balance = information / expected - 0.5 * spent / (30.0 * 2000.0) - 2.0 * missed;
-    assert!((of(Objective::Balance { energy: 0.5, miss: 2.0 }) - balance).abs() < 1e-12);
+    assert!((of(TuningObjective::Balance { energy: 0.5, miss: 2.0 }) - balance).abs() < 1e-12);
     assert!(missed > 0.0, "or the last term says nothing");
-    assert!(Objective::Information.of(&Metrics::default(), 0.1, 30).is_nan());
+    assert!(TuningObjective::Information.of(&Metrics::default(), 0.1, 30).is_nan());
 }
 
 #[test]
@@ -202,7 +202,7 @@ fn no_evaluation_has_a_seed_of_a_training() {
                 .wrapping_add(seed.wrapping_mul(0x1_0000_0001))
                 .wrapping_add(n << 20)
                 .wrapping_add(episode);
-            // Neither reaches the other, whatever the index.
+            // The two ranges of seeds do not overlap for any index.
             assert!(training.wrapping_sub(first) > 10_000_000_000);
             assert!(first.wrapping_sub(training) > 10_000_000_000);
         }
@@ -212,7 +212,7 @@ fn no_evaluation_has_a_seed_of_a_training() {
 #[test]
 fn a_pair_comes_to_the_same_twice_and_with_any_number_of_threads() {
     let plan = plan();
-    let evaluate = |weights: Pair, threads: usize| {
+    let evaluate = |weights: WeightPair, threads: usize| {
         let pool = pool(threads).expect("threads");
         let found = plan.evaluate(weights, &pool, &()).expect("evaluated");
         found.expect("nobody stops it")
@@ -228,7 +228,7 @@ fn a_pair_comes_to_the_same_twice_and_with_any_number_of_threads() {
 
 #[test]
 fn a_tuning_without_events_says_so() {
-    let plan = Plan {
+    let plan = TuningPlan {
         ttis: 10,
         runs: 1,
         scenario: scenario(&["devices=12", "events.alpha=0.000001"]),
@@ -249,7 +249,7 @@ fn a_tuning_that_is_cut_short_comes_to_the_same_end() {
         let ended = part.run(3, 2, &Between, &StopIn(stop, AtomicUsize::new(0)));
         assert!(!ended.expect("run"), "stopped in point {stop}");
         assert_eq!(part.history().points.len(), stop);
-        // Somebody tears the file: the point under way is lost, those before are not.
+        // A torn file: the point in progress is lost, the points before it are not.
         std::fs::write(&cut.0, cut.text() + &format!("{stop},1.5,2.")).expect("writable");
     }
     let mut rest = Tuner::open(plan(), &cut.0, false).expect("found");
@@ -265,7 +265,7 @@ fn the_history_of_another_tuning_is_refused() {
     let file = File::new("foreign");
     let mut tuner = Tuner::open(plan(), &file.0, false).expect("new");
     assert!(tuner.run(0, 1, &Between, &()).expect("run"));
-    let refused = |change: &dyn Fn(&mut Plan), part: &str| {
+    let refused = |change: &dyn Fn(&mut TuningPlan), part: &str| {
         let mut plan = plan();
         change(&mut plan);
         match Tuner::open(plan, &file.0, false) {
@@ -281,7 +281,7 @@ fn the_history_of_another_tuning_is_refused() {
         &|p| p.scenario = scenario(&["devices=12", "harvest.lambda=0.2"]),
         "scenario",
     );
-    refused(&|p| p.objective = Objective::Information, "objective");
+    refused(&|p| p.objective = TuningObjective::Information, "objective");
     refused(&|p| p.ranges.mu2 = (1.0, 6.0), "mu2");
     refused(&|p| p.runs = 4, "evaluation");
     refused(&|p| p.training.ttis = 101, "training");
@@ -305,7 +305,7 @@ fn a_history_is_read_as_it_was_written() {
     };
     let mut history = History::new(vec![("mu1".to_owned(), "0.5 to 20".to_owned())]);
     for weights in [[2.0 / 3.0, 1.0], [20.0, 4.999_999_999_999_999]] {
-        history.points.push(Point { weights, evaluation });
+        history.points.push(TuningPoint { weights, evaluation });
     }
     let text = history.to_csv();
     let (read, torn) = History::parse(&text).expect("ours");
@@ -340,7 +340,7 @@ fn the_best_come_first_and_of_equals_the_earlier() {
             energy: 0.0,
             wake_ups: 0.0,
         };
-        history.points.push(Point {
+        history.points.push(TuningPoint {
             weights: [1.0, 1.0],
             evaluation,
         });
@@ -354,15 +354,15 @@ mod optimiser {
     use super::*;
 
     /// A hill with its top at μ1 = 6, μ2 = 2.
-    fn hill([mu1, mu2]: Pair) -> f64 {
+    fn hill([mu1, mu2]: WeightPair) -> f64 {
         let (x, y) = (libm::log(mu1 / 6.0), libm::log(mu2 / 2.0));
         0.4 - 0.05 * x * x - 0.3 * y * y - 0.03 * x * y
     }
 
-    fn climb(seed: u64, iterations: usize) -> Vec<(Pair, f64)> {
+    fn climb(seed: u64, iterations: usize) -> Vec<(WeightPair, f64)> {
         let ranges = plan().ranges;
-        let value = |pair: Pair| (pair, hill(pair));
-        let mut points: Vec<(Pair, f64)> = design(&ranges, [14.0, 1.6], 6, seed).into_iter().map(value).collect();
+        let value = |pair: WeightPair| (pair, hill(pair));
+        let mut points: Vec<(WeightPair, f64)> = design(&ranges, [14.0, 1.6], 6, seed).into_iter().map(value).collect();
         for _ in 0..iterations {
             let next = Bayes { seed }.propose(&ranges, &points).expect("a proposal");
             points.push(value(next));
@@ -370,8 +370,8 @@ mod optimiser {
         points
     }
 
-    /// Within ten proposals it comes within 2 % of the hill's height below the top, which at random takes hundreds:
-    /// such places are less than 1 % of the ranges.
+    /// Within ten proposals the optimiser gets within 2 % of the hill's height below the top. At random this takes
+    /// hundreds: such pairs are less than 1 % of the ranges.
     #[test]
     fn it_finds_the_top_of_a_hill() {
         for seed in [1, 2, 3] {
@@ -384,7 +384,8 @@ mod optimiser {
     #[test]
     fn it_proposes_the_same_twice_and_in_any_pool() {
         let once = climb(1, 3);
-        let bits = |points: &[(Pair, f64)]| -> Vec<[u64; 2]> { points.iter().map(|p| p.0.map(f64::to_bits)).collect() };
+        let bits =
+            |points: &[(WeightPair, f64)]| -> Vec<[u64; 2]> { points.iter().map(|p| p.0.map(f64::to_bits)).collect() };
         assert_eq!(bits(&once), bits(&climb(1, 3)));
         let many = pool(3).expect("threads").install(|| climb(1, 3));
         assert_eq!(bits(&once), bits(&many));
@@ -404,7 +405,7 @@ mod optimiser {
                 energy: 0.0,
                 wake_ups: 0.0,
             };
-            history.points.push(Point { weights, evaluation });
+            history.points.push(TuningPoint { weights, evaluation });
         }
         let surface = surface(&ranges, &history).expect("a surface");
         assert_eq!((surface.rows.len(), surface.rows[0].len()), (40, 40));

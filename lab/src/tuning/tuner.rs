@@ -2,30 +2,31 @@
 
 use std::path::{Path, PathBuf};
 
+use super::Proposer;
 use super::error::TuningError;
-use super::evaluation::Point;
+use super::evaluation::TuningPoint;
 use super::history::History;
-use super::plan::{Plan, TuningProgress, pool};
-use super::proposer::Proposer;
-use super::ranges::Pair;
+use super::plan::{TuningPlan, TuningProgress, pool};
+use super::ranges::WeightPair;
+use crate::io::{read, replace};
 
-/// A tuning, ready to begin or to go on.
+/// A tuning that can start or resume.
 #[derive(Debug)]
 pub struct Tuner {
-    plan: Plan,
+    plan: TuningPlan,
     path: PathBuf,
     history: History,
-    design: Vec<Pair>,
+    design: Vec<WeightPair>,
     torn: bool,
 }
 
 impl Tuner {
-    /// The tuning of `plan` whose history is the file at `path`. What is in that file already is not evaluated again;
-    /// with `force` it is left out.
+    /// Opens the tuning of `plan` with the history file at `path`. Points in that file are not evaluated again; `force`
+    /// ignores the file.
     ///
     /// # Errors
-    /// The file is no history, or that of another tuning.
-    pub fn open(plan: Plan, path: &Path, force: bool) -> Result<Self, TuningError> {
+    /// If the file is not a history, or belongs to another tuning.
+    pub fn open(plan: TuningPlan, path: &Path, force: bool) -> Result<Self, TuningError> {
         let design = plan.design();
         let header = plan.header();
         let is_new = force || !path.exists();
@@ -56,26 +57,26 @@ impl Tuner {
         &self.history
     }
 
-    /// What is tuned.
-    pub const fn plan(&self) -> &Plan {
+    /// The plan of the tuning.
+    pub const fn plan(&self) -> &TuningPlan {
         &self.plan
     }
 
-    /// Whether the file ended in half a line, which was left out.
+    /// Whether the file ended in an incomplete line, which was dropped.
     pub const fn torn(&self) -> bool {
         self.torn
     }
 
-    /// Pairs still to be evaluated with `iterations` after those of the design.
+    /// The number of pairs to evaluate, with `iterations` pairs after the design.
     pub fn left(&self, iterations: usize) -> usize {
         (self.design.len() + iterations).saturating_sub(self.history.points.len())
     }
 
-    /// Evaluates the design and `iterations` pairs more, on `threads` threads, and writes the history after each. Says
-    /// whether it got there: the observer may have stopped it.
+    /// Evaluates the design and `iterations` more pairs on `threads` threads, and writes the history after each.
+    /// Returns `false` if the observer has stopped it.
     ///
     /// # Errors
-    /// A pair cannot be evaluated or proposed, or the history cannot be written.
+    /// If a pair cannot be evaluated or proposed, or the history cannot be written.
     pub fn run(
         &mut self,
         iterations: usize,
@@ -90,31 +91,63 @@ impl Tuner {
             let Some(evaluation) = self.plan.evaluate(weights, &pool, observer)? else {
                 return Ok(false);
             };
-            let point = Point { weights, evaluation };
+            let point = TuningPoint { weights, evaluation };
             self.history.points.push(point);
+            // After each point: a killed tuning only loses the point in progress.
             self.history.write(&self.path)?;
             observer.point(&point);
         }
         Ok(true)
     }
 
-    /// The pair after those of the history. One that was tried already would tell nothing new: then it is one far from
-    /// all.
-    fn next(&self, proposer: &impl Proposer) -> Result<Pair, TuningError> {
+    /// Returns the next pair. If the proposal repeats a known pair, it returns a pair far from all others instead.
+    fn next(&self, proposer: &impl Proposer) -> Result<WeightPair, TuningError> {
         let number = self.history.points.len();
         if let Some(pair) = self.design.get(number) {
             return Ok(*pair);
         }
         let (ranges, points) = (&self.plan.ranges, self.history.objectives());
         let values = points.iter().map(|(_, value)| *value);
+        // Equal objectives give no direction for better ones.
         let is_flat = values.clone().fold(f64::INFINITY, f64::min) >= values.fold(f64::NEG_INFINITY, f64::max);
-        let tried: Vec<Pair> = points.iter().map(|(pair, _)| *pair).collect();
+        let tried: Vec<WeightPair> = points.iter().map(|(pair, _)| *pair).collect();
         if !is_flat {
             let proposed = ranges.rounded(proposer.propose(ranges, &points)?);
             if !ranges.is_near(proposed, &tried) {
                 return Ok(proposed);
             }
         }
-        Ok(ranges.farthest(&tried, self.plan.scenario.seed, number as u64))
+        Ok(ranges.farthest(&tried, self.plan.scenario.run.seed, number as u64))
+    }
+}
+
+impl History {
+    /// Reads the history in the file at `path`. Also returns whether an incomplete last line was dropped.
+    ///
+    /// # Errors
+    /// If the file cannot be read or is not a history.
+    pub fn read(path: &Path) -> Result<(Self, bool), TuningError> {
+        let bytes = read(path).map_err(|error| TuningError::Read {
+            path: path.to_owned(),
+            error,
+        })?;
+        let parsed = String::from_utf8(bytes).map_err(|_| "it is not UTF-8 text".to_owned());
+        parsed
+            .and_then(|text| Self::parse(&text))
+            .map_err(|why| TuningError::NotOurs {
+                path: path.to_owned(),
+                why,
+            })
+    }
+
+    /// Writes the history to the file at `path`, in one step.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn write(&self, path: &Path) -> Result<(), TuningError> {
+        replace(path, self.to_csv().as_bytes()).map_err(|error| TuningError::Write {
+            path: path.to_owned(),
+            error,
+        })
     }
 }

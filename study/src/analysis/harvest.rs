@@ -1,55 +1,56 @@
-//! Harvest and net energy against λ (Sec. VI-B, Figs. 13 and 14): the closed form beside runs of the machines.
+//! Harvest and net energy against λ (Sec. VI-B, Figs. 13 and 14): the closed form, and runs of the device machines.
 //!
-//! The paper holds the consumption of a policy fixed, "as shown in Fig. 8", and calls the harvest less that consumption
-//! the net energy. [`positive_net`] does the same. A run cannot: a device spends no more than it has harvested, so its
-//! own harvest less its own spending ([`Point::net`]) is the overflow of full batteries and what the initial charge
-//! adds or takes, never a lasting deficit. [`demand`] is what a policy would spend if no battery were ever short.
+//! The paper holds the consumption of a policy fixed, "as shown in Fig. 8", and calls the harvest minus that
+//! consumption the net energy. [`positive_net`] does the same. A run cannot, because a device spends no more than it
+//! has harvested. Its harvest minus its spending ([`HarvestPoint::net`]) is therefore never a lasting deficit. It
+//! consists of the overflow of full batteries and the change from the initial charge. [`demand`] is the spending of a
+//! policy if no battery were ever short.
 
+use reveille_bs::scenario::Scenario;
 use reveille_common::harvest::{Arrivals, HarvestKind};
-use reveille_common::scenario::{Harvest, Scenario};
+use reveille_common::scenario::Harvest;
 use reveille_common::units::Energy;
-
-use super::AnalysisError;
-use super::runs::{check_seeds, over_seeds};
-use crate::claims::{Contradiction, FIG_8, FIG_13, FIG_14, Place};
 use reveille_lab::preparation::run;
 use reveille_lab::stats::Estimate;
 
-/// The largest λ that can be studied.
+use super::{AnalysisError, check_seeds, over_seeds};
+use crate::claims::{Citation, Contradiction, FIG_8, FIG_13, FIG_14};
+
+/// Largest valid λ.
 const LARGEST_LAMBDA: f64 = 1000.0;
-/// Halvings of an interval that hold a root; double precision needs no more.
+/// Halvings of an interval that contains a root; double precision needs no more.
 const HALVINGS: u32 = 200;
 
-/// How the paper's λ is turned into the probability of an arrival.
+/// Reading of the paper's λ as a probability of an arrival.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Reading {
+pub enum LambdaReading {
     /// λτ·exp(-λτ), Eq. (5).
     Eq5,
     /// exp(-λ), the text of Sec. III-B.
     ExpMinusLambda,
 }
 
-impl Reading {
-    /// Both.
+impl LambdaReading {
+    /// Both readings.
     pub const ALL: [Self; 2] = [Self::Eq5, Self::ExpMinusLambda];
 
-    /// The kind of harvest that reads λ so.
+    /// Returns the kind of harvest with this reading of λ.
     pub fn kind(self) -> HarvestKind {
         self.source(0.0, Energy::ZERO).kind()
     }
 
-    /// Its name, as in `harvest.kind` of a scenario.
+    /// Name of the reading, as in `harvest.kind` of a scenario.
     pub fn name(self) -> &'static str {
         self.kind().name()
     }
 
-    /// The probability of an arrival in a TTI of duration `tau`, `[0, 1]`.
+    /// Computes the probability of an arrival in a TTI of duration `tau`, `[0, 1]`.
     pub fn probability(self, lambda: f64, tau: f64) -> f64 {
         let independent = self.source(lambda, Energy::ZERO).independent_probability(tau);
         independent.expect("its arrivals do not depend on each other")
     }
 
-    /// The energy source that it means.
+    /// Returns the energy source with this reading.
     pub const fn source(self, lambda: f64, e_b: Energy) -> Harvest {
         match self {
             Self::Eq5 => Harvest::Eq5(Arrivals { lambda, e_b }),
@@ -58,13 +59,13 @@ impl Reading {
     }
 }
 
-/// What to study.
+/// Parameters of a harvest study.
 #[derive(Clone, Debug)]
-pub struct Study {
-    /// Everything but the energy source, which is replaced in all device classes; its seed is the first.
+pub struct HarvestStudy {
+    /// Scenario whose energy source is replaced in all device classes; its seed is the first.
     pub scenario: Scenario,
-    /// The readings.
-    pub readings: Vec<Reading>,
+    /// Readings of λ.
+    pub readings: Vec<LambdaReading>,
     /// Values of λ, `0 ..= 1000`.
     pub lambdas: Vec<f64>,
     /// Values of E_B, > 0 (the paper's figures: 1, 5 and 10 units).
@@ -75,28 +76,28 @@ pub struct Study {
 
 /// One point of Figs. 13 and 14. All energies are units per device and TTI.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Point {
-    /// How λ was read.
-    pub reading: Reading,
-    /// λ.
+pub struct HarvestPoint {
+    /// Reading of λ.
+    pub reading: LambdaReading,
+    /// λ of the point.
     pub lambda: f64,
     /// E_B, units.
     pub e_b: f64,
     /// Mean harvest E_B · Pr(arrival).
     pub closed_form: f64,
-    /// Harvest of the runs, overflow included.
+    /// Harvest in the runs, overflow included.
     pub harvested: Estimate,
-    /// What the runs spent.
+    /// Spending in the runs.
     pub spent: Estimate,
-    /// Harvested less spent, run by run.
+    /// Harvest minus spending, run by run.
     pub net: Estimate,
 }
 
-/// The points of `study`: by reading, then E_B, then λ.
+/// Measures the points of `study`: by reading, then E_B, then λ.
 ///
 /// # Errors
 /// If a list is empty or a value out of its range.
-pub fn measure(study: &Study) -> Result<Vec<Point>, AnalysisError> {
+pub fn measure(study: &HarvestStudy) -> Result<Vec<HarvestPoint>, AnalysisError> {
     study.check()?;
     let mut points = Vec::new();
     for &reading in &study.readings {
@@ -107,7 +108,7 @@ pub fn measure(study: &Study) -> Result<Vec<Point>, AnalysisError> {
     Ok(points)
 }
 
-impl Study {
+impl HarvestStudy {
     fn check(&self) -> Result<(), AnalysisError> {
         let empty = |what, example| Err(AnalysisError::Empty { what, example });
         if self.readings.is_empty() {
@@ -133,14 +134,14 @@ impl Study {
         check_seeds(self.seeds)
     }
 
-    fn point(&self, reading: Reading, lambda: f64, e_b: Energy) -> Point {
+    fn point(&self, reading: LambdaReading, lambda: f64, e_b: Energy) -> HarvestPoint {
         let scenario = with_source(&self.scenario, &reading.source(lambda, e_b));
         let metrics = over_seeds(&scenario, self.seeds, |one| run(one).metrics);
-        Point {
+        HarvestPoint {
             reading,
             lambda,
             e_b: e_b.units(),
-            closed_form: e_b.units() * reading.probability(lambda, scenario.tau),
+            closed_form: e_b.units() * reading.probability(lambda, scenario.run.tau),
             harvested: Estimate::over(metrics.iter().map(|m| m.harvested_per_device_tti)),
             spent: Estimate::over(metrics.iter().map(|m| m.energy_per_device_tti)),
             net: Estimate::over(metrics.iter().map(|m| m.net_per_device_tti)),
@@ -148,7 +149,7 @@ impl Study {
     }
 }
 
-/// Units that `scenario` spends per device and TTI with its own energy source: the consumption of Fig. 8.
+/// Measures the units that `scenario` spends per device and TTI with its own energy source: the consumption of Fig. 8.
 ///
 /// # Errors
 /// If `seeds` is 0.
@@ -159,7 +160,7 @@ pub fn consumption(scenario: &Scenario, seeds: u64) -> Result<Estimate, Analysis
     })))
 }
 
-/// Units that `scenario` would spend per device and TTI if every battery were full at the start of every TTI.
+/// Measures the units that `scenario` would spend per device and TTI with every battery full at the start of every TTI.
 ///
 /// # Errors
 /// If `seeds` is 0.
@@ -167,25 +168,26 @@ pub fn demand(scenario: &Scenario, seeds: u64) -> Result<Estimate, AnalysisError
     let mut abundant = scenario.clone();
     for class in &mut abundant.classes {
         // exp(-0) = 1: an arrival in every TTI.
-        class.harvest = Reading::ExpMinusLambda.source(0.0, class.energy.e_max);
+        class.harvest = LambdaReading::ExpMinusLambda.source(0.0, class.energy.e_max);
     }
     consumption(&abundant, seeds)
 }
 
-/// The λ, from and to, between which a mean harvest of E_B · Pr(arrival) is above a fixed consumption `spent`, units
-/// per TTI: Fig. 14's net energy is positive there. `None` where no λ gives that much. Under Eq. (5) the harvest rises
-/// up to λ = 1/τ and falls beyond; under exp(-λ) it only falls, so the range begins at 0. `e_b` and `spent` are above
-/// 0.
-pub fn positive_net(reading: Reading, e_b: f64, spent: f64, tau: f64) -> Option<(f64, f64)> {
+/// Computes the range of λ in which the mean harvest E_B · Pr(arrival) exceeds a fixed consumption `spent`, units per
+/// TTI. Fig. 14's net energy is positive there. `None` if no λ gives that much. Under Eq. (5) the harvest rises up to λ
+/// = 1/τ and falls beyond. Under exp(-λ) it only falls, so the range begins at 0. `e_b` and `spent` are above 0.
+pub fn positive_net(reading: LambdaReading, e_b: f64, spent: f64, tau: f64) -> Option<(f64, f64)> {
     let net = |lambda: f64| e_b * reading.probability(lambda, tau) - spent;
     let best = match reading {
-        Reading::Eq5 => 1.0 / tau,
-        Reading::ExpMinusLambda => 0.0,
+        LambdaReading::Eq5 => 1.0 / tau,
+        LambdaReading::ExpMinusLambda => 0.0,
     };
     if net(best) <= 0.0 {
         return None;
     }
     let from = if best > 0.0 { root(&net, 0.0, best) } else { 0.0 };
+    // The start must be above 0 even if the best λ is 0; otherwise doubling would not end. It ends because the harvest
+    // tends to 0.
     let mut beyond = best.max(1.0 / tau);
     while net(beyond) > 0.0 {
         beyond *= 2.0;
@@ -193,41 +195,41 @@ pub fn positive_net(reading: Reading, e_b: f64, spent: f64, tau: f64) -> Option<
     Some((from, root(&net, best, beyond)))
 }
 
-/// A λ that the paper states, and whose consumption it belongs to.
+/// A λ that the paper states, and the policy whose consumption it belongs to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StatedEnd {
     /// λ, per TTI.
     pub lambda: f64,
-    /// The policy.
+    /// Policy.
     pub policy: &'static str,
 }
 
-/// The paper's statements of where the net energy turns positive.
+/// A statement of the paper on the λ at which the net energy turns positive.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Stated {
-    /// N.
+pub struct StatedThreshold {
+    /// Number of devices N.
     pub devices: u32,
     /// E_B, units.
     pub e_b: f64,
-    /// For the policy that spends least, as the paper has it.
+    /// λ for the policy with the least consumption, according to the paper.
     pub least: StatedEnd,
-    /// For the policy that spends most; `None` where only one λ is stated.
+    /// λ for the policy with the most consumption; `None` if the paper states only one λ.
     pub most: Option<StatedEnd>,
-    /// The figure.
+    /// Figure of the paper.
     pub source: &'static str,
-    /// The sentence.
-    pub place: Place,
-    /// What it contradicts.
+    /// Sentence of the statement.
+    pub place: Citation,
+    /// Contradiction with another statement, if any.
     pub contradicts: Option<Contradiction>,
 }
 
-/// All of them: the text on Fig. 13 (N = 10, 250) and on Fig. 14 (N = 100), which name the policies at both ends.
+/// All statements: the text on Fig. 13 (N = 10, 250) and on Fig. 14 (N = 100), which name the policies at both ends.
 ///
-/// A single λ is read as that of the policy that spends least: the text has it as what λ "could be as low as", and at
-/// N = 10 it stands for 0.41 to 0.48 units, next to the 0.34 of `random` and far from the 0.83 at the upper end. For
-/// E_B of 5 and 10 the text on Fig. 14 has the lower λ first and calls it that of the upper bound; read the other way
-/// round.
-pub const STATED: [Stated; 9] = {
+/// A single λ is assigned to the policy that spends least, because the text says that λ "could be as low as" it. At N =
+/// 10 it stands for 0.41 to 0.48 units. That is close to the 0.34 of `random` and far from the 0.83 at the upper end.
+/// For E_B of 5 and 10 the text on Fig. 14 names the lower λ first and calls it the upper bound; it is read the other
+/// way round.
+pub const STATED: [StatedThreshold; 9] = {
     type Ends = (&'static str, &'static str);
     const FEW: Ends = ("random", "q-learning");
     const SOME: Ends = ("random", "adjusted");
@@ -242,8 +244,15 @@ pub const STATED: [Stated; 9] = {
         why: "One consumption belongs to all three E_B. Under Eq. (5) these λ stand for 0.18 and 0.26 units, those of \
             E_B = 5 and 10 for 0.22 to 0.25 and 0.44 to 0.46. A harvest of λ·E_B would bring them closer.",
     };
-    const fn both(devices: u32, (least, most): Ends, e_b: f64, low: f64, high: f64, place: Place) -> Stated {
-        Stated {
+    const fn both(
+        devices: u32,
+        (least, most): Ends,
+        e_b: f64,
+        low: f64,
+        high: f64,
+        place: Citation,
+    ) -> StatedThreshold {
+        StatedThreshold {
             most: Some(StatedEnd {
                 lambda: high,
                 policy: most,
@@ -251,8 +260,8 @@ pub const STATED: [Stated; 9] = {
             ..one(devices, (least, most), e_b, low, place)
         }
     }
-    const fn one(devices: u32, (policy, _): Ends, e_b: f64, lambda: f64, place: Place) -> Stated {
-        Stated {
+    const fn one(devices: u32, (policy, _): Ends, e_b: f64, lambda: f64, place: Citation) -> StatedThreshold {
+        StatedThreshold {
             devices,
             e_b,
             least: StatedEnd { lambda, policy },
@@ -262,8 +271,8 @@ pub const STATED: [Stated; 9] = {
             contradicts: None,
         }
     }
-    const fn against(stated: Stated, contradiction: Contradiction) -> Stated {
-        Stated {
+    const fn against(stated: StatedThreshold, contradiction: Contradiction) -> StatedThreshold {
+        StatedThreshold {
             contradicts: Some(contradiction),
             ..stated
         }
@@ -281,14 +290,14 @@ pub const STATED: [Stated; 9] = {
     ]
 };
 
-impl Stated {
-    /// Its ends: least, then most.
+impl StatedThreshold {
+    /// Iterates over the stated ends: least, then most.
     pub fn ends(&self) -> impl Iterator<Item = StatedEnd> {
         std::iter::once(self.least).chain(self.most)
     }
 }
 
-/// `scenario` with `source` in all device classes.
+/// Returns `scenario` with `source` in all device classes.
 fn with_source(scenario: &Scenario, source: &Harvest) -> Scenario {
     let mut changed = scenario.clone();
     for class in &mut changed.classes {
@@ -297,8 +306,9 @@ fn with_source(scenario: &Scenario, source: &Harvest) -> Scenario {
     changed
 }
 
-/// Where `f` changes its sign between `a` and `b`, by halving.
+/// Finds the sign change of `f` between `a` and `b` by halving.
 fn root(f: &impl Fn(f64) -> f64, mut a: f64, mut b: f64) -> f64 {
+    // The net energy rises up to the best λ and falls beyond it; both of its roots are sought here.
     let rises = f(b) > f(a);
     for _ in 0..HALVINGS {
         let middle = f64::midpoint(a, b);
@@ -320,17 +330,17 @@ mod tests {
     fn scenario(overrides: &[&str]) -> Scenario {
         let parse = |text: &&str| Override::parse(text).expect("an override");
         let overrides: Vec<Override> = overrides.iter().map(parse).collect();
-        load("paper", &overrides).expect("a scenario")
+        load("paper", &overrides).expect("a scenario").scenario
     }
 
     fn units(units: f64) -> Energy {
         Energy::from_units(units).expect("in range")
     }
 
-    fn study(lambdas: &[f64], e_b: &[f64]) -> Study {
-        Study {
+    fn study(lambdas: &[f64], e_b: &[f64]) -> HarvestStudy {
+        HarvestStudy {
             scenario: scenario(&["devices=40", "ttis=2000", "policy.name=random"]),
-            readings: Reading::ALL.to_vec(),
+            readings: LambdaReading::ALL.to_vec(),
             lambdas: lambdas.to_vec(),
             e_b: e_b.iter().map(|&e| units(e)).collect(),
             seeds: 6,
@@ -342,7 +352,7 @@ mod tests {
         let points = measure(&study(&[0.0, 0.05, 1.0, 3.0], &[1.0, 10.0])).expect("a study");
         assert_eq!(points.len(), 16);
         for point in points {
-            // Of the 40 · 1800 · 6 trials, arrivals have the spread of a binomial.
+            // Arrivals in the 40 · 1800 · 6 trials have a binomial spread.
             let p = point.closed_form / point.e_b;
             let spread = point.e_b * (p * (1.0 - p) / (40.0 * 1800.0 * 6.0)).sqrt();
             let off = (point.harvested.mean - point.closed_form).abs();
@@ -355,25 +365,25 @@ mod tests {
     #[test]
     fn the_probability_is_the_printed_one() {
         // exp(-1/2) and exp(-1/4) from a printed table.
-        assert!((Reading::Eq5.probability(0.25, 2.0) - 0.5 * 0.606_530_659_7).abs() < 1e-10);
-        assert!((Reading::ExpMinusLambda.probability(0.25, 2.0) - 0.778_800_783_1).abs() < 1e-10);
+        assert!((LambdaReading::Eq5.probability(0.25, 2.0) - 0.5 * 0.606_530_659_7).abs() < 1e-10);
+        assert!((LambdaReading::ExpMinusLambda.probability(0.25, 2.0) - 0.778_800_783_1).abs() < 1e-10);
     }
 
     #[test]
     fn net_energy_is_positive_between_two_lambdas() {
-        // Eq. (5) at its top, λ = 1, gives E_B / e.
+        // The maximum of Eq. (5), at λ = 1, gives E_B / e.
         let e = std::f64::consts::E;
-        assert_eq!(positive_net(Reading::Eq5, 1.0, 1.0 / e + 1e-9, 1.0), None);
+        assert_eq!(positive_net(LambdaReading::Eq5, 1.0, 1.0 / e + 1e-9, 1.0), None);
         for (e_b, spent, tau) in [(1.0, 0.2, 1.0), (5.0, 0.25, 1.0), (10.0, 3.0, 0.5)] {
-            let (from, to) = positive_net(Reading::Eq5, e_b, spent, tau).expect("a range");
+            let (from, to) = positive_net(LambdaReading::Eq5, e_b, spent, tau).expect("a range");
             assert!(from < 1.0 / tau && to > 1.0 / tau, "{from} {to}");
             for edge in [from, to] {
-                assert!((e_b * Reading::Eq5.probability(edge, tau) - spent).abs() < 1e-9);
+                assert!((e_b * LambdaReading::Eq5.probability(edge, tau) - spent).abs() < 1e-9);
             }
         }
-        let (from, to) = positive_net(Reading::ExpMinusLambda, 5.0, 0.25, 1.0).expect("a range");
+        let (from, to) = positive_net(LambdaReading::ExpMinusLambda, 5.0, 0.25, 1.0).expect("a range");
         assert!(from == 0.0 && (to - libm::log(20.0)).abs() < 1e-12, "{from} {to}");
-        assert_eq!(positive_net(Reading::ExpMinusLambda, 1.0, 2.0, 1.0), None);
+        assert_eq!(positive_net(LambdaReading::ExpMinusLambda, 1.0, 2.0, 1.0), None);
     }
 
     #[test]
@@ -399,14 +409,14 @@ mod tests {
             (study(&[0.1, -1.0], &[1.0]), "lambda = -1"),
             (study(&[f64::NAN], &[1.0]), "lambda = NaN"),
             (
-                Study {
+                HarvestStudy {
                     seeds: 0,
                     ..study(&[0.1], &[1.0])
                 },
                 "seeds = 0",
             ),
             (
-                Study {
+                HarvestStudy {
                     readings: vec![],
                     ..study(&[0.1], &[1.0])
                 },

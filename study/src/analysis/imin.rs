@@ -1,25 +1,24 @@
 //! E(I_min) over deployments (Sec. V-A, Eqs. (`E_Info3`) and (`E_Info1`)).
 
 use reveille_bs::beliefs::ranking::i_min;
+use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
-use reveille_common::scenario::Scenario;
-
-use super::AnalysisError;
-use super::runs::{check_seeds, over_seeds};
 use reveille_lab::stats::Estimate;
+
+use super::{AnalysisError, check_seeds, over_seeds};
 
 /// I_min of the deployments of one scenario.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IMin {
     /// Ψ p(d*) over the deployments, one for each seed.
     pub measured: Estimate,
-    /// The least and the largest of them.
+    /// Minimum and maximum over the deployments.
     pub range: (f64, f64),
-    /// Ψ p(√(ξ/(2N))), Eq. (`E_Info1`): a square grid.
+    /// Ψ p(√(ξ/(2N))), Eq. (`E_Info1`), for a square grid.
     pub grid: f64,
 }
 
-/// I_min of `scenario`'s layout under each of `seeds` seeds from its own on.
+/// Measures I_min of `scenario`'s layout under `seeds` consecutive seeds from its own.
 ///
 /// # Errors
 /// If `seeds` is 0.
@@ -30,7 +29,8 @@ pub fn measure(scenario: &Scenario, seeds: u64) -> Result<IMin, AnalysisError> {
     });
     let least = values.iter().copied().fold(f64::INFINITY, f64::min);
     let largest = values.iter().copied().fold(0.0, f64::max);
-    let half_diagonal = (scenario.area.surface() / (2.0 * f64::from(scenario.devices))).sqrt();
+    // In a square cell of ξ/N the farthest point from the device is a corner, √(ξ/(2N)) away.
+    let half_diagonal = (scenario.area.surface() / (2.0 * f64::from(scenario.run.devices))).sqrt();
     Ok(IMin {
         measured: Estimate::over(values),
         range: (least, largest),
@@ -47,7 +47,7 @@ mod tests {
     fn study(overrides: &[&str]) -> IMin {
         let parse = |text: &&str| Override::parse(text).expect("an override");
         let overrides: Vec<Override> = overrides.iter().map(parse).collect();
-        measure(&load("paper", &overrides).expect("a scenario"), 40).expect("a study")
+        measure(&load("paper", &overrides).expect("a scenario").scenario, 40).expect("a study")
     }
 
     #[test]

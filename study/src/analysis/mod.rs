@@ -1,16 +1,72 @@
-//! The analytical part of the paper beside what the machines do: closed forms and chains on one side, runs in memory on
-//! the other.
+//! Analysis of the paper's models: closed forms and chains, compared with runs in memory.
 //!
-//! Everything measured comes from [`reveille_lab::run`] or from the device machine itself; nothing here is a second
-//! model. Closed forms are given as the paper prints them, and where what it prints is not a probability, that is said
-//! and not mended.
+//! All measurements come from [`reveille_lab::run`] or from the device machine itself; this module adds no second
+//! model. Closed forms are evaluated as printed in the paper. Values that are not probabilities are reported, not
+//! corrected.
 
 pub mod battery;
-mod error;
 pub mod harvest;
 pub mod imin;
-mod runs;
 pub mod runtime;
 pub mod transitions;
 
-pub use error::AnalysisError;
+use rayon::prelude::*;
+use reveille_bs::scenario::Scenario;
+
+/// Reason why a study is impossible.
+#[derive(Debug, thiserror::Error)]
+pub enum AnalysisError {
+    /// A list of values to study is empty.
+    #[error("{what}: the list is empty, so there is nothing to study; give at least one value, for example {example}")]
+    Empty {
+        /// Name of the list.
+        what: &'static str,
+        /// Example of a valid list.
+        example: &'static str,
+    },
+    /// A value is out of its range.
+    #[error("{what} = {value}: {allowed}")]
+    Invalid {
+        /// Name of the quantity.
+        what: &'static str,
+        /// Invalid value.
+        value: String,
+        /// Allowed values and the fix.
+        allowed: String,
+    },
+}
+
+impl AnalysisError {
+    /// Creates the error for an invalid `value` of `what`.
+    pub(crate) fn invalid(what: &'static str, value: &impl ToString, allowed: impl Into<String>) -> Self {
+        Self::Invalid {
+            what,
+            value: value.to_string(),
+            allowed: allowed.into(),
+        }
+    }
+}
+
+/// Maximum number of seeds in a study.
+const MOST_SEEDS: u64 = 1_000_000;
+
+/// Checks a number of seeds.
+///
+/// # Errors
+/// If it is 0 or above the limit.
+pub(crate) fn check_seeds(seeds: u64) -> Result<(), AnalysisError> {
+    if (1..=MOST_SEEDS).contains(&seeds) {
+        return Ok(());
+    }
+    let allowed = format!("must be from 1 to {MOST_SEEDS}: one run per seed");
+    Err(AnalysisError::invalid("seeds", &seeds, allowed))
+}
+
+/// Applies `measure` to `scenario` under `seeds` consecutive seeds from its own, on all cores. Returns the results in
+/// order of seeds.
+pub(crate) fn over_seeds<T: Send>(scenario: &Scenario, seeds: u64, measure: impl Fn(&Scenario) -> T + Sync) -> Vec<T> {
+    let indices = (0..seeds).into_par_iter();
+    indices
+        .map(|i| measure(&scenario.with_seed(scenario.run.seed.wrapping_add(i))))
+        .collect()
+}

@@ -1,91 +1,94 @@
-//! Run time against N (Sec. V-D): the work to be timed, and power laws fitted to the times. The clock is the caller's.
+//! Run time against N (Sec. V-D): the work to time, and power laws fitted to the times. The caller provides the clock.
 //!
 //! The paper counts the cost of a *configuration*: O(ϱ^N) for the exhaustive search of the adjusted duty cycle,
-//! O(N(N−1)/2) for KNN clusters, O(N²) for Q-learning and for the decision transformer. That is what [`Work::set_up`]
-//! does. What goes on after it is the run, [`Work::run`], and within it the BS's answers to events, [`Work::decide`].
+//! O(N(N−1)/2) for KNN clusters, O(N²) for Q-learning and for the decision transformer. [`TimedWork::set_up`] is that
+//! configuration. [`TimedWork::run`] is the run after it, and [`TimedWork::decide`] the BS's share of that run: its
+//! answers to events.
 
+use reveille_bs::cycle::PreparedRun;
 use reveille_bs::knowledge::Knowledge;
 use reveille_bs::observation::Observation;
-use reveille_bs::policy::mind::Mind;
+use reveille_bs::policy::interface::Policy;
 use reveille_bs::policy::registry;
-use reveille_bs::prepared::Prepared;
+use reveille_bs::scenario::{PolicyChoice, Scenario};
 use reveille_common::event::Stimulus;
 use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, EventId, Tti};
 use reveille_common::message::Report;
 use reveille_common::plan::Plan;
 use reveille_common::rng::{Purpose, Stream};
-use reveille_common::scenario::{PolicyChoice, Scenario};
 use reveille_common::units::Energy;
+use reveille_lab::preparation::{prepare, start};
+use reveille_lab::run::{Run, RunOptions};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::AnalysisError;
-use reveille_lab::preparation::{prepare, start};
-use reveille_lab::run::{Options, Run};
 
-/// What the paper says of the cost of configuring a policy.
+/// Returns the paper's complexity for configuring a policy.
 pub fn paper_claim(policy: &PolicyChoice) -> &'static str {
-    registry::named(policy.name()).map_or("–", |policy| policy.profile().runtime)
+    registry::named(policy.name()).map_or("–", |policy| policy.runtime)
 }
 
-/// A scenario to be timed.
-pub struct Work {
+/// A scenario to time.
+pub struct TimedWork {
     scenario: Scenario,
 }
 
-impl Work {
-    /// The work of `scenario`.
+impl TimedWork {
+    /// Creates the work of `scenario`.
     pub const fn new(scenario: Scenario) -> Self {
         Self { scenario }
     }
 
-    /// Puts the devices on the ground and configures the policy: clusters, or a search. Done once per deployment.
+    /// Deploys the devices and configures the policy: clusters, or a search. Done once per deployment.
     pub fn set_up(&self) -> Run {
-        start(&self.scenario, Options::default())
+        start(&self.scenario, RunOptions::default())
     }
 
     /// Runs to the end.
     pub fn run(run: Run) {
+        // Without `black_box` the compiler may omit work whose result is unused.
         std::hint::black_box(run.finish(&mut ()));
     }
 
-    /// The BS's side of `events` events, ready to be decided.
-    pub fn decide(&self, events: u64) -> Decisions {
-        Decisions::new(&prepare(&self.scenario), events)
+    /// Prepares `events` events for the BS to decide.
+    pub fn decide(&self, events: u64) -> TimedDecisions {
+        TimedDecisions::new(&prepare(&self.scenario), events)
     }
 }
 
 /// Events with their first reports, for one policy.
-pub struct Decisions {
+pub struct TimedDecisions {
     known: Knowledge,
-    /// Charged at random, half full on the mean.
+    /// Random charges, on average half full.
     batteries: Vec<Energy>,
-    mind: Mind,
+    policy: Box<dyn Policy>,
     plan: Plan,
     situations: Vec<(Tti, Stimulus, Vec<Report>)>,
 }
 
-impl Decisions {
-    fn new(prepared: &Prepared, events: u64) -> Self {
+impl TimedDecisions {
+    fn new(prepared: &PreparedRun, events: u64) -> Self {
         let (scenario, deployment) = (&prepared.scenario, &prepared.deployment);
         let known = prepared.knowledge();
-        let mut mind = prepared.mind(&known);
+        let mut policy = prepared.policy(&known);
         let nothing = Plan::from_bits(known.devices.iter().map(|_| false));
-        let mut stream = Stream::new(scenario.seed, Purpose::Training, 0);
+        let mut stream = Stream::new(scenario.run.seed, Purpose::Training, 0);
         let mut level = |full: Energy| Energy::from_micro((stream.unit() * full.micro() as f64) as u64);
         let batteries: Vec<Energy> = deployment.devices.iter().map(|d| level(d.energy.e_max)).collect();
-        let plan = mind.decide(&observe(&known, &batteries, &nothing, Tti::ZERO, 0.0));
+        let plan = policy.decide(&observe(&known, &batteries, &nothing, Tti::ZERO, 0.0));
         let situation = |event| {
-            let mut stream = Stream::new(scenario.seed, Purpose::Epicentre, event);
+            let mut stream = Stream::new(scenario.run.seed, Purpose::Epicentre, event);
             let epicentre = Point::new(
                 stream.unit() * scenario.area.width,
                 stream.unit() * scenario.area.height,
             );
             let tti = Tti(event);
-            let sensing_now = (0..scenario.devices)
+            let sensing_now = (0..scenario.run.devices)
                 .map(DeviceId)
                 .filter(|&j| plan.duty_cycle(j).is_on(tti));
             let report = |j: DeviceId| report(&known, j, tti, epicentre);
+            // Beyond d_max the information is 0: such a device detects nothing.
             let reports = sensing_now.map(report).filter(|r| r.information > 0.0).collect();
             let event = EventId(event);
             (tti, Stimulus { event, epicentre }, reports)
@@ -94,60 +97,59 @@ impl Decisions {
         Self {
             known,
             batteries,
-            mind,
+            policy,
             plan,
             situations,
         }
     }
 
-    /// Decides who senses in `ttis` TTIs, one after the other. `None` for a policy whose first plan holds for good. It
-    /// may be repeated.
+    /// Decides the plans of `ttis` TTIs in order. Returns `None` for a policy whose first plan stays valid for the
+    /// whole run. May be called repeatedly.
     pub fn plan(&mut self, ttis: u64) -> Option<()> {
         let Self {
             known,
             batteries,
-            mind,
+            policy,
             plan,
             ..
         } = self;
         for k in (1..=ttis).map(Tti) {
-            if mind.next_decision(k) == Tti::NEVER {
+            // Such a policy makes no further decisions, so there is nothing to time.
+            if policy.next_decision(k) == Tti::NEVER {
                 return None;
             }
-            *plan = mind.decide(&observe(known, batteries, plan, k, 0.0));
+            *plan = policy.decide(&observe(known, batteries, plan, k, 0.0));
         }
         Some(())
     }
 
-    /// Decides all of them, each until the policy asks for no more wake-ups, all of which are answered. Gives the
-    /// number of wake-ups. It may be repeated.
+    /// Decides all events and returns the number of wake-ups. Each event lasts until the policy requests no more
+    /// wake-ups, and all wake-ups are answered. May be called repeatedly.
     pub fn run(&mut self) -> u64 {
         let Self {
             known,
             batteries,
-            mind,
+            policy,
             plan,
             situations,
         } = self;
         let mut wake_ups = 0;
         for (tti, stimulus, reports) in situations {
-            let policy = match mind {
-                Mind::Genie(genie) => {
-                    wake_ups += u64::from(genie.told(stimulus));
-                    continue;
-                }
-                Mind::External(_) => continue,
-                Mind::Policy(_) if reports.is_empty() => continue,
-                Mind::Policy(policy) => policy,
-            };
+            if let Some(oracle) = policy.oracle() {
+                wake_ups += u64::from(oracle.told(stimulus));
+                continue;
+            }
+            if reports.is_empty() {
+                continue;
+            }
             let fused = reports.iter().map(|r| r.information);
             let mut information = fused.fold(0.0, |so_far, i| known.sensing.fuse(so_far, i));
-            policy.reported(&observe(known, batteries, plan, *tti, information), reports);
+            policy.reports_received(&observe(known, batteries, plan, *tti, information), reports);
             while let Some(woken) = policy.next_wake_up(&observe(known, batteries, plan, *tti, information)) {
                 wake_ups += 1;
                 let report = report(known, woken, *tti, stimulus.epicentre);
                 information = known.sensing.fuse(information, report.information);
-                policy.answered(&observe(known, batteries, plan, *tti, information), Some(&report));
+                policy.wake_up_answered(&observe(known, batteries, plan, *tti, information), Some(&report));
             }
         }
         wake_ups
@@ -184,15 +186,15 @@ const fn observe<'a>(
 /// A power law y = c · x^exponent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PowerLaw {
-    /// The exponent.
+    /// Exponent.
     pub exponent: f64,
-    /// Half the width of its 95 % interval; NaN for two points.
+    /// Half the width of the exponent's 95 % interval; NaN for two points.
     pub half_width: f64,
-    /// c.
+    /// Factor c.
     pub factor: f64,
 }
 
-/// The power law through `points` (x, y), all above 0, by least squares of the logarithms.
+/// Fits the power law through `points` (x, y), all above 0, by least squares of the logarithms.
 ///
 /// # Errors
 /// With fewer than two different x, or a value that has no logarithm.
@@ -216,6 +218,7 @@ pub fn power_law(points: &[(f64, f64)]) -> Result<PowerLaw, AnalysisError> {
     let exponent = xy / xx;
     let intercept = mean_y - exponent * mean_x;
     let residuals: f64 = logs.iter().map(|(x, y)| (y - intercept - exponent * x).powi(2)).sum();
+    // Two parameters are fitted, so two points leave no degree of freedom and no interval.
     let t = StudentsT::new(0.0, 1.0, n - 2.0).map_or(f64::NAN, |t| t.inverse_cdf(0.975));
     Ok(PowerLaw {
         exponent,
@@ -261,8 +264,8 @@ mod tests {
             ];
             let parse = |text: &&str| Override::parse(text).expect("an override");
             let overrides: Vec<Override> = overrides.iter().map(parse).collect();
-            let work = Work::new(load("paper", &overrides).expect("a scenario"));
-            Work::run(work.set_up());
+            let work = TimedWork::new(load("paper", &overrides).expect("a scenario").scenario);
+            TimedWork::run(work.set_up());
             let mut decisions = work.decide(200);
             let first = decisions.run();
             assert_eq!(first, decisions.run(), "{policy}");

@@ -1,18 +1,17 @@
-//! Fig. 8, and who spends least and most as Figs. 13 and 14 have it: consumption.
+//! Claims on consumption: Fig. 8, and the policies with the least and the most consumption by Figs. 13 and 14.
 
-use super::caveats::{FIXED_CYCLE, HARVEST, SPARING, WUR_FLOOR};
-use super::claim::Quantity::{Gap, Own, Ratio};
-use super::claim::Sites::{At, Everywhere, Over};
+use super::citation::{ABSTRACT, CONCLUSIONS, CONTRIBUTION, FIG_8, FIG_13, FIG_14, PARAMETERS};
+use super::claim::ClaimQuantity::{Gap, Own, Ratio};
+use super::claim::DeviceCounts::{At, Everywhere, Over};
 use super::claim::Statement::{About, Above, Below, Between, Falls, Smallest};
-use super::claim::{Claim, Topic};
-use super::place::{ABSTRACT, CONCLUSIONS, CONTRIBUTION, FIG_8, FIG_13, FIG_14, PARAMETERS};
+use super::claim::{Claim, ClaimTopic, FIXED_CYCLE, HARVEST, SPARING, WUR_FLOOR};
 
 const DENSE: &str = "Said without an N; read at the end of the axis.";
 const UPPER: &str = "The upper end of the 2nd sentence's range, which the caption and the text of Fig. 13 give to \
     q-learning.";
 
 /// Claims on Fig. 8.
-pub const ENERGY: Topic = Topic {
+pub(super) const ENERGY: ClaimTopic = ClaimTopic {
     metric: "energy_per_device_tti",
     is_per_device: false,
     about: "energy per device and TTI, units",
@@ -20,25 +19,25 @@ pub const ENERGY: Topic = Topic {
     reading: "",
     claims: &[
         Claim::new("knn", At(10), Own, Between(0.45, 0.83), FIG_8.sentence(2)),
-        Claim::new("adjusted", At(10), Own, Between(0.45, 0.83), FIG_8.sentence(2)).doubted(SPARING),
+        Claim::new("adjusted", At(10), Own, Between(0.45, 0.83), FIG_8.sentence(2)).with_caveat(SPARING),
         Claim::new("q-learning", At(10), Own, Between(0.45, 0.83), FIG_8.sentence(2)),
         Claim::new("dt", At(10), Own, Between(0.45, 0.83), FIG_8.sentence(2)),
         Claim::new("q-learning", At(10), Own, About(0.83), FIG_8.sentence(2))
-            .again(FIG_13.sentence(5))
-            .read(UPPER)
-            .doubted(HARVEST),
+            .also_at(FIG_13.sentence(5))
+            .interpreted_as(UPPER)
+            .with_caveat(HARVEST),
         Claim::new("random", At(10), Own, About(0.34), FIG_8.sentence(2)),
         Claim::new("knn", Everywhere, Own, Falls, FIG_8.sentence(3)),
         Claim::new("knn", At(250), Own, About(0.145), FIG_8.sentence(3)),
         Claim::new("random", At(250), Own, Above(0.18), FIG_8.sentence(4)),
-        Claim::new("random", At(250), Ratio(&["knn"]), Above(1.29), FIG_8.sentence(4)).against(
+        Claim::new("random", At(250), Ratio(&["knn"]), Above(1.29), FIG_8.sentence(4)).contradicting(
             FIG_8.sentence(3),
             "0.18 is 24 % more than 0.145. For 29 % random would have to spend more than 0.187.",
         ),
         Claim::new("knn", Everywhere, Ratio(&["random"]), Smallest(0.77), CONTRIBUTION)
-            .again(CONCLUSIONS.sentence(6))
-            .read("Of the methods named, Fig. 8 has knn as the one that spends least."),
-        Claim::new("knn", At(250), Ratio(&["random"]), Below(1.0), ABSTRACT.sentence(8)).read(DENSE),
+            .also_at(CONCLUSIONS.sentence(6))
+            .interpreted_as("Of the methods named, Fig. 8 has knn as the one that spends least."),
+        Claim::new("knn", At(250), Ratio(&["random"]), Below(1.0), ABSTRACT.sentence(8)).interpreted_as(DENSE),
         Claim::new(
             "q-learning",
             At(250),
@@ -46,31 +45,31 @@ pub const ENERGY: Topic = Topic {
             Below(1.0),
             ABSTRACT.sentence(8),
         )
-        .read(DENSE)
-        .against(
+        .interpreted_as(DENSE)
+        .contradicting(
             FIG_8.sentence(5),
             "There q-learning spends 0.24 units, and random, 29 % above knn's 0.145, about 0.187.",
         ),
-        Claim::new("dt", At(250), Ratio(&["random"]), Below(1.0), ABSTRACT.sentence(8)).read(DENSE),
+        Claim::new("dt", At(250), Ratio(&["random"]), Below(1.0), ABSTRACT.sentence(8)).interpreted_as(DENSE),
         Claim::new("q-learning", Everywhere, Own, Falls, FIG_8.sentence(5)),
         Claim::new("q-learning", At(250), Own, About(0.24), FIG_8.sentence(5)),
-        Claim::new("adjusted", Everywhere, Own, Falls, FIG_8.sentence(5)).doubted(SPARING),
-        Claim::new("adjusted", At(250), Own, About(0.32), FIG_8.sentence(5)).doubted(SPARING),
+        Claim::new("adjusted", Everywhere, Own, Falls, FIG_8.sentence(5)).with_caveat(SPARING),
+        Claim::new("adjusted", At(250), Own, About(0.32), FIG_8.sentence(5)).with_caveat(SPARING),
         Claim::new("knn", Over(180), Ratio(&["random"]), Below(1.0), FIG_8.sentence(6)),
-        Claim::new("dt", At(250), Ratio(&["q-learning"]), About(0.6), FIG_8.sentence(7)).read(DENSE),
+        Claim::new("dt", At(250), Ratio(&["q-learning"]), About(0.6), FIG_8.sentence(7)).interpreted_as(DENSE),
         Claim::new("dt", At(250), Ratio(&["knn"]), About(0.9), FIG_8.sentence(7))
-            .read(DENSE)
-            .against(
+            .interpreted_as(DENSE)
+            .contradicting(
                 FIG_8.sentence(5),
                 "40 % below q-learning's 0.24 is 0.144, and 10 % below knn's 0.145 is 0.131.",
             ),
         Claim::new("knn", Everywhere, Gap("genie"), Falls, FIG_8.sentence(8)),
-        Claim::new("adjusted", Everywhere, Gap("genie"), Falls, FIG_8.sentence(8)).doubted(SPARING),
+        Claim::new("adjusted", Everywhere, Gap("genie"), Falls, FIG_8.sentence(8)).with_caveat(SPARING),
         Claim::new("q-learning", Everywhere, Gap("genie"), Falls, FIG_8.sentence(8)),
         Claim::new("dt", Everywhere, Gap("genie"), Falls, FIG_8.sentence(8)),
         Claim::new("genie", At(250), Own, About(0.055), FIG_8.sentence(9))
-            .doubted(WUR_FLOOR)
-            .against(
+            .with_caveat(WUR_FLOOR)
+            .contradicting(
                 PARAMETERS,
                 "E_WuR = 1/14 = 0.0714 units a TTI is more than 0.055, and Sec. V-A charges it to every sleeper.",
             ),
@@ -88,7 +87,7 @@ pub const ENERGY: Topic = Topic {
             Below(1.0),
             FIG_13.sentence(5),
         )
-        .doubted(SPARING),
+        .with_caveat(SPARING),
         Claim::new(
             "adjusted",
             At(250),
@@ -96,7 +95,7 @@ pub const ENERGY: Topic = Topic {
             Above(1.0),
             FIG_13.sentence(5),
         )
-        .doubted(SPARING),
+        .with_caveat(SPARING),
         Claim::new(
             "dt",
             At(250),
@@ -111,7 +110,7 @@ pub const ENERGY: Topic = Topic {
             Above(1.0),
             FIG_14.sentence(2),
         )
-        .doubted(SPARING),
+        .with_caveat(SPARING),
         Claim::new(
             "random",
             At(100),
@@ -119,6 +118,6 @@ pub const ENERGY: Topic = Topic {
             Below(1.0),
             FIG_14.sentence(2),
         )
-        .doubted(FIXED_CYCLE),
+        .with_caveat(FIXED_CYCLE),
     ],
 };

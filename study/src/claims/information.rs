@@ -1,11 +1,10 @@
 //! Fig. 7: information.
 
-use super::caveats::{CLOSEST, SPARING};
-use super::claim::Quantity::{Own, Ratio};
-use super::claim::Sites::{At, Everywhere, Over, UpTo};
+use super::citation::{ABSTRACT, BENCHMARKS, CONCLUSIONS, CONTRIBUTION, FIG_7};
+use super::claim::ClaimQuantity::{Own, Ratio};
+use super::claim::DeviceCounts::{At, Everywhere, Over, UpTo};
 use super::claim::Statement::{About, Above, Below, Largest, Rises};
-use super::claim::{Claim, Topic};
-use super::place::{ABSTRACT, BENCHMARKS, CONCLUSIONS, CONTRIBUTION, FIG_7};
+use super::claim::{CLOSEST, Claim, ClaimTopic, SPARING};
 
 const ENDPOINT: &str = "\"Up to\" is read as the end of the axis, since information rises with N (1st sentence).";
 const ALIKE: &str = "Not near is read as below 80 %, beyond the tolerance of this report.";
@@ -13,8 +12,8 @@ const DENSE: &str = "Read for N > 50: the 8th sentence has all methods alike up 
     q-learning and the genie above.";
 const ALL_METHODS: &str = "The sentence says so of all methods together, without an N; read at the end of the axis.";
 
-/// Claims that compare how well policies do.
-pub const OVER_TIME: Topic = Topic {
+/// Claims that compare the performance of policies.
+pub(super) const OVER_TIME: ClaimTopic = ClaimTopic {
     metric: "info_p1",
     is_per_device: false,
     about: "information, objective of P1",
@@ -30,7 +29,7 @@ pub const OVER_TIME: Topic = Topic {
             Above(1.0),
             FIG_7.sentence(3),
         )
-        .doubted(SPARING),
+        .with_caveat(SPARING),
         Claim::new("knn", Everywhere, Ratio(&["random"]), Above(1.0), FIG_7.sentence(3)),
         Claim::new(
             "q-learning",
@@ -41,7 +40,7 @@ pub const OVER_TIME: Topic = Topic {
         ),
         Claim::new("dt", Everywhere, Ratio(&["random"]), Above(1.0), FIG_7.sentence(3)),
         Claim::new("q-learning", At(250), Ratio(&["genie"]), About(1.0), FIG_7.sentence(4))
-            .again(CONCLUSIONS.sentence(6)),
+            .also_at(CONCLUSIONS.sentence(6)),
         Claim::new("q-learning", Everywhere, Ratio(&["genie"]), Rises, ABSTRACT.sentence(9)),
         Claim::new(
             "genie",
@@ -57,7 +56,7 @@ pub const OVER_TIME: Topic = Topic {
             Above(1.0),
             FIG_7.sentence(6),
         )
-        .read(DENSE),
+        .interpreted_as(DENSE),
         Claim::new(
             "dt",
             Over(50),
@@ -72,26 +71,26 @@ pub const OVER_TIME: Topic = Topic {
             About(1.0),
             FIG_7.sentence(8),
         )
-        .read("Alike is read as within 20 % of q-learning.")
-        .doubted(SPARING),
-        Claim::new("knn", UpTo(50), Ratio(&["genie"]), Below(0.8), FIG_7.sentence(8)).read(ALIKE),
-        Claim::new("adjusted", UpTo(50), Ratio(&["genie"]), Below(0.8), FIG_7.sentence(8)).read(ALIKE),
-        Claim::new("q-learning", UpTo(50), Ratio(&["genie"]), Below(0.8), FIG_7.sentence(8)).read(ALIKE),
-        Claim::new("dt", UpTo(50), Ratio(&["genie"]), Below(0.8), FIG_7.sentence(8)).read(ALIKE),
+        .interpreted_as("Alike is read as within 20 % of q-learning.")
+        .with_caveat(SPARING),
+        Claim::new("knn", UpTo(50), Ratio(&["genie"]), Below(0.8), FIG_7.sentence(8)).interpreted_as(ALIKE),
+        Claim::new("adjusted", UpTo(50), Ratio(&["genie"]), Below(0.8), FIG_7.sentence(8)).interpreted_as(ALIKE),
+        Claim::new("q-learning", UpTo(50), Ratio(&["genie"]), Below(0.8), FIG_7.sentence(8)).interpreted_as(ALIKE),
+        Claim::new("dt", UpTo(50), Ratio(&["genie"]), Below(0.8), FIG_7.sentence(8)).interpreted_as(ALIKE),
         Claim::new("knn", At(250), Ratio(&["genie"]), About(1.0), CONCLUSIONS.sentence(6))
-            .read(ALL_METHODS)
-            .against(
+            .interpreted_as(ALL_METHODS)
+            .contradicting(
                 FIG_7.sentence(4),
                 "There knn reaches about 0.4 where q-learning, near the genie, reaches about 0.72.",
             ),
         Claim::new("dt", At(250), Ratio(&["genie"]), About(1.0), CONCLUSIONS.sentence(6))
-            .read(ALL_METHODS)
-            .against(FIG_7.sentence(7), "There dt falls well short of the genie."),
+            .interpreted_as(ALL_METHODS)
+            .contradicting(FIG_7.sentence(7), "There dt falls well short of the genie."),
     ],
 };
 
 /// Claims that name information per event.
-pub const PER_EVENT: Topic = Topic {
+pub(super) const PER_EVENT: ClaimTopic = ClaimTopic {
     metric: "info_per_event",
     is_per_device: false,
     about: "information per event",
@@ -106,12 +105,12 @@ pub const PER_EVENT: Topic = Topic {
         Claim::new("dt", Everywhere, Own, Rises, FIG_7.sentence(1)),
         Claim::new("random", Everywhere, Own, Rises, FIG_7.sentence(1)),
         Claim::new("genie", Everywhere, Own, Rises, FIG_7.sentence(1)),
-        Claim::new("knn", At(250), Own, About(0.4), FIG_7.sentence(4)).read(ENDPOINT),
-        Claim::new("adjusted", At(250), Own, About(0.4), FIG_7.sentence(4)).read(ENDPOINT),
-        Claim::new("q-learning", At(250), Own, About(0.72), FIG_7.sentence(4)).doubted(CLOSEST),
+        Claim::new("knn", At(250), Own, About(0.4), FIG_7.sentence(4)).interpreted_as(ENDPOINT),
+        Claim::new("adjusted", At(250), Own, About(0.4), FIG_7.sentence(4)).interpreted_as(ENDPOINT),
+        Claim::new("q-learning", At(250), Own, About(0.72), FIG_7.sentence(4)).with_caveat(CLOSEST),
         Claim::new("genie", At(250), Own, About(0.72), FIG_7.sentence(4))
-            .read("Said of q-learning, which is near the genie.")
-            .doubted(CLOSEST),
+            .interpreted_as("Said of q-learning, which is near the genie.")
+            .with_caveat(CLOSEST),
         Claim::new(
             "genie",
             Everywhere,
@@ -120,8 +119,8 @@ pub const PER_EVENT: Topic = Topic {
             FIG_7.sentence(5),
         ),
         Claim::new("q-learning", Everywhere, Ratio(&["random"]), Largest(4.5), CONTRIBUTION)
-            .again(CONCLUSIONS.sentence(6))
-            .read(
+            .also_at(CONCLUSIONS.sentence(6))
+            .interpreted_as(
                 "The largest ratio over N, of whichever method has it; Fig. 7 has q-learning in front. \"4.5 times \
                  more\" is read as 4.5 times.",
             ),

@@ -1,13 +1,15 @@
+//! Comparison of the claims with the numbers and sentences printed in the paper.
+
 use std::collections::BTreeSet;
 
 use reveille_common::score::Metrics;
 
-use super::Sites::{At, Everywhere, Over, Under, UpTo};
+use super::DeviceCounts::{At, Everywhere, Over, Under, UpTo};
 use super::*;
 use crate::analysis::harvest::STATED;
 
-/// What the paper prints, sentence by sentence: the numbers on results in it (`%` as printed) and the N that it names.
-/// Written down from the text apart from the claims.
+/// The sentences of the paper on results, each with its numbers (`%` as printed) and the N that it names. Transcribed
+/// from the text independently of the claims.
 const PRINTED: &[(&str, &[f64], &[u32])] = &[
     ("Abstract, 8th sentence", &[], &[]),
     ("Abstract, 9th sentence", &[], &[]),
@@ -66,22 +68,22 @@ const PRINTED: &[(&str, &[f64], &[u32])] = &[
     ("Sec. VII, 6th sentence", &[4.5, 23.0], &[]),
 ];
 
-/// Numbers that are ours where a sentence has words: as much as, and not near.
+/// Numbers that we chose for words in a sentence: as much as, and not near.
 const WORDS: [f64; 2] = [1.0, 0.8];
 
-fn claims() -> impl Iterator<Item = (&'static Topic, &'static Claim)> {
-    let of = |topic: &'static Topic| topic.claims.iter().map(move |claim| (topic, claim));
+fn claims() -> impl Iterator<Item = (&'static ClaimTopic, &'static Claim)> {
+    let of = |topic: &'static ClaimTopic| topic.claims.iter().map(move |claim| (topic, claim));
     TOPICS.iter().flat_map(of)
 }
 
-/// Whether a claim's `value` is the `printed` number: itself, a change of so many per cent, a share, or a factor for a
-/// gain of so many per cent.
+/// Whether a claim's `value` represents the `printed` number: the number itself, a change in per cent, a share, or a
+/// factor for a gain in per cent.
 fn is_of(value: f64, printed: f64) -> bool {
     let forms = [printed, 1.0 - printed / 100.0, 1.0 + printed / 100.0, printed / 100.0];
     forms.iter().any(|form| (form - value).abs() < 1e-12)
 }
 
-/// The numbers that claims take from the sentence at `place`.
+/// Numbers that claims take from the sentence at `place`.
 fn taken(place: &str) -> Vec<f64> {
     let is_here =
         |claim: &Claim| claim.place.to_string() == place || claim.again.is_some_and(|again| again.to_string() == place);
@@ -103,10 +105,10 @@ fn every_number_of_a_claim_is_printed_in_its_sentence() {
     for (_, claim) in claims() {
         let printed = numbers(&claim.place.to_string());
         for value in claim.statement.values() {
-            let is_word = matches!(claim.quantity, Quantity::Ratio(_)) && WORDS.contains(&value);
+            let is_word = matches!(claim.quantity, ClaimQuantity::Ratio(_)) && WORDS.contains(&value);
             assert!(is_word || printed.iter().any(|p| is_of(value, *p)), "{claim:?}");
         }
-        // What stands twice has its number in one of the two places at least.
+        // A statement made at two places has its number in at least one of them.
         claim.again.map(|again| numbers(&again.to_string()));
     }
     for stated in &STATED {
@@ -139,8 +141,8 @@ fn every_number_that_is_printed_is_claimed() {
     }
 }
 
-/// The place that shows as `text`.
-fn place_of(text: &str) -> Option<Place> {
+/// The place whose text form is `text`.
+fn place_of(text: &str) -> Option<Citation> {
     let all = claims()
         .flat_map(|(_, claim)| [Some(claim.place), claim.again])
         .flatten();
@@ -162,8 +164,8 @@ fn every_claim_names_a_metric_and_policies_that_exist() {
         assert!(Metrics::NAMES.contains(&topic.metric), "{}", topic.metric);
         assert!(is_known(claim.policy), "{claim:?}");
         match claim.quantity {
-            Quantity::Own => {}
-            Quantity::Ratio(others) => {
+            ClaimQuantity::Own => {}
+            ClaimQuantity::Ratio(others) => {
                 let others: BTreeSet<&str> = others.iter().copied().collect();
                 assert!(
                     !others.is_empty() && others.iter().all(|other| is_known(other)),
@@ -171,8 +173,8 @@ fn every_claim_names_a_metric_and_policies_that_exist() {
                 );
                 assert!(!others.contains(claim.policy), "{claim:?}");
             }
-            Quantity::Gap(other) => assert!(is_known(other) && other != claim.policy, "{claim:?}"),
-            Quantity::Growth(n) => assert!(claim.sites != At(n) && Everywhere.holds(n), "{claim:?}"),
+            ClaimQuantity::Gap(other) => assert!(is_known(other) && other != claim.policy, "{claim:?}"),
+            ClaimQuantity::Growth(n) => assert!(claim.sites != At(n) && Everywhere.holds(n), "{claim:?}"),
         }
         if let Some((low, high)) = claim.statement.range() {
             assert!(low <= high, "{claim:?}");
@@ -195,12 +197,12 @@ fn no_claim_is_made_twice() {
 #[test]
 fn a_contradiction_is_with_something_that_the_paper_says() {
     for (_, claim) in claims() {
-        let Some(Contradiction { with, why }) = claim.contradicts else {
+        let Some(Contradiction { with, .. }) = claim.contradicts else {
             continue;
         };
         let is_there = PRINTED.iter().any(|(place, ..)| *place == with.to_string());
-        assert!(is_there || with == place::PARAMETERS, "{claim:?}");
-        assert!(with != claim.place && why.ends_with('.'), "{claim:?}");
+        assert!(is_there || with == citation::PARAMETERS, "{claim:?}");
+        assert!(with != claim.place, "{claim:?}");
     }
 }
 
@@ -234,7 +236,7 @@ fn a_place_reads_as_people_say_it() {
     assert_eq!(FIG_8.to_string(), "Sec. VI-A, on Fig. 8");
 }
 
-/// What the caveats say in numbers, by integrals of their own.
+/// Checks the numbers in caveats by independent integrals.
 #[test]
 fn numbers_of_caveats_hold() {
     // A regular hexagon of 400 / 250 m²: its apothem is √(area / 2√3), and ∫ r e^-r dr from 0 to R is 1 − (1 + R) e^-R.

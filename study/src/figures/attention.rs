@@ -1,84 +1,86 @@
-//! What a decision of `dt` attended to: what it expected of each device in one TTI, as a map, and how much of their
-//! attention some devices gave to each of the last Z TTIs.
+//! Attention of a decision of `dt`: a map of its expectation for each device in one TTI, and the attention of some
+//! devices to each of the last Z TTIs.
 
 use std::fmt::Write as _;
 use std::sync::Arc;
 
 use reveille_bs::policy::dt::model::infer::Forward;
-use reveille_bs::policy::dt::model::shape::{HEADS, Objective, Shape};
-use reveille_bs::policy::dt::record::Step;
+use reveille_bs::policy::dt::model::{HEADS, ModelObjective, ModelShape};
+use reveille_bs::policy::dt::record::TrajectoryStep;
 use reveille_bs::policy::dt::settings::DtSettings;
+use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
 use reveille_common::geometry::{Point, cells};
 use reveille_common::ids::Tti;
-use reveille_common::scenario::Scenario;
 use reveille_lab::trajectories::steps;
 
+use super::area_plot::AreaPlot;
 use super::deployment::epicentre;
 use super::error::FigureError;
 use super::font::{Weight, wrap};
-use super::ground::Ground;
-use super::heat::{HeatCell, HeatMap, Known, Rows, colour, ramp};
-use super::layout::{COLUMN, EDGE, LARGE, LEADING, SMALL};
-use super::path::Path;
+use super::heat::{HeatCell, HeatMap, RowLabels, VisitCount, colour, ramp};
+use super::path::VectorPath;
 use super::scene::{Paint, Scene, Stroke, Text};
-use super::style::BLUE;
+use super::style::{BLUE, COLUMN, EDGE, LARGE, LEADING, SMALL};
 
-/// Devices whose attention is shown by default.
+/// Number of devices whose attention is shown by default.
 const SHOWN: usize = 6;
 /// Height of a row, points.
 const ROW: f64 = 13.0;
 
-/// A decision, and what it came from.
+/// A decision with its attention and inputs.
 #[derive(Clone, Debug)]
-pub struct Attention {
-    /// The TTI that was decided on.
+pub struct AttentionFigure {
+    /// TTI of the decision.
     pub tti: Tti,
-    shape: Shape,
+    shape: ModelShape,
     positions: Vec<Point>,
-    /// By device, the logarithm of how many times as many events as by age and α it was expected to find; of a model
-    /// that imitates actions the log-odds of telling it to sense.
+    /// By device, the logarithm of expected events relative to the expectation from age and α. For a model that
+    /// imitates actions, the log-odds of telling the device to sense.
     pub logs: Vec<f64>,
-    /// `[N, heads, Z]`, by lag.
+    /// Attention shares `[N, heads, Z]`, by lag.
     pub shares: Vec<f32>,
-    /// Whether each device was told to sense.
+    /// Whether the decision sets δ = 1, by device.
     pub on: Vec<bool>,
-    /// For each device that found an event in one of the Z TTIs before, how many TTIs ago.
+    /// Number of TTIs since each device last found an event, if within the Z TTIs.
     pub found: Vec<Option<usize>>,
-    /// The devices whose attention is shown.
+    /// Devices whose attention is shown.
     pub shown: Vec<usize>,
 }
 
-impl Attention {
-    /// Of the decision on TTI `tti` of `scenario`, whose policy is `dt`, shown for `devices`; by default for those of
-    /// which most or least was expected.
+impl AttentionFigure {
+    /// Evaluates the decision on TTI `tti` of `scenario`, whose policy is `dt`, and shows `devices`. By default it
+    /// shows the devices with the largest magnitude in `logs`.
     ///
     /// # Errors
-    /// Another policy, or no such TTI or device.
+    /// The policy is not `dt`, or the TTI or a device does not exist.
     pub fn of(scenario: &Scenario, tti: Tti, devices: &[u32]) -> Result<Self, FigureError> {
-        let Some(settings) = scenario.policy.settings::<DtSettings>() else {
+        let Some(settings) = scenario.policy.settings().downcast_ref::<DtSettings>() else {
             return Err(FigureError::NoAttention(scenario.policy.name().to_owned()));
         };
-        if tti.0 + 1 >= scenario.ttis {
+        // A step is recorded when the next TTI begins, so the last TTI of a run has none.
+        if tti.0 + 1 >= scenario.run.ttis {
             return Err(FigureError::NoTti {
                 tti: tti.0,
-                last: scenario.ttis.saturating_sub(2),
+                last: scenario.run.ttis.saturating_sub(2),
             });
         }
-        if let Some(device) = devices.iter().find(|device| **device >= scenario.devices) {
+        if let Some(device) = devices.iter().find(|device| **device >= scenario.run.devices) {
             return Err(FigureError::NoDevice {
                 device: *device,
-                count: scenario.devices,
+                count: scenario.run.devices,
             });
         }
         let shape = settings.weights.shape();
+        // The model attends only to the last Z TTIs, so earlier ones need not be replayed through it.
         let from = Tti((tti.0 + 1).saturating_sub(shape.memory as u64));
         let window = steps(scenario, from, tti);
-        let mut forward = Forward::new(Arc::clone(&settings.weights), scenario.devices as usize);
+        let mut forward = Forward::new(Arc::clone(&settings.weights), scenario.run.devices as usize);
         let mut logs = Vec::new();
         for step in &window {
             logs = forward.step(&step.tokens).to_vec();
         }
+        // The first head is about looks, the second about wake-ups.
         let logs: Vec<f64> = logs.chunks(HEADS).map(|heads| f64::from(heads[0])).collect();
         let mut shown: Vec<usize> = devices.iter().map(|device| *device as usize).collect();
         if shown.is_empty() {
@@ -99,13 +101,12 @@ impl Attention {
         })
     }
 
-    /// One row a device and head: what was expected of it, or the log-odds that its teacher had it sense, whether it
-    /// was told to sense, and its attention by lag.
+    /// Formats one CSV row per device and head: the value in `logs`, whether δ = 1, and the attention by lag.
     pub fn csv(&self) -> String {
         let lags: Vec<String> = (0..self.shape.memory).map(|lag| format!("lag_{lag}")).collect();
         let said = match self.shape.objective {
-            Objective::Events => "log_expected",
-            Objective::Actions => "log_odds",
+            ModelObjective::Events => "log_expected",
+            ModelObjective::Actions => "log_odds",
         };
         let mut csv = format!("device,on,{said},head,{}\n", lags.join(","));
         let heads = self.shares.chunks(self.shape.memory);
@@ -118,16 +119,16 @@ impl Attention {
         csv
     }
 
-    /// The attention of the devices that are shown, by one head.
+    /// Creates the heat map of the attention of one head for the selected devices.
     fn heat(&self, head: usize) -> HeatMap {
         let z = self.shape.memory;
         let cell = |device: usize, lag: usize| HeatCell {
             value: f64::from(self.shares[(device * self.shape.heads + head) * z + lag]),
             // Before the run began there is nothing to attend to.
             known: if lag as u64 <= self.tti.0 {
-                Known::Well
+                VisitCount::Well
             } else {
-                Known::Never
+                VisitCount::Never
             },
             framed: false,
         };
@@ -136,14 +137,14 @@ impl Attention {
             x_label: format!("TTIs before the decision, head {}", head + 1),
             y_label: "device".to_owned(),
             columns: vec![("TTIs".to_owned(), (0..=z).rev().map(|lag| lag.to_string()).collect())],
-            rows: Rows::Names(self.shown.iter().rev().map(ToString::to_string).collect()),
+            rows: RowLabels::Names(self.shown.iter().rev().map(ToString::to_string).collect()),
             cells: self.shown.iter().rev().map(row).collect(),
         }
     }
 }
 
-/// How many TTIs before the last of `window` device `j` found an event, if it did.
-fn last_found(window: &[Step], j: usize) -> Option<usize> {
+/// Returns the number of TTIs from the last find of device `j` to the end of `window`; `None` without a find.
+fn last_found(window: &[TrajectoryStep], j: usize) -> Option<usize> {
     let before = window.iter().rev().skip(1);
     (1..)
         .zip(before)
@@ -151,24 +152,24 @@ fn last_found(window: &[Step], j: usize) -> Option<usize> {
         .map(|(lag, _)| lag)
 }
 
-/// The picture of `attention`.
-pub fn scene(scenario: &Scenario, attention: &Attention) -> Scene {
+/// Draws `attention`.
+pub fn scene(scenario: &Scenario, attention: &AttentionFigure) -> Scene {
     let mut scene = Scene::new(COLUMN, 0.0);
     let did = match attention.shape.objective {
-        Objective::Events => "expected",
-        Objective::Actions => "would do",
+        ModelObjective::Events => "expected",
+        ModelObjective::Actions => "would do",
     };
-    scene.title = format!("What dt {did} in TTI {}, N = {}", attention.tti, scenario.devices);
+    scene.title = format!("What dt {did} in TTI {}, N = {}", attention.tti, scenario.run.devices);
     let mut y = EDGE + LARGE;
     for line in wrap(&scene.title.clone(), Weight::Bold, LARGE, COLUMN - 2.0 * EDGE) {
         scene.text(Text::new(line, (EDGE, y), LARGE).bold());
         y += LEADING + 1.0;
     }
-    let ground = Ground::new(scenario.area, y - 2.0);
+    let ground = AreaPlot::new(scenario.area, y - 2.0);
     let largest = attention.logs.iter().fold(0.0, |most: f64, log| most.max(log.abs()));
     let border = Stroke::solid(Paint::Ink, 0.5).faded(0.3);
     for (cell, log) in cells(&attention.positions, scenario.area).iter().zip(&attention.logs) {
-        let corners = Path::polyline(cell.iter().map(|p| ground.at(*p)), true);
+        let corners = VectorPath::polyline(cell.iter().map(|p| ground.at(*p)), true);
         scene.outlined(corners, Paint::Colour(colour(*log, largest)), border);
     }
     ground.axes(&mut scene);
@@ -176,9 +177,9 @@ pub fn scene(scenario: &Scenario, attention: &Attention) -> Scene {
         let at = ground.at(*place);
         if attention.on[j] {
             let blue = Stroke::solid(Paint::Colour(BLUE), 1.2);
-            scene.outlined(Path::circle(at, 2.8), Paint::Paper, blue);
+            scene.outlined(VectorPath::circle(at, 2.8), Paint::Paper, blue);
         } else {
-            scene.area(Path::circle(at, 1.2), Paint::Ink, 1.0);
+            scene.area(VectorPath::circle(at, 1.2), Paint::Ink, 1.0);
         }
         if attention.found[j].is_some() {
             epicentre(&mut scene, at);
@@ -199,7 +200,7 @@ pub fn scene(scenario: &Scenario, attention: &Attention) -> Scene {
     scene
 }
 
-fn caption(scenario: &Scenario, attention: &Attention) -> String {
+fn caption(scenario: &Scenario, attention: &AttentionFigure) -> String {
     let on = attention.on.iter().filter(|on| **on).count();
     let ago: Vec<usize> = attention.found.iter().flatten().copied().collect();
     let found = ago.iter().min().map_or_else(
@@ -210,14 +211,14 @@ fn caption(scenario: &Scenario, attention: &Attention) -> String {
         },
     );
     let said = match attention.shape.objective {
-        Objective::Events => {
+        ModelObjective::Events => {
             "ln of how many times as many events the device was expected to find as its places' ages and α say"
         }
-        Objective::Actions => "the log-odds that the teacher would have the device sense",
+        ModelObjective::Actions => "the log-odds that the teacher would have the device sense",
     };
     format!(
         "Colours of the Voronoi cells are {said}. {on} devices, with circles, were told to sense. Below, by head, the \
          shares of their attention that devices gave to each of the last {} TTIs. {found} Preset {}, seed {}.",
-        attention.shape.memory, scenario.preset, scenario.seed
+        attention.shape.memory, scenario.run.preset, scenario.run.seed
     )
 }

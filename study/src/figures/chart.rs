@@ -1,38 +1,37 @@
-//! A chart: axes, lines with markers and interval bands, marks for what the paper states, a legend below and a caption.
+//! Charts: axes, lines with markers and interval bands, marks for the paper's statements, a legend and a caption.
 //!
-//! Laid out for a column of a journal, 3.5 inch wide, with no text under 8 points.
+//! The layout fits a journal column, 3.5 inch wide, with no text below 8 points.
 
 use super::font::{Weight, width, wrap};
-use super::layout::{COLUMN, EDGE, LARGE, LEADING, SMALL};
-use super::note::{Note, Obstacles, settle};
-use super::path::Path;
-use super::scale::{Scale, Tick};
+use super::note::{Note, Obstacles, place_notes};
+use super::path::{Rect, VectorPath};
+use super::scale::{AxisTick, Scale};
 use super::scene::{Anchor, Paint, Scene, Stroke, Text};
-use super::style::{LINE, MARKER, Style};
+use super::style::{COLUMN, EDGE, LARGE, LEADING, LINE, MARKER, SMALL, Style};
 
 /// Height of the plot, points.
 const PLOT: f64 = 158.0;
-/// The legend of marks.
+/// Legend entry of the marks.
 const STATED: &str = "hollow: stated in the paper";
-/// How far marks stand beside their x at the most, points: no more than some devices on the axis of N.
+/// Largest horizontal offset of marks, points: only a few devices on the axis of N.
 const BESIDE: f64 = 4.0;
-/// How pale grid lines are.
+/// Opacity of grid lines.
 const GRID: f64 = 0.14;
 
 /// A measured point.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sample {
-    /// Its place along x.
+pub struct ChartPoint {
+    /// Position along x.
     pub x: f64,
-    /// Its place along y, a mean.
+    /// Position along y, a mean.
     pub y: f64,
-    /// Half the width of its 95 % interval; NaN where there is none, as for a single run or a closed form.
+    /// Half the width of the 95 % interval; NaN without an interval, as for a single run or a closed form.
     pub half: f64,
-    /// Half the width of the interval of x; NaN where x is given rather than measured.
+    /// Half the width of the interval of x; NaN if x is given, not measured.
     pub across: f64,
 }
 
-/// How the intervals of a line are drawn.
+/// Drawing style of a line's intervals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Interval {
     /// A band, and bars with caps at the points.
@@ -48,35 +47,35 @@ pub enum Interval {
 /// A line of a chart.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Series {
-    /// Its name in the legend; empty for one that has no entry.
+    /// Name in the legend; empty for a line without an entry.
     pub name: String,
-    /// How it looks.
+    /// Style of line and markers.
     pub style: Style,
-    /// Whether its points are joined.
+    /// Whether the points are joined.
     pub joined: bool,
-    /// Whether its points have markers.
+    /// Whether the points have markers.
     pub marked: bool,
-    /// How its intervals are drawn.
+    /// Drawing style of the intervals.
     pub interval: Interval,
-    /// Its points, in the order in which they are joined.
-    pub samples: Vec<Sample>,
+    /// Points, in the order in which they are joined.
+    pub samples: Vec<ChartPoint>,
 }
 
-/// What the paper says of a point.
+/// Value that the paper states for a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Stated {
-    /// This value.
+pub enum StatedValue {
+    /// Exactly this value.
     Value(f64),
-    /// Between these values.
+    /// A value between these two.
     Range(f64, f64),
-    /// Less than this.
+    /// A value less than this.
     Below(f64),
-    /// More than this.
+    /// A value greater than this.
     Above(f64),
 }
 
-impl Stated {
-    /// The values that it names.
+impl StatedValue {
+    /// Lower and upper value; equal except for a range.
     pub fn values(self) -> [f64; 2] {
         match self {
             Self::Value(v) | Self::Below(v) | Self::Above(v) => [v, v],
@@ -85,60 +84,60 @@ impl Stated {
     }
 }
 
-/// A mark for what the paper says.
+/// A mark for a value stated in the paper.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Mark {
-    /// Its place along x.
+pub struct StatedMark {
+    /// Position along x.
     pub x: f64,
-    /// How far it stands beside that, points, so that marks at one place do not hide each other.
+    /// Horizontal offset from x, points, so that marks at the same x do not hide each other.
     pub aside: f64,
-    /// What it says.
-    pub stated: Stated,
-    /// How it looks.
+    /// Stated value.
+    pub stated: StatedValue,
+    /// Style of the mark.
     pub style: Style,
 }
 
-/// What the paper says of a policy for a range of x.
+/// A statement of the paper about a policy for a range of x.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Span {
-    /// The least x.
+pub struct StatedSpan {
+    /// Smallest x.
     pub from: f64,
-    /// The largest x.
+    /// Largest x.
     pub to: f64,
-    /// What it says.
-    pub stated: Stated,
-    /// The colour of the policy.
+    /// Stated value.
+    pub stated: StatedValue,
+    /// Colour of the policy.
     pub paint: Paint,
 }
 
 /// A chart.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chart {
-    /// What it shows.
+    /// Title.
     pub title: String,
-    /// What x is, with its unit.
+    /// Quantity along x, with its unit.
     pub x_label: String,
-    /// What y is, with its unit.
+    /// Quantity along y, with its unit.
     pub y_label: String,
     /// The x axis.
     pub x: Scale,
     /// The y axis.
     pub y: Scale,
-    /// Its lines.
+    /// Lines.
     pub series: Vec<Series>,
-    /// What the paper says.
-    pub marks: Vec<Mark>,
-    /// What it says for ranges of x: hatched.
-    pub spans: Vec<Span>,
-    /// What stands beside points, the most important first: those for which there is no room are left out.
+    /// Values stated in the paper.
+    pub marks: Vec<StatedMark>,
+    /// Values stated for ranges of x, drawn as hatching.
+    pub spans: Vec<StatedSpan>,
+    /// Labels next to points, most important first. Labels without room are left out.
     pub notes: Vec<Note>,
-    /// Whether values of zero stand at the lower border, which then says so.
+    /// Whether values of zero are drawn on the lower border, which is then labelled 0.
     pub zero_below: bool,
-    /// How to read marks and intervals, and what the runs were.
+    /// Caption: how to read marks and intervals, and a description of the runs.
     pub caption: String,
 }
 
-/// Where the plot is on the canvas.
+/// Position of the plot on the canvas.
 struct Frame<'a> {
     chart: &'a Chart,
     left: f64,
@@ -148,7 +147,7 @@ struct Frame<'a> {
 }
 
 impl Chart {
-    /// The chart as a picture.
+    /// Draws the chart.
     pub fn scene(&self) -> Scene {
         let mut scene = Scene::new(COLUMN, 0.0);
         scene.title.clone_from(&self.title);
@@ -180,7 +179,7 @@ impl Chart {
         scene
     }
 
-    fn y_ticks(&self) -> Vec<Tick> {
+    fn y_ticks(&self) -> Vec<AxisTick> {
         let mut ticks = self.y.ticks();
         if let Some(lowest) = ticks.first_mut().filter(|_| self.zero_below) {
             "0".clone_into(&mut lowest.label);
@@ -188,7 +187,7 @@ impl Chart {
         ticks
     }
 
-    /// Rows of as many entries as fit; gives the base line of what follows.
+    /// Draws rows of as many entries as fit. Returns the base line of the text below.
     fn legend(&self, scene: &mut Scene, mut y: f64) -> f64 {
         const SWATCH: f64 = 22.0;
         let mut x = EDGE;
@@ -204,7 +203,10 @@ impl Chart {
             }
             let middle = y - 0.35 * SMALL;
             if series.joined {
-                scene.line(Path::segment((x, middle), (x + 18.0, middle)), series.style.line());
+                scene.line(
+                    VectorPath::segment((x, middle), (x + 18.0, middle)),
+                    series.style.line(),
+                );
             }
             if series.marked {
                 series.style.mark(scene, (x + 9.0, middle));
@@ -249,30 +251,30 @@ impl Frame<'_> {
             let y = self.y(tick.value);
             let is_main = !tick.label.is_empty();
             if is_main {
-                scene.line(Path::segment((self.left, y), (self.right, y)), grid);
+                scene.line(VectorPath::segment((self.left, y), (self.right, y)), grid);
                 let at = (self.left - 4.0, y + 0.36 * SMALL);
                 scene.text(Text::new(tick.label, at, SMALL).anchored(Anchor::End));
             }
             let length = if is_main { 2.5 } else { 1.5 };
-            scene.line(Path::segment((self.left - length, y), (self.left, y)), axis);
+            scene.line(VectorPath::segment((self.left - length, y), (self.left, y)), axis);
         }
         for tick in self.chart.x.ticks() {
             let x = self.x(tick.value);
             let is_main = !tick.label.is_empty();
             if is_main {
-                scene.line(Path::segment((x, self.top), (x, self.bottom)), grid);
+                scene.line(VectorPath::segment((x, self.top), (x, self.bottom)), grid);
                 let at = (x, self.bottom + LEADING + 1.5);
                 scene.text(Text::new(tick.label, at, SMALL).anchored(Anchor::Middle));
             }
             let length = if is_main { 2.5 } else { 1.5 };
-            scene.line(Path::segment((x, self.bottom), (x, self.bottom + length)), axis);
+            scene.line(VectorPath::segment((x, self.bottom), (x, self.bottom + length)), axis);
         }
         let corner = [
             (self.left, self.top),
             (self.left, self.bottom),
             (self.right, self.bottom),
         ];
-        scene.line(Path::polyline(corner, false), axis);
+        scene.line(VectorPath::polyline(corner, false), axis);
         let below = (0.5 * (self.left + self.right), self.bottom + 2.0 * LEADING + 2.5);
         scene.text(Text::new(self.chart.x_label.as_str(), below, SMALL).anchored(Anchor::Middle));
         let beside = (EDGE + 0.76 * SMALL, 0.5 * (self.top + self.bottom));
@@ -282,6 +284,7 @@ impl Frame<'_> {
     }
 
     fn data(&self, scene: &mut Scene) {
+        // From back to front: bands first and markers last, so that no interval hides a mean.
         for series in &self.chart.series {
             self.intervals(scene, series);
         }
@@ -294,7 +297,7 @@ impl Frame<'_> {
         let has_line = |s: &&Series| s.joined && s.interval != Interval::Edges;
         for series in self.chart.series.iter().filter(has_line) {
             let points = series.samples.iter().map(|s| (self.x(s.x), self.y(s.y)));
-            scene.line(Path::polyline(points, false), series.style.line());
+            scene.line(VectorPath::polyline(points, false), series.style.line());
         }
         for mark in &self.chart.marks {
             self.point(scene, mark);
@@ -312,7 +315,7 @@ impl Frame<'_> {
         let notes: Vec<_> = notes.map(|n| ((self.x(n.x), self.y(n.y)), n.text.as_str())).collect();
         let mut obstacles = Obstacles::default();
         for series in &self.chart.series {
-            let at = |s: &Sample| (self.x(s.x), self.y(s.y));
+            let at = |s: &ChartPoint| (self.x(s.x), self.y(s.y));
             let markers = series.samples.iter().map(|s| (at(s), MARKER));
             obstacles.markers.extend(markers);
             let lines = series.samples.windows(2).map(|pair| [at(&pair[0]), at(&pair[1])]);
@@ -326,21 +329,21 @@ impl Frame<'_> {
             }
         }
         let marks = self.chart.marks.iter();
-        // A number beside a hollow mark would be taken for its own.
+        // A number next to a hollow mark would be read as the value of the mark.
         let values = marks.map(|m| ((self.aside(m), self.y(m.stated.values()[0])), 4.0 * MARKER));
         obstacles.markers.extend(values);
-        for text in settle(&notes, &obstacles, [self.left, self.top, self.right, self.bottom]) {
+        for text in place_notes(&notes, &obstacles, [self.left, self.top, self.right, self.bottom]) {
             scene.text(text);
         }
     }
 
-    /// The band of a joined series, and a bar with caps at each of its points.
+    /// Draws the band of a joined series, and a bar with caps at each of its points.
     fn intervals(&self, scene: &mut Scene, series: &Series) {
-        let known: Vec<&Sample> = series.samples.iter().filter(|s| s.half.is_finite()).collect();
+        let known: Vec<&ChartPoint> = series.samples.iter().filter(|s| s.half.is_finite()).collect();
         if series.joined && known.len() > 1 && series.interval != Interval::Crosses {
             let upper = known.iter().map(|s| (self.x(s.x), self.y(s.y + s.half)));
             let lower = known.iter().rev().map(|s| (self.x(s.x), self.y(s.y - s.half)));
-            scene.area(Path::polyline(upper.chain(lower), true), series.style.paint, 0.25);
+            scene.area(VectorPath::polyline(upper.chain(lower), true), series.style.paint, 0.25);
         }
         match series.interval {
             Interval::Bars | Interval::Crosses => {}
@@ -348,7 +351,7 @@ impl Frame<'_> {
             Interval::Edges => {
                 for sign in [1.0, -1.0] {
                     let edge = known.iter().map(|s| (self.x(s.x), self.y(s.y + sign * s.half)));
-                    scene.line(Path::polyline(edge, false), series.style.line());
+                    scene.line(VectorPath::polyline(edge, false), series.style.line());
                 }
                 return;
             }
@@ -357,83 +360,88 @@ impl Frame<'_> {
         for sample in known {
             let x = self.x(sample.x);
             let (top, bottom) = (self.y(sample.y + sample.half), self.y(sample.y - sample.half));
-            let mut path = Path::segment((x, top), (x, bottom));
-            path.extend(Path::segment((x - 2.0, top), (x + 2.0, top)));
-            path.extend(Path::segment((x - 2.0, bottom), (x + 2.0, bottom)));
+            let mut path = VectorPath::segment((x, top), (x, bottom));
+            path.extend(VectorPath::segment((x - 2.0, top), (x + 2.0, top)));
+            path.extend(VectorPath::segment((x - 2.0, bottom), (x + 2.0, bottom)));
             scene.line(path, bar);
         }
         for sample in series.samples.iter().filter(|s| s.across.is_finite()) {
             let y = self.y(sample.y);
             let (left, right) = (self.x(sample.x - sample.across), self.x(sample.x + sample.across));
-            let mut path = Path::segment((left, y), (right, y));
-            path.extend(Path::segment((left, y - 2.0), (left, y + 2.0)));
-            path.extend(Path::segment((right, y - 2.0), (right, y + 2.0)));
+            let mut path = VectorPath::segment((left, y), (right, y));
+            path.extend(VectorPath::segment((left, y - 2.0), (left, y + 2.0)));
+            path.extend(VectorPath::segment((right, y - 2.0), (right, y + 2.0)));
             scene.line(path, bar);
         }
     }
 
-    fn aside(&self, mark: &Mark) -> f64 {
+    fn aside(&self, mark: &StatedMark) -> f64 {
         (self.x(mark.x) + mark.aside).clamp(self.left + 3.0, self.right + 2.0)
     }
 
-    fn range(&self, scene: &mut Scene, mark: &Mark) {
-        let Stated::Range(low, high) = mark.stated else { return };
+    fn range(&self, scene: &mut Scene, mark: &StatedMark) {
+        let StatedValue::Range(low, high) = mark.stated else {
+            return;
+        };
         let x = self.aside(mark);
         let corners = [x - 2.2, self.y(high), x + 2.2, self.y(low)];
         scene.outlined(
-            Path::rectangle(corners),
+            VectorPath::rectangle(corners),
             Paint::Paper,
             Stroke::solid(mark.style.paint, 0.9),
         );
     }
 
-    /// An outline with light hatching; of a bound its line, hatched on the side on which values may be.
-    fn span(&self, scene: &mut Scene, span: &Span) {
+    /// Draws a range as an outline with light hatching, and a bound as a line hatched on its permitted side.
+    fn span(&self, scene: &mut Scene, span: &StatedSpan) {
         const DEPTH: f64 = 7.0;
         let (left, right) = (self.x(span.from), self.x(span.to));
         let stroke = Stroke::solid(span.paint, 0.6).faded(0.6);
         let (top, bottom) = match span.stated {
-            Stated::Range(low, high) => (self.y(high), self.y(low)),
-            Stated::Value(v) => (self.y(v), self.y(v)),
-            Stated::Below(v) => (self.y(v), (self.y(v) + DEPTH).min(self.bottom)),
-            Stated::Above(v) => ((self.y(v) - DEPTH).max(self.top), self.y(v)),
+            StatedValue::Range(low, high) => (self.y(high), self.y(low)),
+            StatedValue::Value(v) => (self.y(v), self.y(v)),
+            StatedValue::Below(v) => (self.y(v), (self.y(v) + DEPTH).min(self.bottom)),
+            StatedValue::Above(v) => ((self.y(v) - DEPTH).max(self.top), self.y(v)),
         };
         let edges = match span.stated {
-            Stated::Range(..) => vec![top, bottom],
-            Stated::Value(_) | Stated::Below(_) => vec![top],
-            Stated::Above(_) => vec![bottom],
+            StatedValue::Range(..) => vec![top, bottom],
+            StatedValue::Value(_) | StatedValue::Below(_) => vec![top],
+            StatedValue::Above(_) => vec![bottom],
         };
         for y in edges {
-            scene.line(Path::segment((left, y), (right, y)), stroke.dashed(&[3.0, 1.5]));
+            scene.line(VectorPath::segment((left, y), (right, y)), stroke.dashed(&[3.0, 1.5]));
         }
         for hatch in hatching([left, top, right, bottom]) {
             scene.line(hatch, Stroke::solid(span.paint, 0.4).faded(0.4));
         }
     }
 
-    fn point(&self, scene: &mut Scene, mark: &Mark) {
+    fn point(&self, scene: &mut Scene, mark: &StatedMark) {
         let x = self.aside(mark);
         let (value, direction) = match mark.stated {
-            Stated::Range(..) => return,
-            Stated::Value(value) => (value, 0.0),
-            Stated::Below(value) => (value, 1.0),
-            Stated::Above(value) => (value, -1.0),
+            StatedValue::Range(..) => return,
+            StatedValue::Value(value) => (value, 0.0),
+            StatedValue::Below(value) => (value, 1.0),
+            StatedValue::Above(value) => (value, -1.0),
         };
         let y = self.y(value);
         if direction != 0.0 {
-            // The arrow stays in the plot, next to the bound if the bound is at its border.
+            // The arrow stays in the plot. If the bound is at the border, it lies next to the bound.
             let tip = (y + direction * 13.0).clamp(self.top - 4.0, self.bottom);
-            let mut arrow = Path::segment((x, y), (x, tip));
+            let mut arrow = VectorPath::segment((x, y), (x, tip));
             let barb = tip - direction * 3.0;
-            arrow.extend(Path::polyline([(x - 2.0, barb), (x, tip), (x + 2.0, barb)], false));
+            arrow.extend(VectorPath::polyline(
+                [(x - 2.0, barb), (x, tip), (x + 2.0, barb)],
+                false,
+            ));
             scene.line(arrow, Stroke::solid(mark.style.paint, 0.8 * LINE));
         }
         mark.style.mark_hollow(scene, (x, y));
     }
 }
 
-/// Lines that rise through a rectangle at 45°.
-pub(super) fn hatching([left, top, right, bottom]: [f64; 4]) -> Vec<Path> {
+/// Returns lines that rise through a rectangle at 45°.
+pub(super) fn hatching([left, top, right, bottom]: Rect) -> Vec<VectorPath> {
     const STEP: f64 = 6.0;
     let height = bottom - top;
     if height <= 0.0 {
@@ -443,19 +451,20 @@ pub(super) fn hatching([left, top, right, bottom]: [f64; 4]) -> Vec<Path> {
     let line = |i: u32| {
         let foot = left - height + STEP * f64::from(i);
         let (from, to) = ((left - foot).max(0.0), (right - foot).min(height));
-        (to > from).then(|| Path::segment((foot + from, bottom - from), (foot + to, bottom - to)))
+        (to > from).then(|| VectorPath::segment((foot + from, bottom - from), (foot + to, bottom - to)))
     };
     (0..=count).filter_map(line).collect()
 }
 
-/// Places marks that share an x side by side in their order: [`MARKER`]s apart, but none further than `BESIDE`.
-pub fn spread(marks: &mut [Mark]) {
+/// Spreads marks that share an x around it, in order: one marker width apart, at most 4 points from x.
+pub fn spread(marks: &mut [StatedMark]) {
     let all = marks.to_vec();
     for (i, mark) in marks.iter_mut().enumerate() {
-        let shares = |other: &&Mark| (other.x - mark.x).abs() < 1e-9;
+        let shares = |other: &&StatedMark| (other.x - mark.x).abs() < 1e-9;
         let count = all.iter().filter(shares).count();
         let turn = all[..i].iter().filter(shares).count();
         let gaps = count as f64 - 1.0;
+        // A lone mark has no gaps and stays at its x.
         let step = (2.4 * MARKER).min(2.0 * BESIDE / gaps.max(1.0));
         mark.aside = (turn as f64 - 0.5 * gaps) * step;
     }

@@ -1,11 +1,11 @@
 //! Contour lines of values on a grid, as segments.
 
 /// A point of the unit square.
-type Place = (f64, f64);
+type UnitPoint = (f64, f64);
 
-/// The segments of the line where values are `level`: `rows` are by rising y, of equal length, at the middles of equal
-/// cells of the unit square; beyond the outermost middles values stay as they are there (marching squares).
-pub fn segments(rows: &[Vec<f64>], level: f64) -> Vec<(Place, Place)> {
+/// Returns the contour at `level` as segments (marching squares). `rows` ascend in y and have equal length. Their
+/// values are at the middles of equal cells of the unit square, and stay constant beyond the outermost middles.
+pub(super) fn segments(rows: &[Vec<f64>], level: f64) -> Vec<(UnitPoint, UnitPoint)> {
     let (high, wide) = (rows.len(), rows.first().map_or(0, Vec::len));
     let mut found = Vec::new();
     if high == 0 || wide == 0 {
@@ -22,17 +22,19 @@ pub fn segments(rows: &[Vec<f64>], level: f64) -> Vec<(Place, Place)> {
             for side in 0..4 {
                 let ((a, from), (b, to)) = (corners[side], corners[(side + 1) % 4]);
                 if (from >= level) != (to >= level) {
+                    // The two values lie on different sides of the level, so they differ.
                     let share = (level - from) / (to - from);
                     crossings.push((a.0 + share * (b.0 - a.0), a.1 + share * (b.1 - a.1)));
                 }
             }
-            // With four crossings the middle decides which corners hang together.
+            // With four crossings the middle decides which corners are connected.
             if crossings.len() == 4 {
                 let middle = corners.iter().map(|(_, value)| value).sum::<f64>() / 4.0;
                 if (middle >= level) != (corners[0].1 >= level) {
                     crossings.rotate_left(1);
                 }
             }
+            // A line that enters a cell leaves it, so the number of crossings is even.
             found.extend(crossings.chunks_exact(2).map(|pair| (pair[0], pair[1])));
         }
     }
@@ -50,8 +52,8 @@ mod tests {
             .collect()
     }
 
-    fn length(segments: &[(Place, Place)]) -> f64 {
-        let one = |(a, b): &(Place, Place)| ((a.0 - b.0) * (a.0 - b.0) + (a.1 - b.1) * (a.1 - b.1)).sqrt();
+    fn length(segments: &[(UnitPoint, UnitPoint)]) -> f64 {
+        let one = |(a, b): &(UnitPoint, UnitPoint)| ((a.0 - b.0) * (a.0 - b.0) + (a.1 - b.1) * (a.1 - b.1)).sqrt();
         segments.iter().map(one).sum()
     }
 
@@ -84,13 +86,13 @@ mod tests {
 
     #[test]
     fn lines_do_not_cross_at_a_saddle() {
-        // The middle (0.5) is above the level, so the high corners hang together.
+        // The middle (0.5) is above the level, so the high corners are connected.
         let saddle = vec![vec![1.0, 0.0], vec![0.0, 1.0]];
         let found = segments(&saddle, 0.4);
-        let between = |t: &Place| t.0 + t.1;
+        let between = |t: &UnitPoint| t.0 + t.1;
         // Each piece lies wholly on one side of the diagonal through the high corners.
         for (a, b) in found {
-            let side = |p: &Place| p.1 - p.0;
+            let side = |p: &UnitPoint| p.1 - p.0;
             assert!(side(&a) * side(&b) > 0.0, "{a:?} {b:?} {}", between(&a));
         }
     }

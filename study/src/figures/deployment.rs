@@ -1,30 +1,29 @@
-//! The deployment picture: the area with the devices' Voronoi cells and clusters, and one event with all who had to do
-//! with it in the TTI in which it closed.
+//! Deployment figure: the area with the devices' Voronoi cells and clusters, and one event with the devices involved in
+//! the TTI in which it closed.
 
 use libm::{cos, sin};
 use reveille_bs::beliefs::ranking::i_min;
+use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
 use reveille_common::event::EventRecord;
 use reveille_common::geometry::{Point, cells};
 use reveille_common::ids::DeviceId;
 use reveille_common::message::WakeOutcome;
-use reveille_common::scenario::Scenario;
 use reveille_common::state::DeviceState;
 
+use super::area_plot::AreaPlot;
+use super::cell_map::{self, tints};
 use super::error::FigureError;
 use super::font::{Weight, width, wrap};
-use super::ground::Ground;
-use super::layout::{COLUMN, EDGE, LARGE, LEADING, SMALL};
-use super::map::{self, tints};
-use super::path::Path;
+use super::path::VectorPath;
+use super::run_walk::{RunWalk, TtiOutcome, events};
 use super::scene::{Anchor, Paint, Rgb, Scene, Stroke, Text};
-use super::style::{BLUE, GREEN, VERMILION};
-use super::witness::{Happened, Walk, events};
+use super::style::{BLUE, COLUMN, EDGE, GREEN, LARGE, LEADING, SMALL, VERMILION};
 
-/// The most devices that a picture shows.
-pub const CROWD: u32 = 1000;
+/// Largest number of devices in a figure.
+pub(crate) const CROWD: u32 = 1000;
 
-/// Ground colours of clusters: pale, so that markers stand out.
+/// Background colours of clusters: pale, so that markers stand out.
 const TINTS: [Rgb; 6] = [
     Rgb(0xD6, 0xE6, 0xF2),
     Rgb(0xFB, 0xEC, 0xCC),
@@ -34,18 +33,18 @@ const TINTS: [Rgb; 6] = [
     Rgb(0xF8, 0xF6, 0xCF),
 ];
 
-/// What a device did in the TTI shown.
+/// Role of a device in the TTI shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Role {
+pub enum DeviceRole {
     /// In S1, and reported.
     Reporter,
-    /// Woken, and reported; the number of its wake-up.
+    /// Woken, and reported; with the number of its wake-up.
     Woken(u32),
-    /// In S1 or woken, and could not pay E_Tx.
+    /// In S1 or woken, but could not pay E_Tx.
     Failed,
-    /// Woken, and not heard of: its wake-up radio had no power, or it was not asleep.
+    /// Woken, but no report arrived: unpowered, not asleep, or the wake-up or report was lost.
     Deaf,
-    /// In S1 without anything to report.
+    /// In S1 without an event to report.
     Sensing,
     /// In S4.
     Asleep,
@@ -55,31 +54,31 @@ pub enum Role {
 
 /// One event and the devices around it.
 #[derive(Clone, Debug)]
-pub struct Moment {
+pub struct EventScene {
     /// The event.
     pub event: EventRecord,
-    /// The devices' positions, metres.
+    /// Positions of the devices, metres.
     pub positions: Vec<Point>,
-    /// What each device did in the event's last TTI.
-    pub roles: Vec<Role>,
-    /// The cluster of each device, where the policy has clusters.
+    /// Role of each device in the event's last TTI.
+    pub roles: Vec<DeviceRole>,
+    /// Cluster of each device, if the policy has clusters.
     pub clusters: Option<Vec<u32>>,
-    /// The threshold I_min of the deployment.
+    /// Threshold I_min of the deployment.
     pub i_min: f64,
-    /// Wake-ups sent.
+    /// Number of wake-ups sent.
     pub wake_ups: usize,
 }
 
-impl Moment {
-    /// The moment in which event `event` of `scenario` closes; by default the first event after the warm-up that made
-    /// the BS wake somebody who reported, or else the first reported, or else the first.
+impl EventScene {
+    /// Finds the TTI in which event `event` of `scenario` closes. The default is the first event after the warm-up with
+    /// several reports and a wake-up. Failing that, it is the first reported event, or else the first event.
     ///
     /// # Errors
-    /// More than [`CROWD`] devices, or no such event.
+    /// There are more than `CROWD` devices, or the event does not exist.
     pub fn of(scenario: &Scenario, event: Option<u64>) -> Result<Self, FigureError> {
-        if scenario.devices > CROWD {
+        if scenario.run.devices > CROWD {
             return Err(FigureError::Crowd {
-                count: scenario.devices,
+                count: scenario.run.devices,
                 what: "a deployment picture",
                 limit: CROWD,
                 advice: "give fewer with --devices",
@@ -98,13 +97,13 @@ impl Moment {
             return Err(FigureError::NoEvent {
                 event: event.unwrap_or(0),
                 count: all.len(),
-                ttis: scenario.ttis,
+                ttis: scenario.run.ttis,
             });
         };
-        let mut walk = Walk::new(scenario);
+        let mut walk = RunWalk::new(scenario);
         let happened = walk.reach(chosen.last);
         let positions = Deployment::new(scenario).positions();
-        let roles = (0..scenario.devices).map(DeviceId);
+        let roles = (0..scenario.run.devices).map(DeviceId);
         let roles = roles.map(|j| role(j, &happened, walk.state(j, chosen.last).0));
         Ok(Self {
             event: *chosen,
@@ -117,46 +116,50 @@ impl Moment {
     }
 }
 
-fn role(device: DeviceId, happened: &Happened, state: DeviceState) -> Role {
+fn role(device: DeviceId, happened: &TtiOutcome, state: DeviceState) -> DeviceRole {
+    // Wake-ups first: a woken device that has reported also ends its TTI in S3.
     let wake_up = (1..).zip(&happened.woken).find(|(_, (woken, _))| *woken == device);
     match wake_up {
-        Some((number, (_, WakeOutcome::Reported(_)))) => return Role::Woken(number),
-        Some((_, (_, WakeOutcome::Failed(_) | WakeOutcome::Late { .. }))) => return Role::Failed,
-        Some((_, (_, WakeOutcome::Unheard | WakeOutcome::Lost(_)))) => return Role::Deaf,
+        Some((number, (_, WakeOutcome::Reported(_)))) => return DeviceRole::Woken(number),
+        Some((_, (_, WakeOutcome::Failed(_) | WakeOutcome::Late { .. }))) => return DeviceRole::Failed,
+        Some((_, (_, WakeOutcome::Unheard | WakeOutcome::Lost(_)))) => return DeviceRole::Deaf,
         None => {}
     }
     if happened.failures.iter().any(|f| f.device == device) {
-        return Role::Failed;
+        return DeviceRole::Failed;
     }
     match state {
-        DeviceState::Transmission => Role::Reporter,
-        DeviceState::Idle | DeviceState::Active => Role::Sensing,
-        DeviceState::Sleep { powered: true } => Role::Asleep,
-        DeviceState::Sleep { powered: false } => Role::Empty,
+        DeviceState::Transmission => DeviceRole::Reporter,
+        DeviceState::Idle | DeviceState::Active => DeviceRole::Sensing,
+        DeviceState::Sleep { powered: true } => DeviceRole::Asleep,
+        DeviceState::Sleep { powered: false } => DeviceRole::Empty,
     }
 }
 
-/// What the picture of `moment` is called.
-pub fn name(scenario: &Scenario, moment: &Moment) -> String {
+/// Returns the file name, without extension, of the figure.
+pub fn name(scenario: &Scenario, moment: &EventScene) -> String {
     let (policy, event) = (scenario.policy.name(), moment.event.event.0);
-    format!("deployment-{policy}-n{}-s{}-e{event}", scenario.devices, scenario.seed)
+    format!(
+        "deployment-{policy}-n{}-s{}-e{event}",
+        scenario.run.devices, scenario.run.seed
+    )
 }
 
-/// The picture of `moment`.
-pub fn scene(scenario: &Scenario, moment: &Moment) -> Scene {
+/// Draws `moment`.
+pub fn scene(scenario: &Scenario, moment: &EventScene) -> Scene {
     let mut scene = Scene::new(COLUMN, 0.0);
     scene.title = format!(
         "Event {}, policy {}, N = {}",
         moment.event.event.0,
         scenario.policy.name(),
-        scenario.devices
+        scenario.run.devices
     );
     let mut y = EDGE + LARGE;
     for line in wrap(&scene.title.clone(), Weight::Bold, LARGE, COLUMN - 2.0 * EDGE) {
         scene.text(Text::new(line, (EDGE, y), LARGE).bold());
         y += LEADING + 1.0;
     }
-    let ground = Ground::new(scenario.area, y - 2.0);
+    let ground = AreaPlot::new(scenario.area, y - 2.0);
     ground.cells(&mut scene, moment);
     ground.axes(&mut scene);
     ground.event(&mut scene, moment, scenario.sensing.d_max);
@@ -171,31 +174,31 @@ pub fn scene(scenario: &Scenario, moment: &Moment) -> Scene {
     scene
 }
 
-impl Ground {
-    fn cells(&self, scene: &mut Scene, moment: &Moment) {
+impl AreaPlot {
+    fn cells(&self, scene: &mut Scene, moment: &EventScene) {
         let cells = cells(&moment.positions, self.area);
         let border = Stroke::solid(Paint::Ink, 0.5).faded(0.3);
         if let Some(of) = &moment.clusters {
-            let tints = tints(&map::neighbours(&moment.positions, &cells), of, TINTS.len());
+            let tints = tints(&cell_map::neighbours(&moment.positions, &cells), of, TINTS.len());
             for (cell, cluster) in cells.iter().zip(of) {
                 let tint = TINTS[tints[*cluster as usize]];
                 let corners = cell.iter().map(|p| self.at(*p));
-                scene.area(Path::polyline(corners, true), Paint::Colour(tint), 1.0);
+                scene.area(VectorPath::polyline(corners, true), Paint::Colour(tint), 1.0);
             }
         }
         for cell in &cells {
-            scene.line(Path::polyline(cell.iter().map(|p| self.at(*p)), true), border);
+            scene.line(VectorPath::polyline(cell.iter().map(|p| self.at(*p)), true), border);
         }
         if let Some(of) = &moment.clusters {
-            for (from, to) in map::borders(&moment.positions, &cells, of) {
-                let line = Path::segment(self.at(from), self.at(to));
+            for (from, to) in cell_map::borders(&moment.positions, &cells, of) {
+                let line = VectorPath::segment(self.at(from), self.at(to));
                 scene.line(line, Stroke::solid(Paint::Ink, 1.1).faded(0.75));
             }
         }
     }
 
-    /// The epicentre, and the part of the circle of radius d_max around it that lies in the area.
-    fn event(&self, scene: &mut Scene, moment: &Moment, d_max: f64) {
+    /// Draws the epicentre, and the part of the circle of radius d_max around it that lies in the area.
+    fn event(&self, scene: &mut Scene, moment: &EventScene, d_max: f64) {
         let centre = moment.event.epicentre;
         let stroke = Stroke::solid(Paint::Colour(VERMILION), 1.2).dashed(&[4.0, 2.0]);
         let mut arc: Vec<(f64, f64)> = Vec::new();
@@ -205,24 +208,25 @@ impl Ground {
             if self.area.contains(p) {
                 arc.push(self.at(p));
             } else if !arc.is_empty() {
-                scene.line(Path::polyline(std::mem::take(&mut arc), false), stroke);
+                // The circle leaves the area here, so the next point inside begins another arc.
+                scene.line(VectorPath::polyline(std::mem::take(&mut arc), false), stroke);
             }
         }
         if !arc.is_empty() {
-            scene.line(Path::polyline(arc, false), stroke);
+            scene.line(VectorPath::polyline(arc, false), stroke);
         }
         epicentre(scene, self.at(centre));
     }
 
-    fn devices(&self, scene: &mut Scene, moment: &Moment) {
+    fn devices(&self, scene: &mut Scene, moment: &EventScene) {
         for (p, role) in moment.positions.iter().zip(&moment.roles) {
             draw_role(scene, *role, self.at(*p));
         }
         for (p, role) in moment.positions.iter().zip(&moment.roles) {
-            if let Role::Woken(number) = role {
+            if let DeviceRole::Woken(number) = role {
                 let (x, y) = self.at(*p);
                 let text = number.to_string();
-                // On the side where the area is.
+                // On the right, unless the text would extend beyond the area.
                 let room = width(&text, Weight::Bold, SMALL) + 6.0;
                 let is_left = x + room < self.left + self.area.width * self.scale;
                 let (x, anchor) = if is_left {
@@ -238,61 +242,77 @@ impl Ground {
 }
 
 pub(super) fn epicentre(scene: &mut Scene, at: (f64, f64)) {
-    let star = Path::polygon(at, 6.0, 8, 0.0, 0.4);
+    let star = VectorPath::polygon(at, 6.0, 8, 0.0, 0.4);
     let border = Stroke::solid(Paint::Ink, 0.6);
     scene.outlined(star, Paint::Colour(VERMILION), border);
 }
 
 fn cross(scene: &mut Scene, (x, y): (f64, f64), size: f64, stroke: Stroke) {
-    let mut path = Path::segment((x - size, y - size), (x + size, y + size));
-    path.extend(Path::segment((x - size, y + size), (x + size, y - size)));
+    let mut path = VectorPath::segment((x - size, y - size), (x + size, y + size));
+    path.extend(VectorPath::segment((x - size, y + size), (x + size, y - size)));
     scene.line(path, stroke);
 }
 
-fn draw_role(scene: &mut Scene, role: Role, at: (f64, f64)) {
+fn draw_role(scene: &mut Scene, role: DeviceRole, at: (f64, f64)) {
     let (x, y) = at;
     let border = Stroke::solid(Paint::Ink, 0.5);
     match role {
-        Role::Reporter => scene.outlined(Path::circle(at, 3.4), Paint::Colour(BLUE), border),
-        Role::Woken(_) => {
-            let square = Path::rectangle([x - 2.8, y - 2.8, x + 2.8, y + 2.8]);
+        DeviceRole::Reporter => scene.outlined(VectorPath::circle(at, 3.4), Paint::Colour(BLUE), border),
+        DeviceRole::Woken(_) => {
+            let square = VectorPath::rectangle([x - 2.8, y - 2.8, x + 2.8, y + 2.8]);
             scene.outlined(square, Paint::Colour(GREEN), border);
         }
-        Role::Failed => cross(scene, at, 3.0, Stroke::solid(Paint::Colour(VERMILION), 1.6)),
-        Role::Deaf => {
-            let square = Path::rectangle([x - 2.6, y - 2.6, x + 2.6, y + 2.6]);
+        DeviceRole::Failed => cross(scene, at, 3.0, Stroke::solid(Paint::Colour(VERMILION), 1.6)),
+        DeviceRole::Deaf => {
+            let square = VectorPath::rectangle([x - 2.6, y - 2.6, x + 2.6, y + 2.6]);
             scene.outlined(square, Paint::Paper, Stroke::solid(Paint::Ink, 0.8));
             cross(scene, at, 2.6, Stroke::solid(Paint::Ink, 0.8));
         }
-        Role::Sensing => scene.outlined(
-            Path::circle(at, 2.8),
+        DeviceRole::Sensing => scene.outlined(
+            VectorPath::circle(at, 2.8),
             Paint::Paper,
             Stroke::solid(Paint::Colour(BLUE), 1.2),
         ),
-        Role::Asleep => scene.area(Path::circle(at, 1.5), Paint::Ink, 1.0),
-        Role::Empty => cross(scene, at, 1.7, Stroke::solid(Paint::Ink, 0.8)),
+        DeviceRole::Asleep => scene.area(VectorPath::circle(at, 1.5), Paint::Ink, 1.0),
+        DeviceRole::Empty => cross(scene, at, 1.7, Stroke::solid(Paint::Ink, 0.8)),
     }
 }
 
-/// The kinds of devices that the picture shows, with how many of each; gives the base line of what follows.
-fn legend(scene: &mut Scene, moment: &Moment, mut y: f64) -> f64 {
-    let count = |is: fn(&Role) -> bool| moment.roles.iter().filter(|role| is(role)).count();
+/// Draws the roles in the figure, with the number of devices in each. Returns the base line of the text below.
+fn legend(scene: &mut Scene, moment: &EventScene, mut y: f64) -> f64 {
+    let count = |is: fn(&DeviceRole) -> bool| moment.roles.iter().filter(|role| is(role)).count();
     let entries = [
-        (Role::Reporter, "S1, reported", count(|r| matches!(r, Role::Reporter))),
         (
-            Role::Woken(1),
+            DeviceRole::Reporter,
+            "S1, reported",
+            count(|r| matches!(r, DeviceRole::Reporter)),
+        ),
+        (
+            DeviceRole::Woken(1),
             "woken, reported",
-            count(|r| matches!(r, Role::Woken(_))),
+            count(|r| matches!(r, DeviceRole::Woken(_))),
         ),
-        (Role::Failed, "could not pay E_Tx", count(|r| matches!(r, Role::Failed))),
-        (Role::Deaf, "woken, not heard of", count(|r| matches!(r, Role::Deaf))),
         (
-            Role::Sensing,
-            "S1, nothing to report",
-            count(|r| matches!(r, Role::Sensing)),
+            DeviceRole::Failed,
+            "could not pay E_Tx",
+            count(|r| matches!(r, DeviceRole::Failed)),
         ),
-        (Role::Asleep, "S4, asleep", count(|r| matches!(r, Role::Asleep))),
-        (Role::Empty, "no power", count(|r| matches!(r, Role::Empty))),
+        (
+            DeviceRole::Deaf,
+            "woken, not heard of",
+            count(|r| matches!(r, DeviceRole::Deaf)),
+        ),
+        (
+            DeviceRole::Sensing,
+            "S1, nothing to report",
+            count(|r| matches!(r, DeviceRole::Sensing)),
+        ),
+        (
+            DeviceRole::Asleep,
+            "S4, asleep",
+            count(|r| matches!(r, DeviceRole::Asleep)),
+        ),
+        (DeviceRole::Empty, "no power", count(|r| matches!(r, DeviceRole::Empty))),
     ];
     let mut x = EDGE;
     let mut place = |scene: &mut Scene, text: String| {
@@ -314,7 +334,7 @@ fn legend(scene: &mut Scene, moment: &Moment, mut y: f64) -> f64 {
     y + LEADING + 5.0
 }
 
-fn caption(scenario: &Scenario, moment: &Moment) -> String {
+fn caption(scenario: &Scenario, moment: &EventScene) -> String {
     let EventRecord { start, last, tally, .. } = moment.event;
     let ground = moment.clusters.as_ref().map_or_else(
         || "Cells are the devices' Voronoi cells.".to_owned(),
@@ -332,6 +352,6 @@ fn caption(scenario: &Scenario, moment: &Moment) -> String {
     format!(
         "{ground} The event began in TTI {start} and ended in TTI {last}, which is shown. The BS sent {wake_ups} and \
          got information {information:.3}; I_min of the deployment is {:.3}. Preset {}, seed {}.",
-        moment.i_min, scenario.preset, scenario.seed
+        moment.i_min, scenario.run.preset, scenario.run.seed
     )
 }

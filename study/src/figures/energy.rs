@@ -1,74 +1,71 @@
 //! The paper's Figs. 13 and 14: harvest and net energy against λ for E_B of 1, 5 and 10 units.
 //!
-//! As in the paper, what a policy spends is held fixed while λ varies: its consumption in the tables, which is that of
-//! Fig. 8. Lines are the closed form λτ·exp(-λτ)·E_B of Eq. (5), points are harvests of the lab's machines
-//! (less the same consumption).
+//! As in the paper, consumption stays fixed while λ varies; it is read from the tables, as in Fig. 8. Lines are the
+//! closed form λτ·exp(-λτ)·E_B of Eq. (5). Points are harvests of simulated devices, in Fig. 14 less consumption.
 
 use std::fmt::Write as _;
 
 use reveille_bs::policy::registry;
-use reveille_bs::scenario::{Scenario, load_with};
+use reveille_bs::scenario::{Loaded, load_with};
 use reveille_common::declare::NoFiles;
 use reveille_common::units::Energy;
 
-use super::chart::{Chart, Interval, Mark, Sample, Series, Stated};
-use super::results::Condition;
+use super::chart::{Chart, ChartPoint, Interval, Series, StatedMark, StatedValue};
+use super::results::RunCondition;
 use super::scale::Scale;
 use super::study::title;
 use super::style::Style;
 use crate::analysis::AnalysisError;
-use crate::analysis::harvest::{self, Point, Reading, STATED, Study, measure};
+use crate::analysis::harvest::{self, HarvestPoint, HarvestStudy, LambdaReading, STATED, measure};
 use reveille_lab::stats::Estimate;
 
-/// The names of the two figures.
+/// Names of the two figures.
 pub const NAMES: [&str; 2] = ["harvest", "net"];
 /// E_B of the figures, units.
 const E_B: [f64; 3] = [1.0, 5.0, 10.0];
 /// λ at which harvests are measured.
 const LAMBDAS: [f64; 9] = [0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0];
-/// The ends of the λ axis. Eq. (5) is largest at λτ = 1.
+/// Ends of the λ axis. Eq. (5) is largest at λτ = 1.
 const ENDS: (f64, f64) = (0.01, 1.0);
-/// Points of a closed form's line.
+/// Number of points of a closed form's line.
 const STEPS: u32 = 80;
-/// The N of Fig. 14.
+/// N of Fig. 14.
 const NET_N: u32 = 100;
-/// The policies of Fig. 14: those that the paper has as spending most and least.
+/// Policies of Fig. 14: the ones with the highest and lowest consumption in the paper.
 const NET_POLICIES: [&str; 2] = ["adjusted", "random"];
-/// The y axis of Fig. 14, units per device and TTI; lines end where they leave it.
+/// Range of the y axis of Fig. 14, units per device and TTI; lines end where they leave it.
 const NET_ENDS: (f64, f64) = (-0.4, 1.0);
 /// Devices, TTIs and runs of the measured harvests.
 const MEASURED: (u32, u64, u64) = (20, 2000, 8);
 
-/// Harvests of the lab's machines for the λ and E_B of the figures, with everything else as in the preset `name`.
+/// Measures harvests of simulated devices for the λ and E_B of the figures, with all other settings as in the preset
+/// `name`.
 ///
 /// # Errors
-/// None for a preset.
-pub fn harvests(name: &str) -> Result<Vec<Point>, AnalysisError> {
+/// The measurement fails, which does not happen for a preset.
+pub fn harvests(name: &str) -> Result<Vec<HarvestPoint>, AnalysisError> {
     let (devices, ttis, seeds) = MEASURED;
-    let Ok(preset) = load_with(name, &[], &NoFiles) else {
+    let Ok(Loaded { mut scenario, .. }) = load_with(name, &[], &NoFiles) else {
         return Ok(Vec::new());
     };
-    let scenario = Scenario {
-        devices,
-        ttis,
-        ..preset
-    };
-    measure(&Study {
+    scenario.run.devices = devices;
+    scenario.run.ttis = ttis;
+    measure(&HarvestStudy {
         scenario,
-        readings: vec![Reading::Eq5],
+        readings: vec![LambdaReading::Eq5],
         lambdas: LAMBDAS.to_vec(),
         e_b: E_B.into_iter().filter_map(Energy::from_units).collect(),
         seeds,
     })
 }
 
-/// The least and the most that a policy spends in `condition` with `n` devices, units per device and TTI; the genie,
-/// which no one can build, does not count. `None` without two policies.
-pub fn consumption(condition: &Condition, n: u32) -> Option<[(String, Estimate); 2]> {
+/// Returns the policies with the least and the most consumption in `condition` with `n` devices, units per device and
+/// TTI. The genie does not count, since it cannot be built. `None` with fewer than two policies.
+pub fn consumption(condition: &RunCondition, n: u32) -> Option<[(String, Estimate); 2]> {
     let policies = condition
         .policies()
         .into_iter()
-        .filter(|policy| registry::named(policy).is_none_or(|policy| !policy.profile().is_bound));
+        .filter(|policy| registry::named(policy).is_none_or(|policy| !policy.is_bound));
     let spent = policies.filter_map(|policy| {
         let estimate = condition.estimate(policy, n, "energy_per_device_tti")?;
         Some((policy.to_owned(), estimate))
@@ -87,7 +84,7 @@ fn lambdas() -> impl Iterator<Item = f64> {
 }
 
 fn closed_form(e_b: f64, lambda: f64) -> f64 {
-    e_b * Reading::Eq5.probability(lambda, 1.0)
+    e_b * LambdaReading::Eq5.probability(lambda, 1.0)
 }
 
 fn axis() -> Scale {
@@ -97,8 +94,8 @@ fn axis() -> Scale {
     }
 }
 
-/// Fig. 13 with `points` of [`harvests`]; consumption bands for N = 10 and 250 where `condition` has them.
-pub fn harvest_chart(condition: &Condition, points: &[Point]) -> Chart {
+/// Draws Fig. 13 with `points` of [`harvests`], and consumption bands for N = 10 and 250 if `condition` has them.
+pub fn harvest_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Chart {
     let (devices, ttis, seeds) = MEASURED;
     let mut series = Vec::new();
     let mut bands = String::new();
@@ -107,8 +104,9 @@ pub fn harvest_chart(condition: &Condition, points: &[Point]) -> Chart {
             continue;
         };
         let (least, most) = (least.mean, most.mean);
+        // A band is a line with a half-width, so it is drawn around its middle.
         let half = 0.5 * (most - least);
-        let samples = [ENDS.0, ENDS.1].map(|x| Sample {
+        let samples = [ENDS.0, ENDS.1].map(|x| ChartPoint {
             x,
             y: least + half,
             half,
@@ -125,7 +123,7 @@ pub fn harvest_chart(condition: &Condition, points: &[Point]) -> Chart {
         let _ = write!(bands, " Spent at N = {n}: {least:.3} ({less}) to {most:.3} ({more}).");
     }
     for (e_b, style) in E_B.into_iter().zip([Style::nth(0), Style::nth(3), Style::nth(4)]) {
-        let line = lambdas().map(|x| Sample {
+        let line = lambdas().map(|x| ChartPoint {
             x,
             y: closed_form(e_b, x),
             half: f64::NAN,
@@ -135,8 +133,9 @@ pub fn harvest_chart(condition: &Condition, points: &[Point]) -> Chart {
         let measured = points.iter().filter(|p| (p.e_b - e_b).abs() < 1e-9);
         series.push(dots_of(style, measured.map(harvest_of).collect()));
     }
+    // The paper states these for its own settings, which only an unchanged preset matches.
     let stated = STATED.iter().filter(|s| s.devices != NET_N && condition.is_plain());
-    let marks: Vec<Mark> = stated.flat_map(marks_of).collect();
+    let marks: Vec<StatedMark> = stated.flat_map(marks_of).collect();
     let hollow = if marks.is_empty() {
         ""
     } else {
@@ -164,9 +163,9 @@ pub fn harvest_chart(condition: &Condition, points: &[Point]) -> Chart {
     }
 }
 
-/// Fig. 14: what is harvested less what `random` and `adjusted` spend with 100 devices, in closed form and with
+/// Draws Fig. 14: harvest less the consumption of `random` and `adjusted` with 100 devices, in closed form and with
 /// `points` of [`harvests`]. `None` if `condition` lacks those policies.
-pub fn net_chart(condition: &Condition, points: &[Point]) -> Option<Chart> {
+pub fn net_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Option<Chart> {
     let (devices, ttis, seeds) = MEASURED;
     let spent = |policy| condition.estimate(policy, NET_N, "energy_per_device_tti");
     let mut series = Vec::new();
@@ -180,7 +179,7 @@ pub fn net_chart(condition: &Condition, points: &[Point]) -> Option<Chart> {
             format!("{policy} spends {spent:.4} ± {half:.4}")
         });
         for (e_b, style) in E_B.into_iter().zip([Style::nth(0), Style::nth(3), Style::nth(4)]) {
-            let net = lambdas().map(|x| Sample {
+            let net = lambdas().map(|x| ChartPoint {
                 x,
                 y: closed_form(e_b, x) - spent,
                 half,
@@ -201,11 +200,11 @@ pub fn net_chart(condition: &Condition, points: &[Point]) -> Option<Chart> {
         }
     }
     let stated = STATED.iter().filter(|s| s.devices == NET_N && condition.is_plain());
-    let marks = stated.flat_map(marks_of).map(|mark| Mark {
-        stated: Stated::Value(0.0),
+    let marks = stated.flat_map(marks_of).map(|mark| StatedMark {
+        stated: StatedValue::Value(0.0),
         ..mark
     });
-    let marks: Vec<Mark> = marks.collect();
+    let marks: Vec<StatedMark> = marks.collect();
     let hollow = if marks.is_empty() {
         ""
     } else {
@@ -235,19 +234,19 @@ pub fn net_chart(condition: &Condition, points: &[Point]) -> Option<Chart> {
     })
 }
 
-/// The λ of a statement, on the line of its E_B.
-fn marks_of(stated: &harvest::Stated) -> impl Iterator<Item = Mark> {
+/// Returns marks at the λ of a statement, on the line of its E_B.
+fn marks_of(stated: &harvest::StatedThreshold) -> impl Iterator<Item = StatedMark> {
     let own = E_B.iter().position(|e| (e - stated.e_b).abs() < 1e-9).unwrap_or(0);
     let (style, e_b) = ([Style::nth(0), Style::nth(3), Style::nth(4)][own], stated.e_b);
-    stated.ends().map(move |end| Mark {
+    stated.ends().map(move |end| StatedMark {
         x: end.lambda,
         aside: 0.0,
-        stated: Stated::Value(closed_form(e_b, end.lambda)),
+        stated: StatedValue::Value(closed_form(e_b, end.lambda)),
         style,
     })
 }
 
-fn line_of(name: String, style: Style, samples: Vec<Sample>) -> Series {
+fn line_of(name: String, style: Style, samples: Vec<ChartPoint>) -> Series {
     Series {
         name,
         style,
@@ -258,8 +257,8 @@ fn line_of(name: String, style: Style, samples: Vec<Sample>) -> Series {
     }
 }
 
-/// Measured points without an entry in the legend.
-fn dots_of(style: Style, samples: Vec<Sample>) -> Series {
+/// Creates measured points without an entry in the legend.
+fn dots_of(style: Style, samples: Vec<ChartPoint>) -> Series {
     Series {
         name: String::new(),
         style,
@@ -270,8 +269,8 @@ fn dots_of(style: Style, samples: Vec<Sample>) -> Series {
     }
 }
 
-fn harvest_of(point: &Point) -> Sample {
-    Sample {
+fn harvest_of(point: &HarvestPoint) -> ChartPoint {
+    ChartPoint {
         x: point.lambda,
         y: point.harvested.mean,
         half: point.harvested.half_width,
@@ -279,10 +278,10 @@ fn harvest_of(point: &Point) -> Sample {
     }
 }
 
-/// The harvest of `point` less `consumption`. The two come from different runs, so their variances add up; of one run
-/// there is none.
-fn net_of(point: &Point, consumption: &Estimate) -> Sample {
-    Sample {
+/// Returns the harvest of `point` less `consumption`. The two come from different runs, so their variances add up. The
+/// result has no interval if either comes from a single run.
+fn net_of(point: &HarvestPoint, consumption: &Estimate) -> ChartPoint {
+    ChartPoint {
         x: point.lambda,
         y: point.harvested.mean - consumption.mean,
         half: libm::hypot(point.harvested.half_width, consumption.half_width),
@@ -290,11 +289,11 @@ fn net_of(point: &Point, consumption: &Estimate) -> Sample {
     }
 }
 
-/// What Fig. 13 shows, as CSV.
-pub fn harvest_csv(points: &[Point]) -> String {
+/// Formats the data of Fig. 13 as CSV.
+pub fn harvest_csv(points: &[HarvestPoint]) -> String {
     let mut out = String::from("lambda,e_b,closed_form,harvested,half_width_95,runs\n");
     for p in points {
-        let Point {
+        let HarvestPoint {
             lambda,
             e_b,
             closed_form,
@@ -307,7 +306,7 @@ pub fn harvest_csv(points: &[Point]) -> String {
     out
 }
 
-/// What Fig. 14 shows, as CSV: the lines, and the points with their half-widths.
+/// Formats the data of Fig. 14 as CSV: the lines, and the points with their half-widths.
 pub fn net_csv(chart: &Chart) -> String {
     let mut out = String::from("line,kind,lambda,net,half_width_95\n");
     let mut line = "";
@@ -316,7 +315,8 @@ pub fn net_csv(chart: &Chart) -> String {
         if series.joined {
             line = &series.name;
         }
-        for Sample { x, y, half, .. } in &series.samples {
+        for ChartPoint { x, y, half, .. } in &series.samples {
+            // Quoted, since the names of lines contain commas.
             let _ = writeln!(out, "\"{line}\",{kind},{x},{y},{half}");
         }
     }

@@ -1,90 +1,90 @@
-//! What can be wrong with a wish for a picture.
+//! Errors in requests for figures.
 
 use reveille_bs::policy::q_learning::learned::Lookback;
 use thiserror::Error;
 
-/// Why there is no picture.
+/// Reason why a figure cannot be drawn.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum FigureError {
-    /// There is no figure of that name.
+    /// No figure has this name.
     #[error("figure `{name}`: there is none of that name; the figures are {known}")]
     Unknown {
-        /// The name asked for.
+        /// Requested name.
         name: String,
-        /// All names.
+        /// All valid names.
         known: String,
     },
     /// The tables hold no run.
     #[error("{tables}: no rows, so there is nothing to draw; `reveille sweep` writes tables with runs")]
     Empty {
-        /// The tables.
+        /// Names of the tables.
         tables: String,
     },
-    /// Two tables disagree about a run.
+    /// Two tables hold different outcomes of one run.
     #[error(
         "scenario {scenario}: the tables hold two different outcomes (digests {first} and {second}) of one scenario; \
          they come from versions of Reveille that do not agree, so make them again with one version"
     )]
     Contradiction {
-        /// The scenario's hash.
+        /// Hash of the scenario.
         scenario: String,
-        /// One digest.
+        /// Digest in one table.
         first: String,
-        /// The other.
+        /// Digest in the other table.
         second: String,
     },
-    /// The run has no such event.
+    /// The run has no event with this number.
     #[error(
         "event {event}: the run of {ttis} TTIs has {count} events, numbered from 0; give one of them, or \
          a longer run with --ttis"
     )]
     NoEvent {
-        /// The event asked for.
+        /// Requested event.
         event: u64,
-        /// Events in the run.
+        /// Number of events in the run.
         count: usize,
-        /// Length of the run.
+        /// Length of the run, TTIs.
         ttis: u64,
     },
-    /// The policy does not attend to anything.
+    /// The policy has no attention weights; only `dt` has them.
     #[error("--policy {0}: what a decision attended to is drawn for dt alone; leave the option out")]
     NoAttention(String),
-    /// The run has no such TTI.
+    /// The run has no TTI with this number.
     #[error("TTI {tti}: the last that can be shown is {last}; give an earlier one, or a longer run with --ttis")]
     NoTti {
-        /// The TTI asked for.
+        /// Requested TTI.
         tti: u64,
-        /// The last that can be.
+        /// Last TTI that can be shown.
         last: u64,
     },
-    /// The run has no such device.
+    /// The run has no device with this number.
     #[error("device {device}: the scenario has {count} devices, numbered 0 to {}", count - 1)]
     NoDevice {
-        /// The device asked for.
+        /// Requested device.
         device: u32,
-        /// Devices in the run.
+        /// Number of devices in the run.
         count: u32,
     },
-    /// The TTIs asked for are none, too many, or not in the run.
+    /// The range of TTIs is empty, too long or outside the run.
     #[error("TTIs {from} to {to}: the run has TTIs 0 to {}, and a timeline shows 10 to 2000 of them", ttis - 1)]
     NoWindow {
         /// First TTI.
         from: u64,
         /// Last TTI.
         to: u64,
-        /// Length of the run.
+        /// Length of the run, TTIs.
         ttis: u64,
     },
-    /// Too many devices for a picture that can be read.
+    /// Too many devices for a legible figure.
     #[error("{count} devices: {what} shows {limit} at the most; {advice}")]
     Crowd {
-        /// Devices asked for.
+        /// Requested number of devices.
         count: u32,
-        /// The picture.
+        /// Kind of figure.
         what: &'static str,
-        /// The most that it can show.
+        /// Largest number of devices that the figure can show.
         limit: u32,
-        /// What to do.
+        /// Advice for the user.
         advice: &'static str,
     },
     /// The file has no table for this number of devices.
@@ -94,112 +94,112 @@ pub enum FigureError {
         own = .window.in_words()
     )]
     NoEntry {
-        /// N asked for.
+        /// Requested N.
         devices: u32,
-        /// The window, TTIs.
+        /// Window, TTIs.
         window: Lookback,
-        /// The file.
+        /// File name.
         file: String,
-        /// Every N that it has for that window.
+        /// All N for which the file has a table with that window.
         known: String,
-        /// Every window that it has.
+        /// All windows in the file.
         windows: String,
     },
-    /// The file does not tell how its training went.
+    /// The file holds no learning curve.
     #[error("{file}: holds no learning curve; reveille train q-learning --out FILE writes tables with theirs")]
     NoCurve {
-        /// The file.
+        /// File name.
         file: String,
     },
-    /// Too much for a picture of learning curves that can be read.
+    /// Too many items for a legible figure of learning curves.
     #[error("{count} {what}: a picture of learning curves shows {limit} at the most")]
     Curves {
-        /// How many there are.
+        /// Number of items.
         count: usize,
-        /// What is counted.
+        /// Kind of item that is counted.
         what: &'static str,
-        /// The most that it can show.
+        /// Largest number of items that the figure can show.
         limit: usize,
     },
-    /// The runs have no such field.
+    /// The runs have no field with this name.
     #[error("field `{name}`: the runs have none of that name; they have {known}")]
     Field {
-        /// The field asked for.
+        /// Requested field.
         name: String,
-        /// The fields that they have.
+        /// Fields of the runs.
         known: String,
     },
-    /// There is no such metric.
+    /// No metric has this name.
     #[error("metric `{name}`: there is none of that name; there are {known}")]
     Metric {
-        /// The metric asked for.
+        /// Requested metric.
         name: String,
         /// All metrics.
         known: String,
     },
-    /// No run has this value of a field.
+    /// No run has this value of the field.
     #[error("{field} = {value}: no run has that; the values are {known}")]
     Value {
-        /// The field.
+        /// Field name.
         field: String,
-        /// The value asked for.
+        /// Requested value.
         value: String,
-        /// The values that runs have.
+        /// Values in the runs.
         known: String,
     },
-    /// No run is left.
+    /// The filter leaves no run.
     #[error("--x {x}: no run that has a value of it has all of {only}")]
     Nothing {
-        /// The field along x.
+        /// Field along x.
         x: String,
-        /// What was asked for.
+        /// Requested filter.
         only: String,
     },
-    /// A field along x whose values are no numbers.
+    /// The field along x has a value that is not a number.
     #[error(
         "--x {field}: {value} is no number, so that it has no place on an axis; draw a line for each with --by {field}"
     )]
     Words {
-        /// The field.
+        /// Field name.
         field: String,
-        /// One of its values.
+        /// One of its non-numeric values.
         value: String,
     },
-    /// The same field twice.
+    /// Field along x and field of the lines are equal.
     #[error("--x {field} --by {field}: a line would be a point; name another field with --by")]
     Twice {
-        /// The field.
+        /// Field name.
         field: String,
     },
-    /// Too many lines for a picture that can be read.
+    /// Too many lines for a legible figure.
     #[error("--by {field}: {count} lines, and {most} can be told apart; choose some runs with --where FIELD=VALUE")]
     Lines {
-        /// The field.
+        /// Field that selects the lines.
         field: String,
-        /// How many values it has.
+        /// Number of values of the field.
         count: usize,
-        /// The most lines.
+        /// Largest number of lines.
         most: usize,
     },
-    /// Too many pictures.
+    /// The runs would need too many figures.
     #[error(
         "--x {x} --by {by}: the runs differ in {fields} as well, which would be more than {most} pictures; choose some \
          with --where FIELD=VALUE"
     )]
     Facets {
-        /// The most pictures.
+        /// Largest number of figures.
         most: usize,
-        /// The fields.
+        /// Other fields in which the runs differ.
         fields: String,
-        /// The field along x.
+        /// Field along x.
         x: String,
-        /// The field that has the lines.
+        /// Field that selects the lines.
         by: String,
     },
-    /// No run has a value of the metric.
+    /// The metric is undefined in every run.
     #[error("metric `{metric}`: no run has a value of it, as where there was no event")]
     Undefined {
-        /// The metric.
+        /// Metric name.
         metric: String,
     },
 }

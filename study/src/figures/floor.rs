@@ -1,61 +1,64 @@
-//! The energy floor: what a policy that looks at the whole area in every TTI cannot go below, and the relaxed bounds of
-//! what less energy can buy.
+//! Energy floor and relaxed bounds. The floor is the least energy of a policy that senses the whole area in every TTI;
+//! the bounds estimate the information that less energy can buy.
 //!
-//! Per device and TTI, with C the least number of devices whose discs of d_max cover what those of all N cover, q the
-//! share of the area that is covered, and r how many events start in a TTI:
+//! Per device and TTI, with C the least number of devices whose discs of radius d_max cover the area that all N cover.
+//! q is the covered share of the area, and r the number of events that start per TTI:
 //!
 //! ```text
 //! floor = (C · E_idle + (N − C) · E_WuR + r · q · E_Tx) / N
 //! r     = 1 / (1/α + (1 − q) · (D − 1))
 //! ```
 //!
-//! Whoever looks everywhere has C devices in S1 at least; all others pay for their wake-up radio, and E_idle is more
-//! than E_WuR. An event in reach is then detected as it starts and closed by its first report, of which there is one
-//! at the least, at E_Tx. One out of reach is on for its D TTIs, in which no other starts. Assumed are full
-//! batteries: devices that cannot pay spend less, and then do not look either. A policy that leaves out a part of the
-//! area, or looks at it seldom, may spend less; how much information that costs the floor does not say.
+//! Such a policy needs at least C devices in S1. All others pay for their wake-up radio, and E_idle is greater than
+//! E_WuR. A covered event is detected as it starts and closed by its first report, so it costs at least one E_Tx. An
+//! event out of reach lasts D TTIs, in which no other event starts. The floor assumes full batteries: devices that
+//! cannot pay spend less, but then do not sense either. A policy that skips a part of the area, or senses it rarely,
+//! may spend less. The floor does not tell how much information that costs.
 //!
-//! C is data, made by `study/data/cover.py` with an exact solver; where it was not solved to the end it is the proven
-//! lower bound.
+//! `study/data/cover.py` computes C with an exact solver. For instances not solved to optimality, C is the proven lower
+//! bound.
 
-use reveille_common::event::Process;
+use reveille_bs::scenario::Scenario;
+use reveille_common::event::ProcessSettings;
 use reveille_common::geometry::Layout;
-use reveille_common::scenario::Scenario;
 use reveille_common::sensing::DetectionKind;
 
-use super::chart::{Interval, Sample, Series};
+use super::chart::{ChartPoint, Interval, Series};
 use super::scene::Paint;
-use super::style::{Marker, Style};
+use super::style::{MarkerShape, Style};
 
-/// Least covers: layout, N, deployments, and the means over them of the least cover and of the share in reach.
+/// Least covers by layout and N: number of deployments, and the means over them of the least cover and of the share in
+/// reach.
 const COVERS: &str = include_str!("../../data/cover.csv");
 /// Relaxed bounds: layout, N, energy per device and TTI, information.
 const BOUNDS: &str = include_str!("../../data/bounds.csv");
-/// The area and range of [`COVERS`], metres.
+/// Side of the area and sensing range in [`COVERS`], metres.
 const SIDE: f64 = 20.0;
 const D_MAX: f64 = 4.0;
 
-/// What a caption says of the floor.
-pub const NOTE: &str = "Energy floor: the least that looking at the whole area in reach in every TTI takes (the \
+/// Caption text about the floor.
+pub(crate) const NOTE: &str = "Energy floor: the least that looking at the whole area in reach in every TTI takes (the \
     deployment's least cover senses, all others listen, one report an event, full batteries), where that is \
     no more than the harvest; who looks at less may spend less.";
-/// What a caption says of the relaxed bound.
-pub const BOUND_NOTE: &str = "Relaxed bound: an estimate, not a proof, from a prototype of 20 runs: each TTI the best \
-    choice of so many devices looks, two reports an event, batteries never bind.";
+/// Caption text about the relaxed bound.
+pub(crate) const BOUND_NOTE: &str = "Relaxed bound: an estimate, not a proof, from a prototype of 20 runs: each TTI \
+    the best choice of so many devices looks, two reports an event, batteries never bind.";
 
-/// The energy floor per device and TTI, units, for `n` devices under `scenario`. `None` where there are no covers:
-/// other areas, ranges, layouts or numbers of devices, detection by chance, events that do not come everywhere alike,
-/// or several classes of devices.
+/// Returns the energy floor per device and TTI, units, for `n` devices under `scenario`. `None` without cover data:
+/// other areas, ranges, layouts or numbers of devices. Also `None` for probabilistic detection, events that are not
+/// uniform over the area, or several device classes.
 pub fn floor(scenario: &Scenario, n: u32) -> Option<f64> {
+    // With several classes the smallest cover need not be the cheapest one.
     let [class] = &scenario.classes[..] else { return None };
     let is_same = |value: f64, stated: f64| (value - stated).abs() < 1e-9;
     let is_covered = is_same(scenario.area.width, SIDE)
         && is_same(scenario.area.height, SIDE)
         && is_same(scenario.sensing.d_max, D_MAX)
         && scenario.sensing.kind == DetectionKind::Range
-        && scenario.events.process == Process::Uniform;
+        && scenario.events.process == ProcessSettings::Uniform;
     let (cover, reach) = cover(&scenario.layout, n).filter(|_| is_covered)?;
     let energy = &class.energy;
+    // An event out of reach lasts D TTIs, in which no other can start; one in reach ends in its first TTI.
     let blocked = (1.0 - reach) * (scenario.events.duration as f64 - 1.0);
     let starts = 1.0 / (1.0 / scenario.events.alpha + blocked);
     let n = f64::from(n);
@@ -65,27 +68,27 @@ pub fn floor(scenario: &Scenario, n: u32) -> Option<f64> {
     Some((sensing + asleep + reports) / n)
 }
 
-/// The energy floor, where it is no more than what devices harvest: more cannot be spent for long.
-pub fn affordable(scenario: &Scenario, n: u32) -> Option<f64> {
-    let harvest = scenario.classes.first()?.harvest.mean(scenario.tau).units();
+/// Returns the energy floor, if it does not exceed the mean harvest; devices cannot spend more in the long run.
+pub(crate) fn affordable(scenario: &Scenario, n: u32) -> Option<f64> {
+    let harvest = scenario.classes.first()?.harvest.mean(scenario.run.tau).units();
     floor(scenario, n).filter(|floor| *floor <= harvest)
 }
 
-/// The least cover of `n` devices and the share of the area in their reach.
+/// Returns the least cover of `n` devices and the share of the area within their reach.
 fn cover(layout: &Layout, n: u32) -> Option<(f64, f64)> {
     let found = rows(COVERS).find(|row| is_of(row, layout, n))?;
     Some((found.get(3)?.parse().ok()?, found.get(6)?.parse().ok()?))
 }
 
-/// The relaxed bounds for `n` devices as points of energy and information, by rising energy; none but for the events,
-/// ranges and energies of the preset `paper`.
-pub fn bounds(layout: &Layout, n: u32) -> Vec<Sample> {
+/// Returns the relaxed bounds for `n` devices as points of energy and information, in ascending order of energy. They
+/// are valid only for the events, ranges and energies of the preset `paper`.
+pub fn bounds(layout: &Layout, n: u32) -> Vec<ChartPoint> {
     let own = rows(BOUNDS).filter(|row| is_of(row, layout, n));
     let point = |row: Vec<&str>| Some(sample(row.get(2)?.parse().ok()?, row.get(3)?.parse().ok()?));
     own.filter_map(point).collect()
 }
 
-/// The rows of a table without its head.
+/// Returns the rows of a table without its header.
 fn rows(table: &str) -> impl Iterator<Item = Vec<&str>> {
     table.lines().skip(1).map(|line| line.split(',').collect())
 }
@@ -99,9 +102,9 @@ fn is_of(row: &[&str], layout: &Layout, n: u32) -> bool {
     row.first() == Some(&layout) && row.get(1).and_then(|text| text.parse().ok()) == Some(n)
 }
 
-/// A point that nobody measured.
-pub const fn sample(x: f64, y: f64) -> Sample {
-    Sample {
+/// Creates a point without intervals, since it is not measured.
+pub const fn sample(x: f64, y: f64) -> ChartPoint {
+    ChartPoint {
         x,
         y,
         half: f64::NAN,
@@ -109,22 +112,22 @@ pub const fn sample(x: f64, y: f64) -> Sample {
     }
 }
 
-/// The line of the floor through `samples`.
-pub fn series(samples: Vec<Sample>) -> Series {
+/// Creates the line of the energy floor through `samples`.
+pub fn series(samples: Vec<ChartPoint>) -> Series {
     line("energy floor", &[8.0, 2.0, 1.0, 2.0, 1.0, 2.0], samples)
 }
 
-/// The line of the relaxed bound through `samples`.
-pub fn bound_series(samples: Vec<Sample>) -> Series {
+/// Creates the line of the relaxed bound through `samples`.
+pub(crate) fn bound_series(samples: Vec<ChartPoint>) -> Series {
     line("relaxed bound", &[4.0, 2.0], samples)
 }
 
-fn line(name: &str, dashes: &'static [f64], samples: Vec<Sample>) -> Series {
+fn line(name: &str, dashes: &'static [f64], samples: Vec<ChartPoint>) -> Series {
     Series {
         name: name.to_owned(),
         style: Style {
             paint: Paint::Ink,
-            marker: Marker::Circle,
+            marker: MarkerShape::Circle,
             dashes,
         },
         joined: true,
@@ -145,7 +148,7 @@ mod tests {
             .iter()
             .map(|text| Override::parse(text).expect("an override"))
             .collect();
-        load("paper", &set).expect("a scenario")
+        load("paper", &set).expect("a scenario").scenario
     }
 
     #[test]
@@ -181,7 +184,7 @@ mod tests {
             (cover - 10.0).abs() < 1e-12 && (0.7..0.8).contains(&reach),
             "{cover} {reach}"
         );
-        // All ten sense; of 5 TTIs to wait for an event, and 3 more that one out of reach takes.
+        // All ten sense. An event starts 5 TTIs after the last on average; one out of reach adds 3 TTIs.
         let expected = 1.0 + reach * 10.0 / (5.0 + 3.0 * (1.0 - reach)) / 10.0;
         let found = floor(&scenario(&[]), 10).expect("a floor");
         assert!((found - expected).abs() < 1e-12, "{found} {expected}");

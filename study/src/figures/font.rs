@@ -1,10 +1,10 @@
-//! Text as outlines of DejaVu Sans Condensed, so that a picture looks the same on every machine, with whatever fonts.
+//! Text as outlines of DejaVu Sans Condensed, so that a figure looks the same on every machine.
 
 use ttf_parser::{Face, GlyphId, OutlineBuilder};
 
-use super::path::{Path, Step};
+use super::path::{PathStep, VectorPath};
 
-/// How heavy the letters are.
+/// Font weight.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Weight {
     /// For running text.
@@ -13,16 +13,16 @@ pub enum Weight {
     Bold,
 }
 
-/// A letter of the font.
+/// A glyph of the font.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Glyph {
-    /// Its weight.
+pub(crate) struct Glyph {
+    /// Font weight.
     pub weight: Weight,
-    /// Its number in the font.
+    /// Glyph number in the font.
     pub id: u16,
 }
 
-/// The font. Only its tables of contents are read here, so it need not be kept.
+/// Parses the font. This reads only its table directory, so the result is not cached.
 fn face(weight: Weight) -> Face<'static> {
     let data = match weight {
         Weight::Regular => dejavu::sans_condensed::regular(),
@@ -31,19 +31,20 @@ fn face(weight: Weight) -> Face<'static> {
     Face::parse(data, 0).expect("the font that Reveille brings along")
 }
 
-/// Units of the font in its size.
-pub fn units_per_em(weight: Weight) -> f64 {
+/// Returns the font units per em.
+pub(crate) fn units_per_em(weight: Weight) -> f64 {
     f64::from(face(weight).units_per_em())
 }
 
-/// The letters of `text` with their places along the base line, in units of the font, and the length of it all. A
-/// letter that the font lacks becomes its box for missing ones.
-pub fn set(text: &str, weight: Weight) -> (Vec<(Glyph, u32)>, u32) {
+/// Returns the glyphs of `text` with their positions along the base line, and the total length, in font units. A
+/// missing letter becomes the font's box for missing glyphs.
+pub(crate) fn set(text: &str, weight: Weight) -> (Vec<(Glyph, u32)>, u32) {
     let face = face(weight);
     let mut at = 0;
     let glyphs = text
         .chars()
         .map(|letter| {
+            // Glyph 0 of a font is its box for missing letters.
             let id = face.glyph_index(letter).unwrap_or(GlyphId(0));
             let place = at;
             at += u32::from(face.glyph_hor_advance(id).unwrap_or(0));
@@ -53,27 +54,28 @@ pub fn set(text: &str, weight: Weight) -> (Vec<(Glyph, u32)>, u32) {
     (glyphs, at)
 }
 
-/// The length of `text` in points.
-pub fn width(text: &str, weight: Weight, size: f64) -> f64 {
+/// Returns the length of `text`, points.
+pub(crate) fn width(text: &str, weight: Weight, size: f64) -> f64 {
     f64::from(set(text, weight).1) * size / units_per_em(weight)
 }
 
-/// Whether the font has every letter of `text`.
-pub fn has(text: &str, weight: Weight) -> bool {
+/// Returns whether the font has every letter of `text`.
+#[cfg(test)]
+pub(crate) fn has(text: &str, weight: Weight) -> bool {
     let face = face(weight);
     text.chars().all(|letter| face.glyph_index(letter).is_some())
 }
 
-/// The outline of a letter, in units of the font, y upwards; empty for a space.
-pub fn outline(glyph: Glyph) -> Path {
-    let mut pen = Pen(Path::default());
+/// Returns the outline of a glyph, in font units, y upwards; empty for a space.
+pub(crate) fn outline(glyph: Glyph) -> VectorPath {
+    let mut pen = Pen(VectorPath::default());
     // A letter without an outline leaves the path empty.
     let _bounds = face(glyph.weight).outline_glyph(GlyphId(glyph.id), &mut pen);
     pen.0
 }
 
-/// `text` in lines of at most `limit` points, broken at spaces. A word that is longer has a line of its own.
-pub fn wrap(text: &str, weight: Weight, size: f64, limit: f64) -> Vec<String> {
+/// Breaks `text` at spaces into lines of at most `limit` points. A longer word gets its own line.
+pub(crate) fn wrap(text: &str, weight: Weight, size: f64, limit: f64) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in text.split(' ').filter(|word| !word.is_empty()) {
         if let Some(line) = lines.last_mut() {
@@ -88,28 +90,28 @@ pub fn wrap(text: &str, weight: Weight, size: f64, limit: f64) -> Vec<String> {
     lines
 }
 
-struct Pen(Path);
+struct Pen(VectorPath);
 
 impl OutlineBuilder for Pen {
     fn move_to(&mut self, x: f32, y: f32) {
-        self.0.0.push(Step::Move(x.into(), y.into()));
+        self.0.0.push(PathStep::Move(x.into(), y.into()));
     }
 
     fn line_to(&mut self, x: f32, y: f32) {
-        self.0.0.push(Step::Line(x.into(), y.into()));
+        self.0.0.push(PathStep::Line(x.into(), y.into()));
     }
 
     fn quad_to(&mut self, x1: f32, y1: f32, x: f32, y: f32) {
-        self.0.0.push(Step::Quad(x1.into(), y1.into(), x.into(), y.into()));
+        self.0.0.push(PathStep::Quad(x1.into(), y1.into(), x.into(), y.into()));
     }
 
     fn curve_to(&mut self, x1: f32, y1: f32, x2: f32, y2: f32, x: f32, y: f32) {
-        let step = Step::Cubic(x1.into(), y1.into(), x2.into(), y2.into(), x.into(), y.into());
+        let step = PathStep::Cubic(x1.into(), y1.into(), x2.into(), y2.into(), x.into(), y.into());
         self.0.0.push(step);
     }
 
     fn close(&mut self) {
-        self.0.0.push(Step::Close);
+        self.0.0.push(PathStep::Close);
     }
 }
 
@@ -138,7 +140,7 @@ mod tests {
     #[test]
     fn a_space_has_a_width_and_no_outline() {
         let (glyphs, length) = set("a b", Weight::Regular);
-        assert_eq!(outline(glyphs[1].0), Path::default());
+        assert_eq!(outline(glyphs[1].0), VectorPath::default());
         assert!(glyphs[1].1 < glyphs[2].1 && glyphs[2].1 < length);
     }
 }

@@ -1,44 +1,43 @@
-//! Information, the objective of P1, against energy for one N: what a policy reaches with each value of its knobs, a
-//! line through them.
+//! Information, the objective of P1, against energy for one N, with a line through a policy's knob settings.
 //!
-//! Knobs are what only the base station decides: settings of policies, and the ranking of wake-ups. Conditions that
-//! differ in anything else are other worlds, and have pictures of their own.
+//! Knobs are settings that only the base station uses: policy settings and the ranking of wake-ups. Conditions that
+//! differ in any other field get separate figures.
 
 use std::fmt::Write as _;
 
 use reveille_common::score::Metrics;
 use reveille_lab::series::{RANKING, policy};
 
-use super::chart::{Chart, Interval, Sample, Series};
+use super::chart::{Chart, ChartPoint, Interval, Series};
 use super::floor;
 use super::note::Note;
 use super::pareto::{ENERGY, GENIE, P1, point, scales};
-use super::results::Condition;
+use super::results::RunCondition;
 use super::study::{csv_cell, csv_half, runs_in_words};
 use super::style::Style;
 
-/// Its name in commands and files.
+/// Name in commands and files.
 pub const NAME: &str = "front";
-/// The preset for which there are relaxed bounds.
+/// Preset for which relaxed bounds exist.
 const BOUNDED: &str = "paper";
 
-/// What a world is beside its preset: fields with their values.
-pub type World = Vec<(String, String)>;
+/// Fields with their values that differ from the preset, knobs excluded.
+pub type FieldValues = Vec<(String, String)>;
 
-/// The picture for one N.
+/// Figure for one N.
 #[derive(Clone, Debug)]
-pub struct Front {
-    /// N.
+pub struct ParetoFront {
+    /// Number of devices N.
     pub n: u32,
-    /// The world.
-    pub world: World,
+    /// Changed fields that are not knobs.
+    pub world: FieldValues,
     /// The chart.
     pub chart: Chart,
-    /// What is drawn, as CSV.
+    /// The plotted data as CSV.
     pub csv: String,
 }
 
-/// A policy's points, by rising energy.
+/// Points of one policy, in ascending order of energy.
 struct Line<'c> {
     name: &'c str,
     points: Vec<Setting<'c>>,
@@ -46,15 +45,15 @@ struct Line<'c> {
 
 /// A policy with one setting of its knobs.
 struct Setting<'c> {
-    condition: &'c Condition,
+    condition: &'c RunCondition,
     knobs: Vec<&'c str>,
-    sample: Sample,
+    sample: ChartPoint,
 }
 
-/// The pictures for the runs of `conditions`, which have preset and K in common: one for each world and each N at which
-/// some policy has several settings.
-pub fn fronts(conditions: &[&Condition]) -> Vec<Front> {
-    let mut worlds: Vec<(World, Vec<&Condition>)> = Vec::new();
+/// Draws the figures for the runs of `conditions`, which share preset and K. There is one for each set of
+/// [`FieldValues`] and each N at which a policy has several settings.
+pub fn fronts(conditions: &[&RunCondition]) -> Vec<ParetoFront> {
+    let mut worlds: Vec<(FieldValues, Vec<&RunCondition>)> = Vec::new();
     for condition in conditions {
         let own = world(condition);
         match worlds.iter_mut().find(|(known, _)| *known == own) {
@@ -75,8 +74,8 @@ pub fn fronts(conditions: &[&Condition]) -> Vec<Front> {
     fronts.collect()
 }
 
-/// What `condition` changes other than knobs.
-fn world(condition: &Condition) -> World {
+/// Returns the changes of `condition`, knobs excluded.
+fn world(condition: &RunCondition) -> FieldValues {
     let is_knob = |path: &str| path.starts_with("policy.") || path == RANKING;
     let rest = condition.changed().filter(|(path, _)| !is_knob(path)).cloned();
     let table = condition
@@ -86,7 +85,7 @@ fn world(condition: &Condition) -> World {
     rest.chain(table).collect()
 }
 
-fn front(n: u32, world: &[(String, String)], group: &[&Condition]) -> Option<Front> {
+fn front(n: u32, world: &[(String, String)], group: &[&RunCondition]) -> Option<ParetoFront> {
     let lines = lines(n, group);
     if lines.iter().all(|line| line.points.len() < 2) {
         return None;
@@ -102,11 +101,13 @@ fn front(n: u32, world: &[(String, String)], group: &[&Condition]) -> Option<Fro
         .scenario
         .as_ref()
         .and_then(|scenario| floor::affordable(scenario, n));
+    // The floor is an upright line over the whole axis, so y is scaled before it is added.
     let [_, y] = scales(&series, &[]);
     series.extend(floor.map(|x| floor::series(vec![floor::sample(x, 0.0), floor::sample(x, y.ends().1)])));
+    // Scaled a second time, since the floor may lie beyond all points.
     let [x, y] = scales(&series, &[]);
     let caption = caption(n, world, group, (floor.is_some(), has_bound));
-    Some(Front {
+    Some(ParetoFront {
         n,
         world: world.to_vec(),
         csv: csv(n, &lines),
@@ -126,8 +127,8 @@ fn front(n: u32, world: &[(String, String)], group: &[&Condition]) -> Option<Fro
     })
 }
 
-/// The lines at N, each policy's settings by rising energy. Runs that several settings share count once.
-fn lines<'c>(n: u32, group: &[&'c Condition]) -> Vec<Line<'c>> {
+/// Returns the lines at N, settings in ascending order of energy. Runs that several settings share count once.
+fn lines<'c>(n: u32, group: &[&'c RunCondition]) -> Vec<Line<'c>> {
     let mut lines: Vec<Line<'c>> = Vec::new();
     for condition in group {
         for name in condition.policies() {
@@ -160,12 +161,12 @@ fn lines<'c>(n: u32, group: &[&'c Condition]) -> Vec<Line<'c>> {
     lines
 }
 
-fn digests(condition: &Condition, name: &str, n: u32) -> Vec<(u64, [u8; 32])> {
+fn digests(condition: &RunCondition, name: &str, n: u32) -> Vec<(u64, [u8; 32])> {
     condition.runs(name, n).map(|row| (row.seed, row.digest.0)).collect()
 }
 
-/// The values of the knobs that are this policy's.
-fn knobs<'c>(condition: &'c Condition, name: &str) -> Vec<&'c str> {
+/// Returns the values of the policy's own knobs.
+fn knobs<'c>(condition: &'c RunCondition, name: &str) -> Vec<&'c str> {
     let prefix = format!("policy.{}.", policy(name).0);
     let own = condition.changed().filter(|(path, _)| path.starts_with(&prefix));
     own.map(|(_, value)| value.as_str()).collect()
@@ -183,7 +184,7 @@ impl Line<'_> {
         }
     }
 
-    /// The knobs beside the points of a line.
+    /// Labels with the knob values next to the points.
     fn notes(&self) -> Vec<Note> {
         let note = |setting: &Setting<'_>| Note {
             x: setting.sample.x,
@@ -195,8 +196,8 @@ impl Line<'_> {
     }
 }
 
-/// The relaxed bound.
-fn bound(n: u32, world: &[(String, String)], group: &[&Condition]) -> Vec<Sample> {
+/// Returns the points of the relaxed bound; empty unless the preset is [`BOUNDED`] without other changes.
+fn bound(n: u32, world: &[(String, String)], group: &[&RunCondition]) -> Vec<ChartPoint> {
     let Some(scenario) = group[0].scenario.as_ref() else {
         return Vec::new();
     };
@@ -206,7 +207,7 @@ fn bound(n: u32, world: &[(String, String)], group: &[&Condition]) -> Vec<Sample
     floor::bounds(&scenario.layout, n)
 }
 
-fn caption(n: u32, world: &[(String, String)], group: &[&Condition], (floor, bound): (bool, bool)) -> String {
+fn caption(n: u32, world: &[(String, String)], group: &[&RunCondition], (floor, bound): (bool, bool)) -> String {
     let mut what = group[0].preset.clone();
     for (path, value) in world {
         let _ = write!(what, ", {path} = {value}");
@@ -234,7 +235,7 @@ fn csv(n: u32, lines: &[Line<'_>]) -> String {
     let mut out = format!("policy,setting,n,{ENERGY},energy_half_width_95,{P1},info_half_width_95,runs\n");
     for line in lines {
         for setting in &line.points {
-            let Sample { x, y, half, across } = setting.sample;
+            let ChartPoint { x, y, half, across } = setting.sample;
             let runs = setting.condition.runs(line.name, n).count();
             let (half, across) = (csv_half(half), csv_half(across));
             let label = csv_cell(&setting.condition.label());

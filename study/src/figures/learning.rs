@@ -1,35 +1,34 @@
-//! Learning curves of tables: reward and information, episode by episode, a row of panels for each N and
-//! window.
+//! Learning curves of tables: reward and information per episode, with a row of panels for each N and window.
 //!
-//! Rewards of few and of many devices lie far apart and each moves little, so every panel has its own axis.
+//! Every panel has its own axis, since rewards vary little within a panel but differ greatly between few and many
+//! devices.
 
 use std::fmt::Write as _;
 
-use reveille_bs::policy::q_learning::learned::{CurvePoint, Entry, Learned, Lookback};
+use reveille_bs::policy::q_learning::learned::{CurvePoint, LearnedTables, Lookback, TableSet};
 
 use super::error::FigureError;
 use super::font::{Weight, width, wrap};
-use super::layout::{EDGE, LARGE, LEADING, SMALL, WIDE};
-use super::path::Path;
+use super::path::{Rect, VectorPath};
 use super::q_table::{setting, trained};
 use super::scale::Scale;
 use super::scene::{Anchor, Paint, Scene, Stroke, Text};
 use super::study::csv_cell;
-use super::style::Style;
+use super::style::{EDGE, LARGE, LEADING, SMALL, Style, WIDE};
 
-/// The most files and the most N of one picture.
+/// Largest number of files, and of rows, in one figure.
 const LIMITS: (usize, usize) = (6, 40);
-/// The most points of a line that have markers.
+/// Largest number of points of a line with markers.
 const MARKED: usize = 40;
 /// Height of a panel and of the gap below it, points.
 const PANEL: (f64, f64) = (38.0, 11.0);
-/// Where the panels start, and how far they are apart, points.
+/// Left edge of the panels, and the gap between them, points.
 const LEFT: f64 = 88.0;
 const GAP: f64 = 48.0;
-/// How pale grid lines are.
+/// Opacity of grid lines.
 const GRID: f64 = 0.14;
 
-/// What a column of panels shows.
+/// Quantity shown in a column of panels.
 struct Quantity {
     title: &'static str,
     of: fn(&CurvePoint) -> f64,
@@ -46,20 +45,20 @@ const QUANTITIES: [Quantity; 2] = [
     },
 ];
 
-/// A file of tables, and its name.
-pub type Source = (String, Learned);
+/// File name of learned tables, with the tables.
+pub type NamedTables = (String, LearnedTables);
 
-/// What the curves of one row of panels have in common.
+/// Key shared by the curves in one row of panels.
 #[derive(Clone, Copy, PartialEq)]
 struct Row {
     lookback: Lookback,
     devices: u32,
-    /// The area, m².
+    /// Area, m².
     surface: f64,
 }
 
 impl Row {
-    const fn of(entry: &Entry) -> Self {
+    const fn of(entry: &TableSet) -> Self {
         Self {
             lookback: entry.lookback,
             devices: entry.devices,
@@ -67,7 +66,7 @@ impl Row {
         }
     }
 
-    /// The same window and area, whatever N.
+    /// Returns whether window and area, in this order, are equal in both rows.
     fn is_beside(&self, other: &Self) -> [bool; 2] {
         [
             self.lookback == other.lookback,
@@ -76,8 +75,8 @@ impl Row {
     }
 }
 
-/// The rows of all curves of `sources`, by rising window, area and N.
-fn rows(sources: &[Source]) -> Vec<Row> {
+/// Returns the rows of all curves of `sources`, in ascending order of window, area and N.
+fn rows(sources: &[NamedTables]) -> Vec<Row> {
     let entries = sources.iter().flat_map(|(_, learned)| &learned.entries);
     let drawn = entries.filter(|entry| !entry.curve.is_empty());
     let mut rows: Vec<Row> = drawn.map(Row::of).collect();
@@ -86,27 +85,28 @@ fn rows(sources: &[Source]) -> Vec<Row> {
         by_window.then(a.devices.cmp(&b.devices))
     };
     rows.sort_by(order);
+    // Sorted by all three fields, so equal rows are neighbours.
     rows.dedup();
     rows
 }
 
-fn curve(learned: &Learned, row: Row) -> &[CurvePoint] {
+fn curve(learned: &LearnedTables, row: Row) -> &[CurvePoint] {
     let mut entries = learned.entries.iter();
     entries
         .find(|entry| Row::of(entry) == row)
         .map_or(&[], |entry| &entry.curve)
 }
 
-/// The picture: a row for each N, a line for each of `sources`.
+/// Draws the figure, with a row for each N and a line for each of `sources`.
 ///
 /// # Errors
-/// A file without a curve, too many files, or too many N.
-pub fn scene(sources: &[Source]) -> Result<Scene, FigureError> {
+/// A file has no learning curve, or there are too many files or N.
+pub fn scene(sources: &[NamedTables]) -> Result<Scene, FigureError> {
     let too_many = |count, what, limit| FigureError::Curves { count, what, limit };
     if sources.len() > LIMITS.0 {
         return Err(too_many(sources.len(), "files", LIMITS.0));
     }
-    let is_bare = |(_, learned): &&Source| learned.entries.iter().all(|entry| entry.curve.is_empty());
+    let is_bare = |(_, learned): &&NamedTables| learned.entries.iter().all(|entry| entry.curve.is_empty());
     if let Some((file, _)) = sources.iter().find(is_bare) {
         return Err(FigureError::NoCurve { file: file.clone() });
     }
@@ -127,6 +127,7 @@ pub fn scene(sources: &[Source]) -> Result<Scene, FigureError> {
         scene.text(Text::new(quantity.title, at, SMALL).bold().anchored(Anchor::Middle));
     }
     let last = sources.iter().flat_map(|(_, l)| &l.entries).flat_map(|e| &e.curve);
+    // All panels share x, so its labels are drawn only below the last row.
     let x = Scale::linear([0.0, last.map(|p| p.ttis as f64).fold(1.0, f64::max)], true);
     let are_one = rows.windows(2).fold([true; 2], |[window, area], pair| {
         let [same_window, same_area] = pair[0].is_beside(&pair[1]);
@@ -154,7 +155,7 @@ pub fn scene(sources: &[Source]) -> Result<Scene, FigureError> {
     Ok(scene)
 }
 
-/// N beside a row, with its window and area if not all rows have the same.
+/// Draws N next to a row, with its window and area if these differ between rows.
 fn name(scene: &mut Scene, row: Row, [is_one_window, is_one_area]: [bool; 2], top: f64) {
     let Row {
         lookback,
@@ -173,8 +174,8 @@ fn name(scene: &mut Scene, row: Row, [is_one_window, is_one_area]: [bool; 2], to
     }
 }
 
-/// The files with their lines, if there are several; gives the y below.
-fn legend(scene: &mut Scene, sources: &[Source], mut y: f64) -> f64 {
+/// Draws the legend of the files, if there are several. Returns the y below it.
+fn legend(scene: &mut Scene, sources: &[NamedTables], mut y: f64) -> f64 {
     const SWATCH: f64 = 22.0;
     if sources.len() < 2 {
         return y + 2.0;
@@ -187,7 +188,7 @@ fn legend(scene: &mut Scene, sources: &[Source], mut y: f64) -> f64 {
             (x, y) = (EDGE, y + LEADING + 1.0);
         }
         let middle = y - 0.35 * SMALL;
-        scene.line(Path::segment((x, middle), (x + 18.0, middle)), style.line());
+        scene.line(VectorPath::segment((x, middle), (x + 18.0, middle)), style.line());
         style.mark(scene, (x + 9.0, middle));
         scene.text(Text::new(file, (x + SWATCH, y), SMALL));
         x += needed + 9.0;
@@ -195,7 +196,7 @@ fn legend(scene: &mut Scene, sources: &[Source], mut y: f64) -> f64 {
     y + LEADING + 6.0
 }
 
-/// The end of `text` that is at most `limit` points long.
+/// Returns the longest end of `text` that fits in `limit` points.
 fn fit(text: &str, limit: f64) -> String {
     let all: Vec<char> = text.chars().collect();
     let shortened = (0..all.len()).map(|from| {
@@ -206,7 +207,7 @@ fn fit(text: &str, limit: f64) -> String {
     fitting.next().unwrap_or_default()
 }
 
-fn caption(sources: &[Source]) -> String {
+fn caption(sources: &[NamedTables]) -> String {
     let mut text = String::from(
         "A point is an episode on a deployment of its own: its mean reward, and its information (P1), while the \
          policy also tried things out. Episodes rank wake-ups by posterior and by p42 in turn. Every panel has its own \
@@ -231,13 +232,13 @@ fn caption(sources: &[Source]) -> String {
 /// One panel.
 struct Panel {
     /// Left, top, right, bottom.
-    corners: [f64; 4],
+    corners: Rect,
     x: Scale,
     is_last: bool,
 }
 
 impl Panel {
-    fn draw(&self, scene: &mut Scene, sources: &[Source], row: Row, quantity: &Quantity) {
+    fn draw(&self, scene: &mut Scene, sources: &[NamedTables], row: Row, quantity: &Quantity) {
         let [left, top, right, bottom] = self.corners;
         let points = || sources.iter().flat_map(|(_, learned)| curve(learned, row));
         let scale = Scale::linear(points().map(quantity.of), false);
@@ -249,7 +250,7 @@ impl Panel {
         for (i, (_, learned)) in sources.iter().enumerate() {
             let (style, curve) = (Style::nth(i), curve(learned, row));
             if curve.len() > 1 {
-                scene.line(Path::polyline(curve.iter().map(at), false), style.line());
+                scene.line(VectorPath::polyline(curve.iter().map(at), false), style.line());
             }
             if curve.len() <= MARKED {
                 for point in curve {
@@ -259,7 +260,7 @@ impl Panel {
         }
     }
 
-    /// Ticks of y have labels at the ends alone: there is no room for more.
+    /// Draws the axes. Only the first and last tick of y have labels, since there is no room for more.
     fn axes(&self, scene: &mut Scene, y: Scale) {
         let [left, top, right, bottom] = self.corners;
         let (axis, grid) = (
@@ -269,8 +270,8 @@ impl Panel {
         let ticks = y.ticks();
         for (i, tick) in ticks.iter().enumerate() {
             let at = bottom - y.place(tick.value) * (bottom - top);
-            scene.line(Path::segment((left, at), (right, at)), grid);
-            scene.line(Path::segment((left - 2.5, at), (left, at)), axis);
+            scene.line(VectorPath::segment((left, at), (right, at)), grid);
+            scene.line(VectorPath::segment((left - 2.5, at), (left, at)), axis);
             if i == 0 || i + 1 == ticks.len() {
                 let text = Text::new(tick.label.as_str(), (left - 4.0, at + 0.36 * SMALL), SMALL);
                 scene.text(text.anchored(Anchor::End));
@@ -278,15 +279,15 @@ impl Panel {
         }
         for tick in self.x.ticks() {
             let at = left + self.x.place(tick.value) * (right - left);
-            scene.line(Path::segment((at, top), (at, bottom)), grid);
-            scene.line(Path::segment((at, bottom), (at, bottom + 2.5)), axis);
+            scene.line(VectorPath::segment((at, top), (at, bottom)), grid);
+            scene.line(VectorPath::segment((at, bottom), (at, bottom + 2.5)), axis);
             if self.is_last {
                 let text = Text::new(tick.label, (at, bottom + LEADING + 1.5), SMALL);
                 scene.text(text.anchored(Anchor::Middle));
             }
         }
         scene.line(
-            Path::polyline([(left, top), (left, bottom), (right, bottom)], false),
+            VectorPath::polyline([(left, top), (left, bottom), (right, bottom)], false),
             axis,
         );
         if self.is_last {
@@ -296,8 +297,8 @@ impl Panel {
     }
 }
 
-/// What is drawn, as CSV.
-pub fn csv(sources: &[Source]) -> String {
+/// Formats the plotted data as CSV.
+pub fn csv(sources: &[NamedTables]) -> String {
     let mut out = String::from("file,window,n,surface,ttis,reward_per_tti,info_p1,energy_per_device_tti\n");
     for (file, learned) in sources {
         let file = csv_cell(file);

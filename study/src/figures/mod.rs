@@ -1,33 +1,30 @@
-//! Figures: the paper's, drawn from result tables, pictures of a deployment and of its devices' batteries, of what
-//! `q-learning` has learned, and of a tuning of its weights.
+//! Figures of the study: the paper's figures drawn from result tables, and figures of deployments, device batteries,
+//! `q-learning` tables and weight tuning.
 //!
 //! ```text
 //! tables ─► study, sweep, pareto, front ─► chart ┐
-//! analysis::harvest ─► chart ├─► scene ─► svg, png
-//! run ─► witness ─► deployment, timeline ┤
-//! runs ─► robustness ─► chart ┤
-//! run ─► trajectories ─► attention ┤
-//! Learned ─► learning, q_table ┤
-//! tuning::History ─► tuning (contour) ┘
+//! analysis::harvest ─► energy ─► chart           ├─► scene ─► svg, png
+//! run ─► run_walk ─► deployment, timeline        ┤
+//! runs ─► robustness ─► chart                    ┤
+//! run ─► trajectories ─► attention               ┤
+//! LearnedTables ─► learning, q_table             ┤
+//! tuning::History ─► tuning (contour)            ┘
 //! ```
-//! A [`scene::Scene`] is all that a picture is; [`svg`] and [`png`] only write it down. The same input gives the same
-//! bytes.
+//! A [`scene::Scene`] holds a complete figure; [`svg`] and [`png`] only serialise it. Equal input gives equal bytes.
 
+pub mod area_plot;
 pub mod attention;
+mod cell_map;
 pub mod chart;
 mod contour;
 pub mod deployment;
 pub mod energy;
 mod error;
 pub mod floor;
-pub mod font;
+pub(crate) mod font;
 pub mod front;
-pub mod ground;
 pub mod heat;
-pub mod layout;
 pub mod learning;
-mod map;
-pub mod name;
 pub mod note;
 pub mod pareto;
 pub mod path;
@@ -35,6 +32,7 @@ pub mod png;
 pub mod q_table;
 pub mod results;
 pub mod robustness;
+pub mod run_walk;
 pub mod scale;
 pub mod scene;
 mod stated;
@@ -44,9 +42,20 @@ pub mod svg;
 pub mod sweep;
 pub mod timeline;
 pub mod tuning;
-pub mod witness;
+
+pub use error::FigureError;
+
+/// Replaces the characters of `name` that are unsafe in a file name.
+pub fn as_file(name: &str) -> String {
+    let keep = |c: char| {
+        if c.is_ascii_alphanumeric() || matches!(c, '.' | '-' | '_') {
+            c
+        } else {
+            '_'
+        }
+    };
+    name.chars().map(keep).collect()
+}
 
 #[cfg(test)]
 mod tests;
-
-pub use error::FigureError;

@@ -1,45 +1,42 @@
-//! Words beside points of a chart, where there is room for them.
+//! Labels next to points of a chart, placed where there is room.
 
 use super::font::{Weight, width};
-use super::layout::SMALL;
+use super::path::{Rect, overlap};
 use super::scene::{Anchor, Text};
-use super::style::MARKER;
+use super::style::{MARKER, SMALL};
 
-/// Words beside a point.
+/// A label next to a point.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Note {
-    /// The x of the point.
+    /// X of the point.
     pub x: f64,
-    /// The y of the point.
+    /// Y of the point.
     pub y: f64,
-    /// What it says.
+    /// Characters of the label.
     pub text: String,
 }
 
-/// The box of a text or a marker: left, top, right, bottom, points.
-type Corners = [f64; 4];
-
-/// What notes keep clear of, points.
+/// Items that notes avoid, points.
 #[derive(Clone, Debug, Default)]
 pub struct Obstacles {
-    /// Markers: their centres, and how far they reach.
+    /// Centres and radii of markers.
     pub markers: Vec<((f64, f64), f64)>,
-    /// Lines, which may be crossed where there is no other room.
+    /// Lines, which notes cross only if there is no other room.
     pub lines: Vec<[(f64, f64); 2]>,
 }
 
-/// `notes` beside their places within `frame`, clear of each other and of `obstacles`, all in points. The first come
-/// first; one without a free side is left out.
-pub fn settle(notes: &[((f64, f64), &str)], obstacles: &Obstacles, frame: Corners) -> Vec<Text> {
+/// Places `notes` next to their points within `frame`, clear of each other and of `obstacles`, all in points. Earlier
+/// notes have priority; a note without a free side is omitted.
+pub fn place_notes(notes: &[((f64, f64), &str)], obstacles: &Obstacles, frame: Rect) -> Vec<Text> {
     let markers = obstacles.markers.iter();
-    let markers: Vec<Corners> = markers.map(|&((x, y), r)| [x - r, y - r, x + r, y + r]).collect();
+    let markers: Vec<Rect> = markers.map(|&((x, y), r)| [x - r, y - r, x + r, y + r]).collect();
     let mut settled: Vec<Text> = Vec::new();
     for &(at, words) in notes {
-        let taken: Vec<Corners> = settled.iter().map(Text::bounds).collect();
+        let taken: Vec<Rect> = settled.iter().map(Text::bounds).collect();
         let is_free = |text: &Text| {
             let own = text.bounds();
             let is_inside = own[0] >= frame[0] && own[1] >= frame[1] && own[2] <= frame[2] && own[3] <= frame[3];
-            is_inside && !markers.iter().chain(&taken).any(|other| meet(own, *other))
+            is_inside && !markers.iter().chain(&taken).any(|other| overlap(&own, other))
         };
         let crossed = |text: &Text| {
             let own = letters(text);
@@ -52,14 +49,14 @@ pub fn settle(notes: &[((f64, f64), &str)], obstacles: &Obstacles, frame: Corner
     settled
 }
 
-/// The box of a text without the room for descenders, which numbers do not have.
-fn letters(text: &Text) -> Corners {
+/// Returns the box of a text without the room for descenders, which numbers do not have.
+fn letters(text: &Text) -> Rect {
     let [left, top, right, _] = text.bounds();
     [left, top, right, text.at.1]
 }
 
-/// Whether part of a line is in a box: its stretches between the left and right and the top and bottom borders overlap.
-fn cross([left, top, right, bottom]: Corners, [from, to]: [(f64, f64); 2]) -> bool {
+/// Returns whether a line crosses a box: its stretches between opposite borders overlap.
+fn cross([left, top, right, bottom]: Rect, [from, to]: [(f64, f64); 2]) -> bool {
     let (mut start, mut end) = (0.0_f64, 1.0_f64);
     for (at, change, low, high) in [
         (from.0, to.0 - from.0, left, right),
@@ -77,7 +74,7 @@ fn cross([left, top, right, bottom]: Corners, [from, to]: [(f64, f64); 2]) -> bo
     start < end
 }
 
-/// `words` right of, left of, above, below and in the corners around a point.
+/// Returns candidate texts right of, left of, above, below and in the corners around a point.
 fn sides((x, y): (f64, f64), words: &str) -> [Text; 8] {
     const AWAY: f64 = MARKER + 2.0;
     let half = 0.5 * width(words, Weight::Regular, SMALL);
@@ -96,15 +93,11 @@ fn sides((x, y): (f64, f64), words: &str) -> [Text; 8] {
     ]
 }
 
-fn meet(a: Corners, b: Corners) -> bool {
-    a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3]
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const FRAME: Corners = [0.0, 0.0, 100.0, 100.0];
+    const FRAME: Rect = [0.0, 0.0, 100.0, 100.0];
 
     #[test]
     fn notes_keep_clear_of_each_other_of_markers_and_of_the_border() {
@@ -115,22 +108,22 @@ mod tests {
             markers,
             ..Obstacles::default()
         };
-        let settled = settle(&notes, &obstacles, FRAME);
+        let settled = place_notes(&notes, &obstacles, FRAME);
         assert!((2..10).contains(&settled.len()), "{settled:?}");
         for (i, a) in settled.iter().enumerate() {
-            assert!(settled[..i].iter().all(|b| !meet(a.bounds(), b.bounds())));
+            assert!(settled[..i].iter().all(|b| !overlap(&a.bounds(), &b.bounds())));
             for (x, y) in &points {
-                assert!(!meet(a.bounds(), [x - 1.0, y - 1.0, x + 1.0, y + 1.0]), "{a:?}");
+                assert!(!overlap(&a.bounds(), &[x - 1.0, y - 1.0, x + 1.0, y + 1.0]), "{a:?}");
             }
         }
-        let corner = settle(&[((99.0, 1.0), "10")], &Obstacles::default(), FRAME);
+        let corner = place_notes(&[((99.0, 1.0), "10")], &Obstacles::default(), FRAME);
         let [left, top, right, bottom] = corner[0].bounds();
         assert!(left >= 0.0 && top >= 0.0 && right <= 100.0 && bottom <= 100.0);
     }
 
     #[test]
     fn the_first_note_has_the_best_place() {
-        let settled = settle(
+        let settled = place_notes(
             &[((50.0, 50.0), "10"), ((50.0, 50.0), "20")],
             &Obstacles::default(),
             FRAME,
@@ -146,11 +139,11 @@ mod tests {
             markers: vec![((50.0, 50.0), MARKER)],
             lines: lines.to_vec(),
         };
-        let settled = settle(&[((50.0, 50.0), "10")], &obstacles(&[to_the_right]), FRAME);
+        let settled = place_notes(&[((50.0, 50.0), "10")], &obstacles(&[to_the_right]), FRAME);
         assert!(settled[0].bounds()[2] < 50.0, "{settled:?}");
         // Lines so close that every side is crossed.
         let all: Vec<_> = (0..100).map(|y| [(0.0, f64::from(y)), (100.0, f64::from(y))]).collect();
-        assert_eq!(settle(&[((50.0, 50.0), "10")], &obstacles(&all), FRAME).len(), 1);
+        assert_eq!(place_notes(&[((50.0, 50.0), "10")], &obstacles(&all), FRAME).len(), 1);
     }
 
     #[test]

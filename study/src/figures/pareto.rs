@@ -1,74 +1,74 @@
-//! What each policy buys with what it spends, a line through rising N: information, the objective of P1, against
-//! energy, and the delay of detection against energy.
+//! Trade-offs of policies against energy, with a line through rising N: information, the objective of P1, and the delay
+//! of detection.
 
 use std::fmt::Write as _;
 
 use reveille_common::score::Metrics;
 
-use super::chart::{Chart, Interval, Mark, Sample, Series, Stated};
+use super::chart::{Chart, ChartPoint, Interval, Series, StatedMark, StatedValue};
 use super::floor;
 use super::note::Note;
-use super::results::Condition;
+use super::results::RunCondition;
 use super::scale::Scale;
-use super::stated::said;
+use super::stated::stated_value;
 use super::study::{csv_cell, csv_half, runs_in_words, title};
 use super::style::Style;
-use crate::claims::{Claim, Sites, on};
+use crate::claims::{Claim, DeviceCounts, on};
 
-/// The metric of x.
+/// Metric along x.
 pub const ENERGY: &str = "energy_per_device_tti";
-/// The policy that wakes the best device alone.
+/// Name of the policy that wakes only the best device.
 pub const GENIE: &str = "genie";
-/// The metric of y that is to be large.
+/// Metric along y for which larger values are better.
 pub const P1: &str = "info_p1";
-/// Styles to choose from for a policy's other lines.
+/// Number of styles available for a policy's other lines.
 const STYLES: usize = 6;
 
-/// What is bought with energy.
+/// A quantity plotted against energy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Trade {
-    /// Its name in commands and files.
+    /// Name in commands and files.
     pub name: &'static str,
-    /// What its title begins with.
+    /// Start of the title.
     pub title: &'static str,
-    /// The metric of y.
+    /// Metric along y.
     pub y: &'static str,
-    /// Where the better policies are.
+    /// Caption text that tells in which direction policies are better.
     better: &'static str,
 }
 
-/// Information.
-pub const INFORMATION: Trade = Trade {
+/// Information against energy.
+pub(crate) const INFORMATION: Trade = Trade {
     name: "pareto",
     title: "Information against energy",
     y: P1,
     better: "Up and to the left is better.",
 };
 
-/// The delay of detection.
-pub const DELAY: Trade = Trade {
+/// Delay of detection against energy.
+pub(crate) const DELAY: Trade = Trade {
     name: "delay",
     title: "Delay of detection against energy",
     y: "detection_delay_ttis",
     better: "Down and to the left is better. Delays are of reported events alone: who misses more may look faster.",
 };
 
-/// All of them.
+/// All trade-off figures.
 pub const TRADES: [Trade; 2] = [INFORMATION, DELAY];
 
 /// A policy under a condition.
 struct Line<'a> {
-    condition: &'a Condition,
+    condition: &'a RunCondition,
     policy: &'a str,
-    /// What it is called; with what its condition changes, if there are several conditions.
+    /// Name of the line. With several conditions it includes the changes of its condition.
     name: String,
     style: Style,
-    /// The points by rising N.
-    points: Vec<(u32, Sample)>,
+    /// Points, in ascending order of N.
+    points: Vec<(u32, ChartPoint)>,
 }
 
-/// The lines of `conditions` with `y`, each policy's side by side. Runs that two of them share count once.
-fn lines<'a>(y: &str, conditions: &[&'a Condition]) -> Vec<Line<'a>> {
+/// Returns the lines of `conditions` with `y`, grouped by policy. Runs that two conditions share count once.
+fn lines<'a>(y: &str, conditions: &[&'a RunCondition]) -> Vec<Line<'a>> {
     let mut lines: Vec<Line<'a>> = Vec::new();
     for condition in conditions {
         for policy in condition.policies() {
@@ -79,12 +79,13 @@ fn lines<'a>(y: &str, conditions: &[&'a Condition]) -> Vec<Line<'a>> {
             }
             let others = lines.iter().filter(|line| line.policy == policy).count();
             let style = Style::of_policy(policy);
+            // Lines of one policy share its colour, so they must differ from it in both marker and dashes.
             let looks = |variant: &Style| variant.marker != style.marker && variant.dashes != style.dashes;
             let mut variants = (0..STYLES).map(Style::nth).filter(looks).cycle();
             lines.push(Line {
                 condition,
                 policy,
-                // A lone condition is that of the caption.
+                // The caption names a lone condition.
                 name: match conditions {
                     [_] => policy.to_owned(),
                     _ => name(policy, condition),
@@ -106,13 +107,14 @@ fn lines<'a>(y: &str, conditions: &[&'a Condition]) -> Vec<Line<'a>> {
             .flat_map(|s| s.policies())
             .position(|p| p == line.policy)
     };
+    // A stable sort keeps the lines of a policy in the order of their conditions.
     lines.sort_by_key(place);
     lines
 }
 
-/// Whether the runs of `policy` are the same in both.
-fn has_same_runs(a: &Condition, b: &Condition, policy: &str) -> bool {
-    let digests = |condition: &Condition| {
+/// Returns whether the runs of `policy` are the same in both conditions.
+fn has_same_runs(a: &RunCondition, b: &RunCondition, policy: &str) -> bool {
+    let digests = |condition: &RunCondition| {
         let cells = condition.sizes(policy).into_iter();
         let of = |n: u32| condition.runs(policy, n).map(|row| row.digest).collect::<Vec<_>>();
         cells.map(|n| (n, of(n))).collect::<Vec<_>>()
@@ -120,8 +122,8 @@ fn has_same_runs(a: &Condition, b: &Condition, policy: &str) -> bool {
     digests(a) == digests(b)
 }
 
-/// The policy, and what its condition changes.
-fn name(policy: &str, condition: &Condition) -> String {
+/// Returns the name of the policy, followed by the changes of its condition.
+fn name(policy: &str, condition: &RunCondition) -> String {
     let mut name = policy.to_owned();
     for (path, value) in condition.changed() {
         let own = path.strip_prefix("policy.").and_then(|rest| rest.split_once('.'));
@@ -139,9 +141,9 @@ fn name(policy: &str, condition: &Condition) -> String {
 }
 
 impl Trade {
-    /// The picture for the runs of `conditions`, which have preset and K in common; `None` if no policy has both
-    /// metrics at any N.
-    pub fn chart(&self, conditions: &[&Condition]) -> Option<Chart> {
+    /// Draws the chart for the runs of `conditions`, which share preset and K. `None` if no policy has both metrics at
+    /// any N.
+    pub fn chart(&self, conditions: &[&RunCondition]) -> Option<Chart> {
         let lines = lines(self.y, conditions);
         let first = lines.first()?;
         let floor = self.floor(conditions);
@@ -155,7 +157,7 @@ impl Trade {
         if has_floor {
             series.push(floor::series(floor.into_iter().map(|(_, sample)| sample).collect()));
         }
-        let (stated, marks): (Vec<u32>, Vec<Mark>) = self.marks(&lines).into_iter().unzip();
+        let (stated, marks): (Vec<u32>, Vec<StatedMark>) = self.marks(&lines).into_iter().unzip();
         let [x, y] = scales(&series, &marks);
         Some(Chart {
             title: self.heading(conditions),
@@ -172,7 +174,7 @@ impl Trade {
         })
     }
 
-    fn heading(&self, conditions: &[&Condition]) -> String {
+    fn heading(&self, conditions: &[&RunCondition]) -> String {
         match conditions {
             [one] if self.y == P1 => title(self.title, "Figs. 7 and 8", one),
             [one] if !one.is_plain() => title(self.title, "", one),
@@ -180,9 +182,9 @@ impl Trade {
         }
     }
 
-    /// The least that it takes to look at the whole area in every TTI, a point for each N at the genie's information.
-    /// Of one condition alone, where there are covers for two N.
-    fn floor(&self, conditions: &[&Condition]) -> Vec<(u32, Sample)> {
+    /// Returns the energy floor for sensing the whole area in every TTI, with one point for each N at the genie's
+    /// information. Empty unless there is exactly one condition with cover data for at least two N.
+    fn floor(&self, conditions: &[&RunCondition]) -> Vec<(u32, ChartPoint)> {
         let ([condition], P1) = (conditions, self.y) else {
             return Vec::new();
         };
@@ -191,14 +193,14 @@ impl Trade {
             let best = condition.estimate(GENIE, n, P1)?.mean;
             Some((n, floor::sample(floor, best)))
         };
-        let points: Vec<(u32, Sample)> = condition.sizes(GENIE).into_iter().filter_map(sample).collect();
+        let points: Vec<(u32, ChartPoint)> = condition.sizes(GENIE).into_iter().filter_map(sample).collect();
         if points.len() > 1 { points } else { Vec::new() }
     }
 
     fn caption(
         &self,
-        condition: &Condition,
-        conditions: &[&Condition],
+        condition: &RunCondition,
+        conditions: &[&RunCondition],
         mut stated: Vec<u32>,
         has_floor: bool,
     ) -> String {
@@ -236,13 +238,13 @@ impl Trade {
         text
     }
 
-    /// What the paper states of both metrics for a policy that is drawn, as values at one N.
-    fn marks(&self, lines: &[Line<'_>]) -> Vec<(u32, Mark)> {
+    /// Returns marks for values that the paper states at one N for both metrics of a drawn policy.
+    fn marks(&self, lines: &[Line<'_>]) -> Vec<(u32, StatedMark)> {
         if self.y == P1 { marks(lines) } else { Vec::new() }
     }
 
-    /// What is drawn, as CSV.
-    pub fn csv(&self, conditions: &[&Condition]) -> String {
+    /// Formats the plotted data as CSV.
+    pub fn csv(&self, conditions: &[&RunCondition]) -> String {
         let column = if self.y == P1 { "info" } else { "delay" };
         let mut out = format!(
             "setting,policy,n,{ENERGY},energy_half_width_95,{},{column}_half_width_95,runs\n",
@@ -251,7 +253,7 @@ impl Trade {
         for line in lines(self.y, conditions) {
             let label = csv_cell(&line.condition.label());
             for (n, sample) in line.points {
-                let Sample { x, y, half, across } = sample;
+                let ChartPoint { x, y, half, across } = sample;
                 let runs = line.condition.runs(line.policy, n).count();
                 let (half, across) = (csv_half(half), csv_half(across));
                 let _ = writeln!(out, "{label},{},{n},{x},{across},{y},{half},{runs}", line.policy);
@@ -274,8 +276,8 @@ impl Line<'_> {
     }
 }
 
-/// Axes from zero that hold all points with their intervals, and all marks.
-pub fn scales(series: &[Series], marks: &[Mark]) -> [Scale; 2] {
+/// Creates axes from zero that hold all points with their intervals, and all marks.
+pub(crate) fn scales(series: &[Series], marks: &[StatedMark]) -> [Scale; 2] {
     let samples = || series.iter().flat_map(|s| &s.samples);
     let ends = |at: f64, half: f64| {
         let half = if half.is_finite() { half } else { 0.0 };
@@ -290,18 +292,18 @@ pub fn scales(series: &[Series], marks: &[Mark]) -> [Scale; 2] {
     ]
 }
 
-/// The points of `policy` by rising N.
-fn points(y: &str, condition: &Condition, policy: &str) -> Vec<(u32, Sample)> {
+/// Returns the points of `policy` in ascending order of N.
+fn points(y: &str, condition: &RunCondition, policy: &str) -> Vec<(u32, ChartPoint)> {
     let sizes = condition.sizes(policy).into_iter();
     let points = sizes.filter_map(|n| Some((n, point(y, condition, policy, n)?)));
     points.collect()
 }
 
-/// What `policy` with `n` devices buys of `y` with what it spends; `None` without runs that have both.
-pub fn point(y: &str, condition: &Condition, policy: &str, n: u32) -> Option<Sample> {
+/// Returns the point of energy and `y` for `policy` with `n` devices; `None` unless both metrics are defined.
+pub fn point(y: &str, condition: &RunCondition, policy: &str, n: u32) -> Option<ChartPoint> {
     let [x, y] = [ENERGY, y].map(|metric| condition.estimate(policy, n, metric));
     let (x, y) = (x?, y?);
-    Some(Sample {
+    Some(ChartPoint {
         x: x.mean,
         y: y.mean,
         half: y.half_width,
@@ -309,7 +311,7 @@ pub fn point(y: &str, condition: &Condition, policy: &str, n: u32) -> Option<Sam
     })
 }
 
-fn note(n: u32, sample: &Sample) -> Note {
+fn note(n: u32, sample: &ChartPoint) -> Note {
     Note {
         x: sample.x,
         y: sample.y,
@@ -317,7 +319,7 @@ fn note(n: u32, sample: &Sample) -> Note {
     }
 }
 
-/// The last N of each line, then the first, then one halfway.
+/// Returns the labels ordered by importance: the last N of each line, then the first, then one halfway.
 fn in_turn(lines: &[Vec<Note>]) -> Vec<Note> {
     let place: [fn(usize) -> Option<usize>; 3] = [
         |count| Some(count - 1),
@@ -331,11 +333,11 @@ fn in_turn(lines: &[Vec<Note>]) -> Vec<Note> {
     place.into_iter().flat_map(at).collect()
 }
 
-/// What the paper states of both metrics for a policy that is drawn, as values at one N.
-fn marks(lines: &[Line<'_>]) -> Vec<(u32, Mark)> {
+/// Returns marks for values that the paper states at one N for both metrics of a drawn policy.
+fn marks(lines: &[Line<'_>]) -> Vec<(u32, StatedMark)> {
     let (energies, informations) = (on("Fig. 8", ENERGY), on("Fig. 7", "info_per_event"));
-    let value = |claim: &Claim, claims: &[Claim]| match (said(claim, claims), claim.sites) {
-        (Some(Stated::Value(value)), Sites::At(n)) => Some((n, value)),
+    let value = |claim: &Claim, claims: &[Claim]| match (stated_value(claim, claims), claim.sites) {
+        (Some(StatedValue::Value(value)), DeviceCounts::At(n)) => Some((n, value)),
         _ => None,
     };
     let mut marks = Vec::new();
@@ -350,10 +352,10 @@ fn marks(lines: &[Line<'_>]) -> Vec<(u32, Mark)> {
             .filter_map(|energy| value(energy, energies))
             .filter(|(at, _)| *at == n);
         marks.extend(here.map(|(_, x)| {
-            let mark = Mark {
+            let mark = StatedMark {
                 x,
                 aside: 0.0,
-                stated: Stated::Value(y),
+                stated: StatedValue::Value(y),
                 style: drawn.style,
             };
             (n, mark)

@@ -1,17 +1,25 @@
-//! Paths: lines and curves, in points.
+//! Paths of lines and curves, in points.
 
 use libm::{cos, sin};
 
+/// Axis-parallel box: left, top, right, bottom, in points.
+pub type Rect = [f64; 4];
+
+/// Whether two boxes overlap. Boxes that only touch do not.
+pub(super) fn overlap(a: &Rect, b: &Rect) -> bool {
+    a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3]
+}
+
 /// One step of a path. Coordinates are absolute.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Step {
-    /// Start a new part here.
+pub enum PathStep {
+    /// Starts a new part at this point.
     Move(f64, f64),
-    /// A straight line to here.
+    /// A straight line to this point.
     Line(f64, f64),
-    /// A quadratic curve: its control point, its end.
+    /// A quadratic curve: control point, end point.
     Quad(f64, f64, f64, f64),
-    /// A cubic curve: its control points, its end.
+    /// A cubic curve: two control points, end point.
     Cubic(f64, f64, f64, f64, f64, f64),
     /// A straight line back to the start of the part.
     Close,
@@ -19,51 +27,51 @@ pub enum Step {
 
 /// A path of any number of parts.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Path(pub Vec<Step>);
+pub struct VectorPath(pub Vec<PathStep>);
 
-impl Path {
-    /// The lines through `points`, closed into a polygon if so wished.
-    pub fn polyline(points: impl IntoIterator<Item = (f64, f64)>, closed: bool) -> Self {
-        let mut steps: Vec<Step> = Vec::new();
+impl VectorPath {
+    /// Creates straight lines through `points`, closed into a polygon if `closed` is set.
+    pub(crate) fn polyline(points: impl IntoIterator<Item = (f64, f64)>, closed: bool) -> Self {
+        let mut steps: Vec<PathStep> = Vec::new();
         for (x, y) in points {
             steps.push(if steps.is_empty() {
-                Step::Move(x, y)
+                PathStep::Move(x, y)
             } else {
-                Step::Line(x, y)
+                PathStep::Line(x, y)
             });
         }
         if closed && !steps.is_empty() {
-            steps.push(Step::Close);
+            steps.push(PathStep::Close);
         }
         Self(steps)
     }
 
-    /// One straight line.
+    /// Creates one straight line.
     pub fn segment(from: (f64, f64), to: (f64, f64)) -> Self {
         Self::polyline([from, to], false)
     }
 
-    /// A rectangle by its corners.
-    pub fn rectangle([left, top, right, bottom]: [f64; 4]) -> Self {
+    /// Creates a rectangle from its left, top, right and bottom.
+    pub fn rectangle([left, top, right, bottom]: Rect) -> Self {
         Self::polyline([(left, top), (right, top), (right, bottom), (left, bottom)], true)
     }
 
-    /// A circle, as four curves.
+    /// Creates a circle from four cubic curves.
     pub fn circle((x, y): (f64, f64), r: f64) -> Self {
-        // The usual distance of control points for a quarter of a circle.
+        // Standard distance of control points for a quarter of a circle.
         let c = 0.552_284_75 * r;
         Self(vec![
-            Step::Move(x + r, y),
-            Step::Cubic(x + r, y + c, x + c, y + r, x, y + r),
-            Step::Cubic(x - c, y + r, x - r, y + c, x - r, y),
-            Step::Cubic(x - r, y - c, x - c, y - r, x, y - r),
-            Step::Cubic(x + c, y - r, x + r, y - c, x + r, y),
-            Step::Close,
+            PathStep::Move(x + r, y),
+            PathStep::Cubic(x + r, y + c, x + c, y + r, x, y + r),
+            PathStep::Cubic(x - c, y + r, x - r, y + c, x - r, y),
+            PathStep::Cubic(x - r, y - c, x - c, y - r, x, y - r),
+            PathStep::Cubic(x + c, y - r, x + r, y - c, x + r, y),
+            PathStep::Close,
         ])
     }
 
-    /// A regular polygon of `n` corners on a circle of radius `r`, the first corner `turn` radians from the right,
-    /// clockwise as seen. With `inner` < 1 it becomes a star whose inner corners are at `inner · r`.
+    /// Creates a regular polygon of `n` corners on a circle of radius `r`. The first corner is `turn` radians clockwise
+    /// from the right. With `inner` < 1 it becomes a star whose inner corners are at `inner · r`.
     pub fn polygon((x, y): (f64, f64), r: f64, n: u32, turn: f64, inner: f64) -> Self {
         let corner = |i: u32| {
             let angle = turn + std::f64::consts::PI * f64::from(i) / f64::from(n);
@@ -74,15 +82,17 @@ impl Path {
         Self::polyline((0..2 * n).step_by(step).map(corner), true)
     }
 
-    /// The same path elsewhere.
+    /// Returns the path shifted by the given offset.
     #[must_use]
     pub fn moved(self, (right, down): (f64, f64)) -> Self {
         let step = |step| match step {
-            Step::Move(x, y) => Step::Move(x + right, y + down),
-            Step::Line(x, y) => Step::Line(x + right, y + down),
-            Step::Quad(a, b, x, y) => Step::Quad(a + right, b + down, x + right, y + down),
-            Step::Cubic(a, b, c, d, x, y) => Step::Cubic(a + right, b + down, c + right, d + down, x + right, y + down),
-            Step::Close => Step::Close,
+            PathStep::Move(x, y) => PathStep::Move(x + right, y + down),
+            PathStep::Line(x, y) => PathStep::Line(x + right, y + down),
+            PathStep::Quad(a, b, x, y) => PathStep::Quad(a + right, b + down, x + right, y + down),
+            PathStep::Cubic(a, b, c, d, x, y) => {
+                PathStep::Cubic(a + right, b + down, c + right, d + down, x + right, y + down)
+            }
+            PathStep::Close => PathStep::Close,
         };
         Self(self.0.into_iter().map(step).collect())
     }
@@ -92,11 +102,11 @@ impl Path {
         self.0.extend(other.0);
     }
 
-    /// The corners of the box around all its points, control points included: left, top, right, bottom.
-    pub fn bounds(&self) -> [f64; 4] {
+    /// Bounding box of all points, control points included: left, top, right, bottom.
+    pub fn bounds(&self) -> Rect {
         let mut b = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
         let mut include = |x: f64, y: f64| {
-            // Unlike `min` and `max` this keeps what is not a number, so that nobody overlooks it.
+            // Unlike `min` and `max`, these comparisons take over NaN. A number that follows replaces it.
             b = [
                 if x >= b[0] { b[0] } else { x },
                 if y >= b[1] { b[1] } else { y },
@@ -106,17 +116,17 @@ impl Path {
         };
         for step in &self.0 {
             match *step {
-                Step::Move(x, y) | Step::Line(x, y) => include(x, y),
-                Step::Quad(a, b, x, y) => {
+                PathStep::Move(x, y) | PathStep::Line(x, y) => include(x, y),
+                PathStep::Quad(a, b, x, y) => {
                     include(a, b);
                     include(x, y);
                 }
-                Step::Cubic(a, b, c, d, x, y) => {
+                PathStep::Cubic(a, b, c, d, x, y) => {
                     include(a, b);
                     include(c, d);
                     include(x, y);
                 }
-                Step::Close => {}
+                PathStep::Close => {}
             }
         }
         b
@@ -131,10 +141,12 @@ mod tests {
     fn corners_lie_on_the_circle() {
         for n in 3..8 {
             for (inner, corners) in [(1.0, n), (0.5, 2 * n)] {
-                let Path(steps) = Path::polygon((3.0, 4.0), 2.0, n, 0.3, inner);
-                let reach = |step: &Step| match *step {
-                    Step::Move(x, y) | Step::Line(x, y) => ((x - 3.0) * (x - 3.0) + (y - 4.0) * (y - 4.0)).sqrt(),
-                    Step::Quad(..) | Step::Cubic(..) | Step::Close => panic!("{step:?}"),
+                let VectorPath(steps) = VectorPath::polygon((3.0, 4.0), 2.0, n, 0.3, inner);
+                let reach = |step: &PathStep| match *step {
+                    PathStep::Move(x, y) | PathStep::Line(x, y) => {
+                        ((x - 3.0) * (x - 3.0) + (y - 4.0) * (y - 4.0)).sqrt()
+                    }
+                    PathStep::Quad(..) | PathStep::Cubic(..) | PathStep::Close => panic!("{step:?}"),
                 };
                 let reaches: Vec<f64> = steps[..steps.len() - 1].iter().map(reach).collect();
                 assert_eq!(reaches.len(), corners as usize);
@@ -146,12 +158,12 @@ mod tests {
 
     #[test]
     fn a_moved_path_has_its_form() {
-        let here = Path::circle((1.0, 2.0), 1.5).bounds();
-        let mut path = Path(vec![Step::Quad(1.0, -3.0, 2.0, 9.0)]);
-        path.extend(Path::circle((1.0, 2.0), 1.5));
+        let here = VectorPath::circle((1.0, 2.0), 1.5).bounds();
+        let mut path = VectorPath(vec![PathStep::Quad(1.0, -3.0, 2.0, 9.0)]);
+        path.extend(VectorPath::circle((1.0, 2.0), 1.5));
         let there = path.clone().moved((10.0, -5.0));
-        assert_eq!(there.0[0], Step::Quad(11.0, -8.0, 12.0, 4.0));
-        let moved = Path(there.0[1..].to_vec()).bounds();
+        assert_eq!(there.0[0], PathStep::Quad(11.0, -8.0, 12.0, 4.0));
+        let moved = VectorPath(there.0[1..].to_vec()).bounds();
         let expected = [here[0] + 10.0, here[1] - 5.0, here[2] + 10.0, here[3] - 5.0];
         assert!(moved.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12));
         assert_eq!(path.0.len(), there.0.len());
@@ -159,9 +171,9 @@ mod tests {
 
     #[test]
     fn a_number_that_is_none_is_not_overlooked() {
-        let path = Path::polyline([(1.0, 1.0), (f64::NAN, 2.0)], false);
+        let path = VectorPath::polyline([(1.0, 1.0), (f64::NAN, 2.0)], false);
         assert!(path.bounds()[0].is_nan());
-        let bounds = Path::circle((1.0, 2.0), 1.0).bounds();
+        let bounds = VectorPath::circle((1.0, 2.0), 1.0).bounds();
         assert!(
             bounds
                 .iter()

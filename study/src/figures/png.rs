@@ -1,41 +1,42 @@
-//! A scene as PNG.
+//! PNG output of a scene.
 
 use tiny_skia::{Color, FillRule, LineJoin, Mask, Paint as Brush, PathBuilder, Pixmap, StrokeDash, Transform};
 
 use super::font::{outline, set, units_per_em};
-use super::path::{Path, Step};
-use super::scene::{Item, Paint, Rgb, Scene, Shape, Stroke, Text};
+use super::path::{PathStep, VectorPath};
+use super::scene::{FilledPath, Paint, Rgb, Scene, SceneItem, Stroke, Text};
 
 /// Pixels per inch.
-pub const DPI: f64 = 300.0;
+pub(crate) const DPI: f64 = 300.0;
 /// Points per inch.
 const POINTS: f64 = 72.0;
-/// The colour of ink.
+/// Colour of ink.
 const INK: Rgb = Rgb(0x1a, 0x1a, 0x1a);
 /// No clipping.
 const WHOLE: Option<&Mask> = None;
 
-/// The PNG of `scene` at [`DPI`], dark on white.
+/// Renders `scene` as PNG at `DPI`, dark on white.
 pub fn png(scene: &Scene) -> Vec<u8> {
     let scale = DPI / POINTS;
     let (w, h) = (
         (scene.width * DPI / POINTS).ceil() as u32,
         (scene.height * DPI / POINTS).ceil() as u32,
     );
+    // `Pixmap::new` rejects a side of 0.
     let mut pixmap = Pixmap::new(w.max(1), h.max(1)).expect("a canvas of a few inches");
     pixmap.fill(Color::WHITE);
     let ground = Transform::from_scale(scale as f32, scale as f32);
     for item in &scene.items {
         match item {
-            Item::Shape(shape) => draw_shape(&mut pixmap, shape, ground),
-            Item::Text(text) => draw_text(&mut pixmap, text, ground),
+            SceneItem::Shape(shape) => draw_shape(&mut pixmap, shape, ground),
+            SceneItem::Text(text) => draw_text(&mut pixmap, text, ground),
         }
     }
     encode(&pixmap)
 }
 
 fn encode(pixmap: &Pixmap) -> Vec<u8> {
-    // The ground is opaque, so alpha says nothing.
+    // The background is opaque, so every pixel is, and alpha can be omitted.
     let rgb: Vec<u8> = pixmap.data().chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
     let mut file = Vec::new();
     let mut encoder = png::Encoder::new(&mut file, pixmap.width(), pixmap.height());
@@ -65,23 +66,23 @@ fn brush(paint: Paint, opacity: f64) -> Brush<'static> {
     brush
 }
 
-fn build(path: &Path) -> Option<tiny_skia::Path> {
+fn build(path: &VectorPath) -> Option<tiny_skia::Path> {
     let mut builder = PathBuilder::new();
     for step in &path.0 {
         match *step {
-            Step::Move(x, y) => builder.move_to(x as f32, y as f32),
-            Step::Line(x, y) => builder.line_to(x as f32, y as f32),
-            Step::Quad(a, b, x, y) => builder.quad_to(a as f32, b as f32, x as f32, y as f32),
-            Step::Cubic(a, b, c, d, x, y) => {
+            PathStep::Move(x, y) => builder.move_to(x as f32, y as f32),
+            PathStep::Line(x, y) => builder.line_to(x as f32, y as f32),
+            PathStep::Quad(a, b, x, y) => builder.quad_to(a as f32, b as f32, x as f32, y as f32),
+            PathStep::Cubic(a, b, c, d, x, y) => {
                 builder.cubic_to(a as f32, b as f32, c as f32, d as f32, x as f32, y as f32);
             }
-            Step::Close => builder.close(),
+            PathStep::Close => builder.close(),
         }
     }
     builder.finish()
 }
 
-fn draw_shape(pixmap: &mut Pixmap, shape: &Shape, ground: Transform) {
+fn draw_shape(pixmap: &mut Pixmap, shape: &FilledPath, ground: Transform) {
     let Some(path) = build(&shape.path) else { return };
     let [left, top, right, bottom] = shape.path.bounds();
     // An interval of no width has nothing to fill.

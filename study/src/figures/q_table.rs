@@ -1,44 +1,45 @@
-//! What `q-learning` has learned for one N: the table of its duty cycling and those of its wake-ups, as heat maps.
+//! Heat maps of the tables that `q-learning` has learned for one N: duty cycling and wake-ups.
 
 use std::f64::consts::PI;
 use std::fmt::Write as _;
 
 use reveille_bs::beliefs::ages;
 use reveille_bs::policy::q_learning::learned::{
-    self, AREAS, BATTERIES, Cell, Entry, INFORMATIONS, Learned, Lookback, NODES, REPORTS, SCORES, WakeTable, score_edge,
+    self, AREAS, BATTERIES, INFORMATIONS, LearnedTables, Lookback, NODES, QValue, REPORTS, SCORES, TableSet, WakeTable,
+    score_edge,
 };
 use reveille_common::scenario::WakeUpRanking;
 
-use super::chart::{Chart, Interval, Sample, Series};
+use super::chart::{Chart, ChartPoint, Interval, Series};
 use super::error::FigureError;
 use super::font::{Weight, wrap};
-use super::heat::{HeatCell, HeatMap, Known, Rows, key};
-use super::layout::{EDGE, LARGE, LEADING, SMALL, WIDE};
+use super::heat::{HeatCell, HeatMap, RowLabels, VisitCount, key};
 use super::scale::Scale;
 use super::scene::{Scene, Text};
-use super::style::Style;
+use super::style::{EDGE, LARGE, LEADING, SMALL, Style, WIDE};
 
 /// Heights of rows, points.
 const DUTY_ROW: f64 = 15.0;
 const WAKE_ROW: f64 = 12.0;
-/// Distance of panels, points.
+/// Distance between panels, points.
 const GAP: f64 = 12.0;
-/// The ends of the buckets of Î, shares of Ψ; those of
+/// Limits of the buckets of Î, shares of Ψ, as used by
 /// [`reveille_bs::policy::q_learning::learned::information_bucket`].
 const INFORMATION: [f64; INFORMATIONS + 1] = [0.0, 0.03, 0.08, 0.15, 0.25, 0.4, 0.55, 0.75, 1.0];
-/// From which battery bucket on a device can sense and report.
+/// First battery bucket in which a device can sense and report.
 const ABLE: usize = learned::ABLE as usize;
 
-/// The entry of `learned`, read from `file`, for `devices` devices and `window`, or the shortest window that it has.
+/// Finds the entry of `learned`, read from `file`, for `devices` devices and `window`. The default is the shortest
+/// window in the file.
 ///
 /// # Errors
-/// It has none.
+/// The file has no such entry.
 pub fn entry<'l>(
     file: &str,
-    learned: &'l Learned,
+    learned: &'l LearnedTables,
     devices: u32,
     window: Option<Lookback>,
-) -> Result<&'l Entry, FigureError> {
+) -> Result<&'l TableSet, FigureError> {
     let windows = learned.lookbacks();
     let shortest = windows.first().copied().unwrap_or(Lookback::Window(1));
     let mut of_window = learned.entries.iter();
@@ -62,19 +63,19 @@ pub fn entry<'l>(
     })
 }
 
-/// E_max, E_idle and E_Tx of the training, units, if it says so.
-fn energies(learned: &Learned) -> Option<[f64; 3]> {
+/// Returns E_max, E_idle and E_Tx of the training, units; `None` if the file does not hold them.
+fn energies(learned: &LearnedTables) -> Option<[f64; 3]> {
     let [e_max, e_idle, e_tx] = ["energy.e_max", "energy.e_idle", "energy.e_tx"].map(|name| field(learned, name));
     Some([e_max?, e_idle?, e_tx?])
 }
 
-/// A number of the training's scenario.
-fn field(learned: &Learned, name: &str) -> Option<f64> {
+/// Returns a numeric field of the training's scenario.
+fn field(learned: &LearnedTables, name: &str) -> Option<f64> {
     let own = learned.setting.numbers.iter().find(|(path, _)| path == name);
     own.map(|(_, value)| *value)
 }
 
-/// The ends of the battery buckets, units.
+/// Returns the limits of the battery buckets, units.
 fn battery_ends([e_max, e_idle, e_tx]: [f64; 3]) -> [f64; BATTERIES + 1] {
     let needed = e_idle + e_tx;
     let part = (e_max - needed) / (BATTERIES - ABLE) as f64;
@@ -85,7 +86,7 @@ fn battery_ends([e_max, e_idle, e_tx]: [f64; 3]) -> [f64; BATTERIES + 1] {
     })
 }
 
-/// The ends of the buckets of what a device newly looks at, shares of the sensing disc.
+/// Returns the limits of the buckets of newly covered area, shares of the sensing disc.
 fn area_ends(lookback: Lookback) -> [f64; AREAS + 1] {
     let most = match lookback {
         Lookback::Window(_) => 1.0,
@@ -98,12 +99,12 @@ fn area_ends(lookback: Lookback) -> [f64; AREAS + 1] {
     })
 }
 
-/// The ends of the score buckets, shares of Ψ.
+/// Returns the limits of the score buckets, shares of Ψ.
 fn score_ends() -> [f64; SCORES + 1] {
     std::array::from_fn(score_edge)
 }
 
-/// `value` to two digits, without more zeros than it needs.
+/// Formats `value` with two digits, without trailing zeros.
 fn short(value: f64) -> String {
     let decimals = if value == 0.0 || value >= 9.95 {
         0
@@ -120,18 +121,20 @@ fn short(value: f64) -> String {
     }
 }
 
-/// The duty table of `entry` as it is drawn.
-pub fn duty_map(learned: &Learned, entry: &Entry) -> HeatMap {
+/// Creates the heat map of the duty table of `entry`.
+pub(crate) fn duty_map(learned: &LearnedTables, entry: &TableSet) -> HeatMap {
+    // The policy decides by the monotone advantages, not by the learned numbers in the cells.
     let used = entry.duty.advantages();
     let cell = |battery: usize, area: usize| {
         let [on, off] = [true, false].map(|delta| entry.duty.at(battery, area, delta));
         HeatCell {
             value: on.value - off.value,
             known: match (on.visits, off.visits) {
-                (0, 0) => Known::Never,
-                (0, _) | (_, 0) => Known::Half,
-                (_, _) => Known::Well,
+                (0, 0) => VisitCount::Never,
+                (0, _) | (_, 0) => VisitCount::Half,
+                (_, _) => VisitCount::Well,
             },
+            // Below `ABLE` the policy lets no device sense, whatever the table holds.
             framed: battery >= ABLE && used[battery][area] > 0.0,
         }
     };
@@ -165,15 +168,15 @@ pub fn duty_map(learned: &Learned, entry: &Entry) -> HeatMap {
         .to_owned(),
         y_label: "battery, units".to_owned(),
         columns,
-        rows: Rows::Names((0..BATTERIES).map(name).collect()),
+        rows: RowLabels::Names((0..BATTERIES).map(name).collect()),
         cells: (0..BATTERIES)
             .map(|battery| (0..AREAS).map(|area| cell(battery, area)).collect())
             .collect(),
     }
 }
 
-/// The picture of the duty table of `entry`: advantages, and V beneath them.
-pub fn duty_scene(learned: &Learned, entry: &Entry) -> Scene {
+/// Draws the duty table of `entry`: advantages, with V below them.
+pub fn duty_scene(learned: &LearnedTables, entry: &TableSet) -> Scene {
     let what = match entry.lookback {
         Lookback::Window(_) => "how much of the area it would newly cover",
         Lookback::Ages => "what it would newly look at",
@@ -186,7 +189,7 @@ pub fn duty_scene(learned: &Learned, entry: &Entry) -> Scene {
          bold line the policy lets it sense, those with most to gain first: there the advantage is positive once \
          it is made never to fall with the area, and the battery is enough to sense and report. Colours follow the \
          root of the number. {}{}",
-        if map.count(Known::Half) > 0 {
+        if map.count(VisitCount::Half) > 0 {
             "Where one action was never tried, it is worth its start, what it brings at once, so read \
              such a number as a guess. "
         } else {
@@ -197,7 +200,7 @@ pub fn duty_scene(learned: &Learned, entry: &Entry) -> Scene {
     let (mut scene, y) = begun(title, text.clone());
     let largest = map.largest();
     let mut y = map.draw(&mut scene, (EDGE, y), (WIDE - 2.0 * EDGE, DUTY_ROW), largest);
-    let half = (map.count(Known::Half) > 0).then_some("one action never tried");
+    let half = (map.count(VisitCount::Half) > 0).then_some("one action never tried");
     y = key(&mut scene, (EDGE, y), largest, "senses", half) + 8.0;
     let value = value_chart(learned, entry).scene();
     let lower = value.height;
@@ -211,7 +214,7 @@ pub fn duty_scene(learned: &Learned, entry: &Entry) -> Scene {
     scene
 }
 
-/// A scene with its title, and the y below that.
+/// Creates a scene with its title. Returns it with the y below the title.
 fn begun(title: String, description: String) -> (Scene, f64) {
     let mut scene = Scene::new(WIDE, 0.0);
     scene.text(Text::new(title.as_str(), (EDGE, EDGE + LARGE), LARGE).bold());
@@ -220,28 +223,28 @@ fn begun(title: String, description: String) -> (Scene, f64) {
     (scene, EDGE + LARGE + LEADING)
 }
 
-/// V against the battery.
-fn value_chart(learned: &Learned, entry: &Entry) -> Chart {
+/// Creates the chart of V against the battery.
+fn value_chart(learned: &LearnedTables, entry: &TableSet) -> Chart {
     let e_max = energies(learned).map(|[e_max, ..]| e_max);
-    let sample = |node: usize, y: f64| Sample {
+    let sample = |node: usize, y: f64| ChartPoint {
         x: e_max.unwrap_or(1.0) * node as f64 / (NODES - 1) as f64,
         y,
         half: f64::NAN,
         across: f64::NAN,
     };
-    let used: Vec<Sample> = (0..)
+    let used: Vec<ChartPoint> = (0..)
         .zip(entry.duty.values())
         .map(|(node, y)| sample(node, y))
         .collect();
-    let visited = |(_, cell): &(usize, &Cell)| cell.visits > 0;
+    let visited = |(_, cell): &(usize, &QValue)| cell.visits > 0;
     let raw = entry.duty.value.iter().enumerate().filter(visited);
-    let raw: Vec<Sample> = raw.map(|(node, cell)| sample(node, cell.value)).collect();
+    let raw: Vec<ChartPoint> = raw.map(|(node, cell)| sample(node, cell.value)).collect();
     let ys = used.iter().chain(&raw).map(|s| s.y);
     let (y, x) = (
         Scale::linear(ys, false),
         Scale::linear([0.0, sample(NODES - 1, 0.0).x], true),
     );
-    let series = |name: &str, style: Style, joined: bool, samples: Vec<Sample>| Series {
+    let series = |name: &str, style: Style, joined: bool, samples: Vec<ChartPoint>| Series {
         name: name.to_owned(),
         style,
         joined,
@@ -271,8 +274,8 @@ fn value_chart(learned: &Learned, entry: &Entry) -> Chart {
     }
 }
 
-/// What `entry` was learned on, in two sentences.
-fn learned_on(learned: &Learned, entry: &Entry) -> String {
+/// Describes the training of `entry` in two sentences.
+fn learned_on(learned: &LearnedTables, entry: &TableSet) -> String {
     let (n, surface) = (entry.devices, entry.surface);
     format!(
         "{} {}",
@@ -281,9 +284,9 @@ fn learned_on(learned: &Learned, entry: &Entry) -> String {
     )
 }
 
-/// By whom a file was learned, how, and for which weights and `windows`; `place` says on how many devices or how large
-/// an area.
-pub(super) fn trained(learned: &Learned, windows: &[Lookback], place: &str) -> String {
+/// Describes the training of a file: version, weights, schedule and `windows`. `place` names the number of devices or
+/// the area.
+pub(super) fn trained(learned: &LearnedTables, windows: &[Lookback], place: &str) -> String {
     let lengths: Vec<String> = windows.iter().map(|own| own.in_words()).collect();
     let (weights, schedule, training) = (learned.weights, &learned.schedule, &learned.training);
     let (first, last) = training.epsilon;
@@ -308,19 +311,19 @@ pub(super) fn trained(learned: &Learned, windows: &[Lookback], place: &str) -> S
     )
 }
 
-/// The setting that a file was learned on, in a sentence.
-pub(super) fn setting(learned: &Learned) -> String {
+/// Describes the training setting of a file in one sentence.
+pub(super) fn setting(learned: &LearnedTables) -> String {
     let words = learned.setting.words.iter();
     let words = words.map(|(name, value)| format!("{name} = {value}"));
     let numbers = learned.setting.numbers.iter();
-    // To four decimals, without zeros at the end.
+    // To four decimals, without trailing zeros.
     let numbers = numbers.map(|(name, value)| format!("{name} = {}", (value * 1e4).round() / 1e4));
     let all: Vec<String> = words.chain(numbers).collect();
     format!("Setting: {}.", all.join(", "))
 }
 
-/// What is drawn of the duty table, as CSV.
-pub fn duty_csv(learned: &Learned, entry: &Entry) -> String {
+/// Formats the plotted data of the duty table as CSV.
+pub fn duty_csv(learned: &LearnedTables, entry: &TableSet) -> String {
     let mut out = String::from(
         "bucket,battery_from,battery_to,area_from,area_to,q_sleep,visits_sleep,q_sense,visits_sense,\
          advantage,used,senses\n",
@@ -352,8 +355,8 @@ pub fn duty_csv(learned: &Learned, entry: &Entry) -> String {
     out
 }
 
-/// V, as CSV.
-pub fn value_csv(learned: &Learned, entry: &Entry) -> String {
+/// Formats V as CSV.
+pub fn value_csv(learned: &LearnedTables, entry: &TableSet) -> String {
     let mut out = String::from("battery,value,visits,used\n");
     let e_max = energies(learned).map_or(1.0, |[e_max, ..]| e_max);
     for (node, (cell, used)) in entry.duty.value.iter().zip(entry.duty.values()).enumerate() {
@@ -363,27 +366,31 @@ pub fn value_csv(learned: &Learned, entry: &Entry) -> String {
     out
 }
 
-/// The wake-up table of `entry` for one ranking.
-pub const fn wake_table(entry: &Entry, ranking: WakeUpRanking) -> &WakeTable {
+/// Returns the wake-up table of `entry` for one ranking.
+pub const fn wake_table(entry: &TableSet, ranking: WakeUpRanking) -> &WakeTable {
     match ranking {
         WakeUpRanking::P42 => &entry.wake_p42,
         WakeUpRanking::Posterior => &entry.wake_posterior,
     }
 }
 
-/// The wake-up table after `reports` reports, a bucket.
+/// Creates the heat map of the wake-up table for bucket `reports` of the number of reports.
 fn wake_map(table: &WakeTable, reports: usize) -> HeatMap {
     let used: [_; INFORMATIONS] = std::array::from_fn(|information| table.worths(information, reports));
     let cell = |score: usize, information: usize| {
         let cell = table.at([score, information, reports]);
         HeatCell {
             value: cell.value,
-            known: if cell.visits == 0 { Known::Never } else { Known::Well },
+            known: if cell.visits == 0 {
+                VisitCount::Never
+            } else {
+                VisitCount::Well
+            },
             framed: used[information][score] <= 0.0,
         }
     };
     let row = |score: usize| (0..INFORMATIONS).map(|information| cell(score, information)).collect();
-    // Every other end is a root between two halvings.
+    // Every other limit is a root between two halvings.
     let score = |end: usize| match SCORES - end {
         _ if end == 0 => "0".to_owned(),
         0 => "1".to_owned(),
@@ -394,13 +401,13 @@ fn wake_map(table: &WakeTable, reports: usize) -> HeatMap {
         x_label: "information so far Î / Ψ".to_owned(),
         y_label: "score of the best candidate / Ψ".to_owned(),
         columns: vec![(String::new(), INFORMATION.map(short).to_vec())],
-        rows: Rows::Ends((0..=SCORES).map(score).collect()),
+        rows: RowLabels::Ends((0..=SCORES).map(score).collect()),
         cells: (0..SCORES).map(row).collect(),
     }
 }
 
-/// The picture of a wake-up table of `entry`: a panel for each number of reports.
-pub fn wake_scene(learned: &Learned, entry: &Entry, ranking: WakeUpRanking) -> Scene {
+/// Draws a wake-up table of `entry`, with a panel for each number of reports.
+pub fn wake_scene(learned: &LearnedTables, entry: &TableSet, ranking: WakeUpRanking) -> Scene {
     let (table, name) = (wake_table(entry, ranking), ranking.name());
     let title = format!("What a wake-up is worth with N = {}, ranking {name}: Q", entry.devices);
     let text = format!(
@@ -439,8 +446,8 @@ pub fn wake_scene(learned: &Learned, entry: &Entry, ranking: WakeUpRanking) -> S
     scene
 }
 
-/// What is drawn of a wake-up table, as CSV.
-pub fn wake_csv(entry: &Entry, ranking: WakeUpRanking) -> String {
+/// Formats the plotted data of a wake-up table as CSV.
+pub fn wake_csv(entry: &TableSet, ranking: WakeUpRanking) -> String {
     let mut out = String::from("reports,score_from,score_to,information_from,information_to,q,visits,used,wakes\n");
     let (table, scores) = (wake_table(entry, ranking), score_ends());
     for reports in 0..REPORTS {
@@ -474,7 +481,7 @@ mod tests {
 
     use super::*;
 
-    /// Checks that values just above the start and just below the end of each bucket are in it.
+    /// Checks that values just inside both limits of each bucket fall in that bucket.
     fn agree(ends: &[f64], bucket: impl Fn(f64) -> usize) {
         for (at, pair) in ends.windows(2).enumerate() {
             let inside = 1e-4 * (pair[1] - pair[0]);
@@ -493,7 +500,7 @@ mod tests {
         for lookback in [Lookback::Window(1), Lookback::Ages] {
             agree(&area_ends(lookback), |share| lookback.bucket(share));
         }
-        let energy = load("paper", &[]).expect("a preset").classes[0].energy;
+        let energy = load("paper", &[]).expect("a preset").scenario.classes[0].energy;
         let ends = battery_ends([energy.e_max, energy.e_idle, energy.e_tx].map(Energy::units));
         agree(&ends, |x| {
             battery_bucket(Energy::from_units(x).expect("an energy"), &energy)

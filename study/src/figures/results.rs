@@ -1,4 +1,4 @@
-//! Result tables put together for drawing and judging: runs by condition, policy and N.
+//! Result tables merged for figures and judging: runs by condition, policy and N.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -10,68 +10,68 @@ use sha2::{Digest as _, Sha256};
 
 use super::error::FigureError;
 use crate::claims::POLICIES;
-use reveille_lab::reading::Reading;
+use reveille_lab::metric_estimate::MetricEstimate;
 use reveille_lab::series::{self, RANKING};
-use reveille_lab::stats::{Cell, Estimate, cells};
-use reveille_lab::table::{About, Hash, Row, Table};
+use reveille_lab::stats::{CellRuns, Estimate, cells};
+use reveille_lab::table::{Hash, ResultRow, Table, TableMetadata};
 
-/// A table and its name.
+/// Summary of a result table.
 #[derive(Clone, Debug)]
-pub struct Source {
-    /// The name of the file that the table was read from.
+pub struct LabelledTable {
+    /// Name of the file that the table was read from.
     pub name: String,
-    /// What it says about its origin.
-    pub about: About,
-    /// How many runs it holds.
+    /// Metadata on the table's origin.
+    pub about: TableMetadata,
+    /// Number of runs.
     pub rows: usize,
-    /// SHA-256 over the digests of its runs, in their order, hexadecimal.
+    /// SHA-256 over the digests of the runs, in table order, hexadecimal.
     pub digests: String,
 }
 
-/// Everything but policy, N and seed that runs have in common.
+/// Settings that runs share, except policy, N and seed.
 #[derive(Clone, Debug)]
-pub struct Condition {
-    /// The preset.
+pub struct RunCondition {
+    /// Preset name.
     pub preset: String,
     /// Length of the runs K, TTIs.
     pub ttis: u64,
     /// Swept fields with their values.
     pub swept: Vec<(String, String)>,
-    /// Fields that the experiment sets to something else than the preset, with their values.
+    /// Fields whose value in the experiment differs from the preset, with their values.
     pub changes: Vec<(String, String)>,
-    /// The table, if scenarios of it differ from their preset in more than all that, so that nobody can tell in what.
+    /// Name of the table, if its scenarios differ from their preset in unknown fields.
     pub changed_in: Option<String>,
-    /// The scenario of its first run; `None` where nobody can tell.
+    /// Scenario of the first run; `None` if it cannot be reconstructed.
     pub scenario: Option<Scenario>,
-    /// Whether all runs are of the preset as it is: what is swept or set has the preset's own values.
+    /// Whether all runs use the preset unchanged, including swept and set fields.
     is_preset: bool,
-    /// The places in [`Results::by_ranking`] of those that it is made of.
+    /// Indices in [`Results::by_ranking`] of the conditions merged into this one.
     pub parts: Vec<usize>,
-    /// The runs by series and N, each in the order of seeds.
+    /// Runs by series and N, each in seed order.
     runs: Runs,
 }
 
-/// Runs by series and N, each in the order of seeds.
-type Runs = BTreeMap<(String, u32), BTreeMap<u64, Arc<Row>>>;
+/// Runs by series and N, each in seed order.
+type Runs = BTreeMap<(String, u32), BTreeMap<u64, Arc<ResultRow>>>;
 
-/// All tables together.
+/// The merged tables.
 #[derive(Clone, Debug)]
 pub struct Results {
-    /// The tables.
-    pub sources: Vec<Source>,
-    /// The conditions, in the order in which tables bring them up. Those that differ in the ranking of wake-ups alone
-    /// are one, with a series for each policy and ranking: for pictures of like with like.
-    pub conditions: Vec<Condition>,
-    /// The conditions with each ranking apart, under which policies have the names that the paper's claims know them
-    /// by.
-    pub by_ranking: Vec<Condition>,
+    /// Summaries of the tables.
+    pub sources: Vec<LabelledTable>,
+    /// Conditions in the order in which tables introduce them. Conditions that differ only in the ranking of wake-ups
+    /// are merged, with one series per policy and ranking, so that figures compare like with like.
+    pub conditions: Vec<RunCondition>,
+    /// Conditions with one entry per ranking. Policies have the names that the paper's claims use.
+    pub by_ranking: Vec<RunCondition>,
 }
 
 impl Results {
-    /// Puts `tables` together. A run that several of them hold counts once. `files` opens what their scenarios name.
+    /// Merges `tables`. A run that occurs in several tables counts once. `files` opens the files that their scenarios
+    /// name.
     ///
     /// # Errors
-    /// No runs at all, or two outcomes of one run.
+    /// The tables hold no run, or two outcomes of one run.
     pub fn new(tables: &[(String, Table)], files: &dyn Files) -> Result<Self, FigureError> {
         let mut results = Self {
             sources: Vec::new(),
@@ -79,7 +79,7 @@ impl Results {
             by_ranking: Vec::new(),
         };
         for (name, table) in tables {
-            results.sources.push(Source {
+            results.sources.push(LabelledTable {
                 name: name.clone(),
                 about: table.about.clone(),
                 rows: table.rows.len(),
@@ -99,17 +99,17 @@ impl Results {
 
     fn add(&mut self, name: &str, table: &Table, files: &dyn Files) -> Result<(), FigureError> {
         let cells = cells(table);
-        let swept_of = |cell: &Cell<'_>| {
+        let swept_of = |cell: &CellRuns<'_>| {
             let fields = table.schema.swept.iter().map(|(path, _)| path.clone());
             fields
                 .zip(cell.swept.iter().map(ToString::to_string))
                 .collect::<Vec<_>>()
         };
         let set = changes_of(&table.about.experiment);
-        // A change may concern one policy alone; a table's policies stay together all the same.
+        // All policies of a table share its changes, even a change that affects one policy, so that they stay together.
         let scenario =
-            |cell: &Cell<'_>, set: &[(String, String)]| scenario_of(cell.rows[0], &swept_of(cell), set, files);
-        // Of the settings of a policy that this program does not have nobody can tell.
+            |cell: &CellRuns<'_>, set: &[(String, String)]| scenario_of(cell.rows[0], &swept_of(cell), set, files);
+        // The scenario of a policy unknown to this program cannot be loaded, so its cells decide nothing here.
         let told = || cells.iter().filter(|cell| registry::named(cell.policy).is_some());
         let is_preset = told().all(|cell| scenario(cell, &[]).is_some());
         let is_known = told().all(|cell| scenario(cell, &set).is_some());
@@ -118,7 +118,7 @@ impl Results {
         for cell in cells {
             let is_told = registry::named(cell.policy).is_some();
             let as_it_is = !is_told || scenario_of(cell.rows[0], &[], &[], files).is_some();
-            let wanted = Condition {
+            let wanted = RunCondition {
                 preset: cell.preset.to_owned(),
                 ttis: cell.ttis,
                 changes: changes.clone(),
@@ -138,6 +138,7 @@ impl Results {
             let runs = &mut self.by_ranking[at].runs;
             let runs = runs.entry((cell.policy.to_owned(), cell.n)).or_default();
             for row in cell.rows {
+                // Condition, policy, N and seed identify a run, so a second outcome contradicts the first.
                 if let Some(known) = runs.insert(row.seed, Arc::new(row.clone()))
                     && known.digest != row.digest
                 {
@@ -153,9 +154,9 @@ impl Results {
     }
 }
 
-/// `apart` with those put together that differ in the ranking of wake-ups alone, the paper's ranking first.
-fn side_by_side(apart: &[Condition]) -> Vec<Condition> {
-    let mut groups: Vec<(Condition, Vec<usize>)> = Vec::new();
+/// Merges the conditions of `apart` that differ only in the ranking of wake-ups, the paper's ranking first.
+fn side_by_side(apart: &[RunCondition]) -> Vec<RunCondition> {
+    let mut groups: Vec<(RunCondition, Vec<usize>)> = Vec::new();
     for (place, condition) in apart.iter().enumerate() {
         let bare = condition.without_ranking();
         match groups.iter_mut().find(|(known, _)| known.is_like(&bare)) {
@@ -163,14 +164,14 @@ fn side_by_side(apart: &[Condition]) -> Vec<Condition> {
             None => groups.push((bare, vec![place])),
         }
     }
-    let together = |(bare, mut parts): (Condition, Vec<usize>)| {
+    let together = |(bare, mut parts): (RunCondition, Vec<usize>)| {
         if let [lone] = parts[..] {
-            return Condition {
+            return RunCondition {
                 parts,
                 ..apart[lone].clone()
             };
         }
-        // A policy by its bare name comes first: those that repeat it under another ranking are left out.
+        // The paper's ranking comes first: policies with equal runs under another ranking are left out.
         parts.sort_by_key(|place| !series::is_the_papers(&apart[*place].ranking()));
         let mut runs = Runs::new();
         for place in &parts {
@@ -184,7 +185,7 @@ fn side_by_side(apart: &[Condition]) -> Vec<Condition> {
                 }
             }
         }
-        Condition {
+        RunCondition {
             scenario: apart[parts[0]].scenario.clone(),
             is_preset: apart[parts[0]].is_preset,
             parts,
@@ -203,7 +204,7 @@ fn digests(table: &Table) -> String {
     Hash(sum.finalize().into()).to_string()
 }
 
-/// What the experiment `text` sets for all its runs: fields and values; nothing if it cannot be read.
+/// Returns fields and values that the experiment `text` sets for all its runs; empty if it cannot be parsed.
 fn changes_of(text: &str) -> Vec<(String, String)> {
     let Ok(experiment) = text.parse::<toml::Table>() else {
         return Vec::new();
@@ -214,8 +215,13 @@ fn changes_of(text: &str) -> Vec<(String, String)> {
     set.map(|(path, value)| (path.clone(), words(value))).collect()
 }
 
-/// The scenario of `row`, if it is its preset with nothing changed but what the columns of the table and `set` say.
-fn scenario_of(row: &Row, swept: &[(String, String)], set: &[(String, String)], files: &dyn Files) -> Option<Scenario> {
+/// Returns the scenario of `row`, if the preset with the table's columns and `set` reproduces its hash.
+fn scenario_of(
+    row: &ResultRow,
+    swept: &[(String, String)],
+    set: &[(String, String)],
+    files: &dyn Files,
+) -> Option<Scenario> {
     let set = set.iter().chain(swept).map(|(path, value)| format!("{path}={value}"));
     let columns = [
         format!("policy.name={}", row.policy),
@@ -224,11 +230,12 @@ fn scenario_of(row: &Row, swept: &[(String, String)], set: &[(String, String)], 
         format!("seed={}", row.seed),
     ];
     let overrides: Result<Vec<Override>, _> = set.chain(columns).map(|text| Override::parse(&text)).collect();
-    let scenario = load_with(&row.preset, &overrides.ok()?, files).ok()?;
+    let scenario = load_with(&row.preset, &overrides.ok()?, files).ok()?.scenario;
+    // The hash covers every setting of a run, so equal hashes rule out any other change.
     (scenario.hash() == row.scenario_hash.0).then_some(scenario)
 }
 
-impl Condition {
+impl RunCondition {
     fn is_like(&self, other: &Self) -> bool {
         self.preset == other.preset
             && self.ttis == other.ttis
@@ -237,7 +244,7 @@ impl Condition {
             && self.changed_in == other.changed_in
     }
 
-    /// The same without what it says of the ranking, and without runs.
+    /// Copy of the condition without ranking fields and runs.
     fn without_ranking(&self) -> Self {
         let rest = |fields: &[(String, String)]| -> Vec<(String, String)> {
             let rest = fields.iter().filter(|(path, _)| path != RANKING);
@@ -255,14 +262,14 @@ impl Condition {
         }
     }
 
-    /// How its runs rank wake-ups.
+    /// Name of the ranking of wake-ups in its runs.
     fn ranking(&self) -> String {
         let said = self.changed().find(|(path, _)| path == RANKING);
         let in_force = self.scenario.as_ref().map(|scenario| scenario.bs.ranking.name());
         said.map_or_else(|| in_force.unwrap_or_default().to_owned(), |(_, value)| value.clone())
     }
 
-    /// The series that were run, the paper's policies in its order and then others by name.
+    /// Names of the series, the paper's policies first in its order, then others by name.
     pub fn policies(&self) -> Vec<&str> {
         let mut names: Vec<&str> = Vec::new();
         for (series, _) in self.runs.keys() {
@@ -278,22 +285,22 @@ impl Condition {
         names
     }
 
-    /// The values of N that were run with `policy`, rising.
+    /// Returns the values of N that were run with `policy`, in ascending order.
     pub fn sizes(&self, policy: &str) -> Vec<u32> {
         let own = self.runs.keys().filter(|(name, _)| name == policy);
         own.map(|(_, n)| *n).collect()
     }
 
-    /// What the runs of `policy` with `n` devices tell of `metric`; `None` without runs in which it is defined.
-    pub fn reading(&self, policy: &str, n: u32, metric: &str) -> Option<Reading> {
-        let runs: Vec<&Row> = self.runs(policy, n).collect();
-        Reading::of(&runs, metric)
+    /// Returns the estimate of `metric` with its interval; `None` if it is undefined in all runs of the cell.
+    pub fn reading(&self, policy: &str, n: u32, metric: &str) -> Option<MetricEstimate> {
+        let runs: Vec<&ResultRow> = self.runs(policy, n).collect();
+        MetricEstimate::of(&runs, metric)
     }
 
-    /// The estimate of `metric` for `policy` with `n` devices; `None` without runs in which it is defined.
+    /// Returns the estimate of `metric` for `policy` with `n` devices; `None` if it is undefined in all runs.
     ///
-    /// Where an interval says nothing, half its width is how far the one-sided bound is above the mean: of
-    /// `misdetection_pct` without one missed event the rule of three's 300 / Σ events %.
+    /// If the interval is uninformative, half its width is the distance from the mean to the one-sided bound. For
+    /// `misdetection_pct` without a missed event the bound is 300 / Σ events %, by the rule of three.
     pub fn estimate(&self, policy: &str, n: u32, metric: &str) -> Option<Estimate> {
         let reading = self.reading(policy, n, metric)?;
         Some(Estimate {
@@ -302,30 +309,30 @@ impl Condition {
         })
     }
 
-    /// The runs of a cell, in the order of seeds.
-    pub fn runs(&self, policy: &str, n: u32) -> impl Iterator<Item = &Row> {
+    /// Returns the runs of a cell, in seed order.
+    pub fn runs(&self, policy: &str, n: u32) -> impl Iterator<Item = &ResultRow> {
         let runs = self.runs.get(&(policy.to_owned(), n));
         runs.into_iter().flat_map(BTreeMap::values).map(Arc::as_ref)
     }
 
-    /// The least and the largest number of runs of a cell.
-    pub fn runs_per_cell(&self) -> (usize, usize) {
+    /// Smallest and largest number of runs per cell.
+    pub(crate) fn runs_per_cell(&self) -> (usize, usize) {
         let counts = || self.runs.values().map(BTreeMap::len);
         (counts().min().unwrap_or(0), counts().max().unwrap_or(0))
     }
 
-    /// The first and the last seed.
+    /// First and last seed.
     pub fn seeds(&self) -> (u64, u64) {
         let seeds = || self.runs.values().flat_map(BTreeMap::keys);
         (seeds().min().copied().unwrap_or(0), seeds().max().copied().unwrap_or(0))
     }
 
-    /// Fields that it changes, for the whole table and then for some of its cells, with their values.
+    /// Changed fields with their values: first table-wide changes, then changes of some cells.
     pub fn changed(&self) -> impl Iterator<Item = &(String, String)> {
         self.changes.iter().chain(&self.swept)
     }
 
-    /// What it is, in words.
+    /// Human-readable description of the condition.
     pub fn label(&self) -> String {
         let mut label = self.preset.clone();
         for (path, value) in self.changed() {
@@ -337,18 +344,18 @@ impl Condition {
         }
     }
 
-    /// Whether it is its preset as it is: nothing is swept or changed to another value.
+    /// Whether the runs use the preset unchanged: nothing is swept or set to another value.
     pub const fn is_plain(&self) -> bool {
         self.is_preset
     }
 
-    /// How many runs there are.
-    pub fn run_count(&self) -> usize {
+    /// Total number of runs.
+    pub(crate) fn run_count(&self) -> usize {
         self.runs.values().map(BTreeMap::len).sum()
     }
 
-    /// What it is, as part of a file's name; with `folder` of the table that it comes from, if it takes a table to
-    /// tell.
+    /// Returns a part of a file name that describes the condition. If only the table identifies it and `has_folder` is
+    /// set, the label includes the table's folder.
     fn file_label(&self, has_folder: bool) -> String {
         let mut label = self.preset.clone();
         for (path, value) in self.changed() {
@@ -376,10 +383,10 @@ impl Condition {
 }
 
 impl Results {
-    /// For each of [`Self::conditions`] the part of a file's name that sets it apart from all others.
+    /// Unique part of a file name for each of [`Self::conditions`].
     pub fn file_labels(&self) -> Vec<String> {
         let lengths = self.conditions.windows(2).any(|pair| pair[0].ttis != pair[1].ttis);
-        let of = |condition: &Condition, has_folder: bool| {
+        let of = |condition: &RunCondition, has_folder: bool| {
             let label = condition.file_label(has_folder);
             if lengths {
                 format!("{label}-k{}", condition.ttis)
@@ -390,6 +397,7 @@ impl Results {
         let short: Vec<String> = self.conditions.iter().map(|s| of(s, false)).collect();
         let mut labels: Vec<String> = Vec::new();
         for (condition, label) in self.conditions.iter().zip(&short) {
+            // Some file systems ignore the case of names.
             let is_shared = short.iter().filter(|other| other.eq_ignore_ascii_case(label)).count() > 1;
             let label = of(condition, is_shared);
             let is_taken = |name: &str| labels.iter().any(|other| other.eq_ignore_ascii_case(name));
@@ -404,10 +412,10 @@ impl Results {
 }
 
 impl Results {
-    /// The conditions by what they have in common, preset and K, with a part of a file's name for each group.
-    pub fn together(&self) -> Vec<(String, Vec<&Condition>)> {
+    /// Conditions grouped by preset and K, with a part of a file name for each group.
+    pub fn together(&self) -> Vec<(String, Vec<&RunCondition>)> {
         let has_lengths = self.conditions.windows(2).any(|pair| pair[0].ttis != pair[1].ttis);
-        let mut groups: Vec<(String, Vec<&Condition>)> = Vec::new();
+        let mut groups: Vec<(String, Vec<&RunCondition>)> = Vec::new();
         for condition in &self.conditions {
             let mut label = format!("{}-together", condition.preset);
             if has_lengths {
@@ -422,36 +430,41 @@ impl Results {
     }
 }
 
-/// Tables for tests.
+/// Result tables for tests.
 #[cfg(test)]
 pub(crate) mod fixtures {
     use std::sync::Arc;
 
     use reveille_bs::scenario::{Override, load};
     use reveille_common::score::Metrics;
-    use reveille_lab::table::{About, Hash, Row, Schema, Table, Value};
+    use reveille_lab::table::{Hash, ResultRow, Schema, SweptValue, Table, TableMetadata};
 
-    /// A table of runs under `preset`: for each policy and N the values of `metric`, one a run. All other metrics are 1
-    /// more than their number.
-    pub fn table(preset: &str, metric: &str, runs: &[(&str, u32, &[f64])]) -> (String, Table) {
+    /// Creates a table of runs under `preset`: for each policy and N, one value of `metric` per run. Every other metric
+    /// is its index plus 1.
+    pub(crate) fn table(preset: &str, metric: &str, runs: &[(&str, u32, &[f64])]) -> (String, Table) {
         let mut rows = Vec::new();
         for (policy, n, values) in runs {
             for (seed, value) in (1..).zip(*values) {
                 rows.push(run((preset, &[]), (policy, *n, seed), (metric, *value)));
             }
         }
-        let about = About {
+        let about = TableMetadata {
             version: "0.1.0".to_owned(),
             experiment: format!("preset = \"{preset}\"\n"),
-            ..About::default()
+            ..TableMetadata::default()
         };
         let schema = Schema::default();
         (format!("{preset}.parquet"), Table { about, schema, rows })
     }
 
-    /// A table of runs under `preset` that sweeps `path`: for each policy, N and value of the field the values of
-    /// `metric`, one a run.
-    pub fn swept(preset: &str, metric: &str, path: &str, runs: &[(&str, u32, Value, &[f64])]) -> (String, Table) {
+    /// Creates a table of runs under `preset` that sweeps `path`: for each policy, N and field value, one value of
+    /// `metric` per run.
+    pub(crate) fn swept(
+        preset: &str,
+        metric: &str,
+        path: &str,
+        runs: &[(&str, u32, SweptValue, &[f64])],
+    ) -> (String, Table) {
         let mut rows = Vec::new();
         for (policy, n, field, values) in runs {
             for (seed, value) in (1..).zip(*values) {
@@ -469,20 +482,24 @@ pub(crate) mod fixtures {
         (name, Table { schema, rows, ..table })
     }
 
-    fn run((preset, set): (&str, &[&str]), (policy, n, seed): (&str, u32, u64), (metric, value): (&str, f64)) -> Row {
+    fn run(
+        (preset, set): (&str, &[&str]),
+        (policy, n, seed): (&str, u32, u64),
+        (metric, value): (&str, f64),
+    ) -> ResultRow {
         let overrides = [format!("devices={n}"), "ttis=2000".to_owned(), format!("seed={seed}")];
-        // Policies that cannot be run yet can be drawn.
+        // Policies that cannot be run yet can still be drawn.
         let is_known = reveille_bs::policy::registry::named(policy).is_some();
         let policy_is = is_known.then(|| format!("policy.name={policy}"));
         let set = set.iter().map(|text| (*text).to_owned());
         let overrides = overrides.into_iter().chain(policy_is).chain(set);
         let overrides: Vec<Override> = overrides.map(|o| Override::parse(&o).expect("an override")).collect();
-        let scenario = load(preset, &overrides).expect("a scenario");
+        let scenario = load(preset, &overrides).expect("a scenario").scenario;
         let mut metrics = [0.0; Metrics::COUNT];
         for (at, (slot, name)) in metrics.iter_mut().zip(Metrics::NAMES).enumerate() {
             *slot = if name == metric { value } else { 1.0 + at as f64 };
         }
-        Row {
+        ResultRow {
             scenario_hash: Hash(scenario.hash()),
             preset: Arc::from(preset),
             policy: Arc::from(policy),

@@ -1,59 +1,59 @@
-//! What an imperfect radio costs: information, energy and missed events of policies against how often one thing fails,
-//! while all others work.
+//! Robustness to an imperfect radio: information, energy and missed events of policies against the failure rate of one
+//! radio function, while all others work.
 
 use std::fmt::Write as _;
 
 use rayon::prelude::*;
-use reveille_common::radio::{Bursts, Radio};
-use reveille_common::scenario::Scenario;
+use reveille_bs::scenario::Scenario;
+use reveille_common::radio::{InterferenceBursts, RadioSettings};
 use reveille_common::score::Metrics;
-use reveille_lab::preparation::Workshop;
-use reveille_lab::run::{Options, Run};
+use reveille_lab::preparation::RunPreparer;
+use reveille_lab::run::{Run, RunOptions};
 use reveille_lab::stats::Estimate;
 
-use super::chart::{Chart, Interval, Sample, Series};
+use super::chart::{Chart, ChartPoint, Interval, Series};
 use super::scale::Scale;
 use super::study::{csv_half, runs_in_words};
 use super::style::Style;
 
-/// Its name in commands and files.
+/// Name in commands and files.
 pub const NAME: &str = "robustness";
-/// What is drawn, and how titles call it.
+/// Metrics of the figures, with their names in titles.
 pub const METRICS: [(&str, &str); 3] = [
     ("info_p1", "information"),
     ("energy_per_device_tti", "energy"),
     ("misdetection_pct", "missed events"),
 ];
-/// The mean length of a burst of interference, TTIs.
+/// Mean length of an interference burst, TTIs.
 const BURST: f64 = 10.0;
 
-/// Something that fails.
+/// A kind of radio failure.
 #[derive(Clone, Copy, Debug)]
 pub struct Impairment {
-    /// Its name in files: that of its field in `radio`.
+    /// Name in files, equal to its field in `radio`.
     pub name: &'static str,
-    /// What it is, for a title.
+    /// Description for titles.
     pub title: &'static str,
-    /// What its levels are, for an axis.
+    /// Axis label of the levels.
     pub axis: &'static str,
-    /// How often it fails, or by how much; never comes first.
+    /// Failure rates or magnitudes; the first is 0.
     pub levels: &'static [f64],
-    /// The radio in which it does, at a level above 0.
-    radio: fn(f64) -> Radio,
+    /// Radio settings for a level above 0.
+    radio: fn(f64) -> RadioSettings,
 }
 
 const LEVELS: &[f64] = &[0.0, 0.1, 0.2, 0.3, 0.5];
 
-/// All of them.
+/// All impairments.
 pub static IMPAIRMENTS: [Impairment; 6] = [
     Impairment {
         name: "wake_miss",
         title: "Wake-ups that are missed",
         axis: "probability that a wake-up is missed",
         levels: LEVELS,
-        radio: |wake_miss| Radio {
+        radio: |wake_miss| RadioSettings {
             wake_miss,
-            ..Radio::default()
+            ..RadioSettings::default()
         },
     },
     Impairment {
@@ -61,9 +61,9 @@ pub static IMPAIRMENTS: [Impairment; 6] = [
         title: "Wake-ups for nothing",
         axis: "probability of a wake-up for nothing, per TTI asleep",
         levels: &[0.0, 0.01, 0.02, 0.05, 0.1],
-        radio: |false_wake| Radio {
+        radio: |false_wake| RadioSettings {
             false_wake,
-            ..Radio::default()
+            ..RadioSettings::default()
         },
     },
     Impairment {
@@ -71,9 +71,9 @@ pub static IMPAIRMENTS: [Impairment; 6] = [
         title: "Reports that are lost",
         axis: "probability that a report is lost",
         levels: LEVELS,
-        radio: |uplink_loss| Radio {
+        radio: |uplink_loss| RadioSettings {
             uplink_loss,
-            ..Radio::default()
+            ..RadioSettings::default()
         },
     },
     Impairment {
@@ -81,9 +81,9 @@ pub static IMPAIRMENTS: [Impairment; 6] = [
         title: "Plans that are missed",
         axis: "probability that a device misses a plan",
         levels: LEVELS,
-        radio: |plan_loss| Radio {
+        radio: |plan_loss| RadioSettings {
             plan_loss,
-            ..Radio::default()
+            ..RadioSettings::default()
         },
     },
     Impairment {
@@ -91,9 +91,9 @@ pub static IMPAIRMENTS: [Impairment; 6] = [
         title: "Devices that take time to wake",
         axis: "TTIs from a wake-up until the device is awake",
         levels: &[0.0, 1.0, 2.0, 3.0, 4.0],
-        radio: |ttis| Radio {
+        radio: |ttis| RadioSettings {
             wake_latency: ttis as u64,
-            ..Radio::default()
+            ..RadioSettings::default()
         },
     },
     Impairment {
@@ -101,60 +101,63 @@ pub static IMPAIRMENTS: [Impairment; 6] = [
         title: "Bursts of interference",
         axis: "share of the time in which nothing gets through",
         levels: LEVELS,
-        radio: |share| Radio {
-            bursts: Some(Bursts {
+        radio: |share| RadioSettings {
+            bursts: Some(InterferenceBursts {
                 burst_ttis: BURST,
                 quiet_ttis: BURST * (1.0 - share) / share,
                 loss: 1.0,
             }),
-            ..Radio::default()
+            ..RadioSettings::default()
         },
     },
 ];
 
-/// What runs of one policy at one level came to.
+/// Results of the runs of one policy at one level.
 #[derive(Clone, Debug)]
-pub struct Point {
-    /// The policy.
+pub struct RobustnessPoint {
+    /// Policy name.
     pub policy: String,
-    /// What fails.
+    /// Kind of failure.
     pub impairment: &'static Impairment,
-    /// How often it fails.
+    /// Failure level.
     pub level: f64,
-    /// The metrics of its runs, in the order of seeds.
+    /// Metrics of the runs, in seed order.
     pub runs: Vec<Metrics>,
 }
 
-impl Point {
-    /// The mean of `metric` over its runs, with its interval; `None` where no run has a value.
+impl RobustnessPoint {
+    /// Returns the mean of `metric` over the runs, with its interval; `None` if no run has a value.
     pub fn reading(&self, metric: &str) -> Option<Estimate> {
         Estimate::of(self.runs.iter().filter_map(|run| run.value(metric)))
     }
 }
 
-/// What `scenarios`, one for each policy, come to with each of `impairments` at all levels, in runs with `seeds` seeds
-/// from their own on, on all cores. What they say of the radio is left out.
-pub fn measure(scenarios: &[Scenario], impairments: &[&'static Impairment], seeds: u64) -> Vec<Point> {
-    let workshop = Workshop::default();
-    let mut cells: Vec<(&Scenario, Radio)> = scenarios.iter().map(|scenario| (scenario, Radio::default())).collect();
+/// Runs `scenarios`, one for each policy, with all levels of each of `impairments`, on all cores. Each cell has `seeds`
+/// runs, with consecutive seeds from the scenario's own. The scenarios' radio settings are ignored.
+pub fn measure(scenarios: &[Scenario], impairments: &[&'static Impairment], seeds: u64) -> Vec<RobustnessPoint> {
+    let workshop = RunPreparer::default();
+    let mut cells: Vec<(&Scenario, RadioSettings)> = scenarios
+        .iter()
+        .map(|scenario| (scenario, RadioSettings::default()))
+        .collect();
     for Impairment { levels, radio, .. } in impairments {
+        // Level 0 comes first and is the perfect radio, which all impairments share.
         for &level in levels.iter().skip(1) {
             cells.extend(scenarios.iter().map(|scenario| (scenario, radio(level))));
         }
     }
     let runs = cells.iter().flat_map(|cell| (0..seeds).map(move |i| (cell, i)));
     let runs: Vec<_> = runs.collect();
-    let play = |((scenario, radio), i): &(&(&Scenario, Radio), u64)| {
-        let scenario = Scenario {
-            seed: scenario.seed.wrapping_add(*i),
-            radio: *radio,
-            ..(*scenario).clone()
-        };
-        Run::new(&workshop.prepare(&scenario), Options::default())
+    let play = |((scenario, radio), i): &(&(&Scenario, RadioSettings), u64)| {
+        // The same seeds for every level, so that levels differ only in the radio.
+        let mut scenario = scenario.with_seed(scenario.run.seed.wrapping_add(*i));
+        scenario.radio = *radio;
+        Run::new(&workshop.prepare(&scenario), RunOptions::default())
             .finish(&mut ())
             .metrics
     };
     let metrics: Vec<Metrics> = runs.par_iter().map(play).collect();
+    // The chunks follow the order of `cells` above.
     let mut by_cell = metrics.chunks(seeds as usize);
     let perfect: Vec<&[Metrics]> = by_cell.by_ref().take(scenarios.len()).collect();
     let mut points = Vec::new();
@@ -162,7 +165,7 @@ pub fn measure(scenarios: &[Scenario], impairments: &[&'static Impairment], seed
         for &level in impairment.levels {
             for (at, scenario) in scenarios.iter().enumerate() {
                 let runs = if level > 0.0 { by_cell.next() } else { Some(perfect[at]) };
-                points.push(Point {
+                points.push(RobustnessPoint {
                     policy: scenario.policy.name().to_owned(),
                     impairment,
                     level,
@@ -174,8 +177,13 @@ pub fn measure(scenarios: &[Scenario], impairments: &[&'static Impairment], seed
     points
 }
 
-/// The chart of a metric of [`METRICS`] against how often something fails, from `points` of runs of `scenario`.
-pub fn chart(points: &[Point], impairment: &Impairment, (metric, word): (&str, &str), scenario: &Scenario) -> Chart {
+/// Draws a metric of [`METRICS`] against the level of `impairment`, from `points` of runs of `scenario`.
+pub fn chart(
+    points: &[RobustnessPoint],
+    impairment: &Impairment,
+    (metric, word): (&str, &str),
+    scenario: &Scenario,
+) -> Chart {
     let Impairment {
         name,
         title,
@@ -183,7 +191,7 @@ pub fn chart(points: &[Point], impairment: &Impairment, (metric, word): (&str, &
         levels,
         ..
     } = *impairment;
-    let own: Vec<&Point> = points.iter().filter(|point| point.impairment.name == name).collect();
+    let own: Vec<&RobustnessPoint> = points.iter().filter(|point| point.impairment.name == name).collect();
     let mut policies: Vec<&str> = Vec::new();
     for point in &own {
         if !policies.contains(&point.policy.as_str()) {
@@ -195,16 +203,16 @@ pub fn chart(points: &[Point], impairment: &Impairment, (metric, word): (&str, &
         .map(|policy| series(&own, policy, metric))
         .collect();
     let samples = || series.iter().flat_map(|line| &line.samples);
-    let reach = |s: &Sample| [(s.y - finite(s.half)).max(0.0), s.y + finite(s.half)];
+    let reach = |s: &ChartPoint| [(s.y - finite(s.half)).max(0.0), s.y + finite(s.half)];
     let most = levels.iter().copied().fold(0.0, f64::max);
     let seeds = own.iter().map(|point| point.runs.len());
     let caption = format!(
         "Preset {}, N = {}; {} of {} TTIs a point, mean with its 95 % interval as band and bar. Plans are sent \
          again every {} TTIs; all that is not along x works.",
-        scenario.preset,
-        scenario.devices,
+        scenario.run.preset,
+        scenario.run.devices,
         runs_in_words((seeds.clone().min().unwrap_or(0), seeds.max().unwrap_or(0))),
-        scenario.ttis,
+        scenario.run.ttis,
         scenario.bs.sync_interval
     );
     Chart {
@@ -225,10 +233,10 @@ pub fn chart(points: &[Point], impairment: &Impairment, (metric, word): (&str, &
     }
 }
 
-fn series(points: &[&Point], policy: &str, metric: &str) -> Series {
-    let sample = |point: &&Point| {
+fn series(points: &[&RobustnessPoint], policy: &str, metric: &str) -> Series {
+    let sample = |point: &&RobustnessPoint| {
         let Estimate { mean, half_width, .. } = point.reading(metric)?;
-        Some(Sample {
+        Some(ChartPoint {
             x: point.level,
             y: mean,
             half: half_width,
@@ -253,8 +261,8 @@ const fn finite(half: f64) -> f64 {
     if half.is_finite() { half } else { 0.0 }
 }
 
-/// All metrics of all `points` as CSV.
-pub fn csv(points: &[Point]) -> String {
+/// Formats all metrics of all `points` as CSV.
+pub fn csv(points: &[RobustnessPoint]) -> String {
     let mut out = "impairment,level,policy,metric,mean,half_width_95,runs\n".to_owned();
     for point in points {
         for metric in Metrics::NAMES {
@@ -290,18 +298,18 @@ mod tests {
                 "bs.sync_interval=20".to_owned(),
             ];
             let set = set.map(|field| Override::parse(&field).expect("an override"));
-            load("paper", &set).expect("a scenario")
+            load("paper", &set).expect("a scenario").scenario
         };
         let scenarios = [of("random"), of("genie")];
         let all: Vec<&Impairment> = IMPAIRMENTS.iter().collect();
         let points = measure(&scenarios, &all, 2);
         let levels: usize = IMPAIRMENTS.iter().map(|impairment| impairment.levels.len()).sum();
         assert_eq!(points.len(), 2 * levels);
-        let perfect: Vec<&Point> = points.iter().filter(|point| point.level <= 0.0).collect();
+        let perfect: Vec<&RobustnessPoint> = points.iter().filter(|point| point.level <= 0.0).collect();
         for point in &perfect {
             assert_eq!(point.runs, perfect[usize::from(point.policy == "genie")].runs);
         }
-        // The most of each, against none: what it is known by.
+        // Each impairment's largest level, against level 0, shows in its own metric.
         let shown = [
             "unheard_wake_ups_pct",
             "false_wakes_pct",

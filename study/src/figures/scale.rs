@@ -1,41 +1,41 @@
-//! Axes: where a value stands between the ends of an axis, and which values get a tick.
+//! Axis scales: positions of values along an axis, and tick selection.
 
 use libm::{floor, log10};
 
-/// How values are spread over an axis.
+/// Scale of an axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Scale {
-    /// Evenly.
+    /// Linear scale.
     Linear {
-        /// The value at the start.
+        /// Value at the start.
         from: f64,
-        /// The value at the end, > `from`.
+        /// Value at the end, > `from`.
         to: f64,
     },
-    /// Values are spread by their logarithm.
+    /// Logarithmic scale.
     Log {
-        /// The value at the start, > 0.
+        /// Value at the start, > 0.
         from: f64,
-        /// The value at the end, > `from`.
+        /// Value at the end, > `from`.
         to: f64,
     },
 }
 
-/// A mark on an axis.
+/// A tick of an axis.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Tick {
-    /// Its value.
+pub struct AxisTick {
+    /// Value of the tick.
     pub value: f64,
-    /// What it says; empty for a mark between labelled ones.
+    /// Label; empty for a minor tick.
     pub label: String,
 }
 
-/// How many labelled ticks an axis has at the most, about.
+/// Approximate upper limit on the number of labelled ticks of an axis.
 const TICKS: f64 = 6.0;
 
 impl Scale {
-    /// An even axis that holds all of `values` and ends on ticks. Negative zero, infinities and NaN do not count;
-    /// without any value it runs from 0 to 1.
+    /// Creates a linear axis that holds all of `values` and ends on ticks. Infinities and NaN do not count; without any
+    /// value it runs from 0 to 1.
     pub fn linear(values: impl IntoIterator<Item = f64>, with_zero: bool) -> Self {
         let Some((mut low, mut high)) = range(values) else {
             return Self::Linear { from: 0.0, to: 1.0 };
@@ -49,15 +49,18 @@ impl Scale {
         }
         let step = step(high - low);
         Self::Linear {
+            // The small terms keep a value that lies on a tick from being pushed to the next one by rounding.
             from: step * floor(low / step + 1e-9),
             to: -step * floor(-high / step + 1e-9),
         }
     }
 
-    /// A logarithmic axis over whole decades that holds all of `values` above zero. `None` if there is none.
+    /// Creates a logarithmic axis over whole decades that holds all of `values` above zero. `None` without such a
+    /// value.
     pub fn log(values: impl IntoIterator<Item = f64>) -> Option<Self> {
         let (low, high) = range(values.into_iter().filter(|x| *x > 0.0))?;
         let from = floor(log10(low) + 1e-9);
+        // At least a decade: without it, a single power of ten would have no axis.
         let to = (-floor(-log10(high) + 1e-9)).max(from + 1.0);
         Some(Self::Log {
             from: power(from as i32),
@@ -65,14 +68,14 @@ impl Scale {
         })
     }
 
-    /// The ends of the axis.
+    /// Ends of the axis.
     pub const fn ends(self) -> (f64, f64) {
         match self {
             Self::Linear { from, to } | Self::Log { from, to } => (from, to),
         }
     }
 
-    /// Where `value` stands, 0 at the start and 1 at the end of the axis; a value beyond an end stands at that end.
+    /// Returns the position of `value` on the axis, 0 at its start and 1 at its end; values beyond are clamped.
     pub fn place(self, value: f64) -> f64 {
         let share = match self {
             Self::Linear { from, to } => (value - from) / (to - from),
@@ -82,8 +85,8 @@ impl Scale {
         share.clamp(0.0, 1.0)
     }
 
-    /// Its ticks, from start to end.
-    pub fn ticks(self) -> Vec<Tick> {
+    /// Ticks, from start to end.
+    pub fn ticks(self) -> Vec<AxisTick> {
         match self {
             Self::Linear { from, to } => {
                 let step = step(to - from);
@@ -91,7 +94,7 @@ impl Scale {
                 let count = floor(to / step - first + 1e-6) as u32;
                 (0..=count)
                     .map(|i| step * (first + f64::from(i)))
-                    .map(|value| Tick {
+                    .map(|value| AxisTick {
                         value,
                         label: label(value, step),
                     })
@@ -102,14 +105,14 @@ impl Scale {
     }
 }
 
-/// Ticks that are so far apart, or so close together, have labels with an exponent.
+/// Limits of tick spacing beyond which labels have an exponent.
 const FAR: f64 = 1e7;
 const CLOSE: f64 = 1e-7;
 
-/// A label for `value` on an axis with ticks `step` apart: as many decimals as the step has.
+/// Returns a label for `value` on an axis with ticks `step` apart, with as many decimals as the step.
 pub fn label(value: f64, step: f64) -> String {
     if value != 0.0 && !(CLOSE..FAR).contains(&step) {
-        // A value is a few steps, and those are 1, 2 or 5 in their first digit.
+        // A value is a multiple of the step, whose first digit is 1, 2 or 5.
         return format!("{value:.1e}").replace(".0e", "e").replace('-', "−");
     }
     let decimals = (0..9)
@@ -135,7 +138,7 @@ fn range(values: impl IntoIterator<Item = f64>) -> Option<(f64, f64)> {
     })
 }
 
-/// The distance of ticks over a range of this length: 1, 2 or 5 times a power of ten.
+/// Returns the tick spacing for a range of this length: 1, 2 or 5 times a power of ten.
 fn step(length: f64) -> f64 {
     let rough = length / TICKS;
     let unit = power(floor(log10(rough)) as i32);
@@ -144,15 +147,15 @@ fn step(length: f64) -> f64 {
     fit.unwrap_or(10.0) * unit
 }
 
-/// 10ⁿ, the nearest there is.
+/// Returns the nearest `f64` to 10ⁿ.
 fn power(n: i32) -> f64 {
     libm::exp10(f64::from(n))
 }
 
-fn log_ticks(from: f64, to: f64) -> Vec<Tick> {
+fn log_ticks(from: f64, to: f64) -> Vec<AxisTick> {
     let (first, last) = (log10(from).round() as i32, log10(to).round() as i32);
     let decades = last - first;
-    // Many decades leave room for every other label.
+    // With many decades only some have labels.
     let every = 1 + decades / 8;
     let mut ticks = Vec::new();
     for n in first..=last {
@@ -163,7 +166,7 @@ fn log_ticks(from: f64, to: f64) -> Vec<Tick> {
         } else {
             String::new()
         };
-        ticks.push(Tick { value, label: text });
+        ticks.push(AxisTick { value, label: text });
         if n == last {
             break;
         }
@@ -175,7 +178,7 @@ fn log_ticks(from: f64, to: f64) -> Vec<Tick> {
             } else {
                 String::new()
             };
-            ticks.push(Tick { value, label: text });
+            ticks.push(AxisTick { value, label: text });
         }
     }
     ticks

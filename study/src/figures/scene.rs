@@ -1,41 +1,41 @@
-//! A picture before it is a file: shapes and lines of text on a canvas, in points (1/72 inch), y downwards.
+//! Scene graph of a figure: shapes and lines of text on a canvas, in points (1/72 inch), y downwards.
 //!
-//! SVG and PNG are both made from this, and neither adds anything: what is in the scene is in both.
+//! The SVG and PNG writers both render a scene and add nothing to it.
 
 use super::font::{Weight, width};
-use super::path::Path;
+use super::path::{Rect, VectorPath};
 
-/// A colour of 8 bits a channel.
+/// A colour with 8 bits per channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Rgb(pub u8, pub u8, pub u8);
 
-/// What something is painted with. Ink and paper change places where a page is shown in the dark.
+/// Paint of a shape or text. Ink and paper are swapped when a page is shown in dark mode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Paint {
-    /// The colour of text and axes.
+    /// Colour of text and axes.
     Ink,
-    /// The ground.
+    /// Colour of the background.
     Paper,
-    /// A colour that stays.
+    /// A fixed colour, the same in dark mode.
     Colour(Rgb),
 }
 
-/// How a line is drawn.
+/// Style of a line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stroke {
-    /// The paint that it is drawn with.
+    /// Paint of the line.
     pub paint: Paint,
     /// Opacity, `(0, 1]`.
     pub opacity: f64,
     /// Width, points, > 0.
     pub width: f64,
-    /// Lengths of dashes and gaps by turns, points; empty for a solid line. An even number of them.
+    /// Alternating lengths of dashes and gaps, points. The number of lengths is even; empty for a solid line.
     pub dashes: &'static [f64],
 }
 
 impl Stroke {
-    /// A solid line.
-    pub const fn solid(paint: Paint, width: f64) -> Self {
+    /// Creates a solid line.
+    pub(crate) const fn solid(paint: Paint, width: f64) -> Self {
         Self {
             paint,
             opacity: 1.0,
@@ -44,62 +44,62 @@ impl Stroke {
         }
     }
 
-    /// The same line, dashed.
+    /// Returns the stroke with the given dashes.
     #[must_use]
-    pub const fn dashed(self, dashes: &'static [f64]) -> Self {
+    pub(crate) const fn dashed(self, dashes: &'static [f64]) -> Self {
         Self { dashes, ..self }
     }
 
-    /// The same line, paler.
+    /// Returns the stroke with the given opacity.
     #[must_use]
-    pub const fn faded(self, opacity: f64) -> Self {
+    pub(crate) const fn faded(self, opacity: f64) -> Self {
         Self { opacity, ..self }
     }
 }
 
-/// A path with what fills it and what goes along it.
+/// A path with an optional fill and an optional stroke.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Shape {
+pub struct FilledPath {
     /// The path.
-    pub path: Path,
-    /// What fills it, and how opaque, `(0, 1]`.
+    pub path: VectorPath,
+    /// Paint and opacity of the fill, `(0, 1]`.
     pub fill: Option<(Paint, f64)>,
-    /// What goes along it.
+    /// Stroke along the path.
     pub stroke: Option<Stroke>,
 }
 
-/// Which point of a line of text its position means.
+/// Point of a line of text to which its position refers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Anchor {
-    /// Its start.
+    /// Start of the text.
     Start,
-    /// Its middle.
+    /// Middle of the text.
     Middle,
-    /// Its end.
+    /// End of the text.
     End,
 }
 
 /// One line of text.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Text {
-    /// What it says.
+    /// Characters of the text.
     pub text: String,
-    /// Where its base line is, points.
+    /// Position of the anchor on the base line, points.
     pub at: (f64, f64),
     /// Font size, points.
     pub size: f64,
-    /// Its weight.
+    /// Font weight.
     pub weight: Weight,
-    /// What of it is at `at`.
+    /// Point of the text that lies at `at`.
     pub anchor: Anchor,
     /// Whether it reads from bottom to top.
     pub upwards: bool,
-    /// The paint that it is drawn with.
+    /// Paint of the text.
     pub paint: Paint,
 }
 
 impl Text {
-    /// Text in ink that starts at `at`.
+    /// Creates text in ink that starts at `at`.
     pub fn new(text: impl Into<String>, at: (f64, f64), size: f64) -> Self {
         Self {
             text: text.into(),
@@ -112,22 +112,22 @@ impl Text {
         }
     }
 
-    /// The same text, held by another point.
+    /// Returns the text with another anchor.
     #[must_use]
-    pub fn anchored(self, anchor: Anchor) -> Self {
+    pub(crate) fn anchored(self, anchor: Anchor) -> Self {
         Self { anchor, ..self }
     }
 
-    /// The same text, bold.
+    /// Returns the text in bold.
     #[must_use]
-    pub fn bold(self) -> Self {
+    pub(crate) fn bold(self) -> Self {
         Self {
             weight: Weight::Bold,
             ..self
         }
     }
 
-    /// Where its base line starts, points.
+    /// Start of the base line, points.
     pub fn start(&self) -> (f64, f64) {
         let length = width(&self.text, self.weight, self.size);
         let back = match self.anchor {
@@ -142,8 +142,8 @@ impl Text {
         }
     }
 
-    /// The corners of the box around it: left, top, right, bottom, points. Ascent and descent are those of the font.
-    pub fn bounds(&self) -> [f64; 4] {
+    /// Bounding box: left, top, right, bottom, points. Ascent and descent are taken from the font.
+    pub fn bounds(&self) -> Rect {
         let (x, y) = self.start();
         let length = width(&self.text, self.weight, self.size);
         let (ascent, descent) = (0.76 * self.size, 0.24 * self.size);
@@ -155,18 +155,18 @@ impl Text {
     }
 }
 
-/// One thing in a picture.
+/// One item of a figure.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Item {
+pub enum SceneItem {
     /// A shape.
-    Shape(Shape),
+    Shape(FilledPath),
     /// A line of text.
     Text(Text),
 }
 
-impl Item {
-    /// The corners of the box around it: left, top, right, bottom, points; the width of lines counts.
-    pub fn bounds(&self) -> [f64; 4] {
+impl SceneItem {
+    /// Bounding box, line widths included: left, top, right, bottom, points.
+    pub fn bounds(&self) -> Rect {
         match self {
             Self::Shape(shape) => {
                 let [left, top, right, bottom] = shape.path.bounds();
@@ -178,23 +178,23 @@ impl Item {
     }
 }
 
-/// A picture.
+/// A complete figure.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
-    /// Its title, for those who cannot see it.
+    /// Title for screen readers.
     pub title: String,
-    /// What it shows, for those who cannot see it.
+    /// Description for screen readers.
     pub description: String,
     /// Width of the canvas, points.
     pub width: f64,
     /// Height of the canvas, points.
     pub height: f64,
-    /// What is on it, from back to front.
-    pub items: Vec<Item>,
+    /// Items on the canvas, from back to front.
+    pub items: Vec<SceneItem>,
 }
 
 impl Scene {
-    /// An empty canvas.
+    /// Creates an empty canvas.
     pub const fn new(width: f64, height: f64) -> Self {
         Self {
             title: String::new(),
@@ -205,46 +205,46 @@ impl Scene {
         }
     }
 
-    /// Puts a line on top.
-    pub fn line(&mut self, path: Path, stroke: Stroke) {
-        self.items.push(Item::Shape(Shape {
+    /// Adds a line on top.
+    pub fn line(&mut self, path: VectorPath, stroke: Stroke) {
+        self.items.push(SceneItem::Shape(FilledPath {
             path,
             fill: None,
             stroke: Some(stroke),
         }));
     }
 
-    /// Puts an area on top.
-    pub fn area(&mut self, path: Path, paint: Paint, opacity: f64) {
-        self.items.push(Item::Shape(Shape {
+    /// Adds a filled area on top.
+    pub fn area(&mut self, path: VectorPath, paint: Paint, opacity: f64) {
+        self.items.push(SceneItem::Shape(FilledPath {
             path,
             fill: Some((paint, opacity)),
             stroke: None,
         }));
     }
 
-    /// Puts an area with a border on top.
-    pub fn outlined(&mut self, path: Path, fill: Paint, stroke: Stroke) {
-        self.items.push(Item::Shape(Shape {
+    /// Adds a filled area with a border on top.
+    pub(crate) fn outlined(&mut self, path: VectorPath, fill: Paint, stroke: Stroke) {
+        self.items.push(SceneItem::Shape(FilledPath {
             path,
             fill: Some((fill, 1.0)),
             stroke: Some(stroke),
         }));
     }
 
-    /// Puts text on top.
+    /// Adds text on top.
     pub fn text(&mut self, text: Text) {
-        self.items.push(Item::Text(text));
+        self.items.push(SceneItem::Text(text));
     }
 
-    /// Puts all that is on another canvas on top, its corner at `at`.
+    /// Adds all items of another scene on top, with its upper left corner at `at`.
     pub fn put(&mut self, other: Self, at: (f64, f64)) {
         let moved = other.items.into_iter().map(|item| match item {
-            Item::Shape(shape) => Item::Shape(Shape {
+            SceneItem::Shape(shape) => SceneItem::Shape(FilledPath {
                 path: shape.path.moved(at),
                 ..shape
             }),
-            Item::Text(text) => Item::Text(Text {
+            SceneItem::Text(text) => SceneItem::Text(Text {
                 at: (text.at.0 + at.0, text.at.1 + at.1),
                 ..text
             }),
@@ -252,23 +252,25 @@ impl Scene {
         self.items.extend(moved);
     }
 
-    /// The items that are not wholly on the canvas. A scene that is fit to be seen has none.
-    pub fn outside(&self) -> Vec<&Item> {
-        let is_outside = |item: &&Item| {
+    /// Items that extend beyond the canvas. A valid scene has none.
+    pub fn outside(&self) -> Vec<&SceneItem> {
+        let is_outside = |item: &&SceneItem| {
             let [left, top, right, bottom] = item.bounds();
+            // Negated as a whole, so that bounds of NaN count as outside.
             !(left >= -0.01 && top >= -0.01 && right <= self.width + 0.01 && bottom <= self.height + 0.01)
         };
         self.items.iter().filter(is_outside).collect()
     }
 
-    /// The lines of text that stand on top of each other, in pairs.
-    pub fn overlapping(&self) -> Vec<(&str, &str)> {
+    /// Pairs of lines of text that overlap.
+    #[cfg(test)]
+    pub(crate) fn overlapping(&self) -> Vec<(&str, &str)> {
         let texts: Vec<&Text> = self
             .items
             .iter()
             .filter_map(|item| match item {
-                Item::Text(text) => Some(text),
-                Item::Shape(_) => None,
+                SceneItem::Text(text) => Some(text),
+                SceneItem::Shape(_) => None,
             })
             .collect();
         let mut pairs = Vec::new();

@@ -1,38 +1,38 @@
-//! The paper's Figs. 7 to 12: a metric against N, a line for each policy.
+//! The paper's Figs. 7 to 12: a metric against N, with a line for each policy.
 
 use std::fmt::Write as _;
 
 use reveille_common::score::Metrics;
 
-use super::chart::{Chart, Interval, Mark, Sample, Series, Span, Stated};
+use super::chart::{Chart, ChartPoint, Interval, Series, StatedMark, StatedSpan, StatedValue};
 use super::error::FigureError;
-use super::results::Condition;
+use super::results::RunCondition;
 use super::scale::Scale;
-use super::stated::{marks, said, spans};
+use super::stated::{marks, spans, stated_value};
 use super::style::Style;
-use crate::claims::{Claim, Sites, on};
-use reveille_lab::reading::Reading;
+use crate::claims::{Claim, DeviceCounts, on};
+use reveille_lab::metric_estimate::MetricEstimate;
 
 /// One of the paper's figures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Figure {
-    /// Its name in commands and files.
+    /// Name in commands and files.
     pub name: &'static str,
-    /// The metric.
+    /// Metric along y.
     pub metric: &'static str,
     /// Whether the metric is divided by N.
     pub is_per_device: bool,
-    /// Its title.
+    /// Title.
     pub title: &'static str,
-    /// Which figure of the paper shows the same.
+    /// Corresponding figure of the paper.
     pub paper: &'static str,
-    /// The metric on which the figure's values in the paper are judged.
+    /// Metric by which the paper's values in this figure are judged.
     pub judged: &'static str,
     /// Whether y is logarithmic.
     pub is_log: bool,
 }
 
-/// The figures against N, in the paper's order.
+/// Figures against N, in the paper's order.
 pub const FIGURES: [Figure; 8] = {
     const fn figure(name: &'static str, metric: &'static str, title: &'static str, paper: &'static str) -> Figure {
         Figure {
@@ -76,11 +76,11 @@ pub const FIGURES: [Figure; 8] = {
     ]
 };
 
-/// The figures called `names`, all of them if there is none, in the paper's order. `others` are names that somebody
-/// else draws.
+/// Returns the figures called `names`, or all if `names` is empty, in the paper's order. `others` are valid names of
+/// figures drawn elsewhere.
 ///
 /// # Errors
-/// A name that neither knows.
+/// A name is in neither list.
 pub fn chosen(names: &[String], others: &[&str]) -> Result<Vec<Figure>, FigureError> {
     let known = |name: &String| FIGURES.iter().any(|f| f.name == name) || others.contains(&name.as_str());
     if let Some(unknown) = names.iter().find(|name| !known(name)) {
@@ -94,18 +94,18 @@ pub fn chosen(names: &[String], others: &[&str]) -> Result<Vec<Figure>, FigureEr
     Ok(FIGURES.into_iter().filter(is_chosen).collect())
 }
 
-/// A figure ready to be drawn, and what it lacks.
+/// A figure ready to be drawn, with the policies that it lacks.
 #[derive(Clone, Debug)]
 pub struct Drawing {
     /// The chart.
     pub chart: Chart,
-    /// Policies that were run and have no value of the metric.
+    /// Policies that were run but have no value of the metric.
     pub undefined: Vec<String>,
 }
 
 impl Figure {
-    /// The figure for the runs of `condition`; `None` if none of them has the metric.
-    pub fn draw(&self, condition: &Condition) -> Option<Drawing> {
+    /// Draws the figure for the runs of `condition`; `None` if the metric is undefined in all of them.
+    pub fn draw(&self, condition: &RunCondition) -> Option<Drawing> {
         let mut series = Vec::new();
         let mut undefined = Vec::new();
         for policy in condition.policies() {
@@ -136,6 +136,7 @@ impl Figure {
             x_label: "number of devices N".to_owned(),
             y_label: self.axis(),
             x: Scale::Linear {
+                // Room at both ends for markers, and for marks that are moved aside.
                 from: -0.06 * largest,
                 to: 1.07 * largest,
             },
@@ -150,7 +151,7 @@ impl Figure {
         Some(Drawing { chart, undefined })
     }
 
-    /// What the y axis is.
+    /// Label of the y axis.
     fn axis(&self) -> String {
         let axis = Metrics::axis(self.metric);
         if self.is_per_device {
@@ -160,8 +161,8 @@ impl Figure {
         }
     }
 
-    /// What the paper states of it, if the runs are of a preset: of other settings it states nothing.
-    fn claims(&self, condition: &Condition) -> &'static [Claim] {
+    /// Claims of the paper about the figure. Empty for changed presets, about which the paper states nothing.
+    fn claims(&self, condition: &RunCondition) -> &'static [Claim] {
         if condition.is_plain() {
             on(self.paper, self.judged)
         } else {
@@ -169,21 +170,21 @@ impl Figure {
         }
     }
 
-    /// What the runs of `policy` with `n` devices tell.
-    fn reading(&self, condition: &Condition, policy: &str, n: u32) -> Option<Reading> {
+    /// Returns the estimate of the figure's metric for `policy` with `n` devices.
+    fn reading(&self, condition: &RunCondition, policy: &str, n: u32) -> Option<MetricEstimate> {
         let reading = condition.reading(policy, n, self.metric)?;
         Some(if self.is_per_device {
-            reading.shared(f64::from(n))
+            reading.divided_by(f64::from(n))
         } else {
             reading
         })
     }
 
-    fn samples(&self, condition: &Condition, policy: &str) -> Vec<Sample> {
+    fn samples(&self, condition: &RunCondition, policy: &str) -> Vec<ChartPoint> {
         let sizes = condition.sizes(policy).into_iter();
         let sample = |n: u32| {
             let reading = self.reading(condition, policy, n)?;
-            Some(Sample {
+            Some(ChartPoint {
                 x: f64::from(n),
                 y: reading.estimate.mean,
                 half: reading.half_width(),
@@ -193,15 +194,15 @@ impl Figure {
         sizes.filter_map(sample).collect()
     }
 
-    fn y_scale(&self, series: &[Series], marks: &[Mark], spans: &[Span]) -> Scale {
-        let ends = |s: &Sample| {
+    fn y_scale(&self, series: &[Series], marks: &[StatedMark], spans: &[StatedSpan]) -> Scale {
+        let ends = |s: &ChartPoint| {
             let half = if s.half.is_finite() { s.half } else { 0.0 };
             // None of these metrics can be negative, whatever an interval says.
             [(s.y - half).max(s.y.min(0.0)), s.y + half]
         };
         let measured = series.iter().flat_map(|s| &s.samples);
         let stated = marks.iter().map(|m| m.stated).chain(spans.iter().map(|s| s.stated));
-        let stated = stated.flat_map(Stated::values);
+        let stated = stated.flat_map(StatedValue::values);
         if !self.is_log {
             return Scale::linear(measured.flat_map(ends).chain(stated), true);
         }
@@ -210,6 +211,7 @@ impl Figure {
         let scale = Scale::log(values).unwrap_or(Scale::Log { from: 0.01, to: 100.0 });
         let (from, to) = scale.ends();
         Scale::Log {
+            // Values of 0 have no logarithm; the axis begins a decade lower, and they are drawn on its border.
             from: if has_zero(series) { from / 10.0 } else { from },
             to,
         }
@@ -217,8 +219,8 @@ impl Figure {
 
     fn caption(
         &self,
-        condition: &Condition,
-        (series, marks, spans): (&[Series], &[Mark], &[Span]),
+        condition: &RunCondition,
+        (series, marks, spans): (&[Series], &[StatedMark], &[StatedSpan]),
         undefined: &[String],
     ) -> String {
         let runs = runs_in_words(condition.runs_per_cell());
@@ -247,8 +249,8 @@ impl Figure {
         text
     }
 
-    /// What is drawn, as CSV: measured means and the paper's statements.
-    pub fn csv(&self, condition: &Condition, drawing: &Drawing) -> String {
+    /// Formats the plotted data as CSV: measured means and the paper's statements.
+    pub fn csv(&self, condition: &RunCondition, drawing: &Drawing) -> String {
         let mut out = String::from("kind,setting,policy,n,metric,mean,half_width_95,runs,paper_low,paper_high\n");
         let label = csv_cell(&condition.label());
         let metric = if self.is_per_device {
@@ -271,12 +273,12 @@ impl Figure {
         }
         let claims = self.claims(condition);
         for claim in claims {
-            if let (Some(stated), Sites::At(n)) = (said(claim, claims), claim.sites) {
+            if let (Some(stated), DeviceCounts::At(n)) = (stated_value(claim, claims), claim.sites) {
                 let (low, high) = match stated {
-                    Stated::Value(v) => (v.to_string(), v.to_string()),
-                    Stated::Range(low, high) => (low.to_string(), high.to_string()),
-                    Stated::Below(v) => (String::new(), v.to_string()),
-                    Stated::Above(v) => (v.to_string(), String::new()),
+                    StatedValue::Value(v) => (v.to_string(), v.to_string()),
+                    StatedValue::Range(low, high) => (low.to_string(), high.to_string()),
+                    StatedValue::Below(v) => (String::new(), v.to_string()),
+                    StatedValue::Above(v) => (v.to_string(), String::new()),
                 };
                 let _ = writeln!(out, "paper,,{},{n},{metric},,,,{low},{high}", claim.policy);
             }
@@ -285,9 +287,8 @@ impl Figure {
     }
 }
 
-/// The title of a picture: with the paper's figure that shows the same for a preset, with what the settings change for
-/// others.
-pub(super) fn title(what: &str, paper: &str, condition: &Condition) -> String {
+/// Returns the title of a figure, with its figure in the paper for an unchanged preset, or else the changed fields.
+pub(super) fn title(what: &str, paper: &str, condition: &RunCondition) -> String {
     if condition.is_plain() {
         return format!("{what} ({paper})");
     }
@@ -295,7 +296,7 @@ pub(super) fn title(what: &str, paper: &str, condition: &Condition) -> String {
     format!("{what}{}", changed.collect::<String>())
 }
 
-/// How many runs a point stands for.
+/// Formats the number of runs per point as text.
 pub(super) fn runs_in_words(per_cell: (usize, usize)) -> String {
     match per_cell {
         (1, 1) => "one run".to_owned(),
@@ -304,7 +305,7 @@ pub(super) fn runs_in_words(per_cell: (usize, usize)) -> String {
     }
 }
 
-/// Text as it may stand in a cell of CSV.
+/// Escapes text for a CSV cell.
 pub(super) fn csv_cell(text: &str) -> String {
     if text.contains([',', '"']) {
         format!("\"{}\"", text.replace('"', "\"\""))
@@ -313,7 +314,7 @@ pub(super) fn csv_cell(text: &str) -> String {
     }
 }
 
-/// Half an interval in a cell of CSV, empty where there is none.
+/// Formats the half-width of an interval as a CSV cell; empty for NaN.
 pub(super) fn csv_half(half: f64) -> String {
     if half.is_nan() { String::new() } else { half.to_string() }
 }

@@ -1,40 +1,46 @@
-//! What lines and markers look like: colours that the colour-blind tell apart (Okabe and Ito), and for print without
-//! colours a marker and a dash pattern of its own for each policy.
+//! Styles of lines and markers. The colours suit colour-blind readers (Okabe and Ito); each policy has its own marker
+//! and dash pattern for print without colours.
 
 use std::f64::consts::FRAC_PI_2;
 
 use reveille_bs::policy::registry;
 use reveille_lab::series;
 
-use super::path::Path;
+use super::path::VectorPath;
 use super::scene::{Paint, Rgb, Scene, Stroke};
 
 /// Okabe and Ito's blue.
-pub const BLUE: Rgb = Rgb(0x00, 0x72, 0xB2);
+pub(crate) const BLUE: Rgb = Rgb(0x00, 0x72, 0xB2);
 /// Okabe and Ito's orange.
-pub const ORANGE: Rgb = Rgb(0xE6, 0x9F, 0x00);
+pub(crate) const ORANGE: Rgb = Rgb(0xE6, 0x9F, 0x00);
 /// Okabe and Ito's bluish green.
-pub const GREEN: Rgb = Rgb(0x00, 0x9E, 0x73);
+pub(crate) const GREEN: Rgb = Rgb(0x00, 0x9E, 0x73);
 /// Okabe and Ito's vermilion.
-pub const VERMILION: Rgb = Rgb(0xD5, 0x5E, 0x00);
+pub(crate) const VERMILION: Rgb = Rgb(0xD5, 0x5E, 0x00);
 /// Okabe and Ito's reddish purple.
-pub const PURPLE: Rgb = Rgb(0xCC, 0x79, 0xA7);
+pub(crate) const PURPLE: Rgb = Rgb(0xCC, 0x79, 0xA7);
 /// Okabe and Ito's sky blue.
-pub const SKY: Rgb = Rgb(0x56, 0xB4, 0xE9);
+pub(crate) const SKY: Rgb = Rgb(0x56, 0xB4, 0xE9);
 
-/// A grey that stands apart from Okabe and Ito's colours in print.
-pub const GREY: Rgb = Rgb(0x7F, 0x7F, 0x7F);
+/// A grey that is distinct from Okabe and Ito's colours in print.
+pub(crate) const GREY: Rgb = Rgb(0x7F, 0x7F, 0x7F);
+/// Tol's wine.
+const WINE: Rgb = Rgb(0x88, 0x22, 0x55);
+/// Tol's indigo.
+const INDIGO: Rgb = Rgb(0x33, 0x22, 0x88);
+/// Tol's olive.
+const OLIVE: Rgb = Rgb(0x99, 0x99, 0x33);
 
-/// The form of a marker.
+/// Shape of a marker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Marker {
+pub enum MarkerShape {
     /// A disc.
     Circle,
     /// A square.
     Square,
-    /// A triangle on its base.
+    /// A triangle that points up.
     TriangleUp,
-    /// A triangle on its tip.
+    /// A triangle that points down.
     TriangleDown,
     /// A square on its tip.
     Diamond,
@@ -42,84 +48,112 @@ pub enum Marker {
     Star,
     /// A hexagon.
     Hexagon,
-    /// A pentagon on its tip.
+    /// A pentagon that points down.
     Pentagon,
+    /// A star of four points.
+    FourPoints,
+    /// A star of six points.
+    SixPoints,
+    /// A triangle that points to the right.
+    TriangleRight,
 }
 
-impl Marker {
-    /// Its outline around `centre`; markers of one `size` look equally large.
-    pub fn path(self, (x, y): (f64, f64), size: f64) -> Path {
+impl MarkerShape {
+    /// Returns the outline of the marker around `centre`. Markers of the same `size` look equally large.
+    pub fn path(self, (x, y): (f64, f64), size: f64) -> VectorPath {
         let up = -FRAC_PI_2;
         match self {
-            Self::Circle => Path::circle((x, y), size),
-            Self::Square => Path::rectangle([x - 0.88 * size, y - 0.88 * size, x + 0.88 * size, y + 0.88 * size]),
-            Self::TriangleUp => Path::polygon((x, y + 0.15 * size), 1.25 * size, 3, up, 1.0),
-            Self::TriangleDown => Path::polygon((x, y - 0.15 * size), 1.25 * size, 3, -up, 1.0),
-            Self::Diamond => Path::polygon((x, y), 1.2 * size, 4, up, 1.0),
-            Self::Star => Path::polygon((x, y), 1.4 * size, 5, up, 0.45),
-            Self::Pentagon => Path::polygon((x, y), 1.15 * size, 5, -up, 1.0),
-            Self::Hexagon => Path::polygon((x, y), 1.1 * size, 6, up, 1.0),
+            Self::Circle => VectorPath::circle((x, y), size),
+            Self::Square => VectorPath::rectangle([x - 0.88 * size, y - 0.88 * size, x + 0.88 * size, y + 0.88 * size]),
+            Self::TriangleUp => VectorPath::polygon((x, y + 0.15 * size), 1.25 * size, 3, up, 1.0),
+            Self::TriangleDown => VectorPath::polygon((x, y - 0.15 * size), 1.25 * size, 3, -up, 1.0),
+            Self::Diamond => VectorPath::polygon((x, y), 1.2 * size, 4, up, 1.0),
+            Self::Star => VectorPath::polygon((x, y), 1.4 * size, 5, up, 0.45),
+            Self::Pentagon => VectorPath::polygon((x, y), 1.15 * size, 5, -up, 1.0),
+            Self::Hexagon => VectorPath::polygon((x, y), 1.1 * size, 6, up, 1.0),
+            Self::FourPoints => VectorPath::polygon((x, y), 1.5 * size, 4, up, 0.35),
+            Self::SixPoints => VectorPath::polygon((x, y), 1.35 * size, 6, up, 0.55),
+            Self::TriangleRight => VectorPath::polygon((x - 0.15 * size, y), 1.25 * size, 3, 0.0, 1.0),
         }
     }
 }
 
-/// How one thing is drawn throughout a picture.
+/// Style of one series throughout a figure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Style {
-    /// Its colour.
+    /// Colour.
     pub paint: Paint,
-    /// Its marker.
-    pub marker: Marker,
-    /// Its dashes, empty for a solid line.
+    /// Marker shape.
+    pub marker: MarkerShape,
+    /// Dash pattern; empty for a solid line.
     pub dashes: &'static [f64],
 }
 
 /// Half the size of markers, points.
-pub const MARKER: f64 = 2.4;
+pub(crate) const MARKER: f64 = 2.4;
 /// The width of lines, points.
-pub const LINE: f64 = 1.1;
+pub(crate) const LINE: f64 = 1.1;
 
-/// The palette of policies by their places: six for those of the paper, one for `age-index`, then a spare one.
-const POLICIES: [Style; 8] = [
-    Style::new(Paint::Colour(BLUE), Marker::Circle, &[]),
-    Style::new(Paint::Colour(ORANGE), Marker::Square, &[6.0, 2.0]),
-    Style::new(Paint::Colour(VERMILION), Marker::TriangleDown, &[2.0, 1.6]),
-    Style::new(Paint::Colour(GREEN), Marker::Diamond, &[6.0, 1.8, 1.6, 1.8]),
-    Style::new(Paint::Colour(PURPLE), Marker::TriangleUp, &[3.5, 1.6]),
-    Style::new(Paint::Ink, Marker::Star, &[1.0, 1.6]),
-    Style::new(Paint::Colour(SKY), Marker::Hexagon, &[9.0, 2.5]),
-    Style::new(Paint::Colour(GREY), Marker::Pentagon, &[9.0, 1.8, 1.6, 1.8]),
+/// Styles of policies by name.
+const POLICIES: [(&str, Style); 8] = [
+    ("knn", Style::new(Paint::Colour(BLUE), MarkerShape::Circle, &[])),
+    (
+        "adjusted",
+        Style::new(Paint::Colour(ORANGE), MarkerShape::Square, &[6.0, 2.0]),
+    ),
+    (
+        "random",
+        Style::new(Paint::Colour(VERMILION), MarkerShape::TriangleDown, &[2.0, 1.6]),
+    ),
+    (
+        "q-learning",
+        Style::new(Paint::Colour(GREEN), MarkerShape::Diamond, &[6.0, 1.8, 1.6, 1.8]),
+    ),
+    (
+        "dt",
+        Style::new(Paint::Colour(PURPLE), MarkerShape::TriangleUp, &[3.5, 1.6]),
+    ),
+    ("genie", Style::new(Paint::Ink, MarkerShape::Star, &[1.0, 1.6])),
+    (
+        "age-index",
+        Style::new(Paint::Colour(SKY), MarkerShape::Hexagon, &[9.0, 2.5]),
+    ),
+    (
+        "external",
+        Style::new(Paint::Colour(GREY), MarkerShape::Pentagon, &[9.0, 1.8, 1.6, 1.8]),
+    ),
 ];
 
-/// By how many places the marker and the dashes of a policy with another ranking are those of another policy. The spare
-/// one lends none.
+/// Styles of registered policies without an entry above, in the order of the registry. Unregistered policies share the
+/// last one.
+const FREE: [Style; 3] = [
+    Style::new(Paint::Colour(WINE), MarkerShape::FourPoints, &[12.0, 2.0]),
+    Style::new(Paint::Colour(INDIGO), MarkerShape::SixPoints, &[3.5, 1.6, 1.0, 1.6]),
+    Style::new(Paint::Colour(OLIVE), MarkerShape::TriangleRight, &[6.0, 4.0]),
+];
+
+/// Offsets in [`POLICIES`] of the entries that lend a marker and dashes to a policy with another ranking. The last
+/// entry lends neither.
 const RANKED: [usize; 2] = [3, 4];
 
 impl Style {
-    const fn new(paint: Paint, marker: Marker, dashes: &'static [f64]) -> Self {
+    const fn new(paint: Paint, marker: MarkerShape, dashes: &'static [f64]) -> Self {
         Self { paint, marker, dashes }
     }
 
-    /// The style of the policy that has place `series` in the palette, the same in all figures. Policies behind its end
-    /// share the last.
-    pub fn nth_policy(series: usize) -> Self {
-        POLICIES[series.min(POLICIES.len() - 1)]
-    }
-
-    /// The style of a series by its name: that of its policy, with another marker and other dashes where the name tells
-    /// its ranking. Names that are not the paper's share one.
+    /// Returns the style of a series by name, the same in all figures. A series with another ranking has its policy's
+    /// colour with another marker and other dashes.
     pub fn of_policy(series: &str) -> Self {
         let (name, is_ranked) = series::policy(series);
-        let place = match registry::named(name) {
-            Some(policy) => policy.profile().series,
-            None => POLICIES.len(),
-        };
-        let style = Self::nth_policy(place);
+        let place = POLICIES.iter().position(|(listed, _)| *listed == name);
+        let style = place.map_or_else(|| Self::free(name), |place| POLICIES[place].1);
         if !is_ranked {
             return style;
         }
+        // The offsets differ and are smaller than the number of lenders, so marker and dashes come from two other
+        // policies.
         let lenders = POLICIES.len() - 1;
-        let [marker, dashes] = RANKED.map(|shift| POLICIES[(place.min(lenders) + shift) % lenders]);
+        let [marker, dashes] = RANKED.map(|shift| POLICIES[(place.unwrap_or(lenders) + shift) % lenders].1);
         Self {
             marker: marker.marker,
             dashes: dashes.dashes,
@@ -127,48 +161,91 @@ impl Style {
         }
     }
 
-    /// The `i`-th of a row of styles for anything but policies.
+    /// Returns the style of a policy without an entry in [`POLICIES`].
+    fn free(name: &str) -> Self {
+        let is_free = |name: &&str| POLICIES.iter().all(|(listed, _)| listed != name);
+        // The registry decides, not the given tables, so that a policy looks the same in all figures.
+        let before = registry::names().filter(is_free).take_while(|other| *other != name);
+        FREE[before.count().min(FREE.len() - 1)]
+    }
+
+    /// Returns the `i`-th style of a cyclic palette for series that are not policies.
     pub fn nth(i: usize) -> Self {
         let all = [
-            Self::new(Paint::Colour(BLUE), Marker::Circle, &[]),
-            Self::new(Paint::Colour(VERMILION), Marker::Square, &[6.0, 2.0]),
-            Self::new(Paint::Colour(GREEN), Marker::Diamond, &[2.0, 1.6]),
-            Self::new(Paint::Colour(PURPLE), Marker::TriangleUp, &[6.0, 1.8, 1.6, 1.8]),
-            Self::new(Paint::Colour(ORANGE), Marker::TriangleDown, &[3.5, 1.6]),
-            Self::new(Paint::Colour(SKY), Marker::Hexagon, &[9.0, 2.5]),
+            Self::new(Paint::Colour(BLUE), MarkerShape::Circle, &[]),
+            Self::new(Paint::Colour(VERMILION), MarkerShape::Square, &[6.0, 2.0]),
+            Self::new(Paint::Colour(GREEN), MarkerShape::Diamond, &[2.0, 1.6]),
+            Self::new(Paint::Colour(PURPLE), MarkerShape::TriangleUp, &[6.0, 1.8, 1.6, 1.8]),
+            Self::new(Paint::Colour(ORANGE), MarkerShape::TriangleDown, &[3.5, 1.6]),
+            Self::new(Paint::Colour(SKY), MarkerShape::Hexagon, &[9.0, 2.5]),
         ];
         all[i % all.len()]
     }
 
-    /// The line that goes with it.
+    /// Stroke of the line in this style.
     pub const fn line(self) -> Stroke {
         Stroke::solid(self.paint, LINE).dashed(self.dashes)
     }
 
-    /// Puts a marker on `scene`.
+    /// Adds a marker to `scene`.
     pub fn mark(self, scene: &mut Scene, at: (f64, f64)) {
         scene.area(self.marker.path(at, MARKER), self.paint, 1.0);
     }
 
-    /// Puts a hollow marker on `scene`, larger, so that it shows around a full one, and what is under it shows through.
-    pub fn mark_hollow(self, scene: &mut Scene, at: (f64, f64)) {
+    /// Adds a hollow marker to `scene`. It is large enough to surround a filled one and does not hide it.
+    pub(crate) fn mark_hollow(self, scene: &mut Scene, at: (f64, f64)) {
         scene.line(self.marker.path(at, 1.45 * MARKER), Stroke::solid(self.paint, 0.9));
     }
 }
 
+/// Width of a single-column figure, points: 3.5 inch.
+pub(crate) const COLUMN: f64 = 252.0;
+/// Width of a figure across both columns, points.
+pub(crate) const WIDE: f64 = 516.0;
+/// The smallest font size, points.
+pub const SMALL: f64 = 8.0;
+/// The font size of titles, points.
+pub(crate) const LARGE: f64 = 9.5;
+/// Line spacing of text, points.
+pub(crate) const LEADING: f64 = 10.5;
+/// Margin of the figure, points.
+pub(crate) const EDGE: f64 = 6.0;
+
 #[cfg(test)]
 mod tests {
+    use reveille_bs::policy::outside;
+
     use super::*;
 
+    fn listed() -> impl Iterator<Item = Style> {
+        POLICIES.into_iter().map(|(_, style)| style)
+    }
+
     #[test]
-    fn no_two_policies_look_alike_in_colour_marker_or_dashes() {
-        for (i, a) in POLICIES.iter().enumerate() {
-            for b in &POLICIES[..i] {
+    fn no_two_looks_share_a_colour_a_marker_or_dashes() {
+        let looks: Vec<Style> = listed().chain(FREE).collect();
+        for (i, a) in looks.iter().enumerate() {
+            for b in &looks[..i] {
                 assert_ne!(a.paint, b.paint);
                 assert_ne!(a.marker, b.marker);
                 assert_ne!(a.dashes, b.dashes);
             }
         }
+    }
+
+    #[test]
+    fn no_two_policies_look_alike() {
+        let names: Vec<&str> = registry::names().chain([outside::NAME]).collect();
+        for (i, a) in names.iter().enumerate() {
+            for b in &names[..i] {
+                assert_ne!(Style::of_policy(a), Style::of_policy(b), "{a}, {b}");
+            }
+        }
+        assert!(listed().all(|style| style != Style::of_policy("another")));
+        assert!(
+            POLICIES.iter().all(|(name, _)| names.contains(name)),
+            "a look of no policy"
+        );
     }
 
     #[test]
@@ -184,14 +261,8 @@ mod tests {
     }
 
     #[test]
-    fn policies_behind_the_palette_share_the_spare_style() {
-        assert_eq!(Style::nth_policy(0), Style::of_policy("knn"));
-        assert_eq!(Style::nth_policy(70), Style::of_policy("another"));
-    }
-
-    #[test]
     fn dashes_come_in_pairs() {
-        for style in POLICIES.into_iter().chain((0..6).map(Style::nth)) {
+        for style in listed().chain(FREE).chain((0..6).map(Style::nth)) {
             assert!(style.dashes.len().is_multiple_of(2));
         }
     }

@@ -1,24 +1,24 @@
-//! A scene as SVG.
+//! SVG output of a scene.
 //!
-//! Text is written as outlines. Ink is `currentColor` and the ground has the class `paper`, so that a page that holds
-//! the picture can turn both around for reading in the dark; on its own the picture is dark on white.
+//! Text is written as outlines. Ink is `currentColor` and the background has the class `paper`, so that a page with the
+//! figure can swap both in dark mode. A standalone figure is dark on white.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use super::font::{Glyph, Weight, outline, set, units_per_em};
-use super::path::{Path, Step};
-use super::scene::{Item, Paint, Rgb, Scene, Shape, Text};
+use super::path::{PathStep, VectorPath};
+use super::scene::{FilledPath, Paint, Rgb, Scene, SceneItem, Text};
 
-/// The SVG of `scene`. `name` sets its identifiers apart from those of other pictures on the same page: letters,
-/// digits, `-`.
+/// Renders `scene` as SVG. `name` makes its identifiers unique among figures on the same page; it may contain letters,
+/// digits and `-`.
 pub fn svg(scene: &Scene, name: &str) -> String {
     let mut glyphs: BTreeMap<Glyph, String> = BTreeMap::new();
     let mut body = String::new();
     for item in &scene.items {
         match item {
-            Item::Shape(shape) => body.push_str(&shape_element(shape)),
-            Item::Text(text) => body.push_str(&text_element(text, name, &mut glyphs)),
+            SceneItem::Shape(shape) => body.push_str(&shape_element(shape)),
+            SceneItem::Text(text) => body.push_str(&text_element(text, name, &mut glyphs)),
         }
     }
     let (w, h) = (number(scene.width), number(scene.height));
@@ -39,18 +39,19 @@ pub fn svg(scene: &Scene, name: &str) -> String {
     out
 }
 
-/// `text` as it may stand in XML.
-pub fn escape(text: &str) -> String {
+/// Escapes `text` for XML.
+pub(crate) fn escape(text: &str) -> String {
     text.replace('&', "&amp;")
         .replace('<', "&lt;")
         .replace('>', "&gt;")
         .replace('"', "&quot;")
 }
 
-/// A number with at most two decimals.
+/// Formats a number with at most two decimals.
 fn number(x: f64) -> String {
     let text = format!("{x:.2}");
     let text = text.trim_end_matches('0').trim_end_matches('.');
+    // A small negative number is rounded to -0.00.
     if text == "-0" { "0".to_owned() } else { text.to_owned() }
 }
 
@@ -69,15 +70,15 @@ fn class(paint: Paint) -> &'static str {
     }
 }
 
-fn data(path: &Path) -> String {
+fn data(path: &VectorPath) -> String {
     let mut out = String::new();
     for step in &path.0 {
         let (letter, numbers): (char, &[f64]) = match step {
-            Step::Move(x, y) => ('M', &[*x, *y]),
-            Step::Line(x, y) => ('L', &[*x, *y]),
-            Step::Quad(a, b, x, y) => ('Q', &[*a, *b, *x, *y]),
-            Step::Cubic(a, b, c, d, x, y) => ('C', &[*a, *b, *c, *d, *x, *y]),
-            Step::Close => ('Z', &[]),
+            PathStep::Move(x, y) => ('M', &[*x, *y]),
+            PathStep::Line(x, y) => ('L', &[*x, *y]),
+            PathStep::Quad(a, b, x, y) => ('Q', &[*a, *b, *x, *y]),
+            PathStep::Cubic(a, b, c, d, x, y) => ('C', &[*a, *b, *c, *d, *x, *y]),
+            PathStep::Close => ('Z', &[]),
         };
         out.push(letter);
         let numbers: Vec<String> = numbers.iter().map(|x| number(*x)).collect();
@@ -86,7 +87,7 @@ fn data(path: &Path) -> String {
     out
 }
 
-fn shape_element(shape: &Shape) -> String {
+fn shape_element(shape: &FilledPath) -> String {
     let mut out = format!("<path d=\"{}\"", data(&shape.path));
     match shape.fill {
         Some((paint, opacity)) => {
@@ -117,6 +118,7 @@ fn shape_element(shape: &Shape) -> String {
 
 fn text_element(text: &Text, name: &str, glyphs: &mut BTreeMap<Glyph, String>) -> String {
     let (x, y) = text.start();
+    // Fonts have thousands of units per em, so the scale needs more than two decimals below.
     let scale = text.size / units_per_em(text.weight);
     let turn = if text.upwards { " rotate(-90)" } else { "" };
     let mut out = format!(

@@ -1,80 +1,81 @@
-//! The timeline: battery and states of chosen devices, TTI by TTI, with the events and wake-ups of the run.
+//! Timeline figure: battery and states of selected devices per TTI, with the events and wake-ups of the run.
 
+use reveille_bs::scenario::Scenario;
 use reveille_common::event::EventRecord;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::WakeOutcome;
-use reveille_common::scenario::{EnergyModel, Scenario};
+use reveille_common::scenario::EnergyModel;
 use reveille_common::state::DeviceState;
 use reveille_common::units::Energy;
 
 use super::error::FigureError;
 use super::font::{Weight, wrap};
-use super::layout::{EDGE, LARGE, LEADING, SMALL, WIDE};
-use super::path::Path;
+use super::path::VectorPath;
+use super::run_walk::{RunWalk, TtiOutcome, events};
 use super::scale::Scale;
 use super::scene::{Anchor, Paint, Scene, Stroke, Text};
-use super::style::{BLUE, GREEN, ORANGE, VERMILION};
-use super::witness::{Happened, Walk, events};
+use super::style::{BLUE, EDGE, GREEN, LARGE, LEADING, ORANGE, SMALL, VERMILION, WIDE};
 
-/// Where the plots start and end.
+/// Left and right edge of the plots, points.
 const LEFT: f64 = 48.0;
 const RIGHT: f64 = WIDE - EDGE - 4.0;
 /// Height of a battery plot, of a lane of states, and of the gap to the next device, points.
 const BATTERY: f64 = 62.0;
 const LANE: f64 = 9.0;
 const GAP: f64 = 12.0;
-/// How many devices a timeline shows by default, and at the most.
+/// Number of devices in a timeline by default.
 const SHOWN: usize = 3;
-/// The most devices that a timeline shows.
-pub const CROWD: u32 = 8;
+/// Largest number of devices in a timeline.
+pub(crate) const CROWD: u32 = 8;
 
 /// One device in one TTI.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Moment {
+pub struct DeviceTti {
     /// The TTI.
     pub tti: Tti,
-    /// Its state after all that happened in the TTI.
+    /// State at the end of the TTI.
     pub state: DeviceState,
-    /// Whether it was in S2 and could not transmit.
+    /// Whether the device was in S2 and could not transmit.
     pub failed: bool,
-    /// Whether the BS sent it a wake-up.
+    /// Whether the BS sent the device a wake-up signal.
     pub woken: bool,
-    /// Its battery at the end of the TTI.
+    /// Battery level at the end of the TTI.
     pub battery: Energy,
 }
 
-/// What a timeline shows.
+/// Content of a timeline figure.
 #[derive(Clone, Debug)]
 pub struct Timeline {
     /// First TTI.
     pub from: Tti,
-    /// The TTI after the last.
+    /// TTI after the last one.
     pub end: Tti,
-    /// The devices, with battery and costs and what they went through.
-    pub devices: Vec<(DeviceId, EnergyModel, Vec<Moment>)>,
-    /// The events of these TTIs.
+    /// Devices with their energy model and their history.
+    pub devices: Vec<(DeviceId, EnergyModel, Vec<DeviceTti>)>,
+    /// Events that overlap these TTIs.
     pub events: Vec<EventRecord>,
 }
 
 impl Timeline {
-    /// `ttis` TTIs of a run of `scenario` from TTI `from` on. Without `devices` it shows the three that were busiest in
-    /// them: most reports and wake-ups, the lower number first.
+    /// Collects `ttis` TTIs of a run of `scenario`, from TTI `from`. Without `devices` it selects the three devices
+    /// with most reports and wake-ups, lower numbers first in a tie.
     ///
     /// # Errors
-    /// A device or TTIs that the run does not have, or more devices than [`CROWD`].
+    /// The run has no such device or TTIs, or there are more than `CROWD` devices.
     pub fn of(scenario: &Scenario, devices: &[u32], from: u64, ttis: u64) -> Result<Self, FigureError> {
+        // Both numbers are user input, so the sum may overflow.
         let end = from.saturating_add(ttis);
-        if !(10..=2000).contains(&ttis) || end > scenario.ttis {
+        if !(10..=2000).contains(&ttis) || end > scenario.run.ttis {
             return Err(FigureError::NoWindow {
                 from,
                 to: end.saturating_sub(1),
-                ttis: scenario.ttis,
+                ttis: scenario.run.ttis,
             });
         }
-        if let Some(&device) = devices.iter().find(|d| **d >= scenario.devices) {
+        if let Some(&device) = devices.iter().find(|d| **d >= scenario.run.devices) {
             return Err(FigureError::NoDevice {
                 device,
-                count: scenario.devices,
+                count: scenario.run.devices,
             });
         }
         if devices.len() > CROWD as usize {
@@ -95,14 +96,15 @@ impl Timeline {
             from: Tti(from),
             end: Tti(end),
             devices: follow(scenario, &shown, Tti(from), Tti(end)),
+            // These come from a whole run: an event is recorded when it ends, which may be after the last TTI shown.
             events: events(scenario).into_iter().filter(overlaps).collect(),
         })
     }
 }
 
-/// Goes through the run up to TTI `end`, and shows `visit` each TTI from `from` on.
-fn walk(scenario: &Scenario, from: Tti, end: Tti, mut visit: impl FnMut(&Walk, Tti, &Happened)) {
-    let mut walk = Walk::new(scenario);
+/// Runs the scenario up to TTI `end`, and calls `visit` for each TTI from `from`.
+fn walk(scenario: &Scenario, from: Tti, end: Tti, mut visit: impl FnMut(&RunWalk, Tti, &TtiOutcome)) {
+    let mut walk = RunWalk::new(scenario);
     loop {
         let (k, happened) = walk.step();
         if k >= from {
@@ -115,7 +117,7 @@ fn walk(scenario: &Scenario, from: Tti, end: Tti, mut visit: impl FnMut(&Walk, T
 }
 
 fn busiest(scenario: &Scenario, from: Tti, end: Tti) -> Vec<DeviceId> {
-    let mut acts = vec![0_u32; scenario.devices as usize];
+    let mut acts = vec![0_u32; scenario.run.devices as usize];
     walk(scenario, from, end, |_, _, happened| {
         let reporters = happened.reports.iter().map(|r| r.device);
         let failed = happened.failures.iter().map(|f| f.device);
@@ -124,23 +126,29 @@ fn busiest(scenario: &Scenario, from: Tti, end: Tti) -> Vec<DeviceId> {
             acts[device.index()] += 1;
         }
     });
-    let mut ids: Vec<DeviceId> = (0..scenario.devices).map(DeviceId).collect();
+    let mut ids: Vec<DeviceId> = (0..scenario.run.devices).map(DeviceId).collect();
+    // A stable sort: of equally busy devices the lower numbers come first.
     ids.sort_by_key(|id| std::cmp::Reverse(acts[id.index()]));
     ids.truncate(SHOWN);
     ids.sort_unstable();
     ids
 }
 
-fn follow(scenario: &Scenario, shown: &[DeviceId], from: Tti, end: Tti) -> Vec<(DeviceId, EnergyModel, Vec<Moment>)> {
+fn follow(
+    scenario: &Scenario,
+    shown: &[DeviceId],
+    from: Tti,
+    end: Tti,
+) -> Vec<(DeviceId, EnergyModel, Vec<DeviceTti>)> {
     let deployment = reveille_common::deployment::Deployment::new(scenario);
     let start = |id: &DeviceId| (*id, deployment.devices[id.index()].energy, Vec::new());
-    let mut devices: Vec<(DeviceId, EnergyModel, Vec<Moment>)> = shown.iter().map(start).collect();
+    let mut devices: Vec<(DeviceId, EnergyModel, Vec<DeviceTti>)> = shown.iter().map(start).collect();
     walk(scenario, from, end, |walk, k, happened| {
         for (id, _, moments) in &mut devices {
             let (state, battery) = walk.state(*id, k);
             let wake_up = happened.woken.iter().find(|(woken, _)| woken == id);
             let failed_awake = wake_up.is_some_and(|(_, outcome)| matches!(outcome, WakeOutcome::Failed(_)));
-            moments.push(Moment {
+            moments.push(DeviceTti {
                 tti: k,
                 state,
                 failed: failed_awake || happened.failures.iter().any(|f| f.device == *id),
@@ -152,19 +160,22 @@ fn follow(scenario: &Scenario, shown: &[DeviceId], from: Tti, end: Tti) -> Vec<(
     devices
 }
 
-/// What the picture of `timeline` is called.
+/// Returns the file name, without extension, of the figure.
 pub fn name(scenario: &Scenario, timeline: &Timeline) -> String {
     let (policy, from) = (scenario.policy.name(), timeline.from);
-    format!("timeline-{policy}-n{}-s{}-k{from}", scenario.devices, scenario.seed)
+    format!(
+        "timeline-{policy}-n{}-s{}-k{from}",
+        scenario.run.devices, scenario.run.seed
+    )
 }
 
-/// The picture of `timeline`.
+/// Draws `timeline`.
 pub fn scene(scenario: &Scenario, timeline: &Timeline) -> Scene {
     let mut scene = Scene::new(WIDE, 0.0);
     scene.title = format!(
         "Battery and states of {} of {} devices, policy {}",
         timeline.devices.len(),
-        scenario.devices,
+        scenario.run.devices,
         scenario.policy.name()
     );
     scene.text(Text::new(scene.title.clone(), (EDGE, EDGE + LARGE), LARGE).bold());
@@ -204,18 +215,18 @@ fn legend(scene: &mut Scene, y: f64) {
     };
     entry(scene, "event", &|scene, x| {
         let span = [x, middle - 4.0, x + 10.0, middle + 4.0];
-        scene.area(Path::rectangle(span), Paint::Colour(ORANGE), 0.35);
+        scene.area(VectorPath::rectangle(span), Paint::Colour(ORANGE), 0.35);
     });
     entry(scene, "event nobody reported", &|scene, x| {
         let span = [x, middle - 4.0, x + 10.0, middle + 4.0];
-        scene.area(Path::rectangle(span), Paint::Ink, 0.25);
+        scene.area(VectorPath::rectangle(span), Paint::Ink, 0.25);
     });
     entry(scene, "battery", &|scene, x| {
-        let line = Path::segment((x, middle), (x + 10.0, middle));
+        let line = VectorPath::segment((x, middle), (x + 10.0, middle));
         scene.line(line, Stroke::solid(Paint::Colour(BLUE), 1.2));
     });
     entry(scene, "E_Tx", &|scene, x| {
-        scene.line(Path::segment((x, middle), (x + 10.0, middle)), threshold());
+        scene.line(VectorPath::segment((x, middle), (x + 10.0, middle)), threshold());
     });
     entry(scene, "wake-up", &|scene, x| wake_up(scene, x + 5.0, middle + 4.0));
     entry(scene, "S2 without the energy for a report", &|scene, x| {
@@ -223,7 +234,11 @@ fn legend(scene: &mut Scene, y: f64) {
     });
     entry(scene, "no power", &|scene, x| {
         let span = [x, middle - 3.0, x + 10.0, middle + 3.0];
-        scene.outlined(Path::rectangle(span), Paint::Paper, Stroke::solid(Paint::Ink, 0.5));
+        scene.outlined(
+            VectorPath::rectangle(span),
+            Paint::Paper,
+            Stroke::solid(Paint::Ink, 0.5),
+        );
     });
 }
 
@@ -233,7 +248,7 @@ struct Axis {
 }
 
 impl Axis {
-    /// Where TTI `k` begins.
+    /// Returns the x position of the start of TTI `k`.
     fn x(&self, k: f64) -> f64 {
         LEFT + ((k - self.from) / self.ttis).clamp(0.0, 1.0) * (RIGHT - LEFT)
     }
@@ -246,11 +261,11 @@ impl Axis {
             } else {
                 (Paint::Ink, 0.25)
             };
-            scene.area(Path::rectangle([from, top, to, bottom]), paint, opacity);
+            scene.area(VectorPath::rectangle([from, top, to, bottom]), paint, opacity);
         }
     }
 
-    fn battery(&self, scene: &mut Scene, id: DeviceId, energy: &EnergyModel, moments: &[Moment], top: f64) {
+    fn battery(&self, scene: &mut Scene, id: DeviceId, energy: &EnergyModel, moments: &[DeviceTti], top: f64) {
         let bottom = top + BATTERY - 4.0;
         let scale = Scale::Linear {
             from: 0.0,
@@ -258,20 +273,23 @@ impl Axis {
         };
         let y = |units: f64| bottom - scale.place(units) * (bottom - top - 4.0);
         let frame = [(LEFT, top), (LEFT, bottom), (RIGHT, bottom)];
-        scene.line(Path::polyline(frame, false), Stroke::solid(Paint::Ink, 0.7));
+        scene.line(VectorPath::polyline(frame, false), Stroke::solid(Paint::Ink, 0.7));
         for value in [0.0, 0.5 * energy.e_max.units(), energy.e_max.units()] {
             let at = (LEFT - 4.0, y(value) + 0.36 * SMALL);
             scene.text(Text::new(super::scale::label(value, 1.0), at, SMALL).anchored(Anchor::End));
-            let tick = Path::segment((LEFT - 2.5, y(value)), (LEFT, y(value)));
+            let tick = VectorPath::segment((LEFT - 2.5, y(value)), (LEFT, y(value)));
             scene.line(tick, Stroke::solid(Paint::Ink, 0.7));
         }
         let e_tx = y(energy.e_tx.units());
-        scene.line(Path::segment((LEFT, e_tx), (RIGHT, e_tx)), threshold());
+        scene.line(VectorPath::segment((LEFT, e_tx), (RIGHT, e_tx)), threshold());
         let steps = moments.iter().flat_map(|m| {
             let (k, level) = (m.tti.0 as f64, y(m.battery.units()));
             [(self.x(k), level), (self.x(k + 1.0), level)]
         });
-        scene.line(Path::polyline(steps, false), Stroke::solid(Paint::Colour(BLUE), 1.1));
+        scene.line(
+            VectorPath::polyline(steps, false),
+            Stroke::solid(Paint::Colour(BLUE), 1.1),
+        );
         let mut label = Text::new(
             format!("device {id}"),
             (EDGE + 0.76 * SMALL, 0.5 * (top + bottom)),
@@ -284,12 +302,12 @@ impl Axis {
         scene.text(unit.anchored(Anchor::Middle));
     }
 
-    /// Four lanes, S1 above to S4 below.
-    fn states(&self, scene: &mut Scene, moments: &[Moment], top: f64) {
+    /// Draws four lanes, from S1 at the top to S4.
+    fn states(&self, scene: &mut Scene, moments: &[DeviceTti], top: f64) {
         for (lane, name) in ["S1", "S2", "S3", "S4"].iter().enumerate() {
             let y = top + LANE * (lane as f64 + 1.0) - 1.5;
             scene.text(Text::new(*name, (LEFT - 4.0, y), SMALL).anchored(Anchor::End));
-            let line = Path::segment((LEFT, y + 1.5), (RIGHT, y + 1.5));
+            let line = VectorPath::segment((LEFT, y + 1.5), (RIGHT, y + 1.5));
             scene.line(line, Stroke::solid(Paint::Ink, 0.4).faded(0.3));
         }
         // Equal neighbours become one block.
@@ -297,7 +315,7 @@ impl Axis {
             let (first, last) = (block[0], block[block.len() - 1]);
             let (from, to) = (self.x(first.tti.0 as f64), self.x(last.tti.0 as f64 + 1.0));
             let lane =
-                |lane: f64| Path::rectangle([from, top + LANE * lane + 1.0, to, top + LANE * (lane + 1.0) - 1.0]);
+                |lane: f64| VectorPath::rectangle([from, top + LANE * lane + 1.0, to, top + LANE * (lane + 1.0) - 1.0]);
             match first.state {
                 DeviceState::Idle => scene.area(lane(0.0), Paint::Colour(BLUE), 1.0),
                 DeviceState::Active => scene.area(lane(1.0), Paint::Colour(ORANGE), 1.0),
@@ -324,15 +342,21 @@ impl Axis {
 
     fn ticks(&self, scene: &mut Scene, bottom: f64) {
         let y = bottom + 7.0;
-        scene.line(Path::segment((LEFT, y), (RIGHT, y)), Stroke::solid(Paint::Ink, 0.7));
+        scene.line(
+            VectorPath::segment((LEFT, y), (RIGHT, y)),
+            Stroke::solid(Paint::Ink, 0.7),
+        );
         let scale = Scale::linear([self.from, self.from + self.ttis], false);
         for tick in scale.ticks() {
             if tick.value < self.from || tick.value > self.from + self.ttis {
                 continue;
             }
             let x = self.x(tick.value);
-            scene.line(Path::segment((x, y), (x, y + 2.5)), Stroke::solid(Paint::Ink, 0.7));
-            // A label at the very end would leave the page.
+            scene.line(
+                VectorPath::segment((x, y), (x, y + 2.5)),
+                Stroke::solid(Paint::Ink, 0.7),
+            );
+            // A label at the very end would extend beyond the page.
             let at = x.min(RIGHT - 4.0);
             scene.text(Text::new(tick.label, (at, y + LEADING), SMALL).anchored(Anchor::Middle));
         }
@@ -345,15 +369,15 @@ const fn threshold() -> Stroke {
     Stroke::solid(Paint::Colour(VERMILION), 0.8).dashed(&[3.0, 2.0])
 }
 
-/// A small arrow that points up, its tip at `y - 5`.
+/// Draws a small arrow that points up, with its tip at `y - 5`.
 fn wake_up(scene: &mut Scene, x: f64, y: f64) {
-    let tip = Path::polyline([(x, y - 5.0), (x + 2.4, y), (x - 2.4, y)], true);
+    let tip = VectorPath::polyline([(x, y - 5.0), (x + 2.4, y), (x - 2.4, y)], true);
     scene.area(tip, Paint::Colour(GREEN), 1.0);
 }
 
 fn failure(scene: &mut Scene, x: f64, y: f64) {
-    let mut cross = Path::segment((x - 2.5, y - 2.5), (x + 2.5, y + 2.5));
-    cross.extend(Path::segment((x - 2.5, y + 2.5), (x + 2.5, y - 2.5)));
+    let mut cross = VectorPath::segment((x - 2.5, y - 2.5), (x + 2.5, y + 2.5));
+    cross.extend(VectorPath::segment((x - 2.5, y + 2.5), (x + 2.5, y - 2.5)));
     scene.line(cross, Stroke::solid(Paint::Ink, 1.1));
 }
 
@@ -364,8 +388,8 @@ fn caption(scenario: &Scenario, timeline: &Timeline) -> String {
          device that reports goes through S2 and S3 within its TTI. {} events, {unseen} of them reported by nobody. \
          Preset {}, seed {}, K = {}.",
         timeline.events.len(),
-        scenario.preset,
-        scenario.seed,
-        scenario.ttis
+        scenario.run.preset,
+        scenario.run.seed,
+        scenario.run.ttis
     )
 }

@@ -1,44 +1,44 @@
-//! The picture of a tuning: what a surrogate makes of the objective over (μ1, μ2), and the pairs that were tried.
+//! Figure of a tuning: the surrogate of the objective over (μ1, μ2), and the evaluated pairs.
 //!
-//! Colours run from dark to light, so that they mean the same in print without colours.
+//! Colours run from dark to light, so that they can be read in print without colours.
+
+use reveille_lab::tuning::{History, Ranges, Surface, WeightPair};
 
 use super::contour::segments;
 use super::font::{Weight, width, wrap};
-use super::heat::{blend, on};
-use super::layout::{EDGE, LARGE, LEADING, SMALL, WIDE};
-use super::path::Path;
-use super::scale::{Scale, Tick, label};
+use super::heat::{blend, contrast_colour};
+use super::path::{Rect, VectorPath, overlap};
+use super::scale::{AxisTick, Scale, label};
 use super::scene::{Anchor, Paint, Rgb, Scene, Stroke, Text};
-use super::style::Marker;
-use reveille_lab::tuning::{History, Pair, Ranges, Surface};
+use super::style::{EDGE, LARGE, LEADING, MarkerShape, SMALL, WIDE};
 
 /// Left, top, right and bottom of the panel, points.
-const PANEL: [f64; 4] = [46.0, 28.0, 376.0, 286.0];
+const PANEL: Rect = [46.0, 28.0, 376.0, 286.0];
 /// Left and width of the key, points.
 const KEY: (f64, f64) = (392.0, 14.0);
-/// Steps of the colours of the key.
+/// Number of colour steps in the key.
 const STEPS: u32 = 60;
-/// Half the size of the mark of a pair, and of that of the best, points.
+/// Half the size of the mark of a pair, and of the mark of the best pair, points.
 const DOT: f64 = 2.0;
 const STAR: f64 = 4.6;
-/// How far from its pair a number may stand, points.
+/// Possible distances of a number from its pair, points.
 const REACHES: [f64; 7] = [9.0, 13.0, 18.0, 25.0, 34.0, 46.0, 60.0];
-/// Directions in which it may stand there.
+/// Number of possible directions of a number from its pair.
 const TURNS: u32 = 16;
-/// Least distance of a contour's label from anything else, points.
+/// Least distance of a contour's label from other items, points.
 const CLEAR: f64 = 3.0;
 
-/// The picture of `history`, whose surrogate over `ranges` is `surface`.
+/// Draws `history`, whose surrogate over `ranges` is `surface`.
 pub fn scene(history: &History, ranges: &Ranges, surface: &Surface) -> Scene {
     let mut scene = Scene::new(WIDE, 0.0);
-    let (objective, devices) = (history.says("objective"), history.says("devices"));
+    let (objective, devices) = (history.header_value("objective"), history.header_value("devices"));
     let name = objective.split(':').next().unwrap_or_default();
     scene.title = format!("Tuning of q-learning with N = {devices}: objective {name}");
     scene.description = caption(history);
     scene.text(Text::new(scene.title.clone(), (EDGE, EDGE + LARGE), LARGE).bold());
     let panel = Panel::new(ranges, surface);
     panel.cells(&mut scene, surface);
-    // Numbers find their places first, and lie on top.
+    // Numbers are placed first, so that the labels of contours avoid them, and drawn last.
     let mut front = Scene::new(WIDE, 0.0);
     let taken = panel.points(&mut front, history);
     panel.contours(&mut scene, surface, taken);
@@ -55,7 +55,7 @@ pub fn scene(history: &History, ranges: &Ranges, surface: &Surface) -> Scene {
 }
 
 fn caption(history: &History) -> String {
-    let says = |name: &str| history.says(name).to_owned();
+    let says = |name: &str| history.header_value(name).to_owned();
     let best = history.ranked().first().map(|&number| {
         let point = &history.points[number];
         let [mu1, mu2] = point.weights;
@@ -79,18 +79,11 @@ fn caption(history: &History) -> String {
     )
 }
 
-/// A box: left, top, right, bottom, points.
-type Corners = [f64; 4];
-
-fn overlap(a: &Corners, b: &Corners) -> bool {
-    a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3]
-}
-
-fn grown([left, top, right, bottom]: Corners, by: f64) -> Corners {
+fn grown([left, top, right, bottom]: Rect, by: f64) -> Rect {
     [left - by, top - by, right + by, bottom + by]
 }
 
-/// Where everything is.
+/// Scales of the panel, and the range of values.
 struct Panel {
     x: Scale,
     y: Scale,
@@ -111,13 +104,13 @@ impl Panel {
         }
     }
 
-    /// A place of the unit square on the canvas.
+    /// Maps a point of the unit square to the canvas.
     fn at((x, y): (f64, f64)) -> (f64, f64) {
         let [left, top, right, bottom] = PANEL;
         (left + x * (right - left), bottom - y * (bottom - top))
     }
 
-    fn of(&self, [mu1, mu2]: Pair) -> (f64, f64) {
+    fn of(&self, [mu1, mu2]: WeightPair) -> (f64, f64) {
         Self::at((self.x.place(mu1), self.y.place(mu2)))
     }
 
@@ -127,7 +120,7 @@ impl Panel {
         blend(2.0 * share.clamp(0.0, 1.0) - 1.0)
     }
 
-    fn levels(&self) -> (Vec<Tick>, f64) {
+    fn levels(&self) -> (Vec<AxisTick>, f64) {
         let (low, high) = self.values;
         let ticks = Scale::Linear {
             from: low,
@@ -139,7 +132,7 @@ impl Panel {
     }
 
     fn cells(&self, scene: &mut Scene, surface: &Surface) {
-        // A little wider, so that no gaps show between cells.
+        // The cells overlap slightly to avoid gaps between them.
         let over = 0.3;
         let high = surface.rows.len() as f64;
         for (j, row) in surface.rows.iter().enumerate() {
@@ -147,20 +140,20 @@ impl Panel {
                 let place = |i: usize, j: usize| Self::at((i as f64 / row.len() as f64, j as f64 / high));
                 let ((left, bottom), (right, top)) = (place(i, j), place(i + 1, j + 1));
                 let corners = [left, top, (right + over).min(PANEL[2]), (bottom + over).min(PANEL[3])];
-                scene.area(Path::rectangle(corners), Paint::Colour(self.colour(*value)), 1.0);
+                scene.area(VectorPath::rectangle(corners), Paint::Colour(self.colour(*value)), 1.0);
             }
         }
     }
 
-    /// The pairs with their numbers; gives the boxes around them.
-    fn points(&self, scene: &mut Scene, history: &History) -> Vec<Corners> {
+    /// Draws the pairs with their numbers. Returns the boxes around them.
+    fn points(&self, scene: &mut Scene, history: &History) -> Vec<Rect> {
         let best = history.ranked().first().copied();
         let places: Vec<(f64, f64)> = history.points.iter().map(|point| self.of(point.weights)).collect();
         let marks = places.iter().enumerate().map(|(number, &(x, y))| {
             let size = if best == Some(number) { 1.4 * STAR } else { DOT + 0.8 };
             [x - size, y - size, x + size, y + size]
         });
-        let mut taken: Vec<Corners> = marks.collect();
+        let mut taken: Vec<Rect> = marks.collect();
         let mut numbers = Vec::new();
         for (number, place) in places.iter().enumerate() {
             let text = (number + 1).to_string();
@@ -168,13 +161,13 @@ impl Panel {
             taken.push(corners);
             let (dx, dy) = (at.0 - place.0, at.1 - place.1);
             if (dx * dx + dy * dy).sqrt() > REACHES[1] + 1.0 {
-                // A line in both paints shows on dark and on light.
+                // A line in both paints is visible on dark and on light.
                 scene.line(
-                    Path::segment(*place, at),
+                    VectorPath::segment(*place, at),
                     Stroke::solid(Paint::Colour(Rgb(255, 255, 255)), 1.4),
                 );
                 scene.line(
-                    Path::segment(*place, at),
+                    VectorPath::segment(*place, at),
                     Stroke::solid(Paint::Colour(Rgb(0, 0, 0)), 0.6),
                 );
             }
@@ -184,7 +177,7 @@ impl Panel {
             mark(scene, *place, best == Some(number));
         }
         for (number, (text, at, corners)) in numbers.into_iter().enumerate() {
-            scene.area(Path::rectangle(corners), Paint::Colour(Rgb(255, 255, 255)), 0.85);
+            scene.area(VectorPath::rectangle(corners), Paint::Colour(Rgb(255, 255, 255)), 0.85);
             let mut text = Text::new(text, (at.0, at.1 + 0.36 * SMALL), SMALL).anchored(Anchor::Middle);
             text.paint = Paint::Colour(Rgb(0, 0, 0));
             scene.text(if best == Some(number) { text.bold() } else { text });
@@ -192,21 +185,21 @@ impl Panel {
         taken
     }
 
-    /// The contour lines, each with its value where there is room.
-    fn contours(&self, scene: &mut Scene, surface: &Surface, mut taken: Vec<Corners>) {
+    /// Draws the contour lines, each with its value if there is room.
+    fn contours(&self, scene: &mut Scene, surface: &Surface, mut taken: Vec<Rect>) {
         let (levels, step) = self.levels();
         let mut labels = Vec::new();
         for level in levels {
             let all = segments(&surface.rows, level.value);
-            let mut path = Path::default();
+            let mut path = VectorPath::default();
             for (from, to) in &all {
-                path.extend(Path::segment(Self::at(*from), Self::at(*to)));
+                path.extend(VectorPath::segment(Self::at(*from), Self::at(*to)));
             }
             if path.0.is_empty() {
                 continue;
             }
             let ground = self.colour(level.value);
-            scene.line(path, Stroke::solid(on(ground), 0.8));
+            scene.line(path, Stroke::solid(contrast_colour(ground), 0.8));
             let text = label(level.value, step);
             let half = 0.5 * width(&text, Weight::Regular, SMALL) + 1.5;
             let boxes = all.iter().map(|(a, b)| {
@@ -224,9 +217,9 @@ impl Panel {
             }
         }
         for (text, at, corners, ground) in labels {
-            scene.area(Path::rectangle(corners), Paint::Colour(ground), 1.0);
+            scene.area(VectorPath::rectangle(corners), Paint::Colour(ground), 1.0);
             let mut text = Text::new(text, (at.0, at.1 + 0.36 * SMALL), SMALL).anchored(Anchor::Middle);
-            text.paint = on(ground);
+            text.paint = contrast_colour(ground);
             scene.text(text);
         }
     }
@@ -236,17 +229,17 @@ impl Panel {
         let axis = Stroke::solid(Paint::Ink, 0.7);
         for tick in ticks(self.x) {
             let (x, long) = (Self::at((self.x.place(tick.value), 0.0)).0, long(&tick));
-            scene.line(Path::segment((x, bottom), (x, bottom + long)), axis);
+            scene.line(VectorPath::segment((x, bottom), (x, bottom + long)), axis);
             let text = Text::new(tick.label, (x, bottom + LEADING + 1.5), SMALL);
             scene.text(text.anchored(Anchor::Middle));
         }
         for tick in ticks(self.y) {
             let (y, long) = (Self::at((0.0, self.y.place(tick.value))).1, long(&tick));
-            scene.line(Path::segment((left - long, y), (left, y)), axis);
+            scene.line(VectorPath::segment((left - long, y), (left, y)), axis);
             let text = Text::new(tick.label, (left - 5.0, y + 0.36 * SMALL), SMALL);
             scene.text(text.anchored(Anchor::End));
         }
-        scene.line(Path::rectangle(PANEL), axis);
+        scene.line(VectorPath::rectangle(PANEL), axis);
         let below = (0.5 * (left + right), bottom + 2.0 * LEADING + 3.0);
         scene.text(Text::new("μ1, weight of misdetections (logarithmic)", below, SMALL).anchored(Anchor::Middle));
         let beside = (EDGE + 0.76 * SMALL, 0.5 * (top + bottom));
@@ -255,7 +248,7 @@ impl Panel {
         scene.text(text);
     }
 
-    /// The colours with their values, and what marks mean.
+    /// Draws the key: the colour scale with values, and the meaning of marks.
     fn key(&self, scene: &mut Scene, history: &History) {
         let ((left, wide), [_, top, _, bottom]) = (KEY, PANEL);
         let top = top + 2.0 * LEADING + 48.0;
@@ -266,14 +259,14 @@ impl Panel {
             let (from, to) = (place(share(f64::from(i))), place(share(f64::from(i) + 1.0)));
             let value = low + share(f64::from(i) + 0.5) * (high - low);
             let corners = [left, to, left + wide, (from + 0.3).min(bottom)];
-            scene.area(Path::rectangle(corners), Paint::Colour(self.colour(value)), 1.0);
+            scene.area(VectorPath::rectangle(corners), Paint::Colour(self.colour(value)), 1.0);
         }
         let line = Stroke::solid(Paint::Ink, 0.5);
-        scene.line(Path::rectangle([left, top, left + wide, bottom]), line);
+        scene.line(VectorPath::rectangle([left, top, left + wide, bottom]), line);
         let (levels, step) = self.levels();
         for level in levels.iter().filter(|_| high > low) {
             let y = place((level.value - low) / (high - low));
-            scene.line(Path::segment((left + wide, y), (left + wide + 2.5, y)), line);
+            scene.line(VectorPath::segment((left + wide, y), (left + wide + 2.5, y)), line);
             scene.text(Text::new(
                 label(level.value, step),
                 (left + wide + 5.0, y + 0.36 * SMALL),
@@ -293,18 +286,18 @@ impl Panel {
     }
 }
 
-/// Puts the mark of a pair on `scene`.
+/// Adds the mark of a pair to `scene`.
 fn mark(scene: &mut Scene, at: (f64, f64), is_best: bool) {
     let (paper, ink) = (Paint::Colour(Rgb(255, 255, 255)), Paint::Colour(Rgb(0, 0, 0)));
     if is_best {
-        scene.outlined(Marker::Star.path(at, STAR), paper, Stroke::solid(ink, 0.9));
+        scene.outlined(MarkerShape::Star.path(at, STAR), paper, Stroke::solid(ink, 0.9));
     } else {
-        scene.outlined(Marker::Circle.path(at, DOT), ink, Stroke::solid(paper, 0.8));
+        scene.outlined(MarkerShape::Circle.path(at, DOT), ink, Stroke::solid(paper, 0.8));
     }
 }
 
-/// Where the middle of `text` stands beside `place`, free of all `taken` boxes, and the box around it.
-fn free(place: (f64, f64), text: &str, taken: &[Corners]) -> ((f64, f64), Corners) {
+/// Finds a position for the middle of `text` near `place`, clear of all `taken` boxes. Returns it with the text's box.
+fn free(place: (f64, f64), text: &str, taken: &[Rect]) -> ((f64, f64), Rect) {
     let half = 0.5 * width(text, Weight::Regular, SMALL) + 1.2;
     let candidates = REACHES.iter().flat_map(|reach| {
         (0..TURNS).map(move |turn| {
@@ -317,32 +310,32 @@ fn free(place: (f64, f64), text: &str, taken: &[Corners]) -> ((f64, f64), Corner
     let mut fitting = candidates
         .clone()
         .filter(|(_, corners)| within(corners) && !taken.iter().any(|other| overlap(&grown(*corners, 0.6), other)));
-    // In a crowd without any room the first place is as good as another.
+    // Without any free position, an overlap cannot be avoided.
     fitting
         .next()
         .or_else(|| candidates.clone().next())
         .expect("there are candidates")
 }
 
-/// Whether a box lies in the panel.
-fn within(corners: &Corners) -> bool {
+/// Returns whether a box lies in the panel.
+fn within(corners: &Rect) -> bool {
     let [left, top, right, bottom] = grown(PANEL, -2.0);
     corners[0] >= left && corners[1] >= top && corners[2] <= right && corners[3] <= bottom
 }
 
-/// The distance of two boxes, negative where they overlap.
-fn gap(a: &Corners, b: &Corners) -> f64 {
+/// Returns the distance between two boxes, negative if they overlap.
+fn gap(a: &Rect, b: &Rect) -> f64 {
     let apart = |low: usize, high: usize| (b[low] - a[high]).max(a[low] - b[high]);
     apart(0, 2).max(apart(1, 3))
 }
 
-const fn long(tick: &Tick) -> f64 {
+const fn long(tick: &AxisTick) -> f64 {
     if tick.label.is_empty() { 1.8 } else { 3.0 }
 }
 
-/// Ticks of a logarithmic axis whose ends are any numbers: 1, 2 and 5 times powers of ten have labels, and the others
-/// too if these are few.
-fn ticks(scale: Scale) -> Vec<Tick> {
+/// Returns the ticks of a logarithmic axis with arbitrary ends. Multiples of powers of ten by 1, 2 and 5 have labels.
+/// If there are few of these, all ticks have labels.
+fn ticks(scale: Scale) -> Vec<AxisTick> {
     let (from, to) = scale.ends();
     let powers = libm::floor(libm::log10(from)) as i32..=libm::floor(libm::log10(to)) as i32;
     let all = powers.flat_map(|n| (1..10).map(move |factor| (factor, libm::exp10(f64::from(n)))));
@@ -360,7 +353,7 @@ fn ticks(scale: Scale) -> Vec<Tick> {
         } else {
             String::new()
         };
-        Tick { value, label: text }
+        AxisTick { value, label: text }
     });
     ticks.collect()
 }

@@ -1,47 +1,48 @@
-//! The claims on λ (Figs. 13 and 14): from which λ on a device harvests more than it spends.
+//! The claims on λ (Figs. 13 and 14): the λ from which on a device harvests more than it spends.
 //!
-//! As in the paper, consumption is held fixed at what a policy spends in the tables (Fig. 8) while λ varies. The
-//! policies are those that the paper names at the ends of its ranges, whatever place they have in ours.
+//! As in the paper, consumption is held fixed at a policy's spending in the tables (Fig. 8) while λ varies. The
+//! policies are those that the paper names at the ends of its ranges, regardless of their rank in our runs.
 
+use reveille_bs::scenario::Scenario;
 use reveille_common::harvest::HarvestKind;
-use reveille_common::scenario::Scenario;
 
-use super::judge::{Tier, Verdict, about, verdict_of};
-use super::lines::{Column, Line, Ours};
-use super::why::NOT_RUN;
-use super::words::{number, plain, plus_minus};
-use crate::analysis::harvest::{Reading, STATED, Stated, StatedEnd, positive_net};
+use super::causes::NOT_RUN;
+use super::claim_rows::{Assessment, ClaimRow, ConditionColumn};
+use super::judge::{FitLevel, Verdict, about, verdict_of};
+use super::phrasing::{number, plain, plus_minus};
+use crate::analysis::harvest::{LambdaReading, STATED, StatedEnd, StatedThreshold, positive_net};
 use crate::figures::energy::consumption;
-use crate::figures::results::Condition;
+use crate::figures::results::RunCondition;
 use reveille_lab::stats::Estimate;
 
-/// The metric that is held fixed.
+/// Metric that is held fixed.
 const SPENT: &str = "energy_per_device_tti";
-/// How a λ that stands alone is read.
+/// Reading of a single λ.
 const LONE: &str = "A single λ, \"as low as\", is read as that of the policy that spends least.";
 
 /// All claims on λ.
-pub fn lines(columns: &[Column<'_>]) -> Vec<Line> {
-    let lines = |stated: &'static Stated| {
+pub(super) fn lines(columns: &[ConditionColumn<'_>]) -> Vec<ClaimRow> {
+    let lines = |stated: &'static StatedThreshold| {
         let own = stated.ends().enumerate();
         own.map(move |(end, value)| line(stated, end == 1, value, columns))
     };
-    let mut lines: Vec<Line> = STATED.iter().flat_map(lines).collect();
+    let mut lines: Vec<ClaimRow> = STATED.iter().flat_map(lines).collect();
+    // Sections are made of neighbouring lines, and the statements on Fig. 14 lie between those on Fig. 13.
     lines.sort_by_key(|line| line.source);
     lines
 }
 
-/// Whether a claim on λ is about what `condition` has run.
-pub fn concerns(condition: &Condition) -> bool {
+/// Whether a claim on λ concerns the runs of `condition`.
+pub(super) fn concerns(condition: &RunCondition) -> bool {
     let mut ends = STATED
         .iter()
         .flat_map(|stated| stated.ends().map(|end| (stated.devices, end.policy)));
     ends.any(|(n, policy)| condition.estimate(policy, n, SPENT).is_some())
 }
 
-fn line(stated: &'static Stated, is_most: bool, end: StatedEnd, columns: &[Column<'_>]) -> Line {
+fn line(stated: &'static StatedThreshold, is_most: bool, end: StatedEnd, columns: &[ConditionColumn<'_>]) -> ClaimRow {
     let rank = if is_most { "most" } else { "least" };
-    Line {
+    ClaimRow {
         source: stated.source,
         about: format!("λ above which net energy is positive, E_B = {}", stated.e_b),
         policy: format!("{}, spends {rank}", end.policy),
@@ -59,8 +60,8 @@ fn line(stated: &'static Stated, is_most: bool, end: StatedEnd, columns: &[Colum
     }
 }
 
-fn ours(stated: &Stated, is_most: bool, end: StatedEnd, column: &Column<'_>) -> Ours {
-    let none = |why: String| Ours {
+fn ours(stated: &StatedThreshold, is_most: bool, end: StatedEnd, column: &ConditionColumn<'_>) -> Assessment {
+    let none = |why: String| Assessment {
         found: String::new(),
         verdict: Verdict::NotRun,
         firm: true,
@@ -87,17 +88,17 @@ fn ours(stated: &Stated, is_most: bool, end: StatedEnd, column: &Column<'_>) -> 
     ours
 }
 
-/// τ of a scenario all of whose devices harvest by Eq. (5); `None` for any other.
+/// τ of a scenario in which all devices harvest by Eq. (5); `None` for any other.
 fn tau_of_eq5(scenario: &Scenario) -> Option<f64> {
     let is_eq5 = scenario
         .classes
         .iter()
         .all(|class| class.harvest.kind() == HarvestKind::Eq5);
-    is_eq5.then_some(scenario.tau)
+    is_eq5.then_some(scenario.run.tau)
 }
 
-/// A sentence if `policy` is not at the end of our range at which the paper has it.
-fn place(condition: &Condition, n: u32, is_most: bool, policy: &str) -> String {
+/// Returns a note if `policy` is not at the end of our range that the paper assigns to it; empty otherwise.
+fn place(condition: &RunCondition, n: u32, is_most: bool, policy: &str) -> String {
     let Some([least, most]) = consumption(condition, n) else {
         return String::new();
     };
@@ -122,20 +123,23 @@ fn place(condition: &Condition, n: u32, is_most: bool, policy: &str) -> String {
     )
 }
 
-fn judge((e_b, tau): (f64, f64), end: StatedEnd, spent: &Estimate) -> Ours {
+fn judge((e_b, tau): (f64, f64), end: StatedEnd, spent: &Estimate) -> Assessment {
     let StatedEnd { lambda: stated, policy } = end;
+    // `positive_net` needs a consumption above 0, but the interval may reach below it.
     let threshold =
-        |spent: f64| positive_net(Reading::Eq5, e_b, spent.max(f64::MIN_POSITIVE), tau).map(|(from, _)| from);
+        |spent: f64| positive_net(LambdaReading::Eq5, e_b, spent.max(f64::MIN_POSITIVE), tau).map(|(from, _)| from);
+    // The interval of one run is unknown: its half-width is NaN.
+    let is_one_run = spent.half_width.is_nan();
     let (low, high) = (
         threshold(spent.mean - spent.half_width),
         threshold(spent.mean + spent.half_width),
     );
     let Some(found) = threshold(spent.mean) else {
-        let most = e_b * Reading::Eq5.probability(1.0 / tau, tau);
-        return Ours {
+        let most = e_b * LambdaReading::Eq5.probability(1.0 / tau, tau);
+        return Assessment {
             found: "never".to_owned(),
             verdict: Verdict::NotReproduced,
-            firm: low.is_none(),
+            firm: low.is_none() && !is_one_run,
             why: format!(
                 "{policy} spends {} units, and under Eq. (5) no λ brings more than E_B/e = {}. The paper's values fit \
                  a harvest of about λ·E_B, which λ·exp(-λ)·E_B is for small λ only.",
@@ -147,36 +151,58 @@ fn judge((e_b, tau): (f64, f64), end: StatedEnd, spent: &Estimate) -> Ours {
     };
     let fits = about(found, stated);
     let measured = match (low, high) {
+        _ if is_one_run => plus_minus(found, f64::NAN),
         (Some(low), Some(high)) => plus_minus(found, 0.5 * (high - low)),
         (Some(_) | None, None) | (None, Some(_)) => format!("{}, perhaps never", number(found)),
     };
-    let firm = low
-        .zip(high)
-        .is_some_and(|(a, b)| about(a, stated) == fits && about(b, stated) == fits);
+    let firm = !is_one_run
+        && low
+            .zip(high)
+            .is_some_and(|(a, b)| about(a, stated) == fits && about(b, stated) == fits);
     let doubt = if firm {
         ""
     } else {
         " Our interval reaches across the border of this verdict: more runs would decide."
     };
-    let why = if fits == Tier::Yes {
+    let why = if fits == FitLevel::Yes {
         doubt.trim_start().to_owned()
     } else {
-        let needed = e_b * Reading::Eq5.probability(stated, tau);
+        let needed = e_b * LambdaReading::Eq5.probability(stated, tau);
         format!(
             "{policy} spends {} units here; the paper's λ stands for a consumption of {}.{doubt}",
             number(spent.mean),
             number(needed)
         )
     };
-    Ours {
+    Assessment {
         found: measured,
         verdict: verdict_of(fits).unwrap_or(Verdict::NotReproduced),
         firm,
         why,
-        off: if fits == Tier::Yes {
+        off: if fits == FitLevel::Yes {
             0.0
         } else {
             libm::log(found / stated).abs()
         },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_run_decides_nothing() {
+        let end = StatedEnd {
+            lambda: 0.1,
+            policy: "knn",
+        };
+        // Under Eq. (5), some λ harvests 0.2 units and no λ harvests 5 units.
+        for spent in [0.2, 5.0] {
+            let ours = |spent: &[f64]| judge((5.0, 1.0), end, &Estimate::of(spent.iter().copied()).expect("a run"));
+            let (one, two) = (ours(&[spent]), ours(&[spent, spent * 1.001]));
+            assert!(!one.firm && two.firm, "{one:?} {two:?}");
+            assert!(!one.found.contains('±'), "{one:?}");
+        }
     }
 }

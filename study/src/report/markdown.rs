@@ -3,12 +3,12 @@
 use std::fmt::Write as _;
 
 use super::judge::Verdict;
-use super::parts::{Part, wrapped};
-use super::remarks::{RULE, absent, origins, remarks, runs, verdict};
-use super::{Column, Line, PRESETS, Report};
+use super::notes::{RULE, absent, origins, remarks, runs, verdict};
+use super::page_sections::{PageSection, wrapped};
+use super::{ClaimReport, ClaimRow, ConditionColumn, PRESETS};
 
-/// The whole report.
-pub fn markdown(report: &Report<'_>, figures: &[(String, String)], command: &str) -> String {
+/// Renders the whole report.
+pub fn markdown(report: &ClaimReport<'_>, figures: &[(String, String)], command: &str) -> String {
     let mut out = String::from("# What the paper claims and what Reveille measures\n\n");
     for line in runs(report).into_iter().chain(absent(report)) {
         let _ = writeln!(out, "- {line}");
@@ -36,8 +36,8 @@ pub fn markdown(report: &Report<'_>, figures: &[(String, String)], command: &str
     out
 }
 
-/// The report as parts of a page, whose headings are below those of the second level.
-pub fn parts(report: &Report<'_>, command: &str) -> Vec<Part> {
+/// Renders the report as sections of a page, with third-level headings.
+pub fn parts(report: &ClaimReport<'_>, command: &str) -> Vec<PageSection> {
     let sections = report.sections().into_iter();
     let sections = sections.map(|(source, lines)| {
         let rows = lines.iter().map(|line| row(line));
@@ -45,27 +45,27 @@ pub fn parts(report: &Report<'_>, command: &str) -> Vec<Part> {
     });
     let [against, readings] = remarks(report);
     vec![
-        Part::list("runs", runs(report).into_iter().chain(absent(report))),
-        Part::new("rule", wrapped(RULE, "")),
-        Part::new("tally", tally(report)),
-        Part::new("claims", sections.collect()),
-        // Of other settings the paper states nothing, and why they differ from it fills a page of its own.
-        Part::list(
+        PageSection::list("runs", runs(report).into_iter().chain(absent(report))),
+        PageSection::new("rule", wrapped(RULE, "")),
+        PageSection::new("tally", tally(report)),
+        PageSection::new("claims", sections.collect()),
+        // The paper makes no statements on other settings, and their reasons would fill another page.
+        PageSection::list(
             "why",
             reasons(report, |column| PRESETS.contains(&column.label.as_str())),
         ),
-        Part::list("contradictions", against.items),
-        Part::list("readings", readings.items),
-        Part::new("made", folded(&made(report, command))),
+        PageSection::list("contradictions", against.items),
+        PageSection::list("readings", readings.items),
+        PageSection::new("made", folded(&made(report, command))),
     ]
 }
 
-/// Headings of the second level as those of the third.
+/// Converts second-level headings to third-level ones.
 pub(super) fn lower(text: &str) -> String {
     text.replace("\n## ", "\n### ")
 }
 
-/// What a page says of how it was made, without its heading, lists no wider than a page.
+/// Removes the heading from the notes on the page's origin, and wraps their lists to the page width.
 pub(super) fn folded(text: &str) -> String {
     let lines = text.lines().filter(|line| !line.starts_with("## "));
     let fold = |line: &str| match line.strip_prefix("- ") {
@@ -75,7 +75,7 @@ pub(super) fn folded(text: &str) -> String {
     lines.map(fold).collect()
 }
 
-fn tally(report: &Report<'_>) -> String {
+fn tally(report: &ClaimReport<'_>) -> String {
     let mut out = String::from("| claims |");
     for column in &report.columns {
         let _ = write!(out, " {} |", cell(&column.label));
@@ -91,7 +91,7 @@ fn tally(report: &Report<'_>) -> String {
     out
 }
 
-fn head(report: &Report<'_>, source: &str) -> String {
+fn head(report: &ClaimReport<'_>, source: &str) -> String {
     let mut out = format!("\n## {source}\n\n| | policy | N | stated |");
     for column in &report.columns {
         let _ = write!(out, " {} | verdict |", cell(&column.label));
@@ -104,7 +104,7 @@ fn head(report: &Report<'_>, source: &str) -> String {
     out
 }
 
-fn row(line: &Line) -> String {
+fn row(line: &ClaimRow) -> String {
     let mut out = format!(
         "| {} | {} | {} | {} |",
         cell(&line.about),
@@ -119,7 +119,7 @@ fn row(line: &Line) -> String {
     out
 }
 
-fn why(report: &Report<'_>) -> String {
+fn why(report: &ClaimReport<'_>) -> String {
     let mut out = String::from("\n## Why\n\n");
     for reason in reasons(report, |_| true) {
         let _ = writeln!(out, "- {reason}");
@@ -127,14 +127,14 @@ fn why(report: &Report<'_>) -> String {
     out
 }
 
-/// Why claims are not met in the columns for which `is_told` holds, as far as that is known, a sentence or more each.
-fn reasons(report: &Report<'_>, is_told: impl Fn(&Column<'_>) -> bool) -> Vec<String> {
+/// Explains unmet claims in the columns for which `is_told` holds, as far as known, in one or more sentences each.
+fn reasons(report: &ClaimReport<'_>, is_told: impl Fn(&ConditionColumn<'_>) -> bool) -> Vec<String> {
     let mut reasons = Vec::new();
     for line in report.lines.iter().filter(|line| line.is_run()) {
         let columns = report.columns.iter().zip(&line.ours);
         for (column, ours) in columns.filter(|(column, _)| is_told(column)) {
             if !ours.why.is_empty() && ours.verdict != Verdict::NotRun {
-                let Line {
+                let ClaimRow {
                     source,
                     policy,
                     sites,
@@ -152,8 +152,8 @@ fn reasons(report: &Report<'_>, is_told: impl Fn(&Column<'_>) -> bool) -> Vec<St
     reasons
 }
 
-/// How the page was made: the command, the tables, and their experiments.
-pub(super) fn made(report: &Report<'_>, command: &str) -> String {
+/// Describes the origin of the page: the command, the tables, and their experiments.
+pub(super) fn made(report: &ClaimReport<'_>, command: &str) -> String {
     let mut out = format!(
         "\n## How it was made\n\nBy Reveille {}: `{command}`\n\n",
         env!("CARGO_PKG_VERSION")
@@ -167,7 +167,7 @@ pub(super) fn made(report: &Report<'_>, command: &str) -> String {
     out
 }
 
-/// Text as it may stand in a cell of a table.
+/// Escapes text for a table cell.
 pub(super) fn cell(text: &str) -> String {
     text.replace('|', "\\|")
 }

@@ -1,42 +1,42 @@
-//! The report: every claim of the paper beside what the lab measured, with a verdict by a stated rule.
+//! The report: every claim of the paper next to our measurement, with a verdict by a stated rule.
 //!
-//! [`crate::claims`] is what the paper says, [`mod@judge`] the rule, [`Report`] both applied to result tables; [`page`]
-//! and [`markdown`] write it down.
+//! [`crate::claims`] holds the paper's claims and [`mod@judge`] the rule. [`ClaimReport`] applies the rule to result
+//! tables; [`page`] and [`markdown`] render it.
 
-mod found;
+mod causes;
+mod claim_rows;
+mod distance;
+mod finding_text;
 pub mod judge;
 mod lambda;
-mod lines;
 pub mod markdown;
-mod off;
+mod notes;
 pub mod page;
-pub mod parts;
-mod remarks;
+pub mod page_sections;
+mod phrasing;
 pub mod search;
-mod why;
-mod words;
 
 use self::judge::{Verdict, judge};
-use self::words::{relation, sites};
-use crate::claims::{Claim, Quantity, TOPICS, Topic};
-use crate::figures::results::{Condition, Results};
+use self::phrasing::{relation, sites};
+use crate::claims::{Claim, ClaimQuantity, ClaimTopic, TOPICS};
+use crate::figures::results::{Results, RunCondition};
 
-pub use self::lines::{Column, Line, Ours, PRESETS};
+pub use self::claim_rows::{Assessment, ClaimRow, ConditionColumn, PRESETS};
 
-/// The whole report, before it is a page.
+/// The whole report, before rendering.
 #[derive(Clone, Debug)]
-pub struct Report<'r> {
-    /// The tables behind it.
+pub struct ClaimReport<'r> {
+    /// Tables that the report is based on.
     pub results: &'r Results,
     /// The columns.
-    pub columns: Vec<Column<'r>>,
+    pub columns: Vec<ConditionColumn<'r>>,
     /// The claims, by figure of the paper.
-    pub lines: Vec<Line>,
-    /// Conditions of the tables that have no run for any claim, in words.
+    pub lines: Vec<ClaimRow>,
+    /// Names of the conditions in the tables that have no runs for any claim.
     pub silent: Vec<String>,
 }
 
-impl<'r> Report<'r> {
+impl<'r> ClaimReport<'r> {
     /// Judges every claim by `results`.
     pub fn new(results: &'r Results) -> Self {
         let all = columns(results);
@@ -54,9 +54,9 @@ impl<'r> Report<'r> {
         }
     }
 
-    /// The claims that there are runs for, by the figures that they are about.
-    pub fn sections(&self) -> Vec<(&'static str, Vec<&Line>)> {
-        let mut sections: Vec<(&'static str, Vec<&Line>)> = Vec::new();
+    /// Groups the claims that have runs by the paper's figure.
+    pub fn sections(&self) -> Vec<(&'static str, Vec<&ClaimRow>)> {
+        let mut sections: Vec<(&'static str, Vec<&ClaimRow>)> = Vec::new();
         for line in self.lines.iter().filter(|line| line.is_run()) {
             match sections.last_mut() {
                 Some((source, lines)) if *source == line.source => lines.push(line),
@@ -66,8 +66,8 @@ impl<'r> Report<'r> {
         sections
     }
 
-    /// The conditions to draw: those that columns are of, with rankings side by side.
-    pub fn drawn(&self) -> impl Iterator<Item = &'r Condition> {
+    /// Iterates over the conditions to draw: those in the columns, with rankings side by side.
+    pub fn drawn(&self) -> impl Iterator<Item = &'r RunCondition> {
         let of_column = |part: &usize| {
             let own = &self.results.by_ranking[*part];
             self.columns.iter().any(|column| std::ptr::eq(column.condition, own))
@@ -76,22 +76,22 @@ impl<'r> Report<'r> {
         all.filter(move |condition| condition.parts.iter().any(of_column))
     }
 
-    /// The presets of which there is no table.
+    /// Iterates over the presets without a table.
     pub fn missing(&self) -> impl Iterator<Item = &'static str> {
         let is_missing = |preset: &&str| !self.columns.iter().any(|column| column.label == *preset);
         PRESETS.into_iter().filter(is_missing)
     }
 
-    /// The tables that say which experiment they belong to, by name, with its text.
+    /// Iterates over the tables that name their experiment, as table name and experiment text.
     pub fn experiments(&self) -> impl Iterator<Item = (&str, &str)> {
         let all = self.results.sources.iter();
         let texts = all.map(|source| (source.name.as_str(), source.about.experiment.trim_end()));
         texts.filter(|(_, text)| !text.is_empty())
     }
 
-    /// How many claims have `verdict` in column `column`, in words, with those that are in doubt.
+    /// Formats the number of claims with `verdict` in column `column`, and the number of doubtful ones among them.
     pub fn tally(&self, column: usize, verdict: Verdict) -> String {
-        let is_doubtful = |line: &&Line| line.ours[column].verdict == verdict && !line.ours[column].firm;
+        let is_doubtful = |line: &&ClaimRow| line.ours[column].verdict == verdict && !line.ours[column].firm;
         let count = self.count(column, verdict);
         match self.lines.iter().filter(is_doubtful).count() {
             0 => count.to_string(),
@@ -99,7 +99,7 @@ impl<'r> Report<'r> {
         }
     }
 
-    /// How many claims have `verdict` in column `column`, in doubt or not.
+    /// Counts the claims with `verdict` in column `column`, doubtful or not.
     pub fn count(&self, column: usize, verdict: Verdict) -> usize {
         self.lines
             .iter()
@@ -108,15 +108,15 @@ impl<'r> Report<'r> {
     }
 }
 
-/// How many claims `condition` has runs for.
-fn covered(condition: &Condition) -> usize {
+/// Counts the claims for which `condition` has runs.
+fn covered(condition: &RunCondition) -> usize {
     let claims = TOPICS.iter().flat_map(|topic| topic.claims);
     let is_run = |claim: &&Claim| condition.sizes(claim.policy).into_iter().any(|n| claim.sites.holds(n));
     claims.filter(is_run).count()
 }
 
-/// Whether a column has a verdict: of a preset always, of other conditions if some claim has runs.
-fn is_shown(column: &Column<'_>) -> bool {
+/// Whether a column is shown: a preset always, any other condition if it has runs for some claim.
+fn is_shown(column: &ConditionColumn<'_>) -> bool {
     let is_judged = |(topic, claim)| judge(topic, claim, column.condition).verdict != Verdict::NotRun;
     let claims = TOPICS
         .iter()
@@ -124,21 +124,22 @@ fn is_shown(column: &Column<'_>) -> bool {
     PRESETS.contains(&column.label.as_str()) || claims.into_iter().any(is_judged) || lambda::concerns(column.condition)
 }
 
-/// The presets' columns, each of the condition with most claims covered, then most runs, then the longest; then all
-/// others.
-fn columns(results: &Results) -> Vec<Column<'_>> {
-    let mut columns: Vec<Column<'_>> = Vec::new();
+/// Selects the columns: first the presets, then all other conditions. For a preset, the condition that covers most
+/// claims is chosen, then the one with most runs, then the longest.
+fn columns(results: &Results) -> Vec<ConditionColumn<'_>> {
+    let mut columns: Vec<ConditionColumn<'_>> = Vec::new();
     for preset in PRESETS {
         let own = results.by_ranking.iter().filter(|s| s.is_plain() && s.preset == preset);
+        // A preset has one column, but tables may hold runs of it with several lengths.
         let widest = own.max_by_key(|s| (covered(s), s.run_count(), s.ttis));
-        columns.extend(widest.map(|condition| Column {
+        columns.extend(widest.map(|condition| ConditionColumn {
             label: preset.to_owned(),
             condition,
         }));
     }
     for condition in &results.by_ranking {
         if !columns.iter().any(|column| std::ptr::eq(column.condition, condition)) {
-            columns.push(Column {
+            columns.push(ConditionColumn {
                 label: format!("{}, K = {}", condition.label(), condition.ttis),
                 condition,
             });
@@ -147,8 +148,8 @@ fn columns(results: &Results) -> Vec<Column<'_>> {
     columns
 }
 
-fn line(topic: &'static Topic, claim: &Claim, columns: &[Column<'_>]) -> Line {
-    Line {
+fn line(topic: &'static ClaimTopic, claim: &Claim, columns: &[ConditionColumn<'_>]) -> ClaimRow {
+    ClaimRow {
         source: topic.source,
         about: topic.about.to_owned(),
         policy: claim.policy.to_owned(),
@@ -166,18 +167,18 @@ fn line(topic: &'static Topic, claim: &Claim, columns: &[Column<'_>]) -> Line {
     }
 }
 
-fn ours(topic: &Topic, claim: &Claim, condition: &Condition) -> Ours {
+fn ours(topic: &ClaimTopic, claim: &Claim, condition: &RunCondition) -> Assessment {
     let judgement = judge(topic, claim, condition);
-    let mut found = found::found(claim, &judgement.findings);
-    if let (Quantity::Gap(other), false) = (claim.quantity, found.is_empty()) {
+    let mut found = finding_text::found(claim, &judgement.findings);
+    if let (ClaimQuantity::Gap(other), false) = (claim.quantity, found.is_empty()) {
         found = format!("gap to {other}: {found}");
     }
-    Ours {
+    Assessment {
         found,
         verdict: judgement.verdict,
         firm: judgement.firm,
-        why: why::why(topic, claim, &judgement, condition),
-        off: off::off(claim, &judgement.findings),
+        why: causes::why(topic, claim, &judgement, condition),
+        off: distance::off(claim, &judgement.findings),
     }
 }
 

@@ -1,16 +1,16 @@
-//! The report as one page of HTML that needs nothing but itself.
+//! The report as one self-contained HTML page.
 
 use std::fmt::Write as _;
 
 use super::judge::Verdict;
-use super::remarks::{RULE, absent, origins, remarks, runs, verdict};
-use super::{Line, Report};
+use super::notes::{RULE, absent, origins, remarks, runs, verdict};
+use super::{ClaimReport, ClaimRow};
 use crate::figures::svg::escape;
 
 const STYLE: &str = include_str!("page.css");
 
-/// The page. `pictures` are SVGs.
-pub fn page(report: &Report<'_>, pictures: &[String], command: &str) -> String {
+/// Renders the page. `pictures` are SVGs.
+pub fn page(report: &ClaimReport<'_>, pictures: &[String], command: &str) -> String {
     let mut out = format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" \
          content=\"width=device-width, initial-scale=1\">\n<title>Reveille beside the \
@@ -32,6 +32,7 @@ pub fn page(report: &Report<'_>, pictures: &[String], command: &str) -> String {
     }
     out.push_str("<h2>Figures</h2>\n<div class=\"figures\">\n");
     for picture in pictures {
+        // Not escaped: the pictures are our own SVG, whose texts are already escaped.
         let _ = writeln!(out, "<figure>{picture}</figure>");
     }
     out.push_str("</div>\n<h2>How it was made</h2>\n");
@@ -72,7 +73,7 @@ const fn class(verdict: Verdict) -> &'static str {
     }
 }
 
-/// A sign in front of the words, for those who do not see colours.
+/// Sign in front of the verdict, for readers who cannot distinguish the colours.
 const fn sign(verdict: Verdict) -> &'static str {
     match verdict {
         Verdict::Reproduced => "✓",
@@ -83,7 +84,7 @@ const fn sign(verdict: Verdict) -> &'static str {
     }
 }
 
-fn tally(report: &Report<'_>) -> String {
+fn tally(report: &ClaimReport<'_>) -> String {
     let mut out = String::from("<table class=\"tally\"><thead><tr><th>claims</th>");
     for column in &report.columns {
         let _ = write!(out, "<th>{}</th>", escape(&column.label));
@@ -106,7 +107,7 @@ fn tally(report: &Report<'_>) -> String {
     out
 }
 
-fn head(report: &Report<'_>, source: &str) -> String {
+fn head(report: &ClaimReport<'_>, source: &str) -> String {
     let mut out = format!(
         "<h3>{}</h3>\n<div class=\"wide\"><table><thead><tr><th></th><th>policy</th><th>N</th><th>stated</th>",
         escape(source)
@@ -118,7 +119,7 @@ fn head(report: &Report<'_>, source: &str) -> String {
     out
 }
 
-fn row(report: &Report<'_>, line: &Line) -> String {
+fn row(report: &ClaimReport<'_>, line: &ClaimRow) -> String {
     let mut out = format!(
         "<tr class=\"claim\"><td>{}</td><td>{}</td><td>{}</td><td>{}</td>",
         escape(&line.about),
@@ -136,6 +137,7 @@ fn row(report: &Report<'_>, line: &Line) -> String {
     }
     let _ = write!(out, "<td>{}</td>", escape(&line.places()));
     let mut reasons: Vec<String> = Vec::new();
+    // A reason that all columns share is printed once, without their names.
     let is_same = line.ours.iter().all(|ours| ours.why == line.ours[0].why);
     for (column, ours) in report.columns.iter().zip(&line.ours) {
         if is_same {
@@ -156,7 +158,7 @@ fn row(report: &Report<'_>, line: &Line) -> String {
     out
 }
 
-/// `text` with figures that are not to be torn apart at the end of a line.
+/// Joins figures in `text` by no-break spaces, so that lines do not break within them.
 fn together(text: &str) -> String {
     text.replace(" ± ", "\u{a0}±\u{a0}").replace("N = ", "N\u{a0}=\u{a0}")
 }

@@ -1,4 +1,4 @@
-//! The report on small tables.
+//! Reports on small tables.
 
 use reveille_bs::scenario::{Override, load};
 use reveille_common::declare::NoFiles;
@@ -9,7 +9,7 @@ use super::markdown::markdown;
 use super::page::page;
 use super::*;
 use crate::figures::results::{Results, fixtures};
-use reveille_lab::table::Value;
+use reveille_lab::table::SweptValue;
 
 fn results() -> Results {
     let runs: [(&str, u32, &[f64]); 5] = [
@@ -22,7 +22,7 @@ fn results() -> Results {
     Results::new(&[fixtures::table("paper", "energy_per_device_tti", &runs)], &NoFiles).expect("runs")
 }
 
-fn line<'l>(report: &'l Report<'_>, source: &str, policy: &str, sites: &str) -> &'l Line {
+fn line<'l>(report: &'l ClaimReport<'_>, source: &str, policy: &str, sites: &str) -> &'l ClaimRow {
     let found = report
         .lines
         .iter()
@@ -30,8 +30,8 @@ fn line<'l>(report: &'l Report<'_>, source: &str, policy: &str, sites: &str) -> 
     found.unwrap_or_else(|| panic!("{source} {policy} {sites}"))
 }
 
-/// The line of a policy that states `paper`.
-fn said<'l>(report: &'l Report<'_>, source: &str, policy: &str, paper: &str) -> &'l Line {
+/// Finds the row of a policy whose paper value is `paper`.
+fn said<'l>(report: &'l ClaimReport<'_>, source: &str, policy: &str, paper: &str) -> &'l ClaimRow {
     let found = report
         .lines
         .iter()
@@ -42,7 +42,7 @@ fn said<'l>(report: &'l Report<'_>, source: &str, policy: &str, paper: &str) -> 
 #[test]
 fn every_claim_has_a_verdict_under_every_preset() {
     let results = results();
-    let report = Report::new(&results);
+    let report = ClaimReport::new(&results);
     let labels: Vec<&str> = report.columns.iter().map(|c| c.label.as_str()).collect();
     assert_eq!(labels, ["paper"], "no table of paper-literal");
     assert_eq!(report.missing().collect::<Vec<_>>(), ["paper-literal"]);
@@ -96,11 +96,11 @@ fn a_preset_is_shown_by_the_table_that_covers_most_claims() {
             &format!("seed={}", row.seed),
         ];
         let overrides = overrides.map(|text| Override::parse(text).expect("an override"));
-        row.scenario_hash = reveille_lab::table::Hash(load("paper", &overrides).expect("a scenario").hash());
+        row.scenario_hash = reveille_lab::table::Hash(load("paper", &overrides).expect("a scenario").scenario.hash());
     }
     let tables = [("long.parquet".to_owned(), long), (name, wide)];
     let results = Results::new(&tables, &NoFiles).expect("runs");
-    let report = Report::new(&results);
+    let report = ClaimReport::new(&results);
     assert_eq!(report.columns[0].condition.ttis, 2000);
     assert_eq!(report.columns[1].label, "paper, K = 90000");
 }
@@ -108,13 +108,14 @@ fn a_preset_is_shown_by_the_table_that_covers_most_claims() {
 #[test]
 fn the_lambda_of_a_consumption_solves_the_closed_form() {
     let results = results();
-    let report = Report::new(&results);
+    let report = ClaimReport::new(&results);
     let at = |sites: &str, e_b: &str, policy: &str| {
-        let own =
-            |l: &&Line| l.about.ends_with(&format!("E_B = {e_b}")) && l.sites == sites && l.policy.starts_with(policy);
+        let own = |l: &&ClaimRow| {
+            l.about.ends_with(&format!("E_B = {e_b}")) && l.sites == sites && l.policy.starts_with(policy)
+        };
         report.lines.iter().find(own).expect("a claim").ours[0].clone()
     };
-    // λ·exp(-λ) = 0.345 has 0.6864 (exp(-0.6864) = 0.5034), 5·λ·exp(-λ) = 0.345 has 0.0743 (exp(-0.0743) = 0.9284).
+    // λ·exp(-λ) = 0.345 at 0.6864 (exp(-0.6864) = 0.5034); 5·λ·exp(-λ) = 0.345 at 0.0743 (exp(-0.0743) = 0.9284).
     let few = at("N = 10", "1", "random, spends least");
     assert!(few.found.starts_with("0.68"), "{few:?}");
     assert!(
@@ -144,8 +145,8 @@ fn what_the_paper_says_of_q_learning_is_judged_by_its_runs() {
     let runs: [(&str, u32, &[f64]); 2] = [("q-learning", 250, &[0.23, 0.24]), ("q-learning", 10, &[0.6, 0.62])];
     let table = fixtures::table("paper", "energy_per_device_tti", &runs);
     let results = Results::new(std::slice::from_ref(&table), &NoFiles).expect("runs");
-    let report = Report::new(&results);
-    let built = |line: &&Line| line.policy.starts_with("q-learning");
+    let report = ClaimReport::new(&results);
+    let built = |line: &&ClaimRow| line.policy.starts_with("q-learning");
     for line in report.lines.iter().filter(built) {
         assert!(
             line.ours
@@ -170,7 +171,7 @@ fn a_policy_at_the_other_end_than_in_the_paper_is_judged_all_the_same() {
     let runs: [(&str, u32, &[f64]); 2] = [("adjusted", 100, &[0.13, 0.14]), ("random", 100, &[0.38, 0.39])];
     let table = fixtures::table("paper", "energy_per_device_tti", &runs);
     let results = Results::new(std::slice::from_ref(&table), &NoFiles).expect("runs");
-    let report = Report::new(&results);
+    let report = ClaimReport::new(&results);
     let adjusted = line(&report, "Fig. 14", "adjusted, spends most", "N = 100");
     // 0.135 = λ·exp(-λ) at 0.1594 (exp(-0.1594) = 0.8527).
     let ours = &adjusted.ours[0];
@@ -200,13 +201,13 @@ fn lambda_is_not_compared_where_devices_do_not_harvest_by_eq_5() {
         "policy.name=random",
     ];
     let overrides = overrides.map(|text| Override::parse(text).expect("an override"));
-    let other = load("paper", &overrides).expect("a scenario");
+    let other = load("paper", &overrides).expect("a scenario").scenario;
     let (name, mut table) = fixtures::table("paper", "energy_per_device_tti", &[("random", 100, &[0.2])]);
     table.rows[0].scenario_hash = reveille_lab::table::Hash(other.hash());
     for experiment in ["[set]\n\"harvest.kind\" = \"exp-minus-lambda\"\n", ""] {
         table.about.experiment = experiment.to_owned();
         let results = Results::new(&[(name.clone(), table.clone())], &NoFiles).expect("runs");
-        let report = Report::new(&results);
+        let report = ClaimReport::new(&results);
         let ours = &line(&report, "Fig. 14", "random, spends least", "N = 100").ours[0];
         assert!(
             ours.verdict == Verdict::NotRun && ours.why.contains("Not comparable"),
@@ -223,7 +224,7 @@ fn lambda_is_not_compared_where_devices_do_not_harvest_by_eq_5() {
 #[test]
 fn the_page_is_well_formed_needs_nothing_and_holds_every_claim() {
     let results = results();
-    let report = Report::new(&results);
+    let report = ClaimReport::new(&results);
     let picture = crate::figures::svg::svg(&crate::figures::scene::Scene::new(9.0, 9.0), "x");
     let html = page(&report, &[picture], "reveille report \"a & b\"");
     // Void elements apart, the page is XML.
@@ -263,7 +264,7 @@ fn the_page_is_well_formed_needs_nothing_and_holds_every_claim() {
 #[test]
 fn markdown_tables_are_straight() {
     let results = results();
-    let report = Report::new(&results);
+    let report = ClaimReport::new(&results);
     let text = markdown(&report, &[("A".to_owned(), "a.svg".to_owned())], "reveille report x");
     let mut rows = 0;
     for block in text.split("\n\n").filter(|block| block.starts_with('|')) {
@@ -287,7 +288,7 @@ fn not_one_miss_is_bounded_by_the_rule_of_three() {
         &[("knn", 250, &[0.0, 0.0]), ("genie", 250, &[0.0, 1.0])],
     );
     let results = Results::new(&[table], &NoFiles).expect("runs");
-    let report = Report::new(&results);
+    let report = ClaimReport::new(&results);
     let knn = &said(&report, "Fig. 9", "knn", "< 0.01").ours[0];
     // 300 / 600 = 0.5 %, far above the stated 0.01 %.
     assert_eq!(
@@ -295,7 +296,7 @@ fn not_one_miss_is_bounded_by_the_rule_of_three() {
         (Verdict::Reproduced, false, "0 in 600 events, < 0.500")
     );
     assert!(report.tally(0, Verdict::Reproduced).ends_with(" ?"));
-    // One run of two missed 1 % of its 300 events.
+    // One of two runs missed 1 % of its 300 events.
     let genie = &said(&report, "Fig. 9", "genie", "≈ 0.003").ours[0];
     assert!(genie.found.starts_with("0.500, 3 in 600 events, < 6.85"), "{genie:?}");
     for text in [markdown(&report, &[], ""), page(&report, &[], "")] {
@@ -309,7 +310,7 @@ fn almost_nothing_beside_others_is_zero() {
         let runs: [(&str, u32, &[f64]); 2] = [("genie", 50, &[genie; 2]), ("knn", 50, &[4.0; 2])];
         let results =
             Results::new(&[fixtures::table("paper", "wasted_energy_per_event", &runs)], &NoFiles).expect("runs");
-        let report = Report::new(&results);
+        let report = ClaimReport::new(&results);
         assert_eq!(said(&report, "Fig. 12b", "genie", "≈ 0").ours[0].verdict, expected);
     }
 }
@@ -329,7 +330,7 @@ fn reasons_are_those_that_the_runs_show() {
         row.metrics[low] = if &*row.policy == "knn" { 80.0 } else { 3.0 };
     }
     let results = Results::new(&[table], &NoFiles).expect("runs");
-    let report = Report::new(&results);
+    let report = ClaimReport::new(&results);
     let why = |policy: &str, paper: &str| said(&report, "Fig. 8", policy, paper).ours[0].why.clone();
     let [knn, random] = [why("knn", "0.45 to 0.83"), why("random", "≈ 0.34")];
     assert!(knn.contains("80.0 % of the devices are below E_Tx"), "{knn}");
@@ -347,7 +348,7 @@ fn reasons_are_those_that_the_runs_show() {
 fn outside_a_range_and_near_it_is_not_called_reproduced() {
     let runs: [(&str, u32, &[f64]); 1] = [("knn", 10, &[0.4, 0.4])];
     let results = Results::new(&[fixtures::table("paper", "energy_per_device_tti", &runs)], &NoFiles).expect("runs");
-    let report = Report::new(&results);
+    let report = ClaimReport::new(&results);
     let knn = &said(&report, "Fig. 8", "knn", "0.45 to 0.83").ours[0];
     assert_eq!(knn.verdict, Verdict::Near);
     assert!(knn.why.contains("0.889 times the nearer end of the range"), "{knn:?}");
@@ -358,8 +359,8 @@ fn outside_a_range_and_near_it_is_not_called_reproduced() {
 fn what_is_said_of_one_n_counts_before_what_is_said_of_many() {
     let runs: [(&str, u32, &[f64]); 2] = [("knn", 10, &[5.0, 5.0]), ("adjusted", 10, &[20.0, 20.0])];
     let results = Results::new(&[fixtures::table("paper", "misdetection_pct", &runs)], &NoFiles).expect("runs");
-    let report = Report::new(&results);
-    // 58 % against 33 %, whatever "above 2 %" for all N under 200 leaves open.
+    let report = ClaimReport::new(&results);
+    // 58 % against 33 %, which "above 2 %" for all N under 200 does not contradict.
     let adjusted = &said(&report, "Fig. 9", "adjusted", "≈ 58").ours[0];
     assert_eq!(adjusted.verdict, Verdict::OrderReproduced, "{adjusted:?}");
     assert!(
@@ -371,7 +372,7 @@ fn what_is_said_of_one_n_counts_before_what_is_said_of_many() {
 #[test]
 fn claims_without_runs_are_one_line() {
     let results = results();
-    let report = Report::new(&results);
+    let report = ClaimReport::new(&results);
     let not_run = report.lines.iter().filter(|line| !line.is_run()).count();
     assert!(not_run > 50);
     let total = report.lines.len();
@@ -388,18 +389,18 @@ fn claims_without_runs_are_one_line() {
 
 #[test]
 fn a_sweep_over_a_field_judges_its_presets_own_value_and_says_what_it_cannot() {
-    let lambda = Value::Float;
-    let runs: [(&str, u32, Value, &[f64]); 5] = [
+    let lambda = SweptValue::Float;
+    let runs: [(&str, u32, SweptValue, &[f64]); 5] = [
         ("knn", 250, lambda(0.05), &[0.15, 0.151]),
         ("knn", 250, lambda(0.1), &[0.15, 0.151]),
         ("random", 30, lambda(0.05), &[0.3, 0.31]),
         ("random", 30, lambda(0.1), &[0.3, 0.31]),
-        // One λ without a policy that claims are about.
+        // Includes a λ without any policy that claims concern.
         ("random", 30, lambda(0.2), &[0.3, 0.31]),
     ];
     let table = fixtures::swept("paper", "energy_per_device_tti", "harvest.lambda", &runs);
     let results = Results::new(&[table], &NoFiles).expect("runs");
-    let report = Report::new(&results);
+    let report = ClaimReport::new(&results);
     let labels: Vec<&str> = report.columns.iter().map(|column| column.label.as_str()).collect();
     assert_eq!(
         labels,
@@ -418,7 +419,7 @@ fn a_sweep_over_a_field_judges_its_presets_own_value_and_says_what_it_cannot() {
 #[test]
 fn the_paper_against_itself_is_told_with_both_places() {
     let results = results();
-    let report = Report::new(&results);
+    let report = ClaimReport::new(&results);
     for text in [markdown(&report, &[], ""), page(&report, &[], "")] {
         let text = text.replace('\u{a0}', " ");
         for part in [
@@ -434,8 +435,8 @@ fn the_paper_against_itself_is_told_with_both_places() {
 
 #[test]
 fn each_ranking_has_a_column_and_the_papers_is_that_of_the_preset() {
-    let ranking = |name: &str| Value::Text(name.to_owned());
-    let runs: [(&str, u32, Value, &[f64]); 4] = [
+    let ranking = |name: &str| SweptValue::Text(name.to_owned());
+    let runs: [(&str, u32, SweptValue, &[f64]); 4] = [
         ("knn", 250, ranking("p42"), &[0.15, 0.151]),
         ("knn", 250, ranking("posterior"), &[0.3, 0.31]),
         ("random", 250, ranking("p42"), &[0.4, 0.41]),
@@ -443,20 +444,20 @@ fn each_ranking_has_a_column_and_the_papers_is_that_of_the_preset() {
     ];
     let table = fixtures::swept("paper", "energy_per_device_tti", "bs.ranking", &runs);
     let results = Results::new(&[table], &NoFiles).expect("runs");
-    let report = Report::new(&results);
+    let report = ClaimReport::new(&results);
     let labels: Vec<&str> = report.columns.iter().map(|column| column.label.as_str()).collect();
     assert_eq!(labels, ["paper", "paper, bs.ranking = posterior, K = 2000"]);
     let knn = said(&report, "Fig. 8", "knn", "≈ 0.145");
     let verdicts: Vec<Verdict> = knn.ours.iter().map(|ours| ours.verdict).collect();
     assert_eq!(verdicts, [Verdict::Reproduced, Verdict::OrderReproduced]);
-    let drawn: Vec<Vec<&str>> = report.drawn().map(Condition::policies).collect();
+    let drawn: Vec<Vec<&str>> = report.drawn().map(RunCondition::policies).collect();
     assert_eq!(drawn, [["knn", "knn+posterior", "random"]], "one picture with both");
 }
 
 #[test]
 fn the_parts_of_a_page_hold_every_claim_that_was_run() {
     let results = results();
-    let report = Report::new(&results);
+    let report = ClaimReport::new(&results);
     let parts = super::markdown::parts(&report, "command");
     let part = |name: &str| &parts.iter().find(|part| part.name == name).expect("a part").body;
     let rows = part("claims")

@@ -1,6 +1,6 @@
-//! Whatever arrives on the bus: no payload makes the codec panic, and what it reads it writes again unchanged.
+//! Fuzzes the codec of bus messages: no payload panics, and a decoded value encodes to the same bytes.
 //!
-//! The first byte chooses the kind of message, or the kind of reply, or a batch for observers; the rest is the payload.
+//! The first byte selects a message kind, a reply kind or a batch for observers; the rest is the payload.
 
 #![no_main]
 
@@ -9,9 +9,9 @@ use reveille_common::codec;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Message, MessageKind, PlanUpdate, Reply, TapBatch};
 
-/// A message comes back from its own wire form, which has the stated length, and can be shown.
+/// Checks that a message decodes from its own wire form, has the stated length and can be printed.
 ///
-/// Wire forms are compared, not values: a NaN is not equal to itself, its bits are.
+/// Compares wire forms, not values: a NaN differs from itself, but its bits do not.
 fn use_message(message: &Message) {
     let wire = message.encode();
     assert_eq!(message.encoded_len(), wire.len() as u64, "the stated length");
@@ -21,7 +21,7 @@ fn use_message(message: &Message) {
     message.concerns(Some(1), DeviceId(1));
 }
 
-/// A plan from outside answers for any device and any TTI.
+/// Checks that a decoded plan can be queried for any device and any TTI.
 fn use_plan(update: &PlanUpdate) {
     for device in [0, 1, 7, 8, 1_000, u32::MAX].map(DeviceId) {
         let duty = update.plan.duty_cycle(device);

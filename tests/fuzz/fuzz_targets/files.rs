@@ -1,7 +1,7 @@
-//! Whatever is in the files that programs leave: journals and tables of sweeps, trajectories, recordings, marks and
-//! logs of inputs of runs. They are refused in words or read, and nothing in them brings the reader down.
+//! Fuzzes the readers of sweep journals and tables, trajectories, recordings, resume marks and input logs. A file is
+//! read or refused with an error; no content panics.
 //!
-//! The first byte chooses the kind. Files that are read by path lie in memory.
+//! The first byte selects the kind. Files that are read by path are in memory.
 
 #![no_main]
 
@@ -11,17 +11,16 @@ use std::sync::OnceLock;
 use std::{fs, process};
 
 use libfuzzer_sys::fuzz_target;
-use reveille_bs::scenario::load;
-use reveille_common::scenario::Scenario;
-use reveille_lab::inputs;
-use reveille_lab::mark::Mark;
-use reveille_lab::sweep::journal::{Journal, Keeper as _};
+use reveille_bs::scenario::{Scenario, load};
+use reveille_lab::external_inputs;
+use reveille_lab::resume_mark::ResumeMark;
+use reveille_lab::sweep::journal::{Journal, RunStore as _};
 use reveille_lab::table::{Format, Table};
-use reveille_lab::trajectories;
-use reveille_view::recording::Reader;
-use reveille_view::replay::Replay;
+use reveille_lab::trajectories::Trajectories;
+use reveille_view::reconstruction::Reconstruction;
+use reveille_view::recording::RecordingReader;
 
-/// A file in memory for this process alone.
+/// Returns the path of an in-memory file that only this process uses.
 fn path(name: &str) -> PathBuf {
     Path::new("/dev/shm").join(format!("reveille-fuzz-{}-{name}", process::id()))
 }
@@ -32,7 +31,7 @@ fn put(name: &str, bytes: &[u8]) -> PathBuf {
     path
 }
 
-/// A table that is read is written and read again as the same.
+/// Checks that a readable table survives a write and a second read unchanged.
 fn table(name: &str, format: Format, bytes: &[u8]) {
     match Table::read(&put(name, bytes)) {
         Ok(table) => {
@@ -45,7 +44,7 @@ fn table(name: &str, format: Format, bytes: &[u8]) {
     }
 }
 
-/// A journal's whole lines are kept, the rest is taken out once and for all.
+/// Checks that a journal keeps its complete lines and permanently drops the rest.
 fn journal(lines: &[u8]) {
     let path = path("runs.journal");
     let _gone = fs::remove_file(&path);
@@ -54,7 +53,7 @@ fn journal(lines: &[u8]) {
     bytes.extend_from_slice(lines);
     fs::write(&path, bytes).expect("memory to write to");
     if let Ok(opened) = Journal::open(&path, "sweep", 4, 8) {
-        // NaN is no equal to itself, and is shown like itself.
+        // Compare debug output, since NaN differs from itself.
         let kept = format!("{:?}", opened.runs());
         drop(opened);
         let again = Journal::open(&path, "sweep", 4, 8).expect("it was mended");
@@ -62,9 +61,9 @@ fn journal(lines: &[u8]) {
     }
 }
 
-/// A recording is gone through to its end or to where it is torn.
+/// Reads a recording to its end or to the point where it is truncated.
 fn recording(bytes: &[u8]) {
-    let mut reader = match Reader::open(Cursor::new(bytes)) {
+    let mut reader = match RecordingReader::open(Cursor::new(bytes)) {
         Ok(reader) => reader,
         Err(error) => {
             assert!(!error.to_string().trim().is_empty());
@@ -75,41 +74,44 @@ fn recording(bytes: &[u8]) {
         .bundle()
         .load()
         .ok()
-        .filter(|scenario| scenario.devices <= 64)
-        .map(|s| Replay::new(&s));
+        .filter(|scenario| scenario.run.devices <= 64)
+        .map(|s| Reconstruction::new(&s));
     let mut fits = true;
     while let Ok(Some(frame)) = reader.next_frame() {
         if let Some(replay) = replay.as_mut().filter(|_| fits) {
-            fits = replay.take(&frame).is_ok();
+            fits = replay.apply(&frame).is_ok();
         }
     }
 }
 
 fn scenario() -> &'static Scenario {
     static SCENARIO: OnceLock<Scenario> = OnceLock::new();
-    SCENARIO.get_or_init(|| load("quick", &[]).expect("a preset"))
+    SCENARIO.get_or_init(|| load("quick", &[]).expect("a preset").scenario)
 }
 
-/// A mark that is read is written as the same, and another run is none that comes by it.
+/// Checks that a readable resume mark is written unchanged and does not match another run.
 fn mark(text: &str) {
-    match Mark::parse(text, scenario()) {
+    match ResumeMark::parse(text, scenario()) {
         Ok(mark) => {
-            assert_eq!(Mark::parse(&mark.text(), scenario()).expect("what was written"), mark);
-            assert!(mark.window > 0 && mark.tti <= scenario().ttis);
+            assert_eq!(
+                ResumeMark::parse(&mark.text(), scenario()).expect("what was written"),
+                mark
+            );
+            assert!(mark.window > 0 && mark.tti <= scenario().run.ttis);
         }
         Err(error) => assert!(!error.to_string().trim().is_empty()),
     }
 }
 
-/// Inputs that are read are written as the same, and a run can have them.
+/// Checks that a readable input log is written unchanged and that a run accepts its inputs.
 fn log(text: &str) {
-    match inputs::parse(text, scenario()) {
+    match external_inputs::parse(text, scenario()) {
         Ok(all) => {
-            let lines: String = all.iter().map(|input| inputs::line(&input)).collect();
-            let again = inputs::parse(&(inputs::first_line(scenario()) + &lines), scenario());
+            let lines: String = all.iter().map(|input| external_inputs::line(&input)).collect();
+            let again = external_inputs::parse(&(external_inputs::first_line(scenario()) + &lines), scenario());
             assert_eq!(again.expect("what was written"), all);
             for outage in all.outages {
-                assert!(outage.is_sound(scenario().devices) && outage.tti.0 < scenario().ttis);
+                assert!(outage.is_valid(scenario().run.devices) && outage.tti.0 < scenario().run.ttis);
             }
         }
         Err(error) => assert!(!error.to_string().trim().is_empty()),
@@ -123,7 +125,7 @@ fuzz_target!(|data: &[u8]| {
     match choice % 7 {
         0 => journal(rest),
         1 => {
-            // The table, and what it says of itself.
+            // Table, then its sidecar.
             let cut = rest.iter().position(|byte| *byte == 0).unwrap_or(rest.len());
             let (rows, about) = rest.split_at(cut);
             put("results.csv.toml", about.get(1..).unwrap_or_default());
@@ -131,16 +133,16 @@ fuzz_target!(|data: &[u8]| {
         }
         2 => table("results.parquet", Format::Parquet, rest),
         3 => {
-            if let Err(error) = trajectories::read(&put("trajectories.parquet", rest)) {
+            if let Err(error) = Trajectories::read(&put("trajectories.parquet", rest)) {
                 assert!(!error.to_string().trim().is_empty());
             }
         }
         4 => mark(&String::from_utf8_lossy(rest)),
         5 => {
-            // Behind the line that names the run, or for itself.
+            // With and without the first line, which names the run.
             let text = String::from_utf8_lossy(rest);
             log(&text);
-            log(&(inputs::first_line(scenario()) + &text));
+            log(&(external_inputs::first_line(scenario()) + &text));
         }
         _ => recording(rest),
     }

@@ -1,5 +1,5 @@
-//! Whatever a host hears of the clock, plans and wake-ups, in whatever order: it follows each TTI once and in its turn,
-//! with δ as it was planned last, and without a panic.
+//! Fuzzes the messages that a host receives about clock, plans and wake-ups, in any order. The host follows each TTI
+//! once and in order, uses the latest planned δ and does not panic.
 
 #![no_main]
 
@@ -9,48 +9,47 @@ use reveille_common::codec;
 use reveille_common::event::Stimulus;
 use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, EventId, Tti};
-use reveille_common::message::{Clock, PlanUpdate, Tick, WakeUp};
+use reveille_common::message::{ClockMessage, GrantMessage, PlanUpdate, ResumePoint, WakeUp};
 use reveille_common::plan::{DutyCycle, Plan};
-use reveille_common::radio::Radio;
-use reveille_device::follower::{Beginning, Call, Follower, Heed, Turn};
+use reveille_common::radio::RadioSettings;
+use reveille_device::grant_follower::{Disposition, FollowerStart, GrantFollower, GrantTask, WakeUpTask};
 
 const FIRST: u32 = 2;
 const DEVICES: u32 = 4;
 const D_MAX: f64 = 4.0;
 const END: u64 = 60;
 
-/// A host, and what it should have in mind, TTI by TTI.
+/// A host, and its expected state in each TTI.
 struct Host {
-    follower: Follower,
-    /// Plans that were heard for TTIs that had not been granted then, by TTI.
+    follower: GrantFollower,
+    /// Plans received for TTIs that were not yet granted, by TTI.
     heard: Vec<Option<Plan>>,
-    /// δ by device, as it was told to change.
+    /// Expected δ by device.
     duties: Vec<DutyCycle>,
-    /// What a device takes to wake, in TTIs.
+    /// Wake-up latency of a device, in TTIs.
     latency: u64,
     next: u64,
-    tick: Option<Tick>,
+    tick: Option<GrantMessage>,
 }
 
-fn radio(wake_latency: u64) -> Radio {
-    Radio {
+fn radio(wake_latency: u64) -> RadioSettings {
+    RadioSettings {
         wake_latency,
-        ..Radio::default()
+        ..RadioSettings::default()
     }
 }
 
 impl Host {
     fn new(latency: u64) -> Self {
         let duties = vec![DutyCycle::ASLEEP; DEVICES as usize];
-        let beginning = Beginning {
+        let beginning = FollowerStart {
             first: DeviceId(FIRST),
             positions: (0..DEVICES).map(|j| Point::new(f64::from(j) * 2.0, 0.0)).collect(),
             duties: duties.clone(),
-            next: Tti::ZERO,
-            plan: None,
+            at: ResumePoint::default(),
         };
         Self {
-            follower: Follower::new(beginning, D_MAX, Tti(END), 0, &radio(latency)),
+            follower: GrantFollower::new(beginning, D_MAX, Tti(END), 0, &radio(latency)),
             heard: vec![None; END as usize],
             duties,
             latency,
@@ -62,22 +61,22 @@ impl Host {
     fn plan(&mut self, update: PlanUpdate) {
         let PlanUpdate { from, plan } = update.clone();
         let is_due = from.0 >= self.next && from.0 < END;
-        assert_eq!(self.follower.plan(update), is_due);
+        assert_eq!(self.follower.receive_plan(update), is_due);
         if is_due {
             self.heard[from.0 as usize] = Some(plan);
         }
     }
 
-    fn grant(&mut self, tick: Tick) {
-        match self.follower.grant(tick) {
-            Heed::Again => assert_eq!(self.tick.map(|own| own.last), Some(tick.last), "another question"),
-            Heed::Wait => {}
-            Heed::Do(turn) => self.go(tick, turn),
+    fn grant(&mut self, tick: GrantMessage) {
+        match self.follower.receive_grant(tick) {
+            Disposition::Again => assert_eq!(self.tick.map(|own| own.last), Some(tick.last), "another question"),
+            Disposition::Wait => {}
+            Disposition::Do(turn) => self.go(tick, turn),
         }
         assert_eq!(self.follower.next(), Tti(self.next));
     }
 
-    fn go(&mut self, tick: Tick, turn: Turn) {
+    fn go(&mut self, tick: GrantMessage, turn: GrantTask) {
         assert!(
             tick.first.0 == self.next && tick.last >= tick.first && tick.last.0 < END,
             "out of turn: {tick:?}"
@@ -90,7 +89,7 @@ impl Host {
                 assert_ne!(self.duties[j], duty, "no change at all");
                 self.duties[j] = duty;
             }
-            // Before the first plan devices sleep.
+            // Devices sleep until the first plan.
             let in_force = self.heard[..=k as usize].iter().rev().flatten().next();
             for (j, duty) in self.duties.iter().enumerate() {
                 let device = DeviceId(FIRST + j as u32);
@@ -114,22 +113,22 @@ impl Host {
 
     fn wake(&self, device: DeviceId, wake: WakeUp) {
         let own = (FIRST..FIRST + DEVICES).contains(&device.0);
-        let before = |tick: &Tick| (0..100).find(|before| tick.last.0 + before * self.latency == wake.tti.0);
+        let before = |tick: &GrantMessage| (0..100).find(|before| tick.last.0 + before * self.latency == wake.tti.0);
         let tick = self
             .tick
             .filter(|tick| own && tick.stimulus.is_some() && before(tick).is_some());
-        let expected = tick.map(|tick| Call {
+        let expected = tick.map(|tick| WakeUpTask {
             device: (device.0 - FIRST) as usize,
             tti: tick.last,
             stimulus: tick.stimulus.filter(|_| wake.tti.0 + self.latency <= tick.until.0),
         });
-        assert_eq!(self.follower.wake(device, wake), expected);
+        assert_eq!(self.follower.receive_wake_up(device, wake), expected);
     }
 
     fn finish(&mut self, end: Tti) -> bool {
-        let heed = self.follower.finish(end);
-        assert_eq!(heed == Heed::Do(()), end.0 == self.next);
-        heed == Heed::Do(())
+        let heed = self.follower.receive_finish(end);
+        assert_eq!(heed == Disposition::Do(()), end.0 == self.next);
+        heed == Disposition::Do(())
     }
 }
 
@@ -156,7 +155,7 @@ fn plan(input: &mut Unstructured<'_>) -> Result<Plan> {
     })
 }
 
-fn tick(host: &Host, input: &mut Unstructured<'_>) -> Result<Tick> {
+fn tick(host: &Host, input: &mut Unstructured<'_>) -> Result<GrantMessage> {
     let first = near(host.next, input)?;
     let last = Tti(first.0 + input.int_in_range(0..=4)?);
     let stimulus = if input.arbitrary()? {
@@ -169,10 +168,10 @@ fn tick(host: &Host, input: &mut Unstructured<'_>) -> Result<Tick> {
     } else {
         None
     };
-    // As a rule what the base station would say, if the host has heard all of its plans.
+    // Usually the grant that the base station would send if the host has received all of its plans.
     let told = input.ratio(7, 8)?;
     let own = |from: u64, to: u64| (from..=to.min(END - 1)).filter(|&k| host.heard[k as usize].is_some());
-    Ok(Tick {
+    Ok(GrantMessage {
         first,
         last,
         stimulus,
@@ -213,13 +212,13 @@ fn play(input: &mut Unstructured<'_>) -> Result<()> {
             }
             8 => {
                 let length = input.int_in_range(0..=64)?;
-                if let Ok(Clock::Grant(tick)) = codec::decode::<Clock>(input.bytes(length)?) {
+                if let Ok(ClockMessage::Grant(tick)) = codec::decode::<ClockMessage>(input.bytes(length)?) {
                     host.grant(tick);
                 }
             }
             _ => {
                 if host.finish(near(host.next, input)?) {
-                    // All that comes after it is of no use.
+                    // The host ignores everything after the finish message.
                     return Ok(());
                 }
             }
@@ -229,6 +228,6 @@ fn play(input: &mut Unstructured<'_>) -> Result<()> {
 }
 
 fuzz_target!(|data: &[u8]| {
-    // A fuzzer that has nothing more to say has said enough.
+    // Running out of fuzzer input ends the case.
     let _done = play(&mut Unstructured::new(data));
 });

@@ -1,6 +1,5 @@
-//! Whatever hosts do, in whatever order: they join, are ready, come and go, answer what was asked and what was not, and
-//! are replaced or given up. The base station keeps its books without a panic, and is never satisfied by less than all
-//! answers.
+//! Fuzzes the base station's host records: hosts join, get ready, leave, return, answer requested and other messages,
+//! and are replaced or removed. The base station does not panic and completes a barrier only with all answers.
 
 #![no_main]
 
@@ -8,34 +7,36 @@ use std::time::{Duration, Instant};
 
 use libfuzzer_sys::arbitrary::{Result, Unstructured};
 use libfuzzer_sys::fuzz_target;
-use reveille_bs::host::admission::{Admission, Newcomer, Places};
-use reveille_bs::host::barrier::{Asked, Barrier};
-use reveille_bs::host::losses::Losses;
-use reveille_bs::host::roster::Roster;
 use reveille_bs::scenario::{Override, load};
+use reveille_bs::server::admission::{Admission, Assignment, JoiningHost};
+use reveille_bs::server::barrier::{Barrier, GrantOptions};
+use reveille_bs::server::failover::LostHosts;
+use reveille_bs::server::roster::Roster;
 use reveille_common::codec;
 use reveille_common::deployment::Deployment;
 use reveille_common::ids::{DeviceId, HostId, Tti};
-use reveille_common::message::{Answer, Checkpoint, Failure, Report, Resumption, WakeOutcome};
-use reveille_common::secret::{HostPass, Secret};
+use reveille_common::message::{
+    DeviceCheckpoint, FailedTransmission, HostAnswer, HostCheckpoint, Report, ResumePoint, WakeOutcome,
+};
+use reveille_common::secret::{HostCredential, Secret};
 use reveille_common::units::Energy;
 
 const DEVICES: u32 = 12;
 
-/// A base station's books, and what a fuzzer does with them.
+/// The base station's host records, driven by the fuzzer.
 struct Books {
     admission: Admission,
     barrier: Barrier,
-    losses: Losses,
-    passes: Vec<HostPass>,
+    losses: LostHosts,
+    passes: Vec<HostCredential>,
     is_running: bool,
-    /// Whether the run waits for what is lost, or goes on without it.
+    /// Whether the run waits for lost hosts or continues without their devices.
     waits: bool,
     now: Instant,
     tti: u64,
 }
 
-/// What is waited for, as far as this program knows.
+/// Barrier that the fuzz target expects to be open.
 #[derive(Clone, Copy, PartialEq)]
 enum Open {
     Nothing,
@@ -47,12 +48,12 @@ enum Open {
 impl Books {
     fn new(waits: bool) -> Self {
         let set = Override::parse(&format!("devices={DEVICES}")).expect("an override");
-        let scenario = load("quick", &[set]).expect("a preset");
+        let scenario = load("quick", &[set]).expect("a preset").scenario;
         let deployment = Deployment::new(&scenario);
         Self {
             admission: Admission::new(DEVICES),
             barrier: Barrier::new(Roster::new(deployment.devices, scenario.sensing.psi)),
-            losses: Losses::default(),
+            losses: LostHosts::default(),
             passes: Vec::new(),
             is_running: false,
             waits,
@@ -61,8 +62,8 @@ impl Books {
         }
     }
 
-    fn newcomer(&self, input: &mut Unstructured<'_>) -> Result<Newcomer> {
-        Ok(Newcomer {
+    fn newcomer(&self, input: &mut Unstructured<'_>) -> Result<JoiningHost> {
+        Ok(JoiningHost {
             nonce: u64::from(input.arbitrary::<u8>()?),
             token: Secret::new(input.arbitrary()?),
             name: "a host".to_owned(),
@@ -71,8 +72,8 @@ impl Books {
         })
     }
 
-    fn enter(&mut self, places: Places, token: Secret) {
-        let pass = HostPass {
+    fn enter(&mut self, places: Assignment, token: Secret) {
+        let pass = HostCredential {
             host: places.host,
             token,
         };
@@ -83,14 +84,14 @@ impl Books {
     fn join(&mut self, input: &mut Unstructured<'_>) -> Result<()> {
         let newcomer = self.newcomer(input)?;
         let token = newcomer.token;
-        if self.admission.known(newcomer.nonce).is_some() {
+        if self.admission.find_by_nonce(newcomer.nonce).is_some() {
             return Ok(());
         }
         if self.is_running {
             if !self.waits {
                 return Ok(());
             }
-            if let Some((lost, _)) = self.losses.fitting(newcomer.count) {
+            if let Some((lost, _)) = self.losses.find_takeover(newcomer.count) {
                 let places = self.admission.take_over(newcomer, lost);
                 self.losses.offer(lost.host, places.host);
                 self.enter(places, token);
@@ -101,9 +102,9 @@ impl Books {
         Ok(())
     }
 
-    /// The run begins once everybody is there.
+    /// Starts the run when all hosts are ready.
     fn begin(&mut self) {
-        if let Some(hosts) = self.admission.complete().filter(|_| !self.is_running) {
+        if let Some(hosts) = self.admission.all_ready().filter(|_| !self.is_running) {
             let mut carried = vec![false; DEVICES as usize];
             for places in &hosts {
                 for device in places.first.0..=places.last().0 {
@@ -116,52 +117,52 @@ impl Books {
         }
     }
 
-    fn alive(&mut self, pass: HostPass, is_alive: bool) {
+    fn alive(&mut self, pass: HostCredential, is_alive: bool) {
         if !self.admission.is_valid(pass) {
             return;
         }
         self.admission.set_alive(pass.host, is_alive);
         if is_alive {
-            if let Some(newcomer) = self.losses.back(pass.host, self.now).flatten() {
-                self.admission.retire(newcomer);
+            if let Some(newcomer) = self.losses.restore(pass.host, self.now).flatten() {
+                self.admission.revoke(newcomer);
             }
             self.fill(pass.host);
         } else if !self.is_running {
             self.admission.leave(pass.host);
-        } else if self.losses.offered_to(pass.host).is_some() {
+        } else if self.losses.offer_for(pass.host).is_some() {
             self.losses.decline(pass.host);
-            self.admission.retire(pass.host);
-        } else if let Some(places) = self.admission.places(pass.host) {
+            self.admission.revoke(pass.host);
+        } else if let Some(places) = self.admission.assignment(pass.host) {
             self.losses.lose(places, self.now);
         }
     }
 
     fn fill(&mut self, host: HostId) {
         if self.admission.carries(host)
-            && let Some((lost, _)) = self.losses.filled(host, self.now)
-            && let Some(places) = self.admission.places(host)
+            && let Some((lost, _)) = self.losses.complete_takeover(host, self.now)
+            && let Some(places) = self.admission.assignment(host)
         {
-            self.admission.retire(lost.host);
+            self.admission.revoke(lost.host);
             self.barrier.roster().replace(lost.host, places);
         }
     }
 
-    /// The run goes on without what is lost.
+    /// Continues the run without the devices of lost hosts.
     fn give_up(&mut self) {
-        let lost: Vec<Places> = self.losses.places().collect();
+        let lost: Vec<Assignment> = self.losses.places().collect();
         for places in lost {
-            self.losses.forget(places.host);
-            self.admission.retire(places.host);
+            self.losses.drop_host(places.host);
+            self.admission.revoke(places.host);
             self.barrier.lose(places.host);
         }
     }
 
     fn restore(&mut self) {
         let next = Tti(self.tti);
-        for places in self.losses.unasked(next) {
-            let devices = vec![Checkpoint(Vec::new()); places.count as usize];
-            let plan = None;
-            self.losses.found(places.host, Resumption { next, plan, devices });
+        for places in self.losses.needing_replay(next) {
+            let devices = vec![DeviceCheckpoint(Vec::new()); places.count as usize];
+            let at = ResumePoint { next, plan_from: None };
+            self.losses.set_checkpoint(places.host, HostCheckpoint { at, devices });
         }
     }
 
@@ -170,7 +171,7 @@ impl Books {
         let device = DeviceId(input.int_in_range(0..=DEVICES)?);
         let tti = Tti(self.tti.saturating_sub(input.int_in_range(0..=2)?));
         let battery = Energy::from_micro(input.arbitrary::<u32>()?.into());
-        let failure = Failure {
+        let failure = FailedTransmission {
             device,
             drained: battery,
         };
@@ -185,7 +186,7 @@ impl Books {
                 self.barrier.report(host, report);
             }
             1 => {
-                let answer = Answer::Done {
+                let answer = HostAnswer::Done {
                     host,
                     tti,
                     reports: input.arbitrary()?,
@@ -204,15 +205,15 @@ impl Books {
                         powered: input.arbitrary()?,
                     },
                 };
-                self.barrier.answer(host, Answer::NotWoken { device, tti, outcome });
+                self.barrier.answer(host, HostAnswer::NotWoken { device, tti, outcome });
             }
             3 => {
                 let ledgers = Vec::new();
-                self.barrier.answer(host, Answer::Final { host, ledgers });
+                self.barrier.answer(host, HostAnswer::Final { host, ledgers });
             }
             _ => {
                 let length = input.int_in_range(0..=64)?;
-                if let Ok(answer) = codec::decode::<Answer>(input.bytes(length)?) {
+                if let Ok(answer) = codec::decode::<HostAnswer>(input.bytes(length)?) {
                     self.barrier.answer(host, answer);
                 }
             }
@@ -220,11 +221,11 @@ impl Books {
         Ok(())
     }
 
-    /// Every host that carries devices says that nothing has happened: that must be enough.
+    /// Has every host with devices answer that nothing happened; this must complete the barrier.
     fn answer_quietly(&mut self) {
         let tti = Tti(self.tti);
-        for host in self.barrier.waiting() {
-            let answer = Answer::Done {
+        for host in self.barrier.missing_hosts() {
+            let answer = HostAnswer::Done {
                 host,
                 tti,
                 reports: 0,
@@ -264,7 +265,7 @@ fn play(input: &mut Unstructured<'_>) -> Result<()> {
                 books.tti += 1;
                 books
                     .barrier
-                    .expect_grant(Tti(books.tti), input.arbitrary()?, Asked::default());
+                    .expect_grant(Tti(books.tti), input.arbitrary()?, GrantOptions::default());
                 open = Open::Grant;
             }
             8 if books.is_running && open == Open::Nothing => {
@@ -283,13 +284,13 @@ fn play(input: &mut Unstructured<'_>) -> Result<()> {
             }
             _ => books.hear(input)?,
         }
-        let waiting = books.barrier.waiting();
+        let waiting = books.barrier.missing_hosts();
         let is_early = books.barrier.is_complete() && open != Open::Wake && !waiting.is_empty();
         assert!(!is_early, "{waiting:?} have not answered");
         if books.barrier.is_complete() {
             match open {
                 Open::Nothing => {}
-                Open::Grant => drop(books.barrier.take_gathered()),
+                Open::Grant => drop(books.barrier.take_grant_result()),
                 Open::Wake => drop(books.barrier.take_outcome()),
                 Open::Ledgers => drop(books.barrier.take_ledgers()),
             }
@@ -300,6 +301,6 @@ fn play(input: &mut Unstructured<'_>) -> Result<()> {
 }
 
 fuzz_target!(|data: &[u8]| {
-    // A fuzzer that has nothing more to say has said enough.
+    // Running out of fuzzer input ends the case.
     let _done = play(&mut Unstructured::new(data));
 });

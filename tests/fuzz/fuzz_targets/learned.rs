@@ -1,19 +1,19 @@
-//! Whatever is in a file of learned tables or a model: it is refused in words, or is what its own text says again.
+//! Fuzzes the readers of learned tables and models: a file is refused with an error or reads back unchanged.
 //!
-//! The first byte chooses: the text of tables, their body under a checksum that is right, or a model.
+//! The first byte selects: the text of tables, their body under a valid checksum, or a model.
 
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use reveille_bs::policy::dt::model::weights::Weights;
-use reveille_bs::policy::q_learning::learned::{FORMAT, Learned, VERSION};
+use reveille_bs::policy::dt::model::weights::ModelWeights;
+use reveille_bs::policy::q_learning::learned::{FORMAT, LearnedTables, VERSION};
 use sha2::{Digest as _, Sha256};
 
 fn tables(text: &str) {
-    match Learned::parse(text) {
+    match LearnedTables::parse(text) {
         Ok(learned) => {
             let written = learned.to_json();
-            let again = Learned::parse(&written).expect("what was written is read");
+            let again = LearnedTables::parse(&written).expect("what was written is read");
             assert_eq!(again.to_json(), written);
         }
         Err(error) => assert!(!error.to_string().trim().is_empty()),
@@ -25,7 +25,7 @@ fuzz_target!(|data: &[u8]| {
         return;
     };
     if choice % 3 == 2 {
-        if let Err(error) = Weights::read(rest) {
+        if let Err(error) = ModelWeights::read(rest) {
             assert!(!error.to_string().trim().is_empty());
         }
         return;

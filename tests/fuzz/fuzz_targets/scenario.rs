@@ -1,40 +1,40 @@
-//! Whatever a scenario file or the command line says: it is refused in words or becomes a scenario whose own text loads
-//! and means the same.
+//! Fuzzes scenario files and overrides: a text is refused with an error, or loads as a scenario. The text of that
+//! scenario loads as an equal scenario.
 //!
-//! The first byte says which line of which preset the text replaces, if any; a line that begins with `--set ` is an
-//! override.
+//! The first byte selects the preset and the line that the text replaces, if any; a line that begins with `--set ` is
+//! an override.
 
 #![no_main]
 
 use std::path::Path;
 
 use libfuzzer_sys::fuzz_target;
-use reveille_bs::scenario::{Override, PRESETS, Scenario, ScenarioError, load, parse};
+use reveille_bs::scenario::{Loaded, Override, PRESETS, Scenario, ScenarioError, load, parse};
 
-/// Nothing is there, so that no file of this machine plays a part.
+/// Folder that does not exist, so that no file of this machine affects the result.
 const NOWHERE: &str = "/nonexistent/reveille-fuzz";
 
-/// The full text of `preset` with one line replaced by `text`, which is how a person breaks a file.
+/// Returns the full text of `preset` with one line replaced by `text`, a typical editing mistake.
 fn mutated(preset: &str, line: u8, text: &str) -> String {
-    let whole = load(preset, &[]).expect("presets load").to_toml();
+    let whole = load(preset, &[]).expect("presets load").scenario.to_toml();
     let mut lines: Vec<&str> = whole.lines().collect();
     let at = usize::from(line) % lines.len();
     lines[at] = text;
     lines.join("\n")
 }
 
-/// An error is one paragraph that says something.
+/// Checks that an error is one paragraph and not empty.
 fn check_error(error: &ScenarioError) {
     let message = error.to_string();
     assert!(!message.trim().is_empty());
     assert!(!message.contains("\n\n"), "{message}");
 }
 
-/// The text of a loaded scenario loads and means the same.
+/// Checks that the text of a loaded scenario loads as an equal scenario.
 fn check_scenario(scenario: &Scenario) {
     let text = scenario.to_toml();
     match parse(&text, "written", Path::new(NOWHERE), &[]) {
-        Ok(again) => {
+        Ok(Loaded { scenario: again, .. }) => {
             assert_eq!(again.hash_hex(), scenario.hash_hex(), "{text}");
             assert_eq!(&again, scenario, "{text}");
         }
@@ -61,7 +61,7 @@ fuzz_target!(|data: &[u8]| {
         _ => body,
     };
     match parse(&text, "fuzzed", Path::new(NOWHERE), &overrides) {
-        Ok(scenario) => check_scenario(&scenario),
+        Ok(loaded) => check_scenario(&loaded.scenario),
         Err(error) => check_error(&error),
     }
 });

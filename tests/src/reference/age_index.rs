@@ -1,35 +1,36 @@
-//! Who senses under `age-index`, from the rule that docs/age-index.md states: every place by itself, nothing remembered
-//! between two sums.
+//! Choice of sensing devices under `age-index`, from the rule in docs/age-index.md. It computes every place separately
+//! and caches nothing between sums.
 
 use std::f64::consts::PI;
 
+use reveille_bs::scenario::Scenario;
 use reveille_common::geometry::Point;
-use reveille_common::scenario::{EnergyModel, Scenario};
+use reveille_common::scenario::EnergyModel;
 use reveille_common::sensing::DetectionKind;
 
-use super::plane::distance;
+use super::clusters::distance;
 
-/// Two worths for the price closer than this share, or a worth this close to its price, may be ordered otherwise by
-/// sums in another order.
+/// Relative tolerance: values per price closer than this, or a value this close to its price, can change order with the
+/// order of summation.
 const CLOSE: f64 = 1e-6;
 
-/// The places of an area and their ages, and the devices that look at them.
+/// Places of an area with their ages, and the devices that cover them.
 #[derive(Clone, Debug)]
 pub struct AgeIndex {
-    /// By device and place, the probability that the device detects an event there.
+    /// Probability that a device detects an event at a place, by device and place.
     sees: Vec<Vec<f64>>,
     ages: Vec<f64>,
     positions: Vec<Point>,
     energies: Vec<EnergyModel>,
     d_max: f64,
-    /// The price of a TTI in S1 in places of age 1.
+    /// Price of a TTI in S1, in places of age 1.
     price: f64,
     disc: f64,
 }
 
 impl AgeIndex {
-    /// For devices at `positions` with these batteries and costs, at `price`. Nothing where a place lies so near to the
-    /// rim of a device's reach that rounding decides.
+    /// Creates the index for devices at `positions` with these batteries and costs, at `price`. `None` if rounding
+    /// decides whether a place is within a device's range.
     pub fn new(scenario: &Scenario, positions: &[Point], energies: Vec<EnergyModel>, price: f64) -> Option<Self> {
         let (area, sensing) = (scenario.area, &scenario.sensing);
         let along = |length: f64| (7.5 * length / sensing.d_max).ceil().max(1.0);
@@ -76,7 +77,7 @@ impl AgeIndex {
         })
     }
 
-    /// A TTI has passed in which the devices of `looking` sensed.
+    /// Advances the ages by a TTI in which the devices of `looking` sensed.
     pub fn pass(&mut self, looking: &[usize], is_found: bool) {
         for place in 0..self.ages.len() {
             let missed: f64 = looking.iter().map(|&j| 1.0 - self.sees[j][place]).product();
@@ -85,7 +86,7 @@ impl AgeIndex {
         }
     }
 
-    /// The price of each device at these levels, micro-units; infinite where it may not sense.
+    /// Returns the price of each device at these levels, micro-units; infinite for a device that may not sense.
     fn prices(&self, levels: &[u64]) -> Vec<f64> {
         let extra = |energy: &EnergyModel| energy.e_idle.micro().saturating_sub(energy.e_wur.micro()) as f64;
         let all: f64 = self.energies.iter().map(extra).sum();
@@ -103,7 +104,7 @@ impl AgeIndex {
         self.energies.iter().zip(levels).map(of).collect()
     }
 
-    /// What `j` looks at beside `others`.
+    /// Returns the value that sensing by `j` adds to sensing by `others`.
     fn worth(&self, j: usize, others: &[usize]) -> f64 {
         let index = |age: f64| {
             let age = age.min(22.0);
@@ -119,20 +120,19 @@ impl AgeIndex {
         sum
     }
 
-    /// Who senses in the coming TTI, batteries being at `levels`. Nothing where that is too close to call.
+    /// Chooses the sensing devices of the next TTI for battery `levels`; `None` if too close to call.
     pub fn choose(&self, levels: &[u64]) -> Option<Vec<usize>> {
         let mut chosen = self.choose_at(&self.prices(levels), &[])?;
         chosen.sort_unstable();
         Some(chosen)
     }
 
-    /// The places in a sensing disc, π d_max² over the surface of a place.
+    /// Number of places in a sensing disc: π d_max² divided by the area of a place.
     pub const fn disc(&self) -> f64 {
         self.disc
     }
 
-    /// Who senses at these prices beside the devices of `set`, in the order of choice. Nothing where that is too close
-    /// to call.
+    /// Chooses sensing devices at these prices in addition to `set`, in order of choice; `None` if too close to call.
     pub fn choose_at(&self, prices: &[f64], set: &[usize]) -> Option<Vec<usize>> {
         let mut chosen = self.one_after_the_other(prices, set)?;
         for turn in 0..2 * chosen.len() {
@@ -160,7 +160,7 @@ impl AgeIndex {
                     ratios.push((worth / price, j));
                 }
             }
-            // The largest, and of equal ones the lowest number.
+            // Largest ratio first; ties go to the lowest number.
             ratios.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
             let Some(&(most, best)) = ratios.first() else {
                 return Some(chosen.into_iter().map(Some).collect());
@@ -172,10 +172,11 @@ impl AgeIndex {
         }
     }
 
-    /// Who is worth most beyond its price of `j`, those within d_max that are not among `others`, and nobody.
+    /// Returns the option with the largest net value among `j`, the devices within d_max of it outside `others`, and no
+    /// device.
     #[expect(clippy::option_option, reason = "too close to call, or nobody")]
     fn best_instead(&self, j: usize, others: &[usize], prices: &[f64]) -> Option<Option<usize>> {
-        // Before others of the same net worth: nobody, then j, then by number.
+        // On equal net value the first wins: no device, then j, then the lowest number.
         let mut nets = vec![(0.0, 0, None)];
         for (i, price) in prices.iter().enumerate() {
             let is_near = distance(self.positions[i], self.positions[j]) <= self.d_max;
@@ -192,8 +193,8 @@ impl AgeIndex {
     }
 }
 
-/// Whether another order of sums might find `second` to be more than `most`. What is exactly equal is so in any order
-/// of whole numbers, which large differences of rounding do not make.
+/// Whether another order of summation could make `second` larger than `most`. Exactly equal values are not close: they
+/// come from sums of whole numbers, which are equal in any order.
 fn is_close(most: f64, second: Option<f64>) -> bool {
     second.is_some_and(|second| {
         let gap = most - second;

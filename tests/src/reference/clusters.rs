@@ -1,22 +1,22 @@
-//! Clusters of devices as the `knn` policy describes them (Sec. V-A, Algorithm 1), by trying everything.
+//! Clusters of devices as in the `knn` policy (Sec. V-A, Algorithm 1), by exhaustive computation.
 
 use std::f64::consts::PI;
 
 use reveille_common::geometry::{Area, Point};
 use reveille_common::rng::Stream;
 
-/// How often devices vote at the most.
+/// Maximum number of voting rounds.
 const VOTES: usize = 100;
-/// How often the halves of a cluster are drawn anew at the most.
+/// Maximum number of draws of the two halves of a cluster.
 const HALVINGS: usize = 10;
 
-/// The clusters of devices at `points`: the devices of each by rising number, clusters by their first device.
+/// Computes the clusters of devices at `points`: devices in the order of numbers, clusters by their first device.
 ///
-/// M = ⌈ξ/(π d_max²)⌉ centres are drawn from the devices, the first evenly, each other with a probability in proportion
-/// to the square of its distance from the nearest centre so far, and every device joins its nearest centre. Then all
-/// devices at once join the cluster of most of their `neighbours` nearest others, those of equal votes the one with the
-/// nearer centroid, until nothing moves. With `limit` a cluster with a member farther than `d_max` from its mean is
-/// parted in two.
+/// M = ⌈ξ/(π d_max²)⌉ centres are drawn from the devices, the first uniformly. Each other centre is drawn with
+/// probability proportional to its squared distance from the nearest centre so far. Every device joins its nearest
+/// centre. Then all devices simultaneously join the most frequent cluster among their `neighbours` nearest devices,
+/// until none moves. Ties go to the cluster with the nearer centroid. With `limit` a cluster with a member farther than
+/// `d_max` from its mean is split in two.
 pub fn clusters(
     points: &[Point],
     area: Area,
@@ -50,7 +50,7 @@ fn squared(a: Point, b: Point) -> f64 {
     (a.x - b.x) * (a.x - b.x) + (a.y - b.y) * (a.y - b.y)
 }
 
-/// The `count` devices nearest to device `j`, which is none of them; of equally near ones the lower number.
+/// Returns the `count` devices nearest to device `j`, without `j`; ties go to the lower number.
 fn nearest(points: &[Point], j: usize, count: usize) -> Vec<usize> {
     let mut others: Vec<usize> = (0..points.len()).filter(|&other| other != j).collect();
     // A stable sort keeps the order of numbers.
@@ -59,7 +59,7 @@ fn nearest(points: &[Point], j: usize, count: usize) -> Vec<usize> {
     others
 }
 
-/// The mean of some devices' positions.
+/// Returns the mean position of some devices.
 fn mean(points: &[Point], of: &[usize]) -> Point {
     let (mut x, mut y) = (0.0, 0.0);
     for &j in of {
@@ -94,6 +94,7 @@ impl<'a> Voting<'a> {
         let closest = |p: &Point| {
             let gaps: Vec<f64> = centroids.iter().map(|centre| squared(*p, *centre)).collect();
             let least = gaps.iter().copied().fold(f64::INFINITY, f64::min);
+            // Ties go to the centre with the lower number.
             gaps.iter().position(|gap| *gap <= least).unwrap_or(0)
         };
         let mut voting = Self {
@@ -118,8 +119,8 @@ impl<'a> Voting<'a> {
         }
     }
 
-    /// Centroids are means, and each cluster without a device gets one: of those in clusters that have another, the one
-    /// farthest from its centroid, once looked at for all.
+    /// Recomputes the centroids as means and fills each empty cluster: it takes the device farthest from its centroid,
+    /// among clusters with more than one device. Distances are computed once for all.
     fn settle(&mut self) {
         self.recentre();
         let off = |voting: &Self, j: usize| squared(voting.points[j], voting.centroids[voting.of[j]]);
@@ -147,6 +148,7 @@ impl<'a> Voting<'a> {
         let chosen = |j: usize| {
             let votes = |cluster: usize| near[j].iter().filter(|&&other| self.of[other] == cluster).count();
             let most = (0..self.centroids.len()).map(votes).max().unwrap_or(0);
+            // A single device has no neighbours and stays.
             if most == 0 {
                 return self.of[j];
             }
@@ -164,7 +166,7 @@ impl<'a> Voting<'a> {
     }
 }
 
-/// A number drawn in proportion to its weight, by where `unit` of the sum of all lies.
+/// Draws an index in proportion to its weight; `unit` selects the position in the sum of all weights.
 fn draw(weights: &[f64], unit: f64) -> usize {
     let mut left = unit * weights.iter().sum::<f64>();
     let heavy: Vec<usize> = (0..weights.len()).filter(|&j| weights[j] > 0.0).collect();
@@ -174,15 +176,14 @@ fn draw(weights: &[f64], unit: f64) -> usize {
         }
         left -= weights[j];
     }
+    // Rounding can leave a remainder after the last weight.
     heavy.last().copied().unwrap_or(0)
 }
 
-/// A cluster in parts whose members all are within `d_max` of the part's mean.
+/// Splits a cluster into parts whose members are all within `d_max` of the part's mean.
 fn parted(points: &[Point], cluster: Vec<usize>, d_max: f64) -> Vec<Vec<usize>> {
     let middle = mean(points, &cluster);
-    let is_wide = cluster
-        .iter()
-        .any(|&j| super::plane::distance(points[j], middle) > d_max);
+    let is_wide = cluster.iter().any(|&j| distance(points[j], middle) > d_max);
     if !is_wide {
         return vec![cluster];
     }
@@ -217,4 +218,9 @@ fn parted(points: &[Point], cluster: Vec<usize>, d_max: f64) -> Vec<Vec<usize>> 
     let mut parts = parted(points, a, d_max);
     parts.extend(parted(points, b, d_max));
     parts
+}
+
+/// Distance between two points, metres.
+pub(super) fn distance(a: Point, b: Point) -> f64 {
+    ((a.x - b.x) * (a.x - b.x) + (a.y - b.y) * (a.y - b.y)).sqrt()
 }

@@ -1,25 +1,25 @@
 //! One device, TTI by TTI.
 
 use reveille_common::scenario::EnergyModel;
-use reveille_common::totals::{DeviceTotals, Ledger, Spent};
+use reveille_common::totals::{DeviceTotals, EnergyByState, Ledger};
 use reveille_common::units::Energy;
 
 use super::harvest::Source;
 
-/// Where a device is at the end of a step.
+/// State of a device at the end of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum State {
     /// S1.
     Idle,
     /// S3.
     Transmission,
-    /// S4 with a wake-up radio that can hear.
+    /// S4 with a powered wake-up radio.
     Asleep,
-    /// S4 after an action that the battery could not pay.
+    /// S4, unpowered after an action that the battery could not pay.
     Dark,
 }
 
-/// One device and its books, micro-units.
+/// One device and its ledger, micro-units.
 #[derive(Clone, Debug)]
 pub(super) struct Device {
     pub(super) costs: EnergyModel,
@@ -27,7 +27,7 @@ pub(super) struct Device {
     pub(super) state: State,
     pub(super) battery: u64,
     pub(super) harvested: u64,
-    /// By state: S1, S4, S2 to S3.
+    /// Spent energy by state: S1, S4, S2 to S3.
     spent: [u64; 3],
     pub(super) overflow: u64,
     pub(super) battery_sum: u128,
@@ -36,9 +36,9 @@ pub(super) struct Device {
     pub(super) failed_ttis: u64,
     pub(super) dark_ttis: u64,
     pub(super) false_wakes: u64,
-    /// TTIs one after another without power, up to now and at the most.
+    /// Consecutive TTIs without power: current and longest.
     pub(super) outage: [u64; 2],
-    /// Its sums at the start of the measured part.
+    /// Totals at the start of the measured part.
     pub(super) before: Option<DeviceTotals>,
 }
 
@@ -63,7 +63,7 @@ impl Device {
         }
     }
 
-    /// Pays `cost`, or loses what is left. Says what left the battery, and whether it was enough.
+    /// Pays `cost`, or loses the remaining charge. Returns the energy that left the battery, and whether it was enough.
     pub(super) fn pay(&mut self, cost: Energy, state: usize) -> (u64, bool) {
         let enough = self.battery >= cost.micro();
         let gone = if enough { cost.micro() } else { self.battery };
@@ -86,7 +86,7 @@ impl Device {
         DeviceTotals {
             initial: self.costs.initial,
             harvested: Energy::from_micro(self.harvested),
-            spent: Spent { sensing, sleep, report },
+            spent: EnergyByState { sensing, sleep, report },
             overflow: Energy::from_micro(self.overflow),
             battery: Energy::from_micro(self.battery),
             battery_sum: self.battery_sum,

@@ -1,27 +1,27 @@
-//! What the base station makes of batteries that it is not told: whether a device can pay for a report.
+//! The base station's estimate of unreported battery levels: whether a device can pay for a report.
 
 use reveille_common::scenario::EnergyModel;
 
-/// What is made of one battery, micro-units.
+/// Estimate of one battery, micro-units.
 #[derive(Clone, Debug)]
 pub(super) struct Estimate {
     costs: EnergyModel,
-    /// The mean harvest in each TTI of a day, which is a single TTI where all are alike.
+    /// Mean harvest in each TTI of a day; a single entry if all TTIs are alike.
     mean: Vec<u64>,
-    /// Whether the sun is up in each of them.
+    /// Whether the sun is up in each TTI of a day.
     is_day: Vec<bool>,
-    /// The level that was known last, and the first TTI after that.
+    /// Last known level, and the first TTI after it.
     level: u64,
     from: u64,
-    /// When the device was first found empty without a report since, and how much later it was found so last.
+    /// First TTI of unexpected silence since the last report, and the delay from it to the latest such TTI.
     since: Option<u64>,
     outage: u64,
-    /// How likely the radio alone is to have kept it silent, as often as it was.
+    /// Probability that radio losses alone explain the missing reports.
     luck: f64,
 }
 
 impl Estimate {
-    /// Of a battery with these costs and the mean harvest `mean` in each TTI of a day, in which the sun is up or not.
+    /// Creates the estimate for a battery with these costs, and mean harvest and daylight by TTI of a day.
     pub(super) fn new(costs: EnergyModel, mean: Vec<u64>, is_day: Vec<bool>) -> Self {
         Self {
             level: costs.initial.micro(),
@@ -35,7 +35,7 @@ impl Estimate {
         }
     }
 
-    /// The level at the end of TTI `k`, for a device that senses in the TTIs for which `senses` holds.
+    /// Returns the level at the end of TTI `k`, for a device that senses in the TTIs for which `senses` holds.
     fn level(&self, k: u64, senses: impl Fn(u64) -> bool) -> u64 {
         if k < self.from {
             return self.level;
@@ -49,7 +49,7 @@ impl Estimate {
         };
         let up = |k: u64| self.is_day[k as usize % self.is_day.len()];
         let (mut level, mut first) = (self.level, self.from);
-        // A day or a night at a time.
+        // Sums over one day or one night at a time.
         while first <= k {
             let (mut came, mut went, mut last) = (0, 0, first);
             loop {
@@ -73,19 +73,19 @@ impl Estimate {
         level
     }
 
-    /// Whether it can pay for a report at the end of TTI `k`.
+    /// Whether the device can pay for a report at the end of TTI `k`.
     pub(super) fn is_able(&self, k: u64, senses: impl Fn(u64) -> bool) -> bool {
         self.level(k, senses) >= self.costs.e_tx.micro()
     }
 
-    /// It has reported `level` in TTI `k`.
+    /// Records that the device reported `level` in TTI `k`.
     pub(super) fn heard(&mut self, k: u64, level: u64) {
         (self.level, self.from, self.since, self.outage) = (level, k + 1, None, 0);
         self.luck = 1.0;
     }
 
-    /// It has been silent in TTI `k`, in which it must have reported if it could, but for the radio, which keeps it
-    /// silent with probability `lost`. From one in fifty on that is not taken for bad luck.
+    /// Records a missing report in TTI `k`, in which a powered device must have reported. The radio alone loses it with
+    /// probability `lost`. Once the joint probability is at most 1/50, the battery counts as empty.
     pub(super) fn silent(&mut self, k: u64, lost: f64, senses: impl Fn(u64) -> bool) {
         self.luck *= lost;
         if self.luck > 0.02 {

@@ -1,37 +1,37 @@
-//! When events start, where they are and how long they last, TTI by TTI and by the definition.
+//! Start, epicentre and duration of events, computed TTI by TTI from the definition.
 
-use reveille_common::event::{Aftershocks, Bursts, DurationKind, HotSpots, Process};
+use reveille_bs::scenario::Scenario;
+use reveille_common::event::{Aftershocks, DurationKind, EventBursts, HotSpots, ProcessSettings};
 use reveille_common::geometry::{Area, Point};
 use reveille_common::rng::{Geometric, Purpose, Stream};
-use reveille_common::scenario::Scenario;
 
-/// What decides over events. Its clock goes on whether an event is under way or not.
+/// Event process. Its clock also advances during an event.
 #[derive(Clone, Debug)]
 pub(super) struct Events<'a> {
     scenario: &'a Scenario,
     weather: Option<Weather>,
-    /// The probability in force in this TTI.
+    /// Start probability in this TTI.
     alpha: f64,
-    /// The number of the next event, or of the one under way.
+    /// Number of the active event, or of the next.
     number: u64,
-    /// The next event starts when the probability that none has started yet falls below this.
+    /// The next event starts when `none_yet`, the probability that none has started yet, falls below this.
     threshold: f64,
     none_yet: f64,
     places: Vec<Point>,
     previous: Option<Point>,
 }
 
-/// Busy and quiet phases.
+/// Busy and quiet phases of the process.
 #[derive(Clone, Debug)]
 struct Weather {
-    bursts: Bursts,
+    bursts: EventBursts,
     stream: Stream,
     busy: bool,
     left: u64,
 }
 
 impl Weather {
-    fn new(bursts: Bursts, seed: u64) -> Self {
+    fn new(bursts: EventBursts, seed: u64) -> Self {
         let mut stream = Stream::new(seed, Purpose::Phases, 0);
         let busy = stream.unit() < bursts.busy_ttis / (bursts.busy_ttis + bursts.quiet_ttis);
         let mut weather = Self {
@@ -69,17 +69,17 @@ impl Weather {
 
 impl<'a> Events<'a> {
     pub(super) fn new(scenario: &'a Scenario) -> Self {
-        let seed = scenario.seed;
+        let seed = scenario.run.seed;
         let (mut places, mut weather) = (Vec::new(), None);
         match scenario.events.process {
-            Process::Uniform | Process::Aftershocks(_) => {}
-            Process::HotSpots(hot_spots) => {
+            ProcessSettings::Uniform | ProcessSettings::Aftershocks(_) => {}
+            ProcessSettings::HotSpots(hot_spots) => {
                 let mut stream = Stream::new(seed, Purpose::HotSpots, 0);
                 for _ in 0..hot_spots.places {
                     places.push(anywhere(&mut stream, scenario.area));
                 }
             }
-            Process::Bursts(bursts) => weather = Some(Weather::new(bursts, seed)),
+            ProcessSettings::Bursts(bursts) => weather = Some(Weather::new(bursts, seed)),
         }
         let mut events = Self {
             scenario,
@@ -95,12 +95,12 @@ impl<'a> Events<'a> {
         events
     }
 
-    /// The number of the event under way, or of the next.
+    /// Number of the active event, or of the next.
     pub(super) const fn number(&self) -> u64 {
         self.number
     }
 
-    /// The next TTI comes, with this probability that an event starts if none is active.
+    /// Advances to the next TTI and returns the start probability if no event is active.
     pub(super) fn next_tti(&mut self) -> f64 {
         self.alpha = match &mut self.weather {
             Some(weather) => weather.next_tti(),
@@ -109,32 +109,33 @@ impl<'a> Events<'a> {
         self.alpha
     }
 
-    /// Whether the next event starts in this TTI, in which none is active.
+    /// Whether the next event starts in this TTI; no event may be active.
     pub(super) fn starts(&mut self) -> bool {
         self.none_yet *= 1.0 - self.alpha;
         self.none_yet < self.threshold
     }
 
-    /// Epicentre and duration of the event that starts.
+    /// Draws epicentre and duration of the starting event.
     pub(super) fn event(&mut self) -> (Point, u64) {
         let epicentre = self.epicentre();
         self.previous = Some(epicentre);
         (epicentre, self.duration())
     }
 
-    /// The event under way has ended.
+    /// Records the end of the active event.
     pub(super) fn ended(&mut self) {
         self.number += 1;
         self.wait();
     }
 
     fn wait(&mut self) {
+        // Above 0, so that `none_yet` can fall below it after α has been above 0 for long enough.
         self.threshold = 1.0 - self.stream(Purpose::EventGap).unit();
         self.none_yet = 1.0;
     }
 
     fn stream(&self, purpose: Purpose) -> Stream {
-        Stream::new(self.scenario.seed, purpose, self.number)
+        Stream::new(self.scenario.run.seed, purpose, self.number)
     }
 
     fn duration(&self) -> u64 {
@@ -157,7 +158,8 @@ impl<'a> Events<'a> {
         let area = self.scenario.area;
         let mut stream = self.stream(Purpose::Attraction);
         match (self.scenario.events.process, self.previous) {
-            (Process::HotSpots(HotSpots { share, sigma, .. }), _) if stream.unit() < share => {
+            (ProcessSettings::HotSpots(HotSpots { share, sigma, .. }), _) if stream.unit() < share => {
+                // The draws must come in the emulator's order, since they share a stream.
                 let place = self.places[stream.below(self.places.len() as u64) as usize];
                 let r = (-2.0 * libm::log1p(-stream.unit())).sqrt();
                 let phi = 2.0 * std::f64::consts::PI * stream.unit();
@@ -166,7 +168,7 @@ impl<'a> Events<'a> {
                     y: mirrored(place.y + sigma * (r * libm::sin(phi)), area.height),
                 }
             }
-            (Process::Aftershocks(Aftershocks { probability, radius }), Some(before))
+            (ProcessSettings::Aftershocks(Aftershocks { probability, radius }), Some(before))
                 if stream.unit() < probability =>
             {
                 loop {
@@ -191,7 +193,7 @@ fn anywhere(stream: &mut Stream, area: Area) -> Point {
     Point { x, y }
 }
 
-/// A number from `low` to `high` that is no farther than `radius` from 0.
+/// Draws a number from `low` to `high` that is at most `radius` from 0.
 fn between(stream: &mut Stream, low: f64, high: f64, radius: f64) -> f64 {
     let (low, high) = (low.max(-radius), high.min(radius));
     low + stream.unit() * (high - low)

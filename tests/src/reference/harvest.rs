@@ -3,21 +3,21 @@
 use std::f64::consts::PI;
 
 use reveille_common::harvest::sun::{Sky, Sun};
-use reveille_common::harvest::{Arrivals, Diurnal, Known, Mpp, Reference};
+use reveille_common::harvest::{Arrivals, DayKnowledge, Diurnal, IrradianceReference, Mpp};
 use reveille_common::rng::{Geometric, Purpose, Stream};
-use reveille_common::scenario::{Harvest, Trace, TraceColumns, TraceEnd};
+use reveille_common::scenario::{Harvest, HarvestTrace, TraceColumns, TraceEnd};
 
-/// One device's source. [`Source::arriving`] is asked once for each TTI, in order.
+/// Energy source of one device. Call [`Source::arriving`] once for each TTI, in order.
 #[derive(Clone, Debug)]
 pub(super) enum Source {
-    /// An arrival now and then.
+    /// Arrivals with random gaps.
     Arrivals {
         stream: Stream,
         law: Geometric,
         next: u64,
         e_b: u64,
     },
-    /// On for a run of TTIs, off for a run, and so on.
+    /// Alternating on and off periods.
     OnOff {
         stream: Stream,
         on_run: Geometric,
@@ -26,19 +26,19 @@ pub(super) enum Source {
         left: u64,
         e_b: u64,
     },
-    /// As likely as the sun is bright.
+    /// Arrival probability proportional to irradiance.
     Sunny {
-        /// As it was before the first draw.
+        /// State of the stream before the first draw.
         unused: Stream,
         stream: Stream,
         is_known: bool,
-        /// The probability of an arrival in each TTI of a day.
+        /// Probability of an arrival in each TTI of a day.
         day: Vec<f64>,
-        /// What has to come together of −ln(1 − p) before the next arrival.
+        /// Remaining sum of −ln(1 − p) until the next arrival.
         left: f64,
         e_b: u64,
     },
-    /// Rows of a file.
+    /// Recorded rows of a file.
     Recorded {
         rows: Vec<u64>,
         ttis_per_row: u64,
@@ -47,7 +47,7 @@ pub(super) enum Source {
 }
 
 impl Source {
-    /// The source of device `id`, the `nth` of its class.
+    /// Creates the source of device `id`, the `nth` of its class.
     pub(super) fn new(harvest: &Harvest, tau: f64, seed: u64, id: u64, nth: usize) -> Self {
         let stream = Stream::new(seed, Purpose::Harvest, id);
         match harvest {
@@ -62,8 +62,8 @@ impl Source {
         }
     }
 
-    /// Of recorded energy: `mean` in each TTI instead. Of the sun's, where the time of the day is not known: arrivals
-    /// at any time.
+    /// Replaces recorded energy by `mean` in each TTI. For a solar source with unknown time of day, arrivals come at
+    /// any time.
     pub(super) fn by_its_mean(self, mean: u64) -> Self {
         match self {
             Self::Recorded { .. } => Self::Recorded {
@@ -82,7 +82,7 @@ impl Source {
         }
     }
 
-    /// Micro-units that arrive in TTI `k`.
+    /// Returns the micro-units that arrive in TTI `k`.
     pub(super) fn arriving(&mut self, k: u64) -> u64 {
         match self {
             Self::Arrivals { stream, law, next, e_b } => {
@@ -134,7 +134,7 @@ impl Source {
     }
 }
 
-/// The mean harvest in a TTI of the `nth` device of its class, whole micro-units.
+/// Returns the mean harvest per TTI of the `nth` device of its class, whole micro-units.
 pub(super) fn mean(harvest: &Harvest, tau: f64, nth: usize) -> u64 {
     let share_of = |share: f64, e_b: u64| (share * e_b as f64).round() as u64;
     match harvest {
@@ -159,19 +159,20 @@ pub(super) fn mean(harvest: &Harvest, tau: f64, nth: usize) -> u64 {
     }
 }
 
-/// What a base station may expect in each TTI of a day, whole micro-units; nothing where it knows no more than a mean.
+/// Returns the expected harvest in each TTI of a day, whole micro-units; `None` if the base station knows only a mean.
 pub(super) fn expected_day(harvest: &Harvest, tau: f64) -> Option<Vec<u64>> {
     let Harvest::Diurnal(diurnal) = harvest else {
         return None;
     };
     let mut sum = 0.0;
+    // Differences of rounded sums, so that a day adds up to its rounded total.
     let sums = sunny_day(diurnal, tau).into_iter().map(|p| {
         sum += p;
         (sum * diurnal.arrivals.e_b.micro() as f64).round() as u64
     });
     let sums: Vec<u64> = std::iter::once(0).chain(sums).collect();
     let each = sums.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    (diurnal.known == Known::Course).then_some(each)
+    (diurnal.known == DayKnowledge::Course).then_some(each)
 }
 
 /// Whether the sun is up in the `k`th TTI.
@@ -182,7 +183,7 @@ pub(super) fn is_day(harvest: &Harvest, k: u64) -> bool {
     brightness(sun, k) > 0.0
 }
 
-/// The probability of an arrival in each TTI of a day.
+/// Probability of an arrival in each TTI of a day.
 fn sunny_day(diurnal: &Diurnal, tau: f64) -> Vec<f64> {
     let Diurnal {
         arrivals,
@@ -194,15 +195,16 @@ fn sunny_day(diurnal: &Diurnal, tau: f64) -> Vec<f64> {
     let p = rate * libm::exp(-rate);
     let light: Vec<f64> = (0..u64::from(sun.ttis_per_day)).map(|k| brightness(sun, k)).collect();
     let unit = match reference {
-        Reference::DailyMean => light.iter().sum::<f64>() / light.len() as f64,
-        Reference::Zenith => 1.0,
+        IrradianceReference::DailyMean => light.iter().sum::<f64>() / light.len() as f64,
+        IrradianceReference::Zenith => 1.0,
     };
     light.into_iter().map(|light| p / unit * light).collect()
 }
 
-/// Irradiance in the middle of the `k`th TTI, 1 under a sun in the zenith: from the sun's place among the stars and the
-/// observer's zenith, by the dot product of the two directions.
+/// Returns the irradiance in the middle of the `k`th TTI, 1 with the sun in the zenith. It is the dot product of the
+/// directions of the sun and of the observer's zenith.
 fn brightness(sun: &Sun, k: u64) -> f64 {
+    // Solar time in the middle of the TTI.
     let hours = sun.start_hour + 24.0 * ((k % u64::from(sun.ttis_per_day)) as f64 + 0.5) / f64::from(sun.ttis_per_day);
     let (lat, hour) = (sun.latitude * PI / 180.0, (hours - 12.0) * PI / 12.0);
     let tilt = 23.45 * PI / 180.0 * libm::sin(2.0 * PI * f64::from(284 + sun.day_of_year) / 365.0);
@@ -216,6 +218,7 @@ fn brightness(sun: &Sun, k: u64) -> f64 {
     match sun.sky {
         _ if sine <= 0.0 => 0.0,
         Sky::Vacuum => sine,
+        // Normalised to an irradiance of 1 in the zenith.
         Sky::Clear => sine * libm::exp(-0.059 / sine) / libm::exp(-0.059),
     }
 }
@@ -231,7 +234,7 @@ fn sunny(mut stream: Stream, diurnal: &Diurnal, tau: f64) -> Source {
     Source::Sunny {
         unused,
         stream,
-        is_known: diurnal.known == Known::Course,
+        is_known: diurnal.known == DayKnowledge::Course,
         day,
         left,
         e_b,
@@ -240,11 +243,12 @@ fn sunny(mut stream: Stream, diurnal: &Diurnal, tau: f64) -> Source {
 
 fn arrivals(mut stream: Stream, p: f64, e_b: u64) -> Source {
     let law = Geometric::new(if e_b == 0 { 0.0 } else { p });
+    // A gap of 1 means an arrival in TTI 0.
     let next = law.draw(&mut stream) - 1;
     Source::Arrivals { stream, law, next, e_b }
 }
 
-/// A source that leaves "on" at rate `stop` and "off" at rate `start`, looked at every `tau`.
+/// Creates a source that leaves "on" at rate `stop` and "off" at rate `start`, sampled every `tau`.
 fn on_off(mut stream: Stream, stop: f64, start: f64, tau: f64, e_b: u64) -> Source {
     let both = stop + start;
     let moved = -libm::expm1(-both * tau);
@@ -262,15 +266,15 @@ fn on_off(mut stream: Stream, stop: f64, start: f64, tau: f64, e_b: u64) -> Sour
     }
 }
 
-/// The column that the `nth` device of a class reads.
-fn column(trace: &Trace, nth: usize) -> usize {
+/// Returns the trace column of the `nth` device of a class.
+fn column(trace: &HarvestTrace, nth: usize) -> usize {
     match &trace.columns {
         TraceColumns::Shared(_) => 0,
         TraceColumns::PerDevice(names) => nth % names.len(),
     }
 }
 
-fn recorded(trace: &Trace, nth: usize) -> Source {
+fn recorded(trace: &HarvestTrace, nth: usize) -> Source {
     Source::Recorded {
         rows: trace.values[column(trace, nth)]
             .iter()

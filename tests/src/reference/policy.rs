@@ -1,53 +1,52 @@
-//! Who senses when, and whom the base station wakes.
+//! Policies of the reference: duty cycles and wake-up choices.
 
 use std::f64::consts::PI;
 
-use reveille_bs::policy::knn::settings::KnnSettings;
+use reveille_bs::policy::knn::KnnSettings;
+use reveille_bs::scenario::Scenario;
 use reveille_common::geometry::Point;
 use reveille_common::rng::{Purpose, Stream};
-use reveille_common::scenario::Scenario;
 
-use super::clusters::clusters;
-use super::least::least_information;
-use super::plane::distance;
+use super::clusters::{clusters, distance};
+use super::i_min::least_information;
 
 /// Points of the midpoint rule for the mean over φ.
 const POINTS: u32 = 2048;
-/// Two values of `P_4,2` closer than this may be ordered otherwise by another integration rule.
+/// Two values of `P_4,2` closer than this can change order with the integration rule.
 const CLOSE_P: f64 = 1e-6;
-/// An Î closer than this to `I_min` may fall on either side of it.
+/// An Î closer than this to `I_min` can fall on either side of it.
 const CLOSE_INFORMATION: f64 = 1e-9;
 
-/// A policy's choices.
+/// Policy with its choices.
 #[derive(Clone, Debug)]
 pub enum Policy {
-    /// Clusters that take turns.
+    /// Clusters whose devices sense in turn.
     Knn {
         /// Devices of each cluster, by rising id.
         members: Vec<Vec<usize>>,
         /// `I_min`.
         enough: f64,
     },
-    /// One duty cycle, staggered; everyone is a candidate.
+    /// One staggered duty cycle; every device is a wake-up candidate.
     Adjusted {
-        /// The place of each device in the order of offsets.
+        /// Position of each device in the order of offsets.
         turns: Vec<u64>,
         /// `t_on`.
         t_on: u64,
         /// `t_DRX`.
         t_drx: u64,
-        /// All devices, as if they were one cluster.
+        /// All devices as one cluster.
         everyone: Vec<Vec<usize>>,
         /// `I_min`.
         enough: f64,
     },
     /// (`t_on`, `t_DRX`, offset) of each device.
     Random(Vec<(u64, u64, u64)>),
-    /// All sleep; the closest is woken.
+    /// All devices sleep; the closest is woken.
     Genie,
 }
 
-/// What the base station knows while it decides whom to wake, and the truth that only the genie may look at.
+/// State for a wake-up decision: the base station's knowledge, and the ground truth that only the genie may use.
 #[derive(Debug)]
 pub(super) struct Situation<'a> {
     pub(super) scenario: &'a Scenario,
@@ -62,40 +61,41 @@ pub(super) struct Situation<'a> {
     pub(super) information: f64,
     /// Devices woken in this TTI.
     pub(super) woken: &'a [usize],
-    /// By device, whether it can pay for a report as far as the base station knows.
+    /// By device, whether it can pay for a report, as known to the base station.
     pub(super) able: &'a [bool],
-    /// Whether a device that is well may be silent when it is woken.
+    /// Whether a powered device can fail to answer a wake-up.
     pub(super) lossy: bool,
 }
 
-/// A device that has told how far it is from the event.
+/// Device that has reported its distance from the event.
 #[derive(Clone, Debug)]
 pub(super) struct Reporter {
     pub(super) device: usize,
-    /// For each device j: its distance γ, and Pr(`S_j` = S3 | `S_h` = S3). Empty under policies that do not rank.
+    /// By device j: its distance γ, and Pr(`S_j` = S3 | `S_h` = S3). Empty under policies that do not rank.
     pub(super) correlation: Vec<(f64, f64)>,
 }
 
-/// The next wake-up.
+/// Next wake-up decision.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Choice {
     /// Wake this device.
     Wake(usize),
-    /// Enough.
+    /// No further wake-up.
     Stop,
-    /// Too close to call without knowing how the integral is computed.
+    /// Too close to call: the choice depends on the integration rule.
     Ambiguous,
 }
 
 impl Policy {
-    /// The policy of `scenario` for devices at `positions`, if it needs no search.
+    /// Creates the policy of `scenario` for devices at `positions`, if it needs no search.
     pub fn new(scenario: &Scenario, positions: &[Point]) -> Self {
         match scenario.policy.name() {
             "genie" => Self::Genie,
             "random" => Self::Random(
                 (0..positions.len() as u64)
+                    // The draws must come in the emulator's order, since they share a stream.
                     .map(|id| {
-                        let mut stream = Stream::new(scenario.seed, Purpose::DutyCycle, id);
+                        let mut stream = Stream::new(scenario.run.seed, Purpose::DutyCycle, id);
                         let t_on = [1, 2][stream.below(2) as usize];
                         let t_drx = [2, 4, 8][stream.below(3) as usize];
                         (t_on, t_drx, stream.below(t_drx))
@@ -103,13 +103,17 @@ impl Policy {
                     .collect(),
             ),
             "knn" => {
-                let settings = scenario.policy.settings::<KnnSettings>().expect("settings of knn");
+                let settings = scenario
+                    .policy
+                    .settings()
+                    .downcast_ref::<KnnSettings>()
+                    .expect("settings of knn");
                 let members = clusters(
                     positions,
                     scenario.area,
                     scenario.sensing.d_max,
                     (settings.neighbours as usize, settings.limit_radius),
-                    Stream::new(scenario.seed, Purpose::Clusters, 0),
+                    Stream::new(scenario.run.seed, Purpose::Clusters, 0),
                 );
                 Self::Knn {
                     members,
@@ -120,11 +124,11 @@ impl Policy {
         }
     }
 
-    /// Adjusted duty cycling with this pair, offsets as the seed of `scenario` says.
+    /// Creates adjusted duty cycling with this pair and offsets from the seed of `scenario`.
     pub(super) fn adjusted(scenario: &Scenario, positions: &[Point], (t_on, t_drx): (u64, u64)) -> Self {
-        // Fisher and Yates, from the last on.
+        // Fisher–Yates shuffle, from the last element.
         let mut turns: Vec<u64> = (0..positions.len() as u64).collect();
-        let mut stream = Stream::new(scenario.seed, Purpose::Offsets, 0);
+        let mut stream = Stream::new(scenario.run.seed, Purpose::Offsets, 0);
         for last in (1..turns.len()).rev() {
             turns.swap(last, stream.below(last as u64 + 1) as usize);
         }
@@ -137,12 +141,12 @@ impl Policy {
         }
     }
 
-    /// Whether it wakes devices by what it believes of them.
+    /// Whether the policy ranks devices by belief for wake-ups.
     pub(super) const fn ranks(&self) -> bool {
         matches!(self, Self::Knn { .. } | Self::Adjusted { .. })
     }
 
-    /// δ of `device` in TTI `k`.
+    /// Returns δ of `device` in TTI `k`.
     pub fn senses(&self, device: usize, k: u64) -> bool {
         match self {
             Self::Genie => false,
@@ -158,7 +162,8 @@ impl Policy {
         }
     }
 
-    /// What a report of `device`, `d` metres from the event, tells of the others.
+    /// Derives the conditional state probabilities of other devices from a report by `device`, `d` metres from the
+    /// event.
     pub(super) fn reporter(&self, scenario: &Scenario, positions: &[Point], device: usize, d: f64) -> Reporter {
         let mut correlation = Vec::new();
         if self.ranks() {
@@ -170,7 +175,7 @@ impl Policy {
         Reporter { device, correlation }
     }
 
-    /// Whom to wake next.
+    /// Chooses the next device to wake.
     pub(super) fn choose(&self, seen: &Situation<'_>) -> Choice {
         match self {
             Self::Genie if seen.first && seen.woken.is_empty() || (seen.lossy && seen.reporters.is_empty()) => {
@@ -217,7 +222,7 @@ impl Policy {
         let Some((most, device)) = best else {
             return Choice::Stop;
         };
-        // An exact tie goes to the lower id, whatever the rule.
+        // An exact tie goes to the lower id under any integration rule.
         if candidates
             .iter()
             .any(|&other| other != most && most.value - other.value < CLOSE_P)
@@ -235,7 +240,7 @@ fn cluster_of(members: &[Vec<usize>], device: usize) -> usize {
         .expect("every device is in a cluster")
 }
 
-/// The device closest to the epicentre of those that were not woken, if it is within sensing range.
+/// Returns the device closest to the epicentre that was not yet woken, if it is within sensing range.
 fn closest(seen: &Situation<'_>) -> Option<usize> {
     let mut best: Option<(f64, usize)> = None;
     for (j, position) in seen.positions.iter().enumerate() {
@@ -247,8 +252,8 @@ fn closest(seen: &Situation<'_>) -> Option<usize> {
     best.filter(|&(d, _)| d <= seen.scenario.sensing.d_max).map(|(_, j)| j)
 }
 
-/// `P_4,2` of a device, and what it comes from: devices with the same origin have exactly the same value under every
-/// rule of integration.
+/// `P_4,2` of a device, and its origin. Devices with the same origin have exactly the same value under every
+/// integration rule.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Likelihood {
     value: f64,
@@ -256,7 +261,7 @@ struct Likelihood {
     gamma: f64,
 }
 
-/// The largest Pr(`S_j` = S3 | `S_h` = S3) over the reporters h.
+/// Returns the largest Pr(`S_j` = S3 | `S_h` = S3) over the reporters h.
 fn p42(seen: &Situation<'_>, j: usize) -> Likelihood {
     let mut most = Likelihood {
         value: 0.0,
@@ -276,12 +281,14 @@ fn p42(seen: &Situation<'_>, j: usize) -> Likelihood {
     most
 }
 
-/// The mean of exp(-η √(d² + γ² − 2dγ cos φ)) over φ.
+/// Returns the mean of exp(-η √(d² + γ² − 2dγ cos φ)) over φ.
 fn mean_over_directions(eta: f64, d: f64, gamma: f64) -> f64 {
     let mut sum = 0.0;
+    // The integrand is even in φ, so half of the circle is enough.
     for i in 0..POINTS {
         let phi = PI * (f64::from(i) + 0.5) / f64::from(POINTS);
         let squared = d * d + gamma * gamma - 2.0 * d * gamma * libm::cos(phi);
+        // Rounding can make the square negative where d = γ and φ is small.
         sum += libm::exp(-eta * squared.max(0.0).sqrt());
     }
     sum / f64::from(POINTS)

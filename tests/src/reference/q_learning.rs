@@ -1,4 +1,5 @@
-//! Who senses under `q-learning`, from what docs/q-learning.md says: table values, batteries and plain geometry.
+//! Choice of sensing devices under `q-learning`, from the rule in docs/q-learning.md: table values, batteries and plain
+//! geometry.
 
 use std::f64::consts::PI;
 
@@ -9,31 +10,31 @@ use reveille_common::sensing::{DetectionKind, Sensing};
 use reveille_common::units::Energy;
 
 use super::age_index::AgeIndex;
-use super::plane::distance;
+use super::clusters::distance;
 
-/// Cells along the side of a block of places.
+/// Cells along the side of a block.
 const BLOCK: usize = 4;
 
-/// A deployment whose devices are chosen one after the other.
+/// Deployment whose devices are chosen sequentially.
 pub struct Sequential {
     sensing: Sensing,
     energy: EnergyModel,
     /// Rows and columns of cells.
     size: (usize, usize),
-    /// By cell, row by row, and device: the share of the cell that it covers.
+    /// Share of a cell that a device covers, by cell (row by row) and device.
     shares: Vec<Vec<f64>>,
-    /// Cells in the order in which they are looked after.
+    /// Cells in the order in which they are covered.
     order: Vec<usize>,
-    /// Sensing discs that make up the area.
+    /// Size of the area in sensing discs.
     discs: f64,
     window: usize,
-    /// Who sensed in each TTI so far.
+    /// Devices that sensed in each TTI so far.
     past: Vec<Vec<usize>>,
 }
 
 impl Sequential {
-    /// Of devices with the battery and costs of `energy` at `positions` of `area`, which is to be covered once in
-    /// `window` TTIs.
+    /// Creates the deployment of devices with the battery and costs of `energy` at `positions` of `area`. The area is
+    /// to be covered once in `window` TTIs.
     pub fn new(positions: &[Point], area: Area, sensing: &Sensing, energy: EnergyModel, window: usize) -> Self {
         let is_sure = sensing.kind == DetectionKind::Range;
         let fine = if is_sure { 15.0 } else { 10.0 };
@@ -73,7 +74,7 @@ impl Sequential {
         self.sensing.kind == DetectionKind::Range
     }
 
-    /// What `device` covers that nobody of `others` does: cells, or with detection by chance 64ths of a cell.
+    /// Returns the cells that `device` covers and `others` do not; 64ths of a cell with probabilistic detection.
     fn newly(&self, others: &[usize], device: usize) -> u32 {
         if others.contains(&device) {
             return 0;
@@ -82,7 +83,7 @@ impl Sequential {
             let is_new = |of: &&Vec<f64>| of[device] > 0.0 && others.iter().all(|&j| of[j] <= 0.0);
             return self.shares.iter().filter(is_new).count() as u32;
         }
-        // A cell has 65535 shares. Of what is left of them each device takes its part, in 65536ths and rounded down.
+        // A cell has 65535 shares. Each device takes its part of the remaining shares, in 65536ths and rounded down.
         let part = |share: f64| (share * 65536.0).round().min(65535.0) as u64;
         let newly = |of: &Vec<f64>| {
             let left = others.iter().fold(65535, |left, &j| left - left * part(of[j]) / 65536);
@@ -92,7 +93,7 @@ impl Sequential {
         (sum / 1024) as u32
     }
 
-    /// Whether sensing is worth more than sleep to a device with this charge that newly covers so much.
+    /// Whether sensing has a higher value than sleep for a device with this charge and this newly covered area.
     fn is_worth_it(&self, advantages: &[Vec<f64>], battery: usize, parts: u32) -> bool {
         let all = (self.size.0 * self.size.1) as f64 * if self.is_sure() { 1.0 } else { 64.0 };
         let share = f64::from(parts) / all * self.discs;
@@ -104,12 +105,12 @@ impl Sequential {
         parts > 0 && battery >= 2 && advantages[battery][bucket] > 0.0
     }
 
-    /// Who senses in the next TTI, by rising number.
+    /// Chooses the sensing devices of the next TTI, in the order of numbers.
     pub fn choose(&mut self, table: &DutyTable, levels: &[Energy]) -> Vec<usize> {
         let advantages = advantages(table);
         let batteries: Vec<usize> = levels.iter().map(|&level| battery(&self.energy, level)).collect();
         let from = self.past.len().saturating_sub(self.window - 1);
-        // Shares are rounded, so it matters who came first; who came twice counts once.
+        // Shares are rounded, so the order of devices matters; a device counts once.
         let mut before: Vec<usize> = Vec::new();
         for &j in self.past[from..].iter().flatten() {
             if !before.contains(&j) {
@@ -142,7 +143,7 @@ impl Sequential {
                     chosen.push(j);
                 }
                 if !self.is_sure() {
-                    // All places are as one.
+                    // With probabilistic detection all places form one group.
                     break;
                 }
             }
@@ -155,7 +156,7 @@ impl Sequential {
         plan
     }
 
-    /// Leaves those out that are not worth it beside all others, the least useful first.
+    /// Removes devices that are not worth sensing given all others, the least useful first.
     fn spare(&self, advantages: &[Vec<f64>], batteries: &[usize], before: &[usize], chosen: &mut Vec<usize>) {
         while self.is_sure() {
             let mut least: Option<(u32, usize)> = None;
@@ -173,7 +174,7 @@ impl Sequential {
     }
 }
 
-/// Two buckets for those that cannot sense and report, then sixths.
+/// Returns the battery bucket: two buckets for levels too low to sense and report, then sixths.
 fn battery(energy: &EnergyModel, level: Energy) -> usize {
     let EnergyModel {
         e_max, e_idle, e_tx, ..
@@ -186,9 +187,8 @@ fn battery(energy: &EnergyModel, level: Energy) -> usize {
     2 + sixths.min(5) as usize
 }
 
-/// Who senses beside nobody at the places of `places`, with their ages and devices of `energy` whose batteries are at
-/// `levels`, by rising number. A device must look at more than the first bucket of its battery in which sensing has an
-/// advantage begins with. Nothing where that is too close to call.
+/// Chooses the sensing devices by the ages of `places`, in order of number; `None` if too close to call. A device's
+/// price is the lower edge of the first area bucket in which sensing has an advantage at its battery level.
 pub fn choose_by_ages(
     places: &AgeIndex,
     table: &DutyTable,
@@ -219,8 +219,8 @@ pub fn choose_by_ages(
     Some(chosen)
 }
 
-/// The cells by blocks, and within blocks, with the least room first: the room of a cell is the part of the square of
-/// side 2·d_max around it that lies in the area; that of a block is its middle cell's. `reach` is d_max in cells.
+/// Returns the cells by block and, within a block, in ascending order of room. Room is the part in the area of the
+/// square of side 2·d_max around a cell. The room of a block is the room of its middle cell. `reach` is d_max in cells.
 fn in_order((rows, columns): (usize, usize), reach: usize) -> Vec<usize> {
     let side = |at: usize, count: usize| reach + reach.min(at).min(count - 1 - at);
     let room = |row: usize, column: usize| side(row, rows) * side(column, columns);
@@ -235,8 +235,8 @@ fn in_order((rows, columns): (usize, usize), reach: usize) -> Vec<usize> {
     cells
 }
 
-/// Q(s, 1) − Q(s, 0) by battery and area, made never to fall with the area: by the max-min formula of isotonic
-/// regression, with weights 1 + the visits of the action that was tried less often.
+/// Returns Q(s, 1) − Q(s, 0) by battery and area, made non-decreasing in the area with the max-min formula of isotonic
+/// regression. Weights are 1 + the visits of the less tried action.
 fn advantages(table: &DutyTable) -> Vec<Vec<f64>> {
     let of_battery = |battery: usize| {
         let of = |area: usize| {

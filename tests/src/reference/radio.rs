@@ -1,34 +1,34 @@
-//! What the radio does, TTI by TTI and by the definition.
+//! Radio of the reference, computed TTI by TTI from the definition.
 
-use reveille_common::radio::{self, Bursts, Link};
+use reveille_bs::scenario::Scenario;
+use reveille_common::radio::{self, InterferenceBursts, Link};
 use reveille_common::rng::{Geometric, Purpose, Stream, unit_for_pair};
-use reveille_common::scenario::Scenario;
 
-/// The radio of a run. Its clock goes on whatever is sent.
+/// Radio of a run. Its clock advances whether or not anything is sent.
 #[derive(Clone, Debug)]
 pub(super) struct Radio {
     seed: u64,
-    settings: radio::Radio,
+    settings: radio::RadioSettings,
     link: Link,
     interference: Option<Interference>,
-    /// By device, what is drawn of it, and the TTIs until something wakes it for nothing.
+    /// By device, its random stream and the TTIs until its next false wake-up.
     startling: Vec<(Stream, u64)>,
-    /// By device, whether a plan has reached it: all are the same.
+    /// By device, whether a plan has reached it. All plans are equal.
     informed: Vec<bool>,
     k: u64,
 }
 
-/// Bursts and the time between them.
+/// Bursts and the gaps between them.
 #[derive(Clone, Debug)]
 struct Interference {
-    bursts: Bursts,
+    bursts: InterferenceBursts,
     stream: Stream,
     is_burst: bool,
     left: u64,
 }
 
 impl Interference {
-    fn new(bursts: Bursts, seed: u64) -> Self {
+    fn new(bursts: InterferenceBursts, seed: u64) -> Self {
         let mut stream = Stream::new(seed, Purpose::Interference, 0);
         let is_burst = stream.unit() < bursts.burst_ttis / (bursts.burst_ttis + bursts.quiet_ttis);
         let mut made = Self {
@@ -61,7 +61,7 @@ impl Interference {
 
 impl Radio {
     pub(super) fn new(scenario: &Scenario, devices: usize) -> Self {
-        let (seed, settings) = (scenario.seed, scenario.radio);
+        let (seed, settings) = (scenario.run.seed, scenario.radio);
         let law = Geometric::new(settings.false_wake);
         let startling = (0..devices as u64).map(|id| {
             let mut stream = Stream::new(seed, Purpose::FalseWakes, id);
@@ -79,7 +79,7 @@ impl Radio {
         }
     }
 
-    /// TTI `k` begins, in which the plan goes out if it `is_sent`. How many devices miss it.
+    /// Begins TTI `k`, with a plan transmission if `is_sent`. Returns the number of devices that miss the plan.
     pub(super) fn begin(&mut self, k: u64, is_sent: bool) -> u64 {
         self.k = k;
         if let Some(interference) = &mut self.interference {
@@ -100,9 +100,10 @@ impl Radio {
         self.informed[j]
     }
 
-    /// Whether something wakes device `j` in this TTI, if it sleeps. To be asked once a TTI.
+    /// Whether a false wake-up occurs for device `j` in this TTI, if it sleeps. Call once per TTI.
     pub(super) fn startles(&mut self, j: usize) -> bool {
         let (stream, left) = &mut self.startling[j];
+        // A gap is at least 1, so this does not wrap.
         *left -= 1;
         let is_now = *left == 0;
         if is_now {
@@ -119,28 +120,29 @@ impl Radio {
         self.is_lost(Purpose::UplinkLoss, j, self.settings.uplink_loss)
     }
 
-    /// How likely it is that a device that sensed an event is not heard.
+    /// Probability that plan loss or uplink loss prevents the report of a device that is planned to sense.
     pub(super) fn silence(&self) -> f64 {
         1.0 - (1.0 - self.link.plan_loss) * (1.0 - self.link.uplink_loss)
     }
 
-    /// How likely it is that a device that was woken is not heard.
+    /// Probability that a missed wake-up or uplink loss prevents the report of a woken device.
     pub(super) fn no_answer(&self) -> f64 {
         1.0 - (1.0 - self.link.wake_miss) * (1.0 - self.link.uplink_loss)
     }
 
     fn is_lost(&self, purpose: Purpose, j: usize, otherwise: f64) -> bool {
+        // A burst never makes a loss less likely.
         let burst = self.interference.as_ref().filter(|now| now.is_burst);
         let p = burst.map_or(otherwise, |now| now.bursts.loss.max(otherwise));
         unit_for_pair(self.seed, purpose, j as u64, self.k) < p
     }
 }
 
-/// Means over bursts and the time between them.
-fn link(settings: &radio::Radio) -> Link {
+/// Returns the mean loss probabilities over bursts and gaps.
+fn link(settings: &radio::RadioSettings) -> Link {
     let mean = |p: f64| match settings.bursts {
         None => p,
-        Some(Bursts {
+        Some(InterferenceBursts {
             burst_ttis,
             quiet_ttis,
             loss,

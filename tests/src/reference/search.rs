@@ -1,48 +1,45 @@
-//! The search of the adjusted duty cycle (Sec. V-A, P2): every pair of the grid is tried in the reference's own runs.
+//! Search for the adjusted duty cycle (Sec. V-A, P2): every pair of the grid is tried in the reference's own runs.
 
-use reveille_bs::policy::adjusted::search::DutyChoice;
+use reveille_bs::policy::adjusted::search::DutyCycleChoice;
 use reveille_bs::policy::adjusted::settings::AdjustedSettings;
-use reveille_bs::policy::contract::Opaque;
+use reveille_bs::scenario::Scenario;
 use reveille_common::geometry::Point;
-use reveille_common::scenario::{Scenario, assign_classes};
+use reveille_common::scenario::assign_classes;
 use reveille_lab::preparation::prepare;
 
-use super::least::least_information;
+use super::i_min::least_information;
 use super::policy::Policy;
 use super::world::{Ground, play};
 
-/// What the seed of pilot runs differs by.
+/// Difference between the seeds of pilot runs and the run.
 const OTHER_SEED: u64 = 0x5EED_0F91_1070_0500;
-/// Information closer than this may be less or more by another order of sums.
+/// Information values closer than this can change order with the order of summation.
 const CLOSE: f64 = 1e-9;
 
-/// How a pair did.
+/// Result of a pair.
 struct Tried {
     pair: (u64, u64),
-    /// Information per event; none without events.
+    /// Information per event; `None` without events.
     information: Option<f64>,
     spent: u64,
     events: u64,
 }
 
-/// The pair (t_on, t_DRX) that the search takes; the emulator's where one of the reference's pilot runs comes to a
-/// decision that is too close to call.
+/// Returns the pair (t_on, t_DRX) of the search, or the emulator's pair if a pilot run is too close to call.
 pub(super) fn search(scenario: &Scenario, positions: &[Point]) -> (u64, u64) {
     own_search(scenario, positions).unwrap_or_else(|| {
-        let findings = prepare(scenario).findings;
-        let choice: &DutyChoice = findings
-            .as_ref()
-            .and_then(Opaque::get)
-            .expect("the search finds a pair");
+        let found = prepare(scenario).found.expect("the search finds a pair");
+        let choice: &DutyCycleChoice = found.downcast_ref().expect("a pair");
         (u64::from(choice.t_on), u64::from(choice.t_drx))
     })
 }
 
-/// The same by the reference alone.
+/// Runs the search on the reference only; `None` if too close to call.
 pub fn own_search(scenario: &Scenario, positions: &[Point]) -> Option<(u64, u64)> {
     let settings = scenario
         .policy
-        .settings::<AdjustedSettings>()
+        .settings()
+        .downcast_ref::<AdjustedSettings>()
         .expect("settings of adjusted");
     let mut pairs = Vec::new();
     for &t_on in &settings.t_on {
@@ -60,15 +57,13 @@ pub fn own_search(scenario: &Scenario, positions: &[Point]) -> Option<(u64, u64)
     let mut ttis = settings.pilot_ttis;
     let limit = settings.pilot_limit.max(ttis);
     loop {
-        let pilot = Scenario {
-            ttis,
-            warm_up: 0.25,
-            seed: scenario.seed.wrapping_add(OTHER_SEED),
-            ..scenario.clone()
-        };
+        let mut pilot = scenario.with_seed(scenario.run.seed.wrapping_add(OTHER_SEED));
+        pilot.run.ttis = ttis;
+        // Same warm-up share as in the emulator's pilot runs.
+        pilot.run.warm_up = 0.25;
         let mut tried = Vec::new();
         for &pair in &pairs {
-            // The offsets are those of the run itself.
+            // The offsets come from the run itself, not from the pilot.
             let run = play(&pilot, &ground, Policy::adjusted(scenario, positions, pair));
             if run.ambiguous.is_some() {
                 return None;
@@ -88,7 +83,7 @@ pub fn own_search(scenario: &Scenario, positions: &[Point]) -> Option<(u64, u64)
     }
 }
 
-/// The cheapest of those that reach `enough`, or else the one with most information, or else the cheapest.
+/// Returns the cheapest pair that reaches `enough`, or else the pair with the most information, or else the cheapest.
 fn best(tried: &[Tried], enough: f64) -> Option<(u64, u64)> {
     let cheapest = |of: &dyn Fn(&Tried) -> bool| {
         let mut best: Option<&Tried> = None;
@@ -114,7 +109,8 @@ fn best(tried: &[Tried], enough: f64) -> Option<(u64, u64)> {
     match (of_most.next(), of_most.next()) {
         (None, _) => cheapest(&|_| true),
         (Some(one), None) => Some(one.pair),
-        // Two of the same information, or all but: equal sums are equal however they are made, others may not be.
+        // Several pairs share the first place, exactly or nearly. Only an exact tie survives another order of
+        // summation.
         (Some(first), Some(_)) => {
             let same = tried.iter().filter_map(|one| one.information);
             let is_clear = same

@@ -1,62 +1,63 @@
-//! The model TTI by TTI: devices, events, and what comes of them.
+//! The model, TTI by TTI: devices, events and their outcomes.
 
+use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
 use reveille_common::event::EventRecord;
 use reveille_common::geometry::Point;
 use reveille_common::ids::{EventId, Tti};
 use reveille_common::rng::{Purpose, unit_for_pair};
-use reveille_common::scenario::{Scenario, assign_classes};
+use reveille_common::scenario::assign_classes;
 use reveille_common::sensing::{DetectionKind, Fusion};
-use reveille_common::totals::{DeviceTotals, EventTally, EventTotals, Ledger, Losses};
+use reveille_common::totals::{DeviceTotals, EventTally, EventTotals, Ledger, RadioLosses};
 use reveille_common::units::Energy;
 
+use super::clusters::distance;
 use super::device::{Device, State};
 use super::estimate::Estimate;
 use super::events::Events;
 use super::harvest::{Source, expected_day, is_day, mean};
-use super::plane::distance;
 use super::policy::{Choice, Policy, Reporter, Situation};
 use super::radio::Radio;
 
-/// What the reference makes of a scenario.
+/// Result of a run of the reference.
 #[derive(Clone, Debug)]
 pub struct Run {
     /// Ended events, in order.
     pub events: Vec<EventRecord>,
     /// Ledgers by device.
     pub ledgers: Vec<Ledger>,
-    /// What each device did for counted events: reports, wake-ups sent, wake-ups heard, wrong activations.
+    /// By device, actions for counted events: reports, wake-ups sent, wake-ups received, wrong activations.
     pub acts: Vec<[u64; 4]>,
     /// Sum of the ledgers over the measured part.
     pub measured: DeviceTotals,
     /// Sums over the counted events.
     pub totals: EventTotals,
-    /// The probability that an event starts in a TTI in which none is active, mean over the measured part.
+    /// Mean probability, over the measured part, that an event starts in a TTI without an active event.
     pub start_probability: f64,
-    /// Wake-ups sent in measured TTIs, whichever event they were for.
+    /// Wake-ups sent in measured TTIs, for any event.
     pub wake_ups: u64,
-    /// What the radio lost in measured TTIs.
-    pub losses: Losses,
+    /// Radio losses in measured TTIs.
+    pub losses: RadioLosses,
     /// TTIs from the first report to the last, summed over the counted events.
     pub refining_ttis: u64,
     /// Reports that arrived in measured TTIs.
     pub arrived: u64,
-    /// Wake-ups that a device did not hear, in all TTIs.
+    /// Wake-ups that a device did not receive, in all TTIs.
     pub unheard: u64,
-    /// Decisions whom to wake in which a device in S4 was taken to be unable to report.
+    /// Wake-up decisions that took a device in S4 to be unable to report.
     pub spared: u64,
     /// State and battery of each device at the end of each TTI.
     pub trace: Vec<Vec<(State, u64)>>,
-    /// The TTI in which a decision was too close to call; nothing from there on is known.
+    /// TTI in which a decision was too close to call; results from there on are undefined.
     pub ambiguous: Option<u64>,
 }
 
-/// Where devices stand, and of which class each is.
+/// Positions and classes of the devices.
 #[derive(Clone, Debug)]
 pub(super) struct Ground {
     pub(super) positions: Vec<Point>,
     pub(super) classes: Vec<u16>,
-    /// Whether recorded energy is played, or its mean comes in each TTI.
+    /// Whether traces are played; otherwise their mean arrives in each TTI.
     pub(super) plays_traces: bool,
 }
 
@@ -70,10 +71,10 @@ impl Ground {
     }
 }
 
-/// A run of `scenario` on `ground` under `policy`.
+/// Runs `scenario` on `ground` with `policy`.
 pub(super) fn play(scenario: &Scenario, ground: &Ground, policy: Policy) -> Run {
     let mut world = World::new(scenario, ground, policy);
-    for k in 0..scenario.ttis {
+    for k in 0..scenario.run.ttis {
         if k == world.warm_up_end {
             world.begin_measuring();
         }
@@ -92,7 +93,7 @@ pub(super) fn play(scenario: &Scenario, ground: &Ground, policy: Policy) -> Run 
     world.into_run()
 }
 
-/// The event under way.
+/// Active event.
 #[derive(Clone, Debug)]
 struct Event {
     epicentre: Point,
@@ -102,7 +103,7 @@ struct Event {
     information: f64,
     /// TTIs from the first report to the last.
     refined: u64,
-    /// What devices did for it.
+    /// Actions of devices for the event.
     acts: Vec<(usize, [u64; 4])>,
     /// Reporters of this TTI; the event ends in the TTI of its first report.
     reporters: Vec<Reporter>,
@@ -113,18 +114,18 @@ struct World<'a> {
     positions: Vec<Point>,
     devices: Vec<Device>,
     policy: Policy,
-    /// What the base station makes of batteries.
+    /// The base station's battery estimates.
     estimates: Vec<Estimate>,
     warm_up_end: u64,
     event: Option<Event>,
     coming: Events<'a>,
     radio: Radio,
-    /// Sum and number of the probabilities in force in the measured part.
+    /// Sum and number of the start probabilities in the measured part.
     start_probability: (f64, f64),
     events: Vec<EventRecord>,
     acts: Vec<[u64; 4]>,
     wake_ups: u64,
-    losses: Losses,
+    losses: RadioLosses,
     refining_ttis: u64,
     arrived: u64,
     unheard: u64,
@@ -140,10 +141,10 @@ impl<'a> World<'a> {
         for (id, &class) in ground.classes.iter().enumerate() {
             let class = usize::from(class);
             let kind = &scenario.classes[class];
-            let (seed, nth) = (scenario.seed, of_class[class]);
+            let (seed, nth) = (scenario.run.seed, of_class[class]);
             of_class[class] += 1;
-            let mean = mean(&kind.harvest, scenario.tau, nth);
-            let (day, is_lit) = match expected_day(&kind.harvest, scenario.tau) {
+            let mean = mean(&kind.harvest, scenario.run.tau, nth);
+            let (day, is_lit) = match expected_day(&kind.harvest, scenario.run.tau) {
                 Some(day) => {
                     let is_lit = (0..day.len() as u64).map(|k| is_day(&kind.harvest, k)).collect();
                     (day, is_lit)
@@ -151,7 +152,7 @@ impl<'a> World<'a> {
                 None => (vec![mean], vec![true]),
             };
             estimates.push(Estimate::new(kind.energy, day, is_lit));
-            let source = Source::new(&kind.harvest, scenario.tau, seed, id as u64, nth);
+            let source = Source::new(&kind.harvest, scenario.run.tau, seed, id as u64, nth);
             let source = if ground.plays_traces {
                 source
             } else {
@@ -166,14 +167,14 @@ impl<'a> World<'a> {
             scenario,
             positions: ground.positions.clone(),
             devices,
-            warm_up_end: (scenario.ttis as f64 * scenario.warm_up).floor() as u64,
+            warm_up_end: (scenario.run.ttis as f64 * scenario.run.warm_up).floor() as u64,
             event: None,
             coming: Events::new(scenario),
             radio: Radio::new(scenario, ground.positions.len()),
             start_probability: (0.0, 0.0),
             events: Vec::new(),
             wake_ups: 0,
-            losses: Losses::default(),
+            losses: RadioLosses::default(),
             refining_ttis: 0,
             arrived: 0,
             unheard: 0,
@@ -183,7 +184,7 @@ impl<'a> World<'a> {
         }
     }
 
-    /// Before step 1: the plan goes out.
+    /// Before step 1: transmits the plan.
     fn begin(&mut self, k: u64) {
         let is_sent = k.is_multiple_of(self.scenario.bs.sync_interval);
         let missed = self.radio.begin(k, is_sent);
@@ -193,7 +194,7 @@ impl<'a> World<'a> {
         }
     }
 
-    /// Step 1.
+    /// Step 1: harvesting.
     fn harvest(&mut self, k: u64) {
         for device in &mut self.devices {
             let arriving = device.source.arriving(k);
@@ -205,7 +206,7 @@ impl<'a> World<'a> {
         }
     }
 
-    /// Step 2.
+    /// Step 2: duty cycles.
     fn apply_duty(&mut self, k: u64) {
         for (j, device) in self.devices.iter_mut().enumerate() {
             let paid;
@@ -223,6 +224,7 @@ impl<'a> World<'a> {
             let now = if paid { 0 } else { now + 1 };
             device.outage = [now, most.max(now)];
             device.state = if paid { then } else { State::Dark };
+            // `startles` comes first in the condition: it counts down in every TTI, whatever the state.
             if self.radio.startles(j) && device.state == State::Asleep {
                 device.false_wakes += 1;
                 if !device.pay(device.costs.e_idle, 1).1 {
@@ -232,7 +234,7 @@ impl<'a> World<'a> {
         }
     }
 
-    /// Step 3.
+    /// Step 3: start of an event.
     fn start_event(&mut self, k: u64) {
         let alpha = self.coming.next_tti();
         if k >= self.warm_up_end {
@@ -255,7 +257,7 @@ impl<'a> World<'a> {
         });
     }
 
-    /// Steps 4 and 5.
+    /// Steps 4 and 5: sensing and reports.
     fn sense(&mut self, k: u64) {
         let Some(mut event) = self.event.take() else { return };
         let mut reported = Vec::new();
@@ -273,8 +275,8 @@ impl<'a> World<'a> {
         self.event = Some(event);
     }
 
-    /// Where detection is sure within d_max, who was told to sense and must be that near to the event, wherever on the
-    /// ring around a reporter it is, would have reported.
+    /// Learns from missing reports if detection is certain within d_max. A device planned to sense would have reported
+    /// if it is within d_max of every point on the ring around a reporter.
     fn hear_silence(&mut self, k: u64, reported: &[(usize, f64)]) {
         let sensing = &self.scenario.sensing;
         if sensing.kind != DetectionKind::Range {
@@ -282,6 +284,7 @@ impl<'a> World<'a> {
         }
         for j in 0..self.devices.len() {
             let is_sure = |&(h, d): &(usize, f64)| {
+                // The emulator's rounding margin: both must agree at the edge of the range.
                 distance(self.positions[h], self.positions[j]) <= sensing.d_max * (1.0 - 1e-9) - d
             };
             let has_reported = reported.iter().any(|&(h, _)| h == j);
@@ -293,7 +296,7 @@ impl<'a> World<'a> {
         }
     }
 
-    /// Step 6. False where the next wake-up is too close to call.
+    /// Step 6: wake-ups. Returns false if the next wake-up is too close to call.
     fn wake(&mut self, k: u64) -> bool {
         let Some(mut event) = self.event.take() else {
             return true;
@@ -330,7 +333,7 @@ impl<'a> World<'a> {
             self.wake_ups += u64::from(k >= self.warm_up_end);
             let heard = self.devices[j].state == State::Asleep && !self.radio.misses_wake_up(j);
             event.acts.push((j, [0, 1, u64::from(heard), 0]));
-            // One after the other, each takes its time to wake.
+            // Wake-ups for an event are sent in order, each after the latency of the previous one.
             let awake = k + woken.len() as u64 * self.scenario.radio.wake_latency;
             let is_over = awake >= event.start.saturating_add(event.duration);
             let has_reported = if heard && is_over {
@@ -360,7 +363,7 @@ impl<'a> World<'a> {
         true
     }
 
-    /// Device `j` wakes when the event is over, finds nothing and sleeps again.
+    /// Wakes device `j` after the end of the event; it detects nothing and sleeps again.
     fn wake_too_late(&mut self, j: usize, k: u64, event: &mut Event) {
         let device = &mut self.devices[j];
         device.false_wakes += 1;
@@ -372,7 +375,7 @@ impl<'a> World<'a> {
         self.losses.late += u64::from(k >= self.warm_up_end);
     }
 
-    /// From S2: device `j` sends its report, or cannot. Whether the report arrives.
+    /// From S2: device `j` sends its report if it can pay for it. Returns whether the report arrives.
     fn transmit(&mut self, j: usize, k: u64, event: &mut Event) -> bool {
         let sensing = &self.scenario.sensing;
         let d = distance(self.positions[j], event.epicentre);
@@ -419,13 +422,18 @@ impl<'a> World<'a> {
         match sensing.kind {
             DetectionKind::Range => true,
             DetectionKind::Probabilistic => {
-                let draw = unit_for_pair(self.scenario.seed, Purpose::Detection, self.coming.number(), j as u64);
+                let draw = unit_for_pair(
+                    self.scenario.run.seed,
+                    Purpose::Detection,
+                    self.coming.number(),
+                    j as u64,
+                );
                 draw < libm::exp(-sensing.eta * d)
             }
         }
     }
 
-    /// The end of step 6: an event ends with its first report or with its time.
+    /// End of step 6: an event ends with its first report or at its end time.
     fn close_event(&mut self, k: u64) {
         let Some(mut event) = self.event.take() else { return };
         if event.tally.reports == 0 && k + 1 < event.start.saturating_add(event.duration) {
@@ -439,6 +447,7 @@ impl<'a> World<'a> {
                 sums.for_each(|(sum, act)| *sum += act);
             }
         }
+        // The emulator sums information in whole units of 10⁻¹².
         event.tally.information_pico = (event.information * 1e12).round() as u64;
         self.events.push(EventRecord {
             event: EventId(self.coming.number()),
@@ -451,7 +460,7 @@ impl<'a> World<'a> {
         self.coming.ended();
     }
 
-    /// Step 7.
+    /// Step 7: accounting.
     fn account(&mut self) {
         let mut row = Vec::new();
         for device in &mut self.devices {
@@ -494,7 +503,7 @@ impl<'a> World<'a> {
             totals,
             start_probability: self.start_probability.0 / self.start_probability.1,
             wake_ups: self.wake_ups,
-            losses: Losses {
+            losses: RadioLosses {
                 wake_ups: self.wake_ups,
                 ..self.losses
             },

@@ -1,4 +1,4 @@
-//! The Rust sources of the workspace, and what each module of them names.
+//! The Rust sources of the workspace, and the paths that each module names.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -8,27 +8,27 @@ use proc_macro2::{TokenStream, TokenTree};
 use syn::punctuated::Punctuated;
 use syn::visit::{self, Visit};
 
-/// The crates, each after all that it may use.
-pub const CRATES: [&str; 9] = [
+/// The crates, each after all crates that it may use.
+pub(super) const CRATES: [&str; 9] = [
     "common", "device", "bs", "lab", "study", "view", "deploy", "tests", "python",
 ];
 
-/// One file.
-pub struct Source {
-    /// Its path from the root of the workspace, such as `common/src/plan.rs`.
+/// Source file.
+pub(super) struct Source {
+    /// Path from the root of the workspace, such as `common/src/plan.rs`.
     pub name: String,
-    /// What is in it.
+    /// Contents of the file.
     pub text: String,
 }
 
 impl Source {
-    /// Whether it has nothing but tests in it.
-    pub fn is_test(&self) -> bool {
+    /// Whether the file contains only tests.
+    pub(super) fn is_test(&self) -> bool {
         is_test(&self.name)
     }
 
-    /// Its lines of code: without comments and without its unit tests at the end.
-    pub fn code(&self) -> Vec<&str> {
+    /// Returns the lines of code, without comments and without the unit tests at the end.
+    pub(super) fn code(&self) -> Vec<&str> {
         let text = self.text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
         text.lines()
             .filter(|line| !line.trim_start().starts_with("//"))
@@ -36,20 +36,20 @@ impl Source {
     }
 }
 
-/// Whether the file `name` has nothing but tests in it.
+/// Whether the file `name` contains only tests.
 fn is_test(name: &str) -> bool {
     name.ends_with("tests.rs") || name.contains("/tests/") || name.contains("/program/")
 }
 
-/// The root of the workspace.
-pub fn root() -> PathBuf {
+/// Returns the root of the workspace.
+pub(super) fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// All Rust files of the tree, in the order of their names: also those that are no part of the workspace.
-pub fn sources() -> Vec<Source> {
+/// Returns all Rust files of the tree, ordered by name, including files outside the workspace.
+pub(super) fn sources() -> Vec<Source> {
     let mut found = Vec::new();
-    for folder in ["docs/patrol", "tests/fuzz/fuzz_targets"] {
+    for folder in ["docs", "tests/fuzz/fuzz_targets"] {
         let before = found.len();
         collect(&root().join(folder), folder, &mut found);
         assert!(found.len() > before, "{folder} holds no source");
@@ -82,58 +82,58 @@ fn collect(folder: &Path, name: &str, found: &mut Vec<Source>) {
     }
 }
 
-/// A path that code names, such as `crate::plan::DutyCycle`.
+/// Path that code names, such as `crate::plan::DutyCycle`.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Mention {
-    /// Its words.
+pub(super) struct Mention {
+    /// Words of the path.
     pub words: Vec<String>,
-    /// Where it is named.
+    /// Syntactic role of the path.
     role: Role,
 }
 
-/// Where a path is named.
+/// Syntactic role of a path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Role {
     /// In an expression, a type or a pattern.
     Code,
     /// In a `use`.
     Import,
-    /// In a `pub use`, which hands it on.
+    /// In a `pub use`, which re-exports it.
     HandedOn,
 }
 
-/// A module: a file's, or one in braces within a file. Tests are left out.
+/// Module of a file, or inline module in braces. Tests are left out.
 #[derive(Default)]
-pub struct Module {
-    /// The file that it is in.
+pub(super) struct Module {
+    /// File that contains the module.
     pub file: String,
-    /// Modules right in it.
+    /// Direct child modules.
     children: BTreeSet<String>,
-    /// Names that it declares itself.
+    /// Names that the module itself declares.
     items: BTreeSet<String>,
-    /// Macros that it declares, which `#[macro_export]` puts at the root of the crate.
+    /// Declared macros, which `#[macro_export]` puts at the root of the crate.
     macros: BTreeSet<String>,
-    /// Names that it takes from elsewhere, with their paths.
+    /// Imported names with their paths.
     imports: BTreeMap<String, Vec<String>>,
-    /// Modules that it takes all names from.
+    /// Modules of glob imports.
     globs: Vec<Vec<String>>,
-    /// Every path named in it.
+    /// Every path named in the module.
     pub mentions: BTreeSet<Mention>,
-    /// Methods that it calls without an argument.
+    /// Methods called without an argument.
     pub calls: BTreeSet<String>,
-    /// Types of its `static` items, as written; `thread_local` for that macro.
+    /// Types of `static` items, as written; `thread_local` for that macro.
     pub statics: Vec<String>,
 }
 
-/// A crate of the workspace.
-pub struct Crate {
-    /// Its folder.
+/// Crate of the workspace.
+pub(super) struct Crate {
+    /// Folder of the crate.
     pub member: String,
-    /// Its modules by their paths, `[]` for its root.
+    /// Modules by path; `[]` is the root.
     pub modules: BTreeMap<Vec<String>, Module>,
 }
 
-/// What a path leads to.
+/// Target of a path.
 enum Target {
     Module(Vec<String>),
     Item(String),
@@ -141,7 +141,7 @@ enum Target {
 
 impl Crate {
     /// Reads the modules of `member`.
-    pub fn read(member: &str, sources: &[Source]) -> Self {
+    pub(super) fn read(member: &str, sources: &[Source]) -> Self {
         let (mut modules, mut for_tests) = (BTreeMap::new(), Vec::new());
         let prefix = format!("{member}/src/");
         for source in sources.iter().filter(|source| !source.is_test()) {
@@ -183,11 +183,11 @@ impl Crate {
         }
     }
 
-    /// Which file uses which others of the crate, each with a path that says so.
+    /// Returns the files of the crate that each file uses, each with a path that shows the use.
     ///
-    /// A `mod` item is no use, nor is a `pub use` of something below: a folder's `mod.rs` may show what its files
-    /// declare, and what they take through it is counted as taken from where it is declared.
-    pub fn uses(&self) -> BTreeMap<String, BTreeMap<String, String>> {
+    /// A `mod` item does not count as a use, nor does a `pub use` of a module below. A folder's `mod.rs` may re-export
+    /// items of its files; a use through such a re-export counts for the declaring file.
+    pub(super) fn uses(&self) -> BTreeMap<String, BTreeMap<String, String>> {
         let mut uses: BTreeMap<String, BTreeMap<String, String>> = BTreeMap::new();
         for (path, module) in &self.modules {
             let found = uses.entry(module.file.clone()).or_default();
@@ -206,31 +206,31 @@ impl Crate {
     }
 
     /// Whether `mention` in the module at `path` is a `pub use` of something below it.
-    pub fn hands_on(&self, path: &[String], mention: &Mention) -> bool {
+    pub(super) fn hands_on(&self, path: &[String], mention: &Mention) -> bool {
         let first = mention.words.iter().find(|&word| word != "self");
         let is_below = first.is_some_and(|first| self.modules[path].children.contains(first));
         mention.role == Role::HandedOn && is_below
     }
 
-    /// `words` in the module at `path`, with what an import stands for in the place of its name: `std::path::absolute`
-    /// for `path::absolute`.
-    pub fn written_out(&self, path: &[String], words: &[String]) -> Vec<String> {
+    /// Returns `words` in the module at `path` with imports expanded: `std::path::absolute` for `path::absolute`.
+    pub(super) fn written_out(&self, path: &[String], words: &[String]) -> Vec<String> {
         match self.modules[path].imports.get(&words[0]) {
             Some(import) => import.iter().chain(&words[1..]).cloned().collect(),
             None => words.to_vec(),
         }
     }
 
-    /// The file that declares what `words` mean at the root of the crate.
-    pub fn file_at(&self, words: &[String]) -> Option<String> {
+    /// Returns the file that declares the target of `words` at the root of the crate.
+    pub(super) fn file_at(&self, words: &[String]) -> Option<String> {
         match self.walk(Vec::new(), words, 0)? {
             Target::Module(path) => Some(self.modules[&path].file.clone()),
             Target::Item(file) => Some(file),
         }
     }
 
-    /// The file that declares what `words` mean in the module at `path`; `None` for what is not of this crate.
-    pub fn file_of(&self, path: &[String], words: &[String]) -> Option<String> {
+    /// Returns the file that declares the target of `words` in the module at `path`; `None` for names outside this
+    /// crate.
+    pub(super) fn file_of(&self, path: &[String], words: &[String]) -> Option<String> {
         if words.len() == 1 && !self.modules[path].imports.contains_key(&words[0]) {
             return None; // A variable, or an item of the module itself.
         }
@@ -298,7 +298,7 @@ struct Reader<'a> {
     file: &'a str,
     path: Vec<String>,
     modules: &'a mut BTreeMap<Vec<String>, Module>,
-    /// Modules with files of their own that are for tests alone.
+    /// Modules in separate files that are only for tests.
     for_tests: &'a mut Vec<Vec<String>>,
 }
 
@@ -344,7 +344,7 @@ impl Reader<'_> {
         self.mention(words, role);
     }
 
-    /// Paths in the arguments of a macro, which have no grammar of their own.
+    /// Collects paths in the arguments of a macro, which syn does not parse.
     fn tokens(&mut self, tokens: TokenStream) {
         let mut words: Vec<String> = Vec::new();
         let mut colons = 0;
@@ -401,7 +401,7 @@ fn attributes(item: &syn::Item) -> &[syn::Attribute] {
     }
 }
 
-/// The name that an item declares, if it has one.
+/// Returns the name that an item declares, if any.
 #[expect(clippy::wildcard_enum_match_arm, reason = "an enum of syn, which may grow")]
 fn declared(item: &syn::Item) -> Option<String> {
     match item {
@@ -496,12 +496,12 @@ impl<'ast> Visit<'ast> for Reader<'_> {
         visit::visit_macro(self, call);
     }
 
-    // `pub(crate)` and attributes name no code.
+    // `pub(crate)` and attributes do not refer to code.
     fn visit_visibility(&mut self, _: &'ast syn::Visibility) {}
     fn visit_attribute(&mut self, _: &'ast syn::Attribute) {}
 }
 
-/// Reads the calls of methods in the arguments of a macro.
+/// Collects method calls in the arguments of a macro.
 struct Calls<'a>(&'a mut Module);
 
 impl<'ast> Visit<'ast> for Calls<'_> {
@@ -513,7 +513,7 @@ impl<'ast> Visit<'ast> for Calls<'_> {
     }
 }
 
-/// All names in a type.
+/// Collects all names in a type.
 #[derive(Default)]
 struct Names(Vec<String>);
 

@@ -1,7 +1,7 @@
-//! The dissector for Wireshark, in Lua: made from the forms of messages, so that it reads what this version writes.
+//! Wireshark dissector in Lua, generated from the message schemas so that it reads the messages of this version.
 //!
-//! Every field has a filter of its own: `reveille.` with the kind and the path to the field, `reveille.wake.device` for
-//! one. A choice has its name in `….is`.
+//! Every field has its own filter: `reveille.`, the kind and the path to the field, such as `reveille.wake.device`. The
+//! variant name of a choice is in `….is`.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -11,14 +11,14 @@ use reveille_common::message::{Addressee, MessageKind};
 use serde_reflection::{ContainerFormat, Format, Named, VariantFormat};
 
 use super::pcapng::number;
-use crate::forms::Forms;
+use crate::schemas::MessageSchemas;
 
-/// What all dissectors have in common.
+/// Part common to all dissectors.
 const CORE: &str = include_str!("dissector.lua");
 
-/// The script.
+/// Generates the script.
 pub fn lua() -> String {
-    let forms = Forms::read();
+    let forms = MessageSchemas::read();
     let mut script = Script {
         forms: &forms,
         fields: BTreeMap::new(),
@@ -27,7 +27,7 @@ pub fn lua() -> String {
     for kind in MessageKind::ALL {
         let (plane, name, whose) = (kind.plane().name(), kind.name(), kind.addressee().name());
         let form = script.format(forms.kind(*kind), name);
-        // A report says itself whose it is.
+        // A report's payload holds the device, so the field with this path exists already.
         let path = format!("{name}.{whose}");
         let is_told = kind.addressee() == Addressee::Nobody || script.fields.contains_key(&path);
         if !is_told {
@@ -52,10 +52,10 @@ pub fn lua() -> String {
         .replace("--@version", &format!("local version = {WIRE_VERSION}"))
 }
 
-/// The forms as tables of Lua, and the fields that they need.
+/// Schemas as Lua tables, and the fields that they need.
 struct Script<'a> {
-    forms: &'a Forms,
-    /// By path, the type of the field.
+    forms: &'a MessageSchemas,
+    /// Field types by path.
     fields: BTreeMap<String, &'static str>,
 }
 
@@ -64,7 +64,7 @@ impl Script<'_> {
         self.fields.insert(path.to_owned(), of);
     }
 
-    /// A value that is a field of its own.
+    /// Adds a value that has its own field.
     fn leaf(&mut self, path: &str, read: &str, of: &'static str) -> String {
         self.field(path, of);
         format!("{{{read:?}, {path:?}}}")

@@ -1,4 +1,4 @@
-//! Files that other tools open.
+//! Export of runs to the file formats of other tools.
 
 pub mod dissector;
 pub mod pcapng;

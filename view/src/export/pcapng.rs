@@ -1,88 +1,75 @@
-//! Messages as packets, for Wireshark: pcapng (IETF draft-ietf-opsawg-pcapng), link type USER0, with virtual time.
+//! Export of messages as packets for Wireshark: pcapng (IETF draft-ietf-opsawg-pcapng), link type USER0, virtual time.
 //!
-//! A packet is a header and the payload as encoded. The header, little-endian: the number of the kind (one byte, in the
-//! order of [`MessageKind::ALL`]), whether a number follows (one byte, 0 or 1), the number at the end of the key (four
-//! bytes), the TTI (eight bytes).
+//! A packet is a header and the payload as encoded. The header is little-endian. Its fields are the number of the kind
+//! (one byte, in the order of [`MessageKind::ALL`]), whether a number follows (one byte, 0 or 1), the number at the end
+//! of the key (four bytes) and the TTI (eight bytes).
 
-use std::io::{self, Write};
+use core::time::Duration;
+use std::io::Write;
 
+use pcap_file::pcapng::PcapNgWriter;
+use pcap_file::pcapng::blocks::enhanced_packet::EnhancedPacketBlock;
+use pcap_file::pcapng::blocks::interface_description::{InterfaceDescriptionBlock, InterfaceDescriptionOption};
+use pcap_file::{DataLink, Endianness, PcapError};
 use reveille_common::message::{Frame, MessageKind};
 
 use crate::recording::NANOS_PER_TTI;
 
-/// LINKTYPE_USER0.
-const LINK_TYPE: u16 = 147;
-/// Bytes of the header of a packet.
-pub const HEADER: usize = 14;
-
-const SECTION: u32 = 0x0A0D_0D0A;
-const INTERFACE: u32 = 1;
-const PACKET: u32 = 6;
-/// The option that gives the unit of time stamps.
-const RESOLUTION: u16 = 9;
-/// Time stamps are in 10⁻⁹ s.
+/// Length of a packet header, bytes.
+const HEADER: usize = 14;
+/// Resolution of time stamps: 10⁻⁹ s.
 const NANOSECONDS: u8 = 9;
-/// The option that names the interface.
-const NAME: u16 = 2;
 
-/// Writes packets.
-pub struct Packets<W> {
-    out: W,
-}
+/// Writer of packets.
+pub struct Packets<W: Write>(PcapNgWriter<W>);
 
 impl<W: Write> Packets<W> {
-    /// Begins a file.
+    /// Writes the start of a file.
     ///
     /// # Errors
-    /// If it cannot be written.
-    pub fn begin(mut out: W) -> io::Result<Self> {
-        let mut section = Vec::new();
-        section.extend(0x1A2B_3C4D_u32.to_le_bytes());
-        section.extend(1_u16.to_le_bytes());
-        section.extend(0_u16.to_le_bytes());
-        // The length of the section is not told.
-        section.extend(u64::MAX.to_le_bytes());
-        block(&mut out, SECTION, &section)?;
-        let mut interface = Vec::new();
-        interface.extend(LINK_TYPE.to_le_bytes());
-        interface.extend(0_u16.to_le_bytes());
-        // Packets are whole, however long.
-        interface.extend(0_u32.to_le_bytes());
-        option(&mut interface, NAME, b"reveille");
-        option(&mut interface, RESOLUTION, &[NANOSECONDS]);
-        option(&mut interface, 0, &[]);
-        block(&mut out, INTERFACE, &interface)?;
-        Ok(Self { out })
+    /// If the file cannot be written.
+    pub fn begin(out: W) -> Result<Self, PcapError> {
+        let mut writer = PcapNgWriter::with_endianness(out, Endianness::Little)?;
+        writer.write_pcapng_block(InterfaceDescriptionBlock {
+            linktype: DataLink::USER0,
+            // 0 means no limit: packets are never truncated.
+            snaplen: 0,
+            options: vec![
+                InterfaceDescriptionOption::IfName("reveille".into()),
+                InterfaceDescriptionOption::IfTsResol(NANOSECONDS),
+            ],
+        })?;
+        Ok(Self(writer))
     }
 
     /// Writes the packet of a frame.
     ///
     /// # Errors
-    /// If it cannot be written.
-    pub fn write(&mut self, frame: &Frame) -> io::Result<()> {
+    /// If the file cannot be written.
+    pub fn write(&mut self, frame: &Frame) -> Result<(), PcapError> {
         let packet = packet(frame);
-        let (at, length) = (frame.tti.0 * NANOS_PER_TTI, packet.len() as u32);
-        let mut body = Vec::with_capacity(packet.len() + 20);
-        body.extend(0_u32.to_le_bytes());
-        body.extend(((at >> 32) as u32).to_le_bytes());
-        body.extend((at as u32).to_le_bytes());
-        body.extend(length.to_le_bytes());
-        body.extend(length.to_le_bytes());
-        body.extend(packet);
-        block(&mut self.out, PACKET, &body)
+        self.0.write_pcapng_block(EnhancedPacketBlock {
+            interface_id: 0,
+            timestamp: Duration::from_nanos(frame.tti.0 * NANOS_PER_TTI),
+            original_len: packet.len() as u32,
+            data: packet.into(),
+            options: Vec::new(),
+        })?;
+        Ok(())
     }
 
-    /// Ends the file. Gives back what it was written to.
+    /// Completes the file and returns its output.
     ///
     /// # Errors
-    /// If it cannot be written.
-    pub fn finish(mut self) -> io::Result<W> {
-        self.out.flush()?;
-        Ok(self.out)
+    /// If the file cannot be written.
+    pub fn finish(self) -> Result<W, PcapError> {
+        let mut out = self.0.into_inner();
+        out.flush().map_err(PcapError::IoError)?;
+        Ok(out)
     }
 }
 
-/// The number of a kind in packets.
+/// Returns the number of a kind in packets.
 pub fn number(kind: MessageKind) -> u8 {
     let at = MessageKind::ALL.iter().position(|known| *known == kind);
     at.expect("all kinds are listed") as u8
@@ -98,51 +85,31 @@ fn packet(frame: &Frame) -> Vec<u8> {
     packet
 }
 
-/// A block: its type, its length before and after it, its body filled up to four bytes.
-fn block(out: &mut impl Write, kind: u32, body: &[u8]) -> io::Result<()> {
-    let filled = body.len().next_multiple_of(4);
-    let length = (filled as u32 + 12).to_le_bytes();
-    out.write_all(&kind.to_le_bytes())?;
-    out.write_all(&length)?;
-    out.write_all(body)?;
-    out.write_all(&[0; 3][..filled - body.len()])?;
-    out.write_all(&length)
-}
-
-fn option(out: &mut Vec<u8>, code: u16, value: &[u8]) {
-    out.extend(code.to_le_bytes());
-    out.extend((value.len() as u16).to_le_bytes());
-    out.extend(value);
-    out.extend(&[0; 3][..value.len().next_multiple_of(4) - value.len()]);
-}
-
 #[cfg(test)]
 mod tests {
+    use pcap_file::pcapng::PcapNgReader;
     use reveille_common::ids::{DeviceId, Tti};
     use reveille_common::message::WakeUp;
 
     use super::*;
 
     #[test]
-    fn blocks_have_their_lengths_on_both_ends() {
+    fn a_packet_is_a_header_and_the_payload_at_its_virtual_time() {
         let frame = Frame::of(Tti(5_000_000), DeviceId(7), &WakeUp { tti: Tti(5_000_000) });
         let mut packets = Packets::begin(Vec::new()).expect("begun");
         packets.write(&frame).expect("written");
         let bytes = packets.finish().expect("finished");
-        let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().expect("four bytes"));
-        let (mut at, mut kinds) = (0, Vec::new());
-        while at < bytes.len() {
-            let length = word(at + 4) as usize;
-            assert_eq!((length % 4, word(at + length - 4) as usize), (0, length));
-            kinds.push(word(at));
-            at += length;
-        }
-        assert_eq!(kinds, [SECTION, INTERFACE, PACKET]);
-        let start = bytes.len() - word(bytes.len() - 4) as usize;
-        let nanos = (u64::from(word(start + 12)) << 32) | u64::from(word(start + 16));
-        assert_eq!(nanos, 5_000_000 * 1_000_000);
-        let packet = &bytes[start + 28..start + 28 + word(start + 20) as usize];
-        assert_eq!(packet[..6], [number(MessageKind::Wake), 1, 7, 0, 0, 0]);
-        assert_eq!(packet[HEADER..], frame.payload);
+        let mut reader = PcapNgReader::new(&bytes[..]).expect("a section");
+        let interface = reader.next_block().expect("a block").expect("whole").into_owned();
+        assert_eq!(
+            interface.into_interface_description().map(|found| found.linktype),
+            Some(DataLink::USER0)
+        );
+        let packet = reader.next_block().expect("a block").expect("whole").into_owned();
+        let packet = packet.into_enhanced_packet().expect("a packet");
+        assert_eq!(packet.timestamp.as_nanos(), 5_000_000 * 1_000_000);
+        assert_eq!(packet.data[..6], [number(MessageKind::Wake), 1, 7, 0, 0, 0]);
+        assert_eq!(packet.data[HEADER..], frame.payload);
+        assert!(reader.next_block().is_none());
     }
 }

@@ -1,27 +1,27 @@
-//! A run as a trace for Perfetto: protocol buffers of type `perfetto.protos.Trace` with track events.
+//! Export of a run as a Perfetto trace: protocol buffers of type `perfetto.protos.Trace` with track events.
 //!
-//! A track for each device with slices of its states, a counter with its battery, and for each wake-up an arrow from
-//! the base station to the device that reports. A TTI is a millisecond.
+//! Each device has a track with slices of its states and a counter with its battery. Each wake-up is an arrow from the
+//! base station to the device that reports. A TTI is a millisecond.
 
 use std::io::{self, Write};
 
+use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{EventNews, Frame, Message, WakeOutcome};
-use reveille_common::scenario::Scenario;
+use reveille_common::message::{EventUpdate, Frame, Message, WakeOutcome};
 use reveille_common::state::{DeviceState, DeviceView};
 
 use super::protobuf::Proto;
-use crate::mirror::{Discrepancy, Mirror};
+use crate::device_mirror::{DeviceMirror, Discrepancy};
 use crate::recording::NANOS_PER_TTI;
 
-/// Tracks have numbers: the run's process, the base station, the events, then two for each device.
+/// Track numbers: the process of the run, the base station, the events, then two for each device.
 const PROCESS: u64 = 1;
 const STATION: u64 = 2;
 const EVENTS: u64 = 3;
 const DEVICES: u64 = 16;
 
-/// The sequence that all packets are of.
+/// Sequence of all packets.
 const SEQUENCE: u64 = 1;
 /// `TrackEvent.Type`.
 const BEGIN: u64 = 1;
@@ -29,46 +29,48 @@ const END: u64 = 2;
 const INSTANT: u64 = 3;
 const COUNTER: u64 = 4;
 
-/// Why a trace cannot be written.
+/// Reason why a trace cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub enum TraceError {
-    /// The operating system refuses.
+    /// The operating system returned an error.
     #[error(transparent)]
     Io(#[from] io::Error),
-    /// The frames are not those of one run from its start.
+    /// The frames do not form one run from its start.
     #[error("the states of devices cannot be worked out: {0}")]
     Frames(#[from] Discrepancy),
 }
 
-/// Writes a trace.
-pub struct Trace<W> {
+/// Writer of a trace.
+pub struct PerfettoWriter<W> {
     out: W,
-    mirror: Mirror,
-    /// By device, the slice that is open and the battery that was told last.
+    mirror: DeviceMirror,
+    /// Open slice and last written battery of each device.
     open: Vec<Option<(&'static str, u64)>>,
-    /// TTIs between two values of a battery.
+    /// TTIs between two battery values.
     every: u64,
-    /// Arrows so far.
+    /// Number of arrows so far.
     flows: u64,
-    /// The first TTI of which states have not been told.
+    /// First TTI whose states are not written yet.
     next: Tti,
 }
 
-impl<W: Write> Trace<W> {
-    /// Begins the trace of a run of `scenario`, with the batteries once in `every` TTIs.
+impl<W: Write> PerfettoWriter<W> {
+    /// Writes the start of the trace of a run of `scenario`, with battery values every `every` TTIs.
     ///
     /// # Errors
-    /// If it cannot be written.
+    /// If the trace cannot be written.
     pub fn begin(out: W, run: &str, scenario: &Scenario, every: u64) -> io::Result<Self> {
         let deployment = Deployment::new(scenario);
         let mut trace = Self {
             out,
-            mirror: Mirror::new(scenario, &deployment),
+            mirror: DeviceMirror::new(scenario, &deployment),
             open: vec![None; deployment.devices.len()],
             every,
             flows: 0,
             next: Tti::ZERO,
         };
+        // `ProcessDescriptor`: pid 1, process_name 6. `TrackDescriptor`: uuid 1, name 2, process 3, parent_uuid 5,
+        // counter 8.
         let process = Proto::new().number(1, 1).text(6, &format!("reveille {run}"));
         trace.describe(&Proto::new().number(1, PROCESS).message(3, &process))?;
         for (track, name) in [(STATION, "base station"), (EVENTS, "events")] {
@@ -86,16 +88,16 @@ impl<W: Write> Trace<W> {
         Ok(trace)
     }
 
-    /// Goes on with `frame`.
+    /// Writes `frame`.
     ///
     /// # Errors
-    /// If it cannot be written, or does not fit to what was before it.
+    /// If the trace cannot be written, or the frame contradicts the frames before it.
     pub fn write(&mut self, frame: &Frame) -> Result<(), TraceError> {
         let Ok(message) = frame.message() else {
             return Ok(());
         };
         let device = frame.number.map(DeviceId);
-        // What was reached is told before anything new comes to it.
+        // A plan or a grant closes the current TTI, so its states are final.
         if matches!(message, Message::Plan(_) | Message::World(_)) {
             self.tell_until(self.mirror.next())?;
         }
@@ -103,16 +105,17 @@ impl<W: Write> Trace<W> {
             self.mirror
                 .fits(world)
                 .map_err(|what| Discrepancy { tti: frame.tti, what })?;
-            // In all but the last nothing is heard of anybody.
+            // Devices act only in the last TTI of a grant, so the states of the other TTIs are final too.
             self.tell_until(world.last)?;
         }
-        self.mirror.take(frame, &message)?;
+        self.mirror.apply(frame, &message)?;
         match (&message, device) {
             (Message::Plan(_) | Message::Gone(_), _) => {
                 self.instant(frame.tti, STATION, &message.to_string(), None)?;
             }
             (Message::Wake(_), Some(device)) => {
                 self.flows += 1;
+                // `TrackEvent.flow_ids`; the outcome below ends the arrow with `terminating_flow_ids`, 48.
                 let flow = Some((47, self.flows));
                 self.instant(frame.tti, STATION, &format!("wake device {device}"), flow)?;
             }
@@ -127,6 +130,7 @@ impl<W: Write> Trace<W> {
                 };
                 self.instant(frame.tti, states(device), &said, flow)?;
             }
+            // A woken device's report is part of the outcome of its wake-up.
             (Message::Report(report), Some(device)) if !self.mirror.is_waking() => {
                 self.instant(frame.tti, states(device), &report.to_string(), None)?;
             }
@@ -136,14 +140,14 @@ impl<W: Write> Trace<W> {
             (Message::Failed(failed), Some(device)) => {
                 self.instant(frame.tti, states(device), &failed.to_string(), None)?;
             }
-            (Message::Event(EventNews::Started(event)), _) => {
+            (Message::Event(EventUpdate::Started(event)), _) => {
                 let name = format!("event {}", event.stimulus.event.0);
                 self.event(
                     event.start,
                     &Proto::new().number(9, BEGIN).number(11, EVENTS).text(23, &name),
                 )?;
             }
-            (Message::Event(EventNews::Ended(record)), _) => {
+            (Message::Event(EventUpdate::Ended(record)), _) => {
                 self.event(record.last + 1, &Proto::new().number(9, END).number(11, EVENTS))?;
             }
             _ => {}
@@ -151,10 +155,10 @@ impl<W: Write> Trace<W> {
         Ok(())
     }
 
-    /// Ends the trace. Gives back what it was written to.
+    /// Completes the trace and returns its output.
     ///
     /// # Errors
-    /// If it cannot be written.
+    /// If the trace cannot be written.
     pub fn finish(mut self) -> Result<W, TraceError> {
         let end = self.mirror.next();
         self.tell_until(end)?;
@@ -167,7 +171,7 @@ impl<W: Write> Trace<W> {
         Ok(self.out)
     }
 
-    /// Tells the states of all TTIs before `end` that are not told yet.
+    /// Writes the outstanding states of all TTIs before `end`.
     fn tell_until(&mut self, end: Tti) -> io::Result<()> {
         while self.next < end {
             let views = self.mirror.views_at(self.next);
@@ -192,8 +196,10 @@ impl<W: Write> Trace<W> {
                 &Proto::new().number(9, BEGIN).number(11, states(id)).text(23, name),
             )?;
         }
+        // Unchanged levels are not repeated, which keeps the trace small.
         let is_due = tti.0.is_multiple_of(self.every) && before.is_none_or(|(_, told)| told != level);
         let told = if is_other || is_due {
+            // `TrackEvent`: type 9, track_uuid 11, name 23, double_counter_value 44.
             let event = Proto::new().number(9, COUNTER).number(11, battery(id));
             self.event(tti, &event.double(44, view.battery.units()))?;
             level
@@ -208,7 +214,7 @@ impl<W: Write> Trace<W> {
         self.event(tti, &Proto::new().number(9, END).number(11, states(id)))
     }
 
-    /// An event that takes no time, with the field and the number of an arrow that starts or ends in it.
+    /// Writes an instant event, with the field and number of an arrow that starts or ends in it.
     fn instant(&mut self, tti: Tti, track: u64, name: &str, flow: Option<(u32, u64)>) -> io::Result<()> {
         let event = Proto::new().number(9, INSTANT).number(11, track).text(23, name);
         self.event(
@@ -221,6 +227,7 @@ impl<W: Write> Trace<W> {
     }
 
     fn event(&mut self, tti: Tti, event: &Proto) -> io::Result<()> {
+        // `TracePacket`: timestamp 8, trusted_packet_sequence_id 10, track_event 11.
         let packet = Proto::new().number(8, tti.0 * NANOS_PER_TTI).number(10, SEQUENCE);
         self.packet(&packet.message(11, event))
     }
@@ -242,7 +249,7 @@ const fn battery(id: DeviceId) -> u64 {
     states(id) + 1
 }
 
-/// The name of a slice.
+/// Name of the slice of a state.
 const fn named(state: DeviceState) -> &'static str {
     match state {
         DeviceState::Idle => "S1 idle",

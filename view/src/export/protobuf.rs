@@ -1,16 +1,16 @@
-//! Fields of protocol buffers, as they are written.
+//! Encoder for Protocol Buffers fields.
 
-/// A message that is being written.
+/// An encoded message, to which fields can be appended.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Proto(Vec<u8>);
 
 impl Proto {
-    /// A message without fields.
+    /// Creates a message without fields.
     pub(super) const fn new() -> Self {
         Self(Vec::new())
     }
 
-    /// With a whole number, an enumeration or a truth value.
+    /// Appends an integer, enumeration or Boolean field.
     #[must_use]
     pub(super) fn number(mut self, field: u32, value: u64) -> Self {
         self.key(field, 0);
@@ -18,7 +18,7 @@ impl Proto {
         self
     }
 
-    /// With a number of 64 bits, always of eight bytes.
+    /// Appends a 64-bit integer field, always of eight bytes.
     #[must_use]
     pub(super) fn fixed(mut self, field: u32, value: u64) -> Self {
         self.key(field, 1);
@@ -26,27 +26,27 @@ impl Proto {
         self
     }
 
-    /// With a number of double precision.
+    /// Appends a double-precision field.
     #[must_use]
     pub(super) fn double(self, field: u32, value: f64) -> Self {
         self.fixed(field, value.to_bits())
     }
 
-    /// With a text.
+    /// Appends a string field.
     #[must_use]
     pub(super) fn text(mut self, field: u32, value: &str) -> Self {
         self.bytes(field, value.as_bytes());
         self
     }
 
-    /// With a message inside.
+    /// Appends an embedded message.
     #[must_use]
     pub(super) fn message(mut self, field: u32, value: &Self) -> Self {
         self.bytes(field, &value.0);
         self
     }
 
-    /// Its bytes.
+    /// Returns the encoded bytes.
     pub(super) fn into_bytes(self) -> Vec<u8> {
         self.0
     }
@@ -58,6 +58,7 @@ impl Proto {
     }
 
     fn key(&mut self, field: u32, wire: u32) {
+        // Wire types: 0 varint, 1 eight bytes, 2 a length and its bytes.
         self.varint(u64::from(field << 3 | wire));
     }
 
@@ -74,7 +75,7 @@ impl Proto {
 mod tests {
     use super::*;
 
-    /// The examples of the encoding guide of protocol buffers.
+    /// Examples from the Protocol Buffers encoding guide.
     #[test]
     fn fields_are_written_as_the_guide_says() {
         assert_eq!(Proto::new().number(1, 150).into_bytes(), [0x08, 0x96, 0x01]);

@@ -1,24 +1,25 @@
-//! The scenario of a run with the files that it names.
+//! Bundle of a scenario and its scenario files.
 
 use std::io;
 use std::path::{Path, PathBuf};
 
 use reveille_bs::policy::outside;
+use reveille_bs::scenario::Scenario;
 use reveille_common::declare::{FileError, Files};
 use reveille_common::message::Description;
-use reveille_common::scenario::{self, Scenario, ScenarioError};
+use reveille_common::scenario::{self, ScenarioError};
 
-/// The name of the scenario file.
+/// Name of the scenario file.
 pub const SCENARIO: &str = "scenario.toml";
-/// The name of the summary.
+/// Name of the summary.
 pub const SUMMARY: &str = "summary.json";
 
-/// A scenario file, and the files that it names by paths relative to its own.
+/// A scenario, and its scenario files by paths relative to it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Bundle {
-    /// The text of the scenario file.
+    /// Text of the scenario.
     pub scenario: String,
-    /// The other files: path, with `/` between its parts, and bytes.
+    /// Scenario files: path, with `/` between its parts, and bytes.
     pub files: Vec<(String, Vec<u8>)>,
 }
 
@@ -35,12 +36,20 @@ impl From<Bundle> for Description {
 }
 
 impl Bundle {
-    /// The scenario.
+    /// Loads the scenario.
     ///
     /// # Errors
-    /// If it cannot be used, or a file is missing.
+    /// If the scenario is invalid or a file is missing.
     pub fn load(&self) -> Result<Scenario, ScenarioError> {
-        scenario::parse(&self.scenario, SCENARIO, Path::new(""), &[], &outside::kinds(), self)
+        let loaded = scenario::parse(
+            &self.scenario,
+            SCENARIO,
+            Path::new(""),
+            &[],
+            &outside::kinds_with_external(),
+            self,
+        )?;
+        Ok(loaded.scenario)
     }
 
     fn find(&self, path: &Path) -> Option<&[u8]> {

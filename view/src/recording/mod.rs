@@ -1,23 +1,38 @@
-//! Recordings: all that an observer of a run is told, in one file that other tools open.
+//! Recordings: all messages that an observer of a run receives, in one file that other tools open.
 //!
-//! The file is an MCAP container. Each kind of message is a channel, `/air/report` for one, whose messages are the
-//! lines of JSON that [`Line::to_json`](crate::line::Line::to_json) gives, with a schema. Log time is virtual: a TTI is
-//! a millisecond. Beside the messages it holds the scenario, the files that this names, and at the end the summary.
-//! Chunks of messages are compressed and come one after the other, so a file that was torn can be read up to the tear.
+//! The file is an MCAP container. Each kind of message is a channel, such as `/air/report`. Its messages are the JSON
+//! lines of [`FrameLine::to_json`](crate::frame_line::FrameLine::to_json), with a schema. Log time is virtual: a TTI is
+//! a millisecond. The container also holds the scenario, its scenario files and, at the end, the summary. Chunks of
+//! messages are compressed and written in order, so a torn file can be read up to the tear.
 
 mod bundle;
-mod channel;
 mod reader;
 mod recorder;
-#[cfg(test)]
-mod tests;
 mod writer;
 
+use reveille_common::ids::Tti;
+use reveille_common::message::MessageKind;
+
 pub use bundle::{Bundle, SCENARIO, SUMMARY};
-pub use channel::{NANOS_PER_TTI, topic};
-pub use reader::{Reader, RecordingError};
-pub use recorder::{Recorded, Recorder, Tape, is_growing};
+pub use reader::{RecordingError, RecordingReader};
+pub use recorder::{Recorder, RecorderHandle, RecordingStats, is_growing};
 pub use writer::Writer;
 
-/// The form of recordings; a file of another is refused.
+/// Log time of one TTI, nanoseconds.
+pub(crate) const NANOS_PER_TTI: u64 = 1_000_000;
+
+/// Topic of a kind of message.
+pub fn topic(kind: MessageKind) -> String {
+    format!("/{}/{}", kind.plane().name(), kind.name())
+}
+
+/// Log time of a TTI, nanoseconds.
+pub(crate) const fn log_time(tti: Tti) -> u64 {
+    tti.0 * NANOS_PER_TTI
+}
+
+/// Version of the recording format; files of other versions are refused.
 pub const VERSION: u32 = 1;
+
+#[cfg(test)]
+mod tests;

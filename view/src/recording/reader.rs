@@ -1,4 +1,4 @@
-//! Recordings as they are read: from the start or from a TTI on, whole or torn.
+//! Reader of recordings, whole or torn, from the start or from any TTI.
 
 use std::collections::BTreeMap;
 use std::io::{self, Read, Seek, SeekFrom};
@@ -11,77 +11,76 @@ use reveille_common::codec::WIRE_VERSION;
 use reveille_common::ids::Tti;
 use reveille_common::message::Frame;
 
-use super::VERSION;
 use super::bundle::{Bundle, SCENARIO, SUMMARY};
-use super::channel::log_time;
-use crate::line::{LineError, from_json};
+use super::{VERSION, log_time};
+use crate::frame_line::{LineError, from_json};
 
-/// The name of the metadata that make a container a recording.
-pub const METADATA: &str = "reveille";
+/// Name of the metadata record that marks a container as a recording.
+pub(super) const METADATA: &str = "reveille";
 
-/// The longest record that is read, bytes; the file of a harvest trace may be long.
+/// Maximum length of a record, bytes; a harvest trace may be long.
 const LONGEST: usize = 1 << 30;
 
-/// Why a recording cannot be read, or not any further.
+/// Reason why a recording cannot be read, or not any further.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordingError {
-    /// The operating system refuses.
+    /// The operating system returned an error.
     #[error("cannot be read: {0}")]
     Io(#[from] io::Error),
-    /// It is something else.
+    /// The file is not a recording.
     #[error("is no recording: {0}")]
     Foreign(String),
-    /// Another version wrote it.
+    /// Another version wrote the recording.
     #[error(
         "is a recording of version {found}, with messages of version {wire}; this program reads version {VERSION} \
          with {WIRE_VERSION}: use the release of reveille that recorded it"
     )]
     Version {
-        /// The version of its form.
+        /// Version of the recording format.
         found: String,
-        /// The version of its messages.
+        /// Version of the messages.
         wire: String,
     },
-    /// It ends in the middle: what recorded it was killed, or the file was cut.
+    /// The file is truncated: the recording process was killed, or the file was cut.
     #[error("is torn after {frames} messages")]
     Torn {
-        /// The messages before the tear.
+        /// Number of messages before the tear.
         frames: u64,
     },
-    /// Bytes in it were changed.
+    /// The content was changed.
     #[error("is damaged after {frames} messages: {why}")]
     Damaged {
-        /// The messages before the damage.
+        /// Number of messages before the damage.
         frames: u64,
-        /// What is wrong.
+        /// Description of the damage.
         why: String,
     },
 }
 
-/// A recording that is read.
-pub struct Reader<R> {
+/// Reader of one recording.
+pub struct RecordingReader<R> {
     source: R,
     linear: LinearReader,
-    /// The frame after which the file ends or is torn has been read.
+    /// Whether the last frame before the end or a tear has been read.
     is_over: bool,
     frames: u64,
-    /// The number of the next frame; nothing after a jump.
+    /// Number of the next frame; unknown after a jump.
     next: Option<u32>,
-    /// What follows the summary's index is not read again.
+    /// First TTI to return; earlier frames are skipped.
     from: Tti,
     bundle: Bundle,
     about: BTreeMap<String, String>,
     summary: Option<String>,
     index: Option<Summary>,
-    /// The first frame, which was read to find all that stands before it.
+    /// The first frame, which was read early to find the records before it.
     held: Option<Frame>,
 }
 
-impl<R: Read + Seek> Reader<R> {
-    /// Opens a recording, before its first frame.
+impl<R: Read + Seek> RecordingReader<R> {
+    /// Opens a recording before its first frame.
     ///
     /// # Errors
-    /// If it is none, is of another version, or torn before its first frame.
+    /// If the file is not a recording, is of another version, or is torn before its first frame.
     pub fn open(mut source: R) -> Result<Self, RecordingError> {
         let index = index(&mut source)?;
         let summary = match &index {
@@ -104,6 +103,7 @@ impl<R: Read + Seek> Reader<R> {
         };
         reader.held = match reader.read() {
             Ok(frame) => frame,
+            // The scenario is usable even without a whole frame; `next_frame` reports the tear again.
             Err(RecordingError::Torn { .. }) if !reader.about.is_empty() => {
                 reader.is_over = false;
                 None
@@ -116,41 +116,41 @@ impl<R: Read + Seek> Reader<R> {
         Ok(reader)
     }
 
-    /// The scenario and the files that it names.
+    /// The scenario and its scenario files.
     pub const fn bundle(&self) -> &Bundle {
         &self.bundle
     }
 
-    /// The run's name.
+    /// Name of the run.
     pub fn run(&self) -> &str {
         self.about.get("run").map_or("", String::as_str)
     }
 
-    /// The text of the summary, where the run has come to its end.
+    /// Text of the summary, if the run has ended.
     pub fn summary(&self) -> Option<&str> {
         self.summary.as_deref()
     }
 
-    /// Whether the file was closed. One that was not is torn; where, only reading shows.
+    /// Whether the file was closed. An unclosed file is torn; the place is found only by reading.
     pub const fn is_closed(&self) -> bool {
         self.index.is_some()
     }
 
-    /// How many messages it holds, where it was closed.
+    /// Number of messages, if the file was closed.
     pub fn len(&self) -> Option<u64> {
         let statistics = self.index.as_ref()?.stats.as_ref()?;
         Some(statistics.message_count)
     }
 
-    /// Whether it was closed and holds no message.
+    /// Whether the file was closed and holds no messages.
     pub fn is_empty(&self) -> bool {
         self.len() == Some(0)
     }
 
-    /// Goes to the first frame of TTI `tti` or later. What is before it is skipped by the index where there is one.
+    /// Moves to the first frame of TTI `tti` or later. The index, if any, is used to skip earlier frames.
     ///
     /// # Errors
-    /// If it cannot be read.
+    /// If the file cannot be read.
     pub fn seek(&mut self, tti: Tti) -> Result<(), RecordingError> {
         self.from = tti;
         let wanted = log_time(tti);
@@ -162,11 +162,12 @@ impl<R: Read + Seek> Reader<R> {
             .min();
         let (offset, is_inside) = match (start, &self.index) {
             (Some(offset), _) => (offset, true),
-            // No chunk ends that late.
+            // No chunk reaches this TTI.
             (None, Some(_)) => {
                 (self.is_over, self.held) = (true, None);
                 return Ok(());
             }
+            // A torn file has no index, so it is read from the start.
             (None, None) => (0, false),
         };
         self.source.seek(SeekFrom::Start(offset))?;
@@ -176,10 +177,10 @@ impl<R: Read + Seek> Reader<R> {
         Ok(())
     }
 
-    /// The next frame; nothing after the last.
+    /// Returns the next frame, or `None` after the last.
     ///
     /// # Errors
-    /// If the file is torn or damaged here. There is nothing after it.
+    /// If the file is torn or damaged at this place. Later calls return `None`.
     pub fn next_frame(&mut self) -> Result<Option<Frame>, RecordingError> {
         loop {
             let frame = match self.held.take() {
@@ -201,28 +202,28 @@ impl<R: Read + Seek> Reader<R> {
         self.is_over = !matches!(read, Ok(Some(_)));
         let frames = self.frames;
         read.map_err(|error| match error {
-            Stop::Io(error) => RecordingError::Io(error),
-            Stop::Version { found, wire } => RecordingError::Version { found, wire },
-            Stop::Format(McapError::UnexpectedEof | McapError::UnexpectedEoc) => RecordingError::Torn { frames },
-            Stop::Format(McapError::BadMagic) if frames == 0 => {
+            ReadStop::Io(error) => RecordingError::Io(error),
+            ReadStop::Version { found, wire } => RecordingError::Version { found, wire },
+            ReadStop::Format(McapError::UnexpectedEof | McapError::UnexpectedEoc) => RecordingError::Torn { frames },
+            ReadStop::Format(McapError::BadMagic) if frames == 0 => {
                 RecordingError::Foreign("it is no MCAP file".to_owned())
             }
-            Stop::Format(error) => RecordingError::Damaged {
+            ReadStop::Format(error) => RecordingError::Damaged {
                 frames,
                 why: said(&error),
             },
-            Stop::Line(error) => RecordingError::Damaged {
+            ReadStop::Line(error) => RecordingError::Damaged {
                 frames,
                 why: error.to_string(),
             },
-            Stop::Missing => RecordingError::Damaged {
+            ReadStop::Missing => RecordingError::Damaged {
                 frames,
                 why: "messages are missing".to_owned(),
             },
         })
     }
 
-    fn read_on(&mut self) -> Result<Option<Frame>, Stop> {
+    fn read_on(&mut self) -> Result<Option<Frame>, ReadStop> {
         while let Some(event) = self.linear.next_event() {
             match event? {
                 LinearReadEvent::ReadRequest(need) => {
@@ -231,12 +232,14 @@ impl<R: Read + Seek> Reader<R> {
                 }
                 LinearReadEvent::Record { data, opcode } => match mcap::parse_record(opcode, data)? {
                     Record::Message { header, data } => {
-                        // They are numbered one after another: a chunk that is none any more is missed.
+                        // Numbers are consecutive. A chunk that damage has turned into an unknown record therefore
+                        // shows as a gap.
                         if self.next.is_some_and(|next| next != header.sequence) {
-                            return Err(Stop::Missing);
+                            return Err(ReadStop::Missing);
                         }
                         let text = std::str::from_utf8(&data).map_err(|_| LineError::Hex)?;
                         let frame = from_json(text)?;
+                        // Sequence numbers have 32 bits and wrap, as in the writer.
                         self.next = Some(header.sequence.wrapping_add(1));
                         self.frames += 1;
                         return Ok(Some(frame));
@@ -245,7 +248,7 @@ impl<R: Read + Seek> Reader<R> {
                         let value = |key: &str| metadata.metadata.get(key).cloned().unwrap_or_default();
                         let (found, wire) = (value("recording"), value("wire"));
                         if (&found, &wire) != (&VERSION.to_string(), &WIRE_VERSION.to_string()) {
-                            return Err(Stop::Version { found, wire });
+                            return Err(ReadStop::Version { found, wire });
                         }
                         self.about = metadata.metadata;
                     }
@@ -256,12 +259,12 @@ impl<R: Read + Seek> Reader<R> {
                             self.bundle.files.push((header.name, data.into_owned()));
                         }
                     }
-                    // The end of the data: what follows is the index.
+                    // The end of the data; only the index follows.
                     Record::DataEnd(_) => {
                         if let (Some(next), Some(all)) = (self.next, self.len())
                             && next != all as u32
                         {
-                            return Err(Stop::Missing);
+                            return Err(ReadStop::Missing);
                         }
                         return Ok(None);
                     }
@@ -285,9 +288,9 @@ impl<R: Read + Seek> Reader<R> {
     }
 }
 
-/// Why reading stops.
-enum Stop {
-    /// Frames that were written are not there.
+/// Reason why reading stops.
+enum ReadStop {
+    /// Written frames are missing.
     Missing,
     Io(io::Error),
     Version {
@@ -298,19 +301,19 @@ enum Stop {
     Line(LineError),
 }
 
-impl From<io::Error> for Stop {
+impl From<io::Error> for ReadStop {
     fn from(error: io::Error) -> Self {
         Self::Io(error)
     }
 }
 
-impl From<McapError> for Stop {
+impl From<McapError> for ReadStop {
     fn from(error: McapError) -> Self {
         Self::Format(error)
     }
 }
 
-impl From<LineError> for Stop {
+impl From<LineError> for ReadStop {
     fn from(error: LineError) -> Self {
         Self::Line(error)
     }
@@ -319,12 +322,13 @@ impl From<LineError> for Stop {
 fn linear(is_inside: bool) -> LinearReader {
     let options = LinearReaderOptions::default()
         .with_skip_start_magic(is_inside)
+        // A damaged chunk must not yield frames before its checksum fails.
         .with_prevalidate_chunk_crcs(true)
         .with_record_length_limit(LONGEST);
     LinearReader::new_with_options(options)
 }
 
-/// The index at the end; nothing if the file was not closed.
+/// Reads the index at the end; `None` if the file was not closed.
 fn index<R: Read + Seek>(source: &mut R) -> Result<Option<Summary>, RecordingError> {
     let mut reader = SummaryReader::new();
     loop {
@@ -335,9 +339,10 @@ fn index<R: Read + Seek>(source: &mut R) -> Result<Option<Summary>, RecordingErr
             }
             Some(Ok(SummaryReadEvent::SeekRequest(to))) => match source.seek(to) {
                 Ok(position) => reader.notify_seeked(position),
-                // The file is shorter than any index.
+                // The file is too short to hold an index.
                 Err(_) => return Ok(None),
             },
+            // Without a usable index the frames can still be read in order.
             Some(Err(_)) => return Ok(None),
             None => break,
         }
@@ -345,17 +350,18 @@ fn index<R: Read + Seek>(source: &mut R) -> Result<Option<Summary>, RecordingErr
     Ok(reader.finish().filter(|summary| summary.stats.is_some()))
 }
 
-/// The summary of the run, by the index.
+/// Reads the summary of the run through the index.
 fn summary<R: Read + Seek>(source: &mut R, index: &Summary) -> Result<Option<String>, RecordingError> {
     let Some(at) = index.attachment_indexes.iter().find(|at| at.name == SUMMARY) else {
         return Ok(None);
     };
     source.seek(SeekFrom::Start(at.offset))?;
+    // A corrupt index can claim any length.
     let mut record = vec![0; usize::try_from(at.length).unwrap_or(usize::MAX).min(LONGEST)];
     source.read_exact(&mut record)?;
-    // An opcode and a length of eight bytes stand before the record.
-    let body = record.get(9..).unwrap_or_default();
-    match mcap::parse_record(record[0], body) {
+    // The record follows an opcode and a length of eight bytes. A corrupt index can also claim no bytes at all.
+    let (opcode, body) = (record.first().copied(), record.get(9..));
+    match mcap::parse_record(opcode.unwrap_or_default(), body.unwrap_or_default()) {
         Ok(Record::Attachment { data, .. }) => Ok(Some(String::from_utf8_lossy(&data).into_owned())),
         Ok(_) | Err(_) => Err(RecordingError::Damaged {
             frames: 0,
@@ -364,7 +370,7 @@ fn summary<R: Read + Seek>(source: &mut R, index: &Summary) -> Result<Option<Str
     }
 }
 
-/// What an error of the container says, with what is behind it.
+/// Describes a container error with its sources.
 fn said(error: &McapError) -> String {
     let mut text = error.to_string();
     let mut source = std::error::Error::source(error);

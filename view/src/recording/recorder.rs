@@ -1,4 +1,4 @@
-//! A recording of a run that goes on: written by a thread of its own, which the run waits for when it must.
+//! Recorder of a running run. A separate thread writes the file; the run waits only when its queue is full.
 
 use std::fs::{File, TryLockError};
 use std::io::{BufWriter, Write};
@@ -14,82 +14,83 @@ use reveille_common::message::Frame;
 
 use super::bundle::Bundle;
 use super::writer::Writer;
-use crate::batches::{Batches, step_back};
+use crate::batch_receiver::{BatchReceiver, lower_priority};
 
-/// Frames that may wait to be written.
+/// Capacity of the queue, frames.
 const QUEUE: usize = 8_192;
-/// How long frames may wait for the file while nothing follows them.
+/// Longest time that frames stay unwritten while no others follow.
 const IDLE: Duration = Duration::from_millis(200);
 
-/// A recording that a run is written to.
+/// Recorder of one run.
 pub struct Recorder {
     path: PathBuf,
-    queue: SyncSender<Item>,
+    queue: SyncSender<RecorderItem>,
     shared: Arc<Shared>,
     thread: JoinHandle<McapResult<u64>>,
 }
 
-/// What goes to the thread.
-enum Item {
+/// Item in the queue to the thread.
+enum RecorderItem {
     Frame(Frame),
-    /// The run has ended, with this summary.
+    /// End of the run, with its summary.
     End(Option<String>),
 }
 
-/// What the run and the thread both know.
+/// State shared by the run and the thread.
 #[derive(Default)]
 struct Shared {
-    /// Nanoseconds that the run has waited.
+    /// Total time that the run has waited, nanoseconds.
     waited: AtomicU64,
-    /// Why nothing more can be written.
+    /// The error that stopped writing.
     failure: OnceLock<String>,
 }
 
-/// What was recorded.
+/// Statistics of a finished recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Recorded {
-    /// Messages.
+pub struct RecordingStats {
+    /// Number of messages.
     pub frames: u64,
-    /// Bytes of the file.
+    /// Size of the file, bytes.
     pub bytes: u64,
-    /// How long the run waited for the file.
+    /// Total time that the run was blocked by the file.
     pub waited: Duration,
 }
 
-/// Hands frames to a recorder.
+/// Handle that passes frames to a recorder.
 #[derive(Clone)]
-pub struct Tape {
-    queue: SyncSender<Item>,
+pub struct RecorderHandle {
+    queue: SyncSender<RecorderItem>,
     shared: Arc<Shared>,
 }
 
-/// Whether a recorder is writing the file that was opened as `file`.
+/// Whether a recorder is still writing `file`.
 pub fn is_growing(file: &File) -> bool {
     let is_locked = matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock));
-    // Only asked: the lock is for who writes.
+    // Released immediately: this was a test, and the lock belongs to the writer.
     let _free = file.unlock().is_ok();
     is_locked
 }
 
 impl Recorder {
-    /// Begins the recording of the run called `run`, of what is in `bundle`, in a new file at `path`.
+    /// Starts recording the run called `run`, with the files of `bundle`, in a new file at `path`.
     ///
     /// # Errors
-    /// If there is a file already, or none can be written.
+    /// If the file exists or cannot be written.
     pub fn start(path: &Path, run: &str, bundle: &Bundle) -> Result<Self, String> {
         let file = File::options().write(true).create_new(true).open(path);
         let file = file.map_err(|error| error.to_string())?;
-        // For as long as it is written, so that others see that it is. Some network file systems cannot lock.
+        // Locked during writing, so that readers can tell. A failure is ignored, as some network file systems lack
+        // locks.
         let _locked = file.try_lock().is_ok();
         let writer = Writer::begin(BufWriter::new(file), run, bundle).map_err(|error| error.to_string())?;
         let (queue, items) = sync_channel(QUEUE);
         let shared = Arc::new(Shared::default());
         let own = Arc::clone(&shared);
         let write = move || {
-            step_back();
-            let written = write(writer, Batches::new(items));
+            lower_priority();
+            let written = write(writer, BatchReceiver::new(items));
             if let Err(error) = &written {
-                // Nobody else sets it.
+                // Only this thread sets it, so the first value is the only one.
                 let _first = own.failure.set(error.to_string());
             }
             written
@@ -103,28 +104,29 @@ impl Recorder {
         })
     }
 
-    /// Where frames are handed in.
-    pub fn tape(&self) -> Tape {
-        Tape {
+    /// Returns a handle for adding frames.
+    pub fn handle(&self) -> RecorderHandle {
+        RecorderHandle {
             queue: self.queue.clone(),
             shared: Arc::clone(&self.shared),
         }
     }
 
-    /// Ends the recording, with the text of the summary where the run has one.
+    /// Completes the recording, with the text of the summary if the run has one.
     ///
     /// # Errors
-    /// If it could not be written.
-    pub fn finish(self, summary: Option<String>) -> Result<Recorded, String> {
-        // If the thread has ended, its error is told below.
-        let _gone = self.queue.send(Item::End(summary)).is_err();
+    /// If the recording could not be written.
+    pub fn finish(self, summary: Option<String>) -> Result<RecordingStats, String> {
+        // If the thread has ended, `join` returns its error below.
+        let _gone = self.queue.send(RecorderItem::End(summary)).is_err();
+        // Handles may still hold senders, so the `End` item ends the thread, not a closed queue.
         drop(self.queue);
         let written = self
             .thread
             .join()
             .map_err(|_| "the thread that writes it has failed".to_owned())?;
         let frames = written.map_err(|error| error.to_string())?;
-        Ok(Recorded {
+        Ok(RecordingStats {
             frames,
             bytes: std::fs::metadata(&self.path).map_or(0, |file| file.len()),
             waited: Duration::from_nanos(self.shared.waited.load(Ordering::Relaxed)),
@@ -132,10 +134,11 @@ impl Recorder {
     }
 }
 
-impl Tape {
-    /// Takes in a frame; waits while the queue is full.
+impl RecorderHandle {
+    /// Adds a frame; waits while the queue is full.
     pub fn take(&self, frame: Frame) {
-        let item = match self.queue.try_send(Item::Frame(frame)) {
+        let item = match self.queue.try_send(RecorderItem::Frame(frame)) {
+            // If writing has failed, `failure` returns the error.
             Ok(()) | Err(TrySendError::Disconnected(_)) => return,
             Err(TrySendError::Full(item)) => item,
         };
@@ -146,20 +149,20 @@ impl Tape {
         self.shared.waited.fetch_add(waited, Ordering::Relaxed);
     }
 
-    /// Why nothing more can be written, if it is so.
+    /// The error that stopped writing, if any.
     pub fn failure(&self) -> Option<&str> {
         self.shared.failure.get().map(String::as_str)
     }
 
-    /// How long the run has waited so far.
+    /// Total time that the run has waited so far.
     pub fn waited(&self) -> Duration {
         Duration::from_nanos(self.shared.waited.load(Ordering::Relaxed))
     }
 }
 
-/// Writes what comes until the end; gives the number of frames. Where no end comes, as the run has failed, the file is
+/// Writes all items up to `End` and returns the number of frames. If the run fails and sends no `End`, the file is
 /// closed without a summary.
-fn write(mut writer: Writer<BufWriter<File>>, mut items: Batches<Item>) -> McapResult<u64> {
+fn write(mut writer: Writer<BufWriter<File>>, mut items: BatchReceiver<RecorderItem>) -> McapResult<u64> {
     loop {
         let batch = match items.next(IDLE) {
             Ok(batch) => batch,
@@ -171,8 +174,8 @@ fn write(mut writer: Writer<BufWriter<File>>, mut items: Batches<Item>) -> McapR
         };
         for item in batch {
             match item {
-                Item::Frame(frame) => writer.write(&frame)?,
-                Item::End(summary) => return close(writer, summary.as_deref()),
+                RecorderItem::Frame(frame) => writer.write(&frame)?,
+                RecorderItem::End(summary) => return close(writer, summary.as_deref()),
             }
         }
     }
@@ -182,6 +185,7 @@ fn close(writer: Writer<BufWriter<File>>, summary: Option<&str>) -> McapResult<u
     let frames = writer.count();
     let mut file = writer.finish(summary)?;
     file.flush()?;
+    // A recording reported as complete must survive a power failure.
     file.get_ref().sync_all()?;
     Ok(frames)
 }

@@ -1,42 +1,42 @@
-//! What is recorded is read again, whole, torn or from a TTI on, and comes to what the run came to.
+//! Recordings read back whole, torn or from a TTI on, with the outcome of their runs.
 
 use std::io::Cursor;
 
 use proptest::prelude::*;
-use reveille_bs::observe::frames::Framed;
-use reveille_bs::outcome::Outcome;
+use reveille_bs::cycle::Outcome;
+use reveille_bs::observer::frames::FrameObserver;
 use reveille_bs::scenario::{Override, Scenario, load};
 use reveille_common::codec;
 use reveille_common::ids::Tti;
 use reveille_common::message::{Frame, Message, MessageKind};
 use reveille_common::units::Energy;
 use reveille_lab::preparation::prepare;
-use reveille_lab::run::{Options, Run};
+use reveille_lab::run::{Run, RunOptions};
 
 use super::*;
-use crate::mirror::Discrepancy;
-use crate::replay::Replay;
+use crate::device_mirror::Discrepancy;
+use crate::reconstruction::Reconstruction;
 
 fn scenario(set: &[&str]) -> Scenario {
     let set: Vec<Override> = set
         .iter()
         .map(|set| Override::parse(set).expect("an override"))
         .collect();
-    load("paper", &set).expect("a scenario")
+    load("paper", &set).expect("a scenario").scenario
 }
 
-/// What an observer is told of a run of `scenario`, with states once in so many TTIs, and what the run came to.
+/// Frames and outcome of a run of `scenario`, with states every `states_every` TTIs.
 fn told(scenario: &Scenario, lookahead: bool, states_every: u64) -> (Vec<Frame>, Outcome) {
     let mut frames = Vec::new();
-    let options = Options { lookahead, window: 70 };
+    let options = RunOptions { lookahead, window: 70 };
     let outcome =
-        Run::new(&prepare(scenario), options).finish(&mut Framed::new(states_every, |frame| frames.push(frame)));
+        Run::new(&prepare(scenario), options).finish(&mut FrameObserver::new(states_every, |frame| frames.push(frame)));
     (frames, outcome)
 }
 
-fn replayed(scenario: &Scenario, frames: &[Frame]) -> Result<reveille_common::score::Final, Discrepancy> {
-    let mut replay = Replay::new(scenario);
-    frames.iter().try_for_each(|frame| replay.take(frame))?;
+fn replayed(scenario: &Scenario, frames: &[Frame]) -> Result<reveille_common::score::FinalScore, Discrepancy> {
+    let mut replay = Reconstruction::new(scenario);
+    frames.iter().try_for_each(|frame| replay.apply(frame))?;
     Ok(replay.finish())
 }
 
@@ -61,9 +61,9 @@ fn recorded(scenario: &Scenario, frames: &[Frame], summary: Option<&str>) -> Vec
     writer.finish(summary).expect("finished").into_inner()
 }
 
-/// The frames of a recording, and how it ends.
+/// Frames of a recording, and the result at its end.
 fn read(bytes: &[u8]) -> (Vec<Frame>, Result<(), RecordingError>) {
-    let mut reader = match Reader::open(Cursor::new(bytes)) {
+    let mut reader = match RecordingReader::open(Cursor::new(bytes)) {
         Ok(reader) => reader,
         Err(error) => return (Vec::new(), Err(error)),
     };
@@ -109,7 +109,7 @@ fn a_frame_that_is_missing_or_changed_is_found() {
     for at in 0..frames.len() {
         let mut without = frames.clone();
         let gone = without.remove(at);
-        // Nothing follows from states, nor from a plan that is only repeated, nor from what ends a run.
+        // Later frames do not depend on states, on a repeated plan or on the last frames of a run.
         let is_needed = !matches!(gone.kind, MessageKind::States | MessageKind::Plan);
         if is_needed && gone.tti.0 < 380 {
             let refused = replayed(&scenario, &without).expect_err(gone.kind.name());
@@ -136,7 +136,7 @@ fn a_recording_holds_everything() {
     let bytes = recorded(&scenario, &frames, Some("{}"));
     let (read, end) = read(&bytes);
     assert!(end.is_ok() && read == frames);
-    let reader = Reader::open(Cursor::new(&bytes)).expect("a recording");
+    let reader = RecordingReader::open(Cursor::new(&bytes)).expect("a recording");
     assert_eq!((reader.run(), reader.summary()), ("r1", Some("{}")));
     assert_eq!(reader.len(), Some(frames.len() as u64));
     assert_eq!(reader.bundle().files, [("inputs/x.csv".to_owned(), vec![1, 2, 3])]);
@@ -158,7 +158,7 @@ fn a_recording_is_read_from_a_tti_on() {
     let whole = recorded(&scenario, &frames, None);
     for bytes in [&whole[..], &whole[..whole.len() - 900]] {
         for tti in [0, 1, 57, 200, 399, 400, 100_000] {
-            let mut reader = Reader::open(Cursor::new(bytes)).expect("a recording");
+            let mut reader = RecordingReader::open(Cursor::new(bytes)).expect("a recording");
             reader.seek(Tti(tti)).expect("found");
             let mut own = Vec::new();
             while let Ok(Some(frame)) = reader.next_frame() {
@@ -208,7 +208,7 @@ proptest! {
             let said = end.expect_err("not all of it").to_string();
             prop_assert!(said.contains("torn") || said.contains("no recording"), "{}", said);
         }
-        // Chunks of a hundred frames: at most the last of them is lost.
+        // Chunks hold about a hundred frames, so at most the last chunk is lost.
         let whole = |count: usize| recorded(&scenario, &frames[..count], None).len();
         if own.len() + 200 < frames.len() {
             prop_assert!(cut < whole(own.len() + 200), "{} frames of {} bytes", own.len(), cut);
@@ -226,7 +226,7 @@ proptest! {
     }
 }
 
-/// A reader passes over what it does not know, as the format demands: what was known once must not be lost like that.
+/// The format requires a reader to skip unknown records. A damaged record of a known kind must not be skipped silently.
 #[test]
 fn chunks_that_are_none_any_more_are_missed() {
     let (scenario, frames) = small();
@@ -237,14 +237,14 @@ fn chunks_that_are_none_any_more_are_missed() {
     let chunks: Vec<usize> = summary
         .chunk_indexes
         .iter()
-        // The first has channels and no messages.
+        // The first chunk has channels and no messages.
         .filter(|chunk| !chunk.message_index_offsets.is_empty())
         .map(|chunk| chunk.chunk_start_offset as usize)
         .collect();
     assert!(chunks.len() > 5);
     for at in chunks {
         let mut damaged = bytes.clone();
-        // The kind of the record.
+        // The opcode of the record.
         damaged[at] = 0x7f;
         let (own, end) = read(&damaged);
         assert!(own.len() < frames.len() && frames.starts_with(&own), "at {at}");

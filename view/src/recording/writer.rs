@@ -1,4 +1,4 @@
-//! Recordings as they are written.
+//! Writer of recordings.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -11,30 +11,29 @@ use reveille_common::message::{Frame, MessageKind};
 use reveille_common::score::DIGEST_VERSION;
 
 use super::bundle::{Bundle, SCENARIO, SUMMARY};
-use super::channel::{log_time, topic};
-use super::{VERSION, reader};
-use crate::forms::Forms;
-use crate::line::Line;
+use super::{VERSION, log_time, reader, topic};
+use crate::frame_line::FrameLine;
+use crate::schemas::MessageSchemas;
 
-/// Bytes of a chunk before compression, about: as much as a crash can cost.
+/// Approximate size of a chunk before compression, bytes: the most data that a crash can lose.
 const CHUNK: u64 = 256 << 10;
-/// The level of compression: the fastest.
+/// Compression level: the fastest.
 const LEVEL: u32 = 1;
 
-/// A recording that is being written.
+/// Writer of one recording.
 pub struct Writer<W: Write + Seek> {
     mcap: mcap::Writer<W>,
     channels: BTreeMap<MessageKind, u16>,
-    /// Frames so far.
+    /// Number of frames so far.
     count: u64,
     is_pending: bool,
 }
 
 impl<W: Write + Seek> Writer<W> {
-    /// Begins a recording of the run called `run`, of what is in `bundle`.
+    /// Writes the start of a recording of the run called `run`, with the files of `bundle`.
     ///
     /// # Errors
-    /// If it cannot be written.
+    /// If the recording cannot be written.
     pub fn begin(out: W, run: &str, bundle: &Bundle) -> McapResult<Self> {
         let options = WriteOptions::new()
             .library(concat!("reveille ", env!("CARGO_PKG_VERSION")))
@@ -57,7 +56,7 @@ impl<W: Write + Seek> Writer<W> {
         for (name, bytes) in &bundle.files {
             attach(&mut mcap, name, "application/octet-stream", bytes)?;
         }
-        let (forms, mut channels) = (Forms::read(), BTreeMap::new());
+        let (forms, mut channels) = (MessageSchemas::read(), BTreeMap::new());
         for kind in MessageKind::ALL {
             let name = format!("reveille.{}.{}", kind.plane().name(), kind.name());
             let schema = mcap.add_schema(&name, "jsonschema", forms.schema(*kind).to_string().as_bytes())?;
@@ -65,7 +64,7 @@ impl<W: Write + Seek> Writer<W> {
             let about = about.map(|(key, value)| (key.to_owned(), value.to_owned())).into();
             channels.insert(*kind, mcap.add_channel(schema, &topic(*kind), "json", &about)?);
         }
-        // What is known before the first TTI is on the disk before it.
+        // Flushed, so that the scenario is in the file even if the run is killed in its first TTI.
         mcap.flush()?;
         Ok(Self {
             mcap,
@@ -78,11 +77,12 @@ impl<W: Write + Seek> Writer<W> {
     /// Writes a frame.
     ///
     /// # Errors
-    /// If it cannot be written.
+    /// If the recording cannot be written.
     pub fn write(&mut self, frame: &Frame) -> McapResult<()> {
         let at = log_time(frame.tti);
         let header = MessageHeader {
             channel_id: self.channels[&frame.kind],
+            // Wraps after 2³² frames, as in the reader.
             sequence: self.count as u32,
             log_time: at,
             publish_time: at,
@@ -90,15 +90,15 @@ impl<W: Write + Seek> Writer<W> {
         self.count += 1;
         self.is_pending = true;
         self.mcap
-            .write_to_known_channel(&header, Line::of(frame).to_json().as_bytes())
+            .write_to_known_channel(&header, FrameLine::of(frame).to_json().as_bytes())
     }
 
-    /// How many frames were written.
+    /// Number of frames written.
     pub const fn count(&self) -> u64 {
         self.count
     }
 
-    /// Brings all frames so far to the file, if there are any that are not there yet.
+    /// Writes all pending frames to the file, if any.
     ///
     /// # Errors
     /// If they cannot be written.
@@ -109,10 +109,10 @@ impl<W: Write + Seek> Writer<W> {
         Ok(())
     }
 
-    /// Ends the recording, with the text of the summary where the run has one. Gives back what it was written to.
+    /// Completes the recording, with the text of the summary if the run has one, and returns the output.
     ///
     /// # Errors
-    /// If it cannot be written.
+    /// If the recording cannot be written.
     pub fn finish(mut self, summary: Option<&str>) -> McapResult<W> {
         if let Some(summary) = summary {
             attach(&mut self.mcap, SUMMARY, "application/json", summary.as_bytes())?;

@@ -1,17 +1,22 @@
-//! What settings and grounds let nobody choose by ages, or hardly.
+//! Checks of scenarios in which a policy by ages selects few or no devices.
 
-use reveille_common::declare::{Reader, ScenarioError};
+use reveille_common::declare::{FieldReader, ScenarioError};
 use reveille_common::scenario::{ClassKnowledge, Site};
 
 use super::{MOST, cells, price};
-use crate::beliefs::raster::MOST_CELLS;
+use crate::beliefs::grid::MOST_CELLS;
 
-/// Looks at the ground on which the policy called `policy` chooses by ages, at `price` a TTI in S1 where that is fixed,
-/// and warns where hardly a device would be told to sense.
+/// Checks the site for the policy called `policy`, which selects by ages, with `price` per TTI in S1 if it is fixed.
+/// Warns if the plan would rarely or never let a device sense.
 ///
 /// # Errors
-/// An area of too many cells.
-pub fn check(policy: &str, price: Option<f64>, reader: &Reader<'_>, site: &Site<'_>) -> Result<(), ScenarioError> {
+/// Returns an error if the area has too many cells.
+pub fn check_price(
+    policy: &str,
+    price: Option<f64>,
+    reader: &FieldReader<'_>,
+    site: &Site<'_>,
+) -> Result<(), ScenarioError> {
     check_cells(policy, reader, site)?;
     if let Some(price) = price.filter(|price| *price >= MOST) {
         reader.warn(format!(
@@ -24,22 +29,22 @@ pub fn check(policy: &str, price: Option<f64>, reader: &Reader<'_>, site: &Site<
     Ok(())
 }
 
-/// Looks at the ground on which the policy called `policy` keeps ages.
+/// Checks the site for the policy called `policy`, which keeps ages.
 ///
 /// # Errors
-/// An area of too many cells.
-pub fn check_cells(policy: &str, reader: &Reader<'_>, site: &Site<'_>) -> Result<(), ScenarioError> {
+/// Returns an error if the area has too many cells.
+pub(crate) fn check_cells(policy: &str, reader: &FieldReader<'_>, site: &Site<'_>) -> Result<(), ScenarioError> {
     let cells = cells(site.area, site.sensing.d_max);
     if cells > MOST_CELLS {
         let allowed = format!(
             "is so small against the area that {policy} would keep the ages of {cells:.0} cells, more than {MOST_CELLS}"
         );
-        return Err(reader.refuse("sensing.d_max", site.sensing.d_max, allowed));
+        return Err(reader.invalid_value("sensing.d_max", site.sensing.d_max, allowed));
     }
     Ok(())
 }
 
-/// A class whose batteries cannot hold what a device must have to be told to sense.
+/// Returns a warning if the batteries of `class` cannot hold the level that sensing requires.
 fn never_senses(policy: &str, class: &ClassKnowledge<'_>) -> Option<String> {
     let (needed, e_max) = (price::needed(&class.energy), class.energy.e_max);
     (needed > e_max).then(|| {

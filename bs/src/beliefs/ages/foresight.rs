@@ -1,8 +1,7 @@
-//! What batteries are expected to come to.
+//! Expected future battery levels.
 //!
-//! A battery that will be full in a while loses what it harvests then, so its energy is cheap now; one that has a night
-//! before it is to spare. Both follow from the mean harvest of a device, and where that is known from the time of the
-//! day.
+//! A battery that will be full soon loses later harvest, so its energy is cheap now; energy before a night is scarce.
+//! Both follow from the mean harvest of a device and, where known, from its course over the day.
 
 use reveille_common::ids::DeviceId;
 use reveille_common::units::Energy;
@@ -10,26 +9,26 @@ use reveille_common::units::Energy;
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
 
-/// Looks a while ahead.
+/// Predicts battery levels a fixed time ahead.
 #[derive(Clone, Debug)]
-pub struct Foresight {
+pub(crate) struct Foresight {
     ttis: u64,
-    /// By device.
+    /// Expected level by device.
     expected: Vec<Energy>,
 }
 
 impl Foresight {
-    /// For the devices in `known`, `ttis` TTIs ahead.
-    pub fn new(known: &Knowledge, ttis: u64) -> Self {
+    /// Creates the prediction for the devices in `known`, `ttis` TTIs ahead.
+    pub(crate) fn new(known: &Knowledge, ttis: u64) -> Self {
         Self {
             ttis,
             expected: vec![Energy::ZERO; known.n()],
         }
     }
 
-    /// The battery levels of all devices in the order of ids, if all of them sleep for so long and harvest as much as
-    /// is to be expected: no lower than empty, and no higher than E_max.
-    pub fn of(&mut self, seen: &Observation<'_>) -> &[Energy] {
+    /// Returns the expected battery levels by device id, if all devices sleep until then and harvest as expected.
+    /// Levels are between 0 and E_max.
+    pub(crate) fn of(&mut self, seen: &Observation<'_>) -> &[Energy] {
         let end = seen.now.saturating_add(self.ttis);
         for (j, (expected, &level)) in (0..).zip(self.expected.iter_mut().zip(seen.batteries)) {
             let energy = &seen.known.devices[j as usize].energy;
@@ -58,11 +57,11 @@ mod tests {
             .iter()
             .map(|set| Override::parse(set).expect("an override"))
             .collect();
-        let scenario = load("paper", &overrides).expect("a scenario");
+        let scenario = load("paper", &overrides).expect("a scenario").scenario;
         Knowledge::of(&scenario, &Deployment::new(&scenario), Arc::default())
     }
 
-    /// The level that each device comes to from `level` units in TTI `now`, `ttis` later.
+    /// Returns the expected level, in units, `ttis` TTIs after TTI `now` with `level` units.
     fn ahead(known: &Knowledge, level: u64, now: u64, ttis: u64) -> f64 {
         let plan = Plan::from_bits((0..known.n()).map(|_| false));
         let batteries = vec![Energy::from_micro(level * 1_000_000); known.n()];
@@ -128,7 +127,7 @@ mod tests {
         let units = |levels: [u64; 3]| levels.map(|level| Energy::from_micro(level * 1_000_000));
         let (now, later) = (units([50, 50, 5]), units([100, 0, 100]));
         let mut prices = Prices::new(&known, 2.0);
-        assert_eq!(prices.ahead(&now, &later), [2.0, 8.0, f64::INFINITY]);
-        assert_eq!(prices.ahead(&now, &now), Prices::new(&known, 2.0).at(&now));
+        assert_eq!(prices.with_foresight(&now, &later), [2.0, 8.0, f64::INFINITY]);
+        assert_eq!(prices.with_foresight(&now, &now), Prices::new(&known, 2.0).at(&now));
     }
 }

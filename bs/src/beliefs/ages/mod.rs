@@ -1,146 +1,155 @@
-//! How long ago each place was looked at.
+//! Ages of all places: the time since a device last covered each of them.
 //!
-//! A place has an age: the TTIs in which an event may have started there and gone unnoticed, the coming one included.
-//! Before the first TTI it is 1. A place that a device in S1 looks at is of age 1 in the next TTI, and so are all
-//! places once an event has been found: it is closed, no other was on beside it, and the next can start in the next TTI
-//! at the earliest. Any other place gets one TTI older.
+//! The age of a place is the number of TTIs in which an unnoticed event may have started there, including the coming
+//! TTI. It is 1 before the first TTI. It is 1 again after a TTI in which a device in S1 covers the place. After a
+//! reported event all ages are 1: that event is closed, no other was active, and the next starts in the next TTI at the
+//! earliest. All other places age by one TTI.
 //!
-//! Where detection is sure within d_max, a look renews a place altogether. Where it is by chance, a look of a device at
-//! distance d finds an event with probability p(d), and so renews the place with that probability: its age is then the
-//! mean over looks that find and looks that do not. The same holds where the radio may lose what was found.
+//! If detection is certain within d_max, one look resets a place. If it is probabilistic, a look from distance d resets
+//! the place with probability p(d), and the age is the mean over both outcomes. The same holds if the radio may lose
+//! reports.
 
 mod cells;
-mod chance;
+mod certain;
 mod check;
-pub mod choice;
-pub mod foresight;
+pub(crate) mod foresight;
+mod index_table;
 pub mod price;
-pub mod staleness;
-mod sure;
-mod worths;
+mod probabilistic;
+pub mod selector;
+pub(crate) mod staleness;
 
 use reveille_common::geometry::{Area, Point};
 use reveille_common::sensing::{DetectionKind, Sensing};
 
 use self::cells::Cells;
-use self::chance::Chance;
-pub use self::check::{check, check_cells};
-use self::sure::Sure;
-pub use self::worths::{FREE, MOST, OLDEST, Worths, reach, worths};
+use self::certain::CertainAges;
+pub(crate) use self::check::check_cells;
+pub use self::check::check_price;
+pub use self::index_table::{AgeIndexTable, FREE, MOST, reach, worths};
+use self::probabilistic::ProbabilisticAges;
 
-/// The ages of the cells of an area, and what the devices that are chosen for the coming TTI leave to look at.
+/// Ages of the cells of an area, and the worth that the devices chosen for the coming TTI leave uncovered.
 ///
-/// In each TTI devices are added, or removed again; [`Ages::pass`] then lets the TTI pass, in which they look.
+/// Devices are added or removed before each TTI. [`Ages::advance`] then passes the TTI, in which they sense.
 #[derive(Clone, Debug)]
 pub struct Ages {
     cells: Cells,
-    looks: Looks,
+    looks: AgeModel,
 }
 
 #[derive(Clone, Debug)]
-enum Looks {
-    Sure(Sure),
-    Chance(Chance),
+enum AgeModel {
+    Sure(CertainAges),
+    Chance(ProbabilisticAges),
 }
 
 impl Ages {
-    /// Of `area` before the first TTI, with devices at `positions` and nobody chosen. An age is worth as much as
-    /// `worths` says.
-    pub fn new(positions: &[Point], area: Area, sensing: &Sensing, worths: Worths) -> Self {
-        Self::losing(0.0, positions, area, sensing, worths)
+    /// Creates the ages of `area` before the first TTI, for devices at `positions`, none of them chosen. `worths` gives
+    /// the worth of each age.
+    pub fn new(positions: &[Point], area: Area, sensing: &Sensing, worths: AgeIndexTable) -> Self {
+        Self::with_loss(0.0, positions, area, sensing, worths)
     }
 
-    /// As [`Self::new`], where nothing is heard of a device that has found something with probability `lost`,
-    /// `[0, 1]`.
-    pub fn losing(lost: f64, positions: &[Point], area: Area, sensing: &Sensing, worths: Worths) -> Self {
+    /// Creates ages like [`Self::new`], where a detection stays unreported with probability `lost`, `[0, 1]`.
+    pub(crate) fn with_loss(
+        lost: f64,
+        positions: &[Point],
+        area: Area,
+        sensing: &Sensing,
+        worths: AgeIndexTable,
+    ) -> Self {
         let cells = Cells::new(area, sensing.d_max);
         let chance = |finds: &dyn Fn(f64) -> f64| {
             let heard = |d: f64| (1.0 - lost) * finds(d);
-            Looks::Chance(Chance::new(&cells, positions, sensing.d_max, heard, worths))
+            AgeModel::Chance(ProbabilisticAges::new(&cells, positions, sensing.d_max, heard, worths))
         };
         let looks = match sensing.kind {
-            DetectionKind::Range if lost <= 0.0 => Looks::Sure(Sure::new(&cells, positions, sensing.d_max, worths)),
+            DetectionKind::Range if lost <= 0.0 => {
+                AgeModel::Sure(CertainAges::new(&cells, positions, sensing.d_max, worths))
+            }
             DetectionKind::Range => chance(&|_| 1.0),
             DetectionKind::Probabilistic => chance(&|d| sensing.p(d)),
         };
         Self { cells, looks }
     }
 
-    /// What the `j`-th device would look at beside those chosen: the sum over its cells of the worths of their ages,
-    /// where detection is by chance times the probability that the others find nothing there and it does.
+    /// Returns the gain of adding the `j`-th device: the sum over its cells of the worths of their ages. With
+    /// probabilistic detection each worth is weighted by the probability that only this device detects.
     #[inline]
-    pub fn worth(&self, j: usize) -> f64 {
+    pub fn gain(&self, j: usize) -> f64 {
         match &self.looks {
-            Looks::Sure(sure) => f64::from(sure.worth(j)),
-            Looks::Chance(chance) => chance.worth(j),
+            AgeModel::Sure(sure) => f64::from(sure.worth(j)),
+            AgeModel::Chance(chance) => chance.worth(j),
         }
     }
 
-    /// What those chosen leave to look at: the sum over all cells, in the unit of [`Self::worth`].
-    pub fn left(&self) -> f64 {
+    /// Returns the worth that the chosen devices leave uncovered: the sum over all cells, in the unit of
+    /// [`Self::gain`].
+    pub fn remaining(&self) -> f64 {
         match &self.looks {
-            Looks::Sure(sure) => sure.left() as f64,
-            Looks::Chance(chance) => chance.left(),
+            AgeModel::Sure(sure) => sure.left() as f64,
+            AgeModel::Chance(chance) => chance.left(),
         }
     }
 
-    /// The same if nobody was chosen.
+    /// Returns the sum over all cells if no device was chosen.
     pub fn all(&self) -> f64 {
         match &self.looks {
-            Looks::Sure(sure) => sure.all() as f64,
-            Looks::Chance(chance) => chance.all(),
+            AgeModel::Sure(sure) => sure.all() as f64,
+            AgeModel::Chance(chance) => chance.all(),
         }
     }
 
-    /// Chooses the `j`-th device, which is not chosen.
+    /// Adds the `j`-th device, which is not chosen, to the choice.
     pub fn add(&mut self, j: usize) {
         match &mut self.looks {
-            Looks::Sure(sure) => sure.add(j),
-            Looks::Chance(chance) => chance.add(j),
+            AgeModel::Sure(sure) => sure.add(j),
+            AgeModel::Chance(chance) => chance.add(j),
         }
     }
 
-    /// Takes the choice of the `j`-th device, which is chosen, back.
+    /// Removes the `j`-th device, which is chosen, from the choice.
     pub fn remove(&mut self, j: usize) {
         match &mut self.looks {
-            Looks::Sure(sure) => sure.remove(j),
-            Looks::Chance(chance) => chance.remove(j),
+            AgeModel::Sure(sure) => sure.remove(j),
+            AgeModel::Chance(chance) => chance.remove(j),
         }
     }
 
-    /// Takes all choices back.
+    /// Removes all devices from the choice.
     pub fn clear(&mut self) {
         match &mut self.looks {
-            Looks::Sure(sure) => sure.clear(),
-            Looks::Chance(chance) => chance.clear(),
+            AgeModel::Sure(sure) => sure.clear(),
+            AgeModel::Chance(chance) => chance.clear(),
         }
     }
 
-    /// A TTI passes, in which those chosen look; nobody is chosen for the next. `is_found`: an event was reported.
-    pub fn pass(&mut self, is_found: bool) {
+    /// Passes a TTI in which the chosen devices sense, and clears the choice. `is_found`: an event was reported.
+    pub fn advance(&mut self, is_found: bool) {
         match &mut self.looks {
-            Looks::Sure(sure) => sure.pass(is_found),
-            Looks::Chance(chance) => chance.pass(is_found),
+            AgeModel::Sure(sure) => sure.pass(is_found),
+            AgeModel::Chance(chance) => chance.pass(is_found),
         }
     }
 
-    /// The age of the place `at` in the coming TTI, TTIs, 1 ..= [`OLDEST`]. Outside of the area: that of the nearest
-    /// cell.
-    pub fn at(&self, at: Point) -> f64 {
+    /// Returns the age of the place `at` in the coming TTI, TTIs, 1 ..= `OLDEST`. Outside of the area, it is the age of
+    /// the nearest cell.
+    pub fn age_at(&self, at: Point) -> f64 {
         let cell = self.cells.cell(at);
         match &self.looks {
-            Looks::Sure(sure) => f64::from(sure.age(cell)),
-            Looks::Chance(chance) => chance.age(cell),
+            AgeModel::Sure(sure) => f64::from(sure.age(cell)),
+            AgeModel::Chance(chance) => chance.age(cell),
         }
     }
 
-    /// The surface of a cell, m².
-    pub fn cell_surface(&self) -> f64 {
+    /// Area of a cell, m².
+    pub(crate) fn cell_surface(&self) -> f64 {
         self.cells.surface()
     }
 }
 
-/// How many cells `area` has where devices sense as far as `d_max`.
+/// Returns the number of cells of `area` for the sensing range `d_max`.
 pub fn cells(area: Area, d_max: f64) -> f64 {
     Cells::count(area, d_max)
 }

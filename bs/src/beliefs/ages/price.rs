@@ -1,44 +1,45 @@
-//! What looking is worth, and what it costs.
+//! Prices of TTIs in S1, and the battery level that sensing requires.
 
 use reveille_common::scenario::EnergyModel;
 use reveille_common::units::Energy;
 
-use crate::beliefs::ages::FREE;
+use super::FREE;
 use crate::knowledge::Knowledge;
 
-/// How much dearer a device is with an empty battery than with a full one. Its price rises with the square of what is
-/// missing, so that devices which are nearly full, of which harvest is lost, cost the same, and low ones are spared for
-/// the reports that only they can give.
+/// Relative extra price of a device with an empty battery. The price grows with the square of the missing charge. So
+/// nearly full devices, which lose harvest, all cost about the same, and low devices are kept for reports that only
+/// they can give.
 const DEARNESS: f64 = 3.0;
 
-/// What is to be left in a battery after a TTI in S1 and a report, as a share of E_max: wake-ups ask for more than one
-/// report, and estimated levels may be wrong.
+/// Reserve after a TTI in S1 and a report, as a share of E_max: wake-ups need further reports, and estimates may be
+/// wrong.
 const RESERVE: f64 = 0.03;
 
-/// The level from which on a device may be told to sense.
+/// Returns the lowest battery level at which a plan may let a device sense.
 pub fn needed(energy: &EnergyModel) -> Energy {
     let reserve = RESERVE * energy.e_max.micro() as f64;
     energy.e_idle + energy.e_tx + Energy::from_micro(reserve as u64)
 }
 
-/// What a TTI in S1 costs each device.
+/// The price of a TTI in S1 for each device.
 #[derive(Clone, Debug)]
-pub struct Prices {
-    /// By device, with a full battery.
+pub(crate) struct Prices {
+    /// Price with a full battery, by device.
     full: Vec<f64>,
     needed: Vec<Energy>,
     e_max: Vec<Energy>,
-    /// By device, in this TTI; infinite for one that may not sense.
+    /// Price in this TTI, by device; infinite if the device may not sense.
     now: Vec<f64>,
 }
 
 impl Prices {
-    /// For the devices in `known`, `price` a TTI in S1 on average over them. A device of a class that spends more in
-    /// S1, beyond what it spends asleep, is dearer in proportion.
-    pub fn new(known: &Knowledge, price: f64) -> Self {
+    /// Creates prices with the mean `price` per TTI in S1 over the devices in `known`. The price of a class is
+    /// proportional to its extra energy in S1 over S4.
+    pub(crate) fn new(known: &Knowledge, price: f64) -> Self {
         let extra = |energy: &EnergyModel| energy.e_idle.saturating_sub(energy.e_wur).micro() as f64;
         let energies = || known.devices.iter().map(|device| &device.energy);
         let mean = energies().map(extra).sum::<f64>() / known.n() as f64;
+        // If S1 costs no more than S4 in any class, sensing costs nothing.
         let share = |energy: &EnergyModel| if mean > 0.0 { extra(energy) / mean } else { 0.0 };
         Self {
             full: energies().map(|energy| price * share(energy)).collect(),
@@ -48,19 +49,18 @@ impl Prices {
         }
     }
 
-    /// The prices of devices with these battery `levels`.
-    pub fn at(&mut self, levels: &[Energy]) -> &[f64] {
+    /// Returns the prices for the battery `levels`.
+    pub(crate) fn at(&mut self, levels: &[Energy]) -> &[f64] {
         self.scaled(levels, |_| 1.0)
     }
 
-    /// The same, but that dearness goes by the levels that batteries are expected to come to, `expected`, E_max at the
-    /// most.
-    pub fn ahead(&mut self, levels: &[Energy], expected: &[Energy]) -> &[f64] {
+    /// Returns the prices, where the extra price of low batteries follows the `expected` levels, at most E_max.
+    pub(crate) fn with_foresight(&mut self, levels: &[Energy], expected: &[Energy]) -> &[f64] {
         self.dear(levels, expected, |_| 1.0)
     }
 
-    /// The prices of devices with these battery `levels`, that of each times its `factor`, > 0.
-    pub fn scaled(&mut self, levels: &[Energy], factor: impl Fn(usize) -> f64) -> &[f64] {
+    /// Returns the prices for the battery `levels`, each multiplied by its `factor`, > 0.
+    pub(crate) fn scaled(&mut self, levels: &[Energy], factor: impl Fn(usize) -> f64) -> &[f64] {
         self.dear(levels, levels, factor)
     }
 

@@ -1,37 +1,39 @@
-//! Ages where looks are told once they are made: nobody is chosen ahead, and nothing is taken back.
+//! Ages for devices that only record looks, without choosing devices ahead or removing them.
 //!
-//! An environment keeps them for each of its runs and looks at all devices in each step, so there is little of it:
-//! three bytes a cell and 36 a device.
+//! An environment keeps these ages for each of its runs and reads all devices in each step. So they are small: three
+//! bytes per cell and 36 per device.
 
 use reveille_common::geometry::{Area, Point};
 use reveille_common::sensing::{DetectionKind, Sensing};
 
 use super::Ages;
 use super::cells::{Cells, SIDE};
-use super::worths::{self, worths};
+use super::index_table::{self, worths};
 
-/// How much more a look is worth than right after another, for each device and for the whole area.
+/// Worth of a look relative to a look right after another, for each device and for the whole area.
 #[derive(Clone, Debug)]
-pub struct Staleness {
-    looks: Looks,
-    /// By device, what it looks at where every place was looked at in the last TTI.
+pub(crate) struct Staleness {
+    looks: StalenessModel,
+    /// Worth of a look by device, if every place was covered in the last TTI.
     fresh: Vec<f64>,
     all_fresh: f64,
 }
 
 #[derive(Clone, Debug)]
-enum Looks {
-    Sure(Sure),
+enum StalenessModel {
+    Sure(CertainStaleness),
     Chance(Box<Ages>),
 }
 
 impl Staleness {
-    /// Before the first TTI, as [`Ages::losing`].
-    pub fn losing(lost: f64, positions: &[Point], area: Area, sensing: &Sensing) -> Self {
+    /// Creates the state before the first TTI; arguments as in [`Ages::with_loss`].
+    pub(crate) fn losing(lost: f64, positions: &[Point], area: Area, sensing: &Sensing) -> Self {
         let looks = match sensing.kind {
-            DetectionKind::Range if lost <= 0.0 => Looks::Sure(Sure::new(area, positions, sensing.d_max)),
+            DetectionKind::Range if lost <= 0.0 => {
+                StalenessModel::Sure(CertainStaleness::new(area, positions, sensing.d_max))
+            }
             DetectionKind::Range | DetectionKind::Probabilistic => {
-                Looks::Chance(Box::new(Ages::losing(lost, positions, area, sensing, worths())))
+                StalenessModel::Chance(Box::new(Ages::with_loss(lost, positions, area, sensing, worths())))
             }
         };
         let mut staleness = Self {
@@ -39,59 +41,59 @@ impl Staleness {
             fresh: Vec::new(),
             all_fresh: 0.0,
         };
+        // All ages are 1 here, so these are the worths right after a look.
         staleness.fresh = (0..positions.len()).map(|j| staleness.worth(j)).collect();
         staleness.all_fresh = staleness.all();
         staleness
     }
 
-    /// The `j`-th device looks in the TTI that passes next, once.
+    /// Lets the `j`-th device sense in the next TTI; at most one call per TTI.
     #[inline]
-    pub fn look(&mut self, j: usize) {
+    pub(crate) fn look(&mut self, j: usize) {
         match &mut self.looks {
-            Looks::Sure(sure) => sure.look(j),
-            Looks::Chance(ages) => ages.add(j),
+            StalenessModel::Sure(sure) => sure.look(j),
+            StalenessModel::Chance(ages) => ages.add(j),
         }
     }
 
-    /// A TTI passes. `is_found`: an event was reported.
-    pub fn pass(&mut self, is_found: bool) {
+    /// Passes a TTI. `is_found`: an event was reported.
+    pub(crate) fn pass(&mut self, is_found: bool) {
         match &mut self.looks {
-            Looks::Sure(sure) => sure.pass(is_found),
-            Looks::Chance(ages) => ages.pass(is_found),
+            StalenessModel::Sure(sure) => sure.pass(is_found),
+            StalenessModel::Chance(ages) => ages.advance(is_found),
         }
     }
 
-    /// How many times as much as right after a look it is worth to look at what the `j`-th device covers, ≥ 1; 1 where
-    /// it covers nothing.
+    /// Returns the worth of a look of the `j`-th device, ≥ 1, relative to its worth right after a look. A device
+    /// without cells has worth 1.
     #[inline]
-    pub fn of(&self, j: usize) -> f64 {
+    pub(crate) fn of(&self, j: usize) -> f64 {
         let fresh = self.fresh[j];
         if fresh > 0.0 { self.worth(j) / fresh } else { 1.0 }
     }
 
-    /// The same of the whole area.
-    pub fn of_all(&self) -> f64 {
+    /// Returns the ratio for the whole area.
+    pub(crate) fn of_all(&self) -> f64 {
         self.all() / self.all_fresh
     }
 
     #[inline]
     fn worth(&self, j: usize) -> f64 {
         match &self.looks {
-            Looks::Sure(sure) => f64::from(sure.worth(j)),
-            Looks::Chance(ages) => ages.worth(j),
+            StalenessModel::Sure(sure) => f64::from(sure.worth(j)),
+            StalenessModel::Chance(ages) => ages.gain(j),
         }
     }
 
     fn all(&self) -> f64 {
         match &self.looks {
-            Looks::Sure(sure) => sure.all as f64,
-            Looks::Chance(ages) => ages.all(),
+            StalenessModel::Sure(sure) => sure.all as f64,
+            StalenessModel::Chance(ages) => ages.all(),
         }
     }
 }
 
-/// The cells that a device looks at: of row i of the square from `corner` on, those from `rows[i].0` on, `rows[i].1` of
-/// them.
+/// Cells that a device covers. In row i of the square at `corner`, these are `rows[i].1` cells starting at `rows[i].0`.
 #[derive(Clone, Debug)]
 struct Disc {
     corner: u32,
@@ -99,7 +101,7 @@ struct Disc {
 }
 
 impl Disc {
-    /// Where the cells of each row begin and end.
+    /// Returns the first cell and the end of each row.
     #[inline]
     fn rows(&self, stride: usize) -> impl Iterator<Item = (usize, usize)> {
         let begins = (0..).map(move |i| self.corner as usize + i * stride);
@@ -111,30 +113,29 @@ impl Disc {
     }
 }
 
-/// Ages in whole TTIs, row by row. Where the area has fewer rows or columns than a square, there are cells of nobody
-/// beyond its last.
+/// Ages in whole TTIs, row by row. If the area has fewer rows or columns than a square, the rest are cells outside it.
 #[derive(Clone, Debug)]
-struct Sure {
+struct CertainStaleness {
     stride: usize,
     columns: usize,
     rows: usize,
     discs: Vec<Disc>,
-    /// 0 in the TTI in which somebody looks.
+    /// Age of each cell; 0 in a TTI in which a device covers it.
     ages: Vec<u8>,
-    /// The sum of the worths of all cells before each, and at last of all, in the numbers from 0 to 2¹⁶ − 1: the
-    /// difference of two is right where it is less than that.
+    /// Prefix sums of the worths, modulo 2¹⁶, with the sum of all cells last. A difference below 2¹⁶ is exact.
     before: Vec<u16>,
-    /// The sum of the worths of the area.
+    /// Sum of the worths of the area.
     all: u64,
 }
 
-impl Sure {
+impl CertainStaleness {
     fn new(area: Area, positions: &[Point], d_max: f64) -> Self {
         let cells = Cells::new(area, d_max);
         let [rows, columns] = cells.shape();
         let (stride, height) = (columns.max(SIDE), rows.max(SIDE));
         let disc = |&p: &Point| {
             let stretches = cells.within(p, d_max);
+            // Rows of a square are read in full, so the square moves inwards at the border.
             let south = stretches.first().map_or(0, |stretch| stretch.row).min(height - SIDE);
             let west = stretches.iter().map(|stretch| stretch.first).min().unwrap_or(0);
             let west = west.min(stride - SIDE);
@@ -167,7 +168,7 @@ impl Sure {
         for (first, count) in &disc.rows {
             let ages = self.ages[begin..].first_chunk_mut::<SIDE>().expect(ROOM);
             begin += self.stride;
-            // A byte each, the first the lowest.
+            // One byte per cell, the first cell in the lowest byte.
             let cells = match count {
                 0 => continue,
                 count => u128::MAX >> (128 - 8 * u32::from(*count)) << (8 * u32::from(*first)),
@@ -182,31 +183,33 @@ impl Sure {
         }
         let mut sum = 0_u64;
         for (ages, before) in self.ages.chunks_mut(LANES).zip(self.before[1..].chunks_mut(LANES)) {
-            // First what can be done side by side.
+            // Ages and worths first: without the running sum, cells do not depend on each other and are computed in
+            // parallel.
             let mut worths = [0_u8; LANES];
             for (age, worth) in ages.iter_mut().zip(&mut worths) {
                 *age = age.saturating_add(1);
-                *worth = worths::of(*age);
+                *worth = index_table::of(*age);
             }
             for (before, worth) in before.iter_mut().zip(worths) {
                 sum += u64::from(worth);
+                // Wraps on purpose: only differences over one row are used, at most 16 · 255.
                 *before = sum as u16;
             }
         }
         self.all = sum - self.beyond();
     }
 
-    /// The sum of the worths of the cells beyond the last of the area, mostly none.
+    /// Returns the sum of the worths of the cells outside the area, usually none.
     fn beyond(&self) -> u64 {
         if self.ages.len() == self.rows * self.columns {
             return 0;
         }
         let rows = self.ages.chunks_exact(self.stride).enumerate();
         let beyond = rows.flat_map(|(row, ages)| &ages[if row < self.rows { self.columns } else { 0 }..]);
-        beyond.map(|age| u64::from(worths::of(*age))).sum()
+        beyond.map(|age| u64::from(index_table::of(*age))).sum()
     }
 
-    /// At most 16 · 16 · 255.
+    /// Returns the worth of a look, at most 16 · 16 · 255.
     #[inline]
     fn worth(&self, j: usize) -> u32 {
         let rows = self.discs[j].rows(self.stride);
@@ -215,7 +218,7 @@ impl Sure {
     }
 }
 
-/// Cells that are computed side by side.
+/// Cells computed in parallel.
 const LANES: usize = 64;
 
 const ROOM: &str = "a square is within the cells";
@@ -228,7 +231,7 @@ mod tests {
 
     use super::*;
 
-    /// Looks by chance, in areas of fewer cells than a square and of many.
+    /// Random looks, in areas of fewer cells than a square and of many.
     #[test]
     fn it_is_what_ages_say_after_the_same_looks() {
         for (kind, lost) in [
@@ -247,13 +250,13 @@ mod tests {
                 let area = Area { width, height };
                 let positions = place(&Layout::Uniform, area, 25, 3);
                 let mut stream = Stream::new(9, Purpose::Epicentre, 0);
-                let mut ages = Ages::losing(lost, &positions, area, &sensing, worths());
+                let mut ages = Ages::with_loss(lost, &positions, area, &sensing, worths());
                 let mut staleness = Staleness::losing(lost, &positions, area, &sensing);
-                let fresh: Vec<f64> = (0..25).map(|j| ages.worth(j)).collect();
+                let fresh: Vec<f64> = (0..25).map(|j| ages.gain(j)).collect();
                 let all_fresh = ages.all();
                 for _ in 0..300 {
                     for (j, fresh) in fresh.iter().enumerate() {
-                        let expected = if *fresh > 0.0 { ages.worth(j) / fresh } else { 1.0 };
+                        let expected = if *fresh > 0.0 { ages.gain(j) / fresh } else { 1.0 };
                         assert_eq!(staleness.of(j).to_bits(), expected.to_bits(), "{kind:?} {width} {j}");
                     }
                     assert_eq!(staleness.of_all().to_bits(), (ages.all() / all_fresh).to_bits());
@@ -262,7 +265,7 @@ mod tests {
                         staleness.look(j);
                     }
                     let is_found = stream.unit() < 0.02;
-                    ages.pass(is_found);
+                    ages.advance(is_found);
                     staleness.pass(is_found);
                 }
             }

@@ -1,3 +1,5 @@
+//! Ages and worths of cells against their definition, computed from all devices and cells.
+
 use reveille_common::geometry::{Layout, place};
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::sensing::Fusion;
@@ -16,19 +18,19 @@ fn sensing(kind: DetectionKind) -> Sensing {
 
 const AREAS: [(f64, f64); 5] = [(20.0, 20.0), (31.0, 7.3), (3.0, 1.0), (9.1, 8.6), (70.0, 12.0)];
 
-/// a(a + 1)/2 up to what a byte holds.
-fn triangle() -> Worths {
+/// a(a + 1)/2 up to the limit of a byte.
+fn triangle() -> AgeIndexTable {
     std::array::from_fn(|age| (age * (age + 1) / 2).min(253) as u8)
 }
 
-/// Places evenly spread over the area, finer than cells.
+/// Returns each cell with its middle.
 fn middles(ages: &Ages) -> Vec<(usize, Point)> {
     let cells = &ages.cells;
     let of = |cell: usize| cells.middle(cell / cells.stride(), cell % cells.stride());
     cells.all().map(|cell| (cell, of(cell))).collect()
 }
 
-/// Ages and worths from their definition, kept cell by cell beside the implementation, in random choices.
+/// Keeps ages and worths by definition, cell by cell, and compares them in random choices.
 #[test]
 fn ages_and_worths_are_those_of_the_definition() {
     for kind in [DetectionKind::Range, DetectionKind::Probabilistic] {
@@ -48,7 +50,7 @@ fn ages_and_worths_are_those_of_the_definition() {
                     d => libm::exp(-0.4 * d),
                 };
                 let missed = |at: Point| chosen.iter().map(|&j| 1.0 - finds(at, j)).product::<f64>();
-                // In any order, and with detours.
+                // Adds and removes a device in between, in any order.
                 let detour = (k * 7) % 30;
                 if !chosen.contains(&detour) {
                     ages.add(detour);
@@ -64,17 +66,17 @@ fn ages_and_worths_are_those_of_the_definition() {
                 for j in (0..30).filter(|j| !chosen.contains(j)) {
                     let of = |(i, &(_, at)): (usize, &(usize, Point))| worth(expected[i]) * missed(at) * finds(at, j);
                     let sum: f64 = cells.iter().enumerate().map(of).sum();
-                    let told = ages.worth(j);
+                    let told = ages.gain(j);
                     assert!(
                         (told - sum).abs() < 1e-6 * sum.max(1.0),
                         "{kind:?} {width} {k} {j}: {told} {sum}"
                     );
                 }
                 let is_found = k % 23 == 22;
-                ages.pass(is_found);
+                ages.advance(is_found);
                 for (age, &(_, at)) in expected.iter_mut().zip(&cells) {
                     *age = if is_found { 1.0 } else { *age * missed(at) + 1.0 };
-                    assert!((ages.at(at) - *age).abs() < 1e-6, "{kind:?} {width} {k}");
+                    assert!((ages.age_at(at) - *age).abs() < 1e-6, "{kind:?} {width} {k}");
                 }
             }
         }
@@ -94,14 +96,14 @@ fn a_place_that_nobody_sees_gets_old_and_no_older() {
         triangle(),
     );
     for k in 1..400_u32 {
-        assert!((ages.at(Point::new(39.0, 1.0)) - f64::from(k.min(255))).abs() < 1e-12);
-        assert!((ages.at(Point::new(2.5, 4.5)) - 1.0).abs() < 1e-12);
+        assert!((ages.age_at(Point::new(39.0, 1.0)) - f64::from(k.min(255))).abs() < 1e-12);
+        assert!((ages.age_at(Point::new(2.5, 4.5)) - 1.0).abs() < 1e-12);
         ages.add(0);
-        ages.pass(false);
+        ages.advance(false);
     }
-    ages.pass(true);
+    ages.advance(true);
     assert!(
-        (ages.at(Point::new(39.0, 1.0)) - 1.0).abs() < 1e-12,
+        (ages.age_at(Point::new(39.0, 1.0)) - 1.0).abs() < 1e-12,
         "an event was found"
     );
 }
@@ -111,15 +113,15 @@ fn the_cells_that_count_are_those_within_reach() {
     for (width, height) in AREAS {
         let area = Area { width, height };
         let points = place(&Layout::Uniform, area, 12, 9);
-        let mut one = [0; OLDEST + 1];
+        let mut one = [0; index_table::OLDEST + 1];
         one[1] = 1;
         let ages = Ages::new(&points, area, &sensing(DetectionKind::Range), one);
         let mut stream = Stream::new(2, Purpose::Epicentre, 0);
         for (j, p) in points.iter().enumerate() {
-            // The part of the area within reach, by draws.
+            // The share of the area in range, by random draws.
             let draw = |_: &u32| Point::new(width * stream.unit(), height * stream.unit()).distance(*p) <= 4.0;
             let share = (0..20_000).filter(draw).count() as f64 / 20_000.0;
-            let counted = ages.worth(j) * ages.cell_surface() / area.surface();
+            let counted = ages.gain(j) * ages.cell_surface() / area.surface();
             assert!((counted - share).abs() < 0.02, "{width} {j}: {counted}, not {share}");
         }
     }
@@ -134,9 +136,9 @@ fn taking_all_back_leaves_what_was_there() {
         };
         let points = place(&Layout::Uniform, area, 300, 2);
         let mut ages = Ages::new(&points, area, &sensing(kind), triangle());
-        (0..4).for_each(|_| ages.pass(false));
-        let before: Vec<f64> = (0..300).map(|j| ages.worth(j)).collect();
-        let same = |ages: &Ages| (0..300).all(|j| (ages.worth(j) - before[j]).abs() < 1e-6);
+        (0..4).for_each(|_| ages.advance(false));
+        let before: Vec<f64> = (0..300).map(|j| ages.gain(j)).collect();
+        let same = |ages: &Ages| (0..300).all(|j| (ages.gain(j) - before[j]).abs() < 1e-6);
         (0..300).for_each(|j| ages.add(j));
         assert!(!same(&ages));
         (0..300).for_each(|j| ages.remove(j));

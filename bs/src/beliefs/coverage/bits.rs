@@ -1,43 +1,43 @@
-//! Coverage where detection is certain within d_max: a bit for each cell.
+//! Coverage where detection is certain within d_max: one bit per cell.
 
 use reveille_common::geometry::Point;
 
-use crate::beliefs::raster::Raster;
+use crate::beliefs::grid::Raster;
 
-/// The most rows, and columns, of cells that a device covers. With c = ⌈15 w/d_max⌉ cells along a width w, either c ≤
-/// 30, or 2·d_max is at most 30·c/(c − 1) ≤ 31 cells long and holds no more whole ones.
+/// Exclusive limit on the rows, and columns, of cells that a device covers. With c = ⌈15 w/d_max⌉ cells along a width
+/// w, either c ≤ 30, or 2·d_max is at most 30·c/(c − 1) ≤ 31 cells long and holds no more whole cells.
 pub(super) const SIDE: usize = 32;
 
-/// Which cells are covered by somebody, and which by several.
+/// The cells covered by at least one device, and those covered by at least two.
 ///
-/// Columns lie in tiles of 64 bits that overlap by half, so that the cells of a device always lie in one of them and
-/// its rows are words one after the other. There is a tile too many at either end, and [`SIDE`] empty rows above each:
-/// nothing has to be tested for its end.
+/// Columns lie in tiles of 64 bits that overlap by half. So all cells of a device lie in one tile, and its rows are
+/// consecutive words. An extra tile at either end and [`SIDE`] empty rows above each tile make bounds tests
+/// unnecessary.
 #[derive(Clone, Debug)]
 pub(super) struct Bits {
-    /// Words of a tile.
+    /// Words per tile.
     stride: usize,
     covered: Vec<u64>,
     twice: Vec<u64>,
-    discs: Vec<Disc>,
-    /// Covered cells.
+    discs: Vec<BitDisc>,
+    /// Number of covered cells.
     count: u32,
 }
 
-/// The cells that a device covers: those of `rows[i]` are `first.1 + bit` in row `first.0 + i`.
+/// Cells that a device covers: bit `b` of `rows[i]` is the cell in row `first.0 + i` and column `first.1 + b`.
 #[derive(Clone, Debug)]
-pub(super) struct Disc {
+pub(super) struct BitDisc {
     pub(super) first: (u32, u32),
-    /// The word of the first row, and where in it the first column is, less than 32.
+    /// Word of the first row, and bit of the first column in it, less than 32.
     word: u32,
     shift: u32,
     pub(super) rows: [u32; SIDE],
 }
 
-impl Disc {
+impl BitDisc {
     pub(super) fn new(raster: &Raster, stride: usize, p: Point, d_max: f64) -> Self {
         let [south_to_north, west_to_east] = raster.around(p, d_max);
-        // The cells of a row are neighbours: distances fall towards `p` and rise beyond, however they are rounded.
+        // The cells of a row are adjacent: distances fall towards `p` and rise beyond it, however they are rounded.
         let stretch = |row: usize| {
             let is_inside = |column: &usize| raster.distances(row, *column, p).0 <= d_max;
             let first = west_to_east.clone().find(is_inside)?;
@@ -49,6 +49,7 @@ impl Disc {
         let column = stretches.iter().map(|stretch| stretch.1).min().unwrap_or(0);
         let mut rows = [0; SIDE];
         for (at, first, last) in stretches {
+            // At most 31 columns, see `SIDE`, so the shifts lose no bit.
             rows[at - row] = u32::MAX >> (31 - (last - first)) << (first - column);
         }
         Self {
@@ -68,7 +69,10 @@ impl Bits {
             stride,
             covered: vec![0; words],
             twice: vec![0; words],
-            discs: positions.iter().map(|&p| Disc::new(raster, stride, p, d_max)).collect(),
+            discs: positions
+                .iter()
+                .map(|&p| BitDisc::new(raster, stride, p, d_max))
+                .collect(),
             count: 0,
         }
     }
@@ -79,18 +83,18 @@ impl Bits {
         self.count = 0;
     }
 
-    /// Those that nobody covers.
+    /// Returns the number of cells of the `j`-th device that no device covers.
     #[inline]
     pub(super) fn gain(&self, j: usize) -> u32 {
         outside(&self.covered, &self.discs[j])
     }
 
-    /// Those that nobody else covers, if it was added.
+    /// Returns the number of cells that only the `j`-th device covers, if it was added.
     pub(super) fn lost(&self, j: usize) -> u32 {
         outside(&self.twice, &self.discs[j])
     }
 
-    /// Adds a device that was not added.
+    /// Adds a device that was not added before.
     pub(super) fn add(&mut self, j: usize) {
         let Self {
             stride,
@@ -102,7 +106,7 @@ impl Bits {
         let disc = &discs[j];
         *count += outside(covered, disc);
         let (word, shift) = (disc.word as usize, disc.shift);
-        // The same cells in the tile to the west, in their own, and in that to the east.
+        // Tiles overlap by half, so the same cells also appear in the tile to the west and in the tile to the east.
         for (begin, to_east, to_west) in [(word - *stride, 32, 0), (word, 0, 0), (word + *stride, 0, 32)] {
             let covered = covered[begin..].first_chunk_mut::<SIDE>().expect(ROOM);
             let twice = twice[begin..].first_chunk_mut::<SIDE>().expect(ROOM);
@@ -118,16 +122,16 @@ impl Bits {
         self.count
     }
 
-    /// Whether the `j`-th device covers the cell.
+    /// Returns whether the `j`-th device covers the cell.
     #[inline]
     pub(super) fn reaches(&self, j: usize, row: u32, column: u32) -> bool {
-        let Disc { first, rows, .. } = &self.discs[j];
+        let BitDisc { first, rows, .. } = &self.discs[j];
         let (row, column) = (row.wrapping_sub(first.0) as usize, column.wrapping_sub(first.1));
         row < SIDE && column < 32 && rows[row] >> column & 1 == 1
     }
 
-    /// Bits of the cells that nobody covers in `row`, from `column` on: the first is the lowest, and there are at least
-    /// 33 of them.
+    /// Returns the uncovered cells of `row` from `column` on as bits. The first cell is the lowest bit, and at least 33
+    /// bits are valid.
     #[inline]
     pub(super) fn open(&self, row: u32, column: u32) -> u64 {
         !self.covered[(1 + column as usize / 32) * self.stride + row as usize] >> (column % 32)
@@ -136,9 +140,9 @@ impl Bits {
 
 const ROOM: &str = "there are empty rows above";
 
-/// The cells of `disc` that are not in `words`.
+/// Returns the number of cells of `disc` that are not in `words`.
 #[inline]
-fn outside(words: &[u64], disc: &Disc) -> u32 {
+fn outside(words: &[u64], disc: &BitDisc) -> u32 {
     let words = words[disc.word as usize..].first_chunk::<SIDE>().expect(ROOM);
     let rows = words.iter().zip(&disc.rows);
     rows.map(|(word, cells)| (!((word >> disc.shift) as u32) & cells).count_ones())

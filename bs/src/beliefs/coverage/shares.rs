@@ -1,40 +1,40 @@
-//! Coverage where detection is by chance: the share of each cell that nobody covers.
+//! Coverage where detection is probabilistic: the uncovered share of each cell.
 
 use reveille_common::geometry::Point;
 use reveille_common::sensing::Sensing;
 
-use crate::beliefs::raster::Raster;
+use crate::beliefs::grid::Raster;
 
-/// Cells that are computed side by side.
+/// Cells computed in parallel.
 const LANES: usize = 8;
 
-/// A whole cell: shares are counted in 65535ths of it. In whole numbers, what devices cover adds up exactly.
+/// A whole cell, in shares of 1/65535. Whole numbers make the covered shares add up exactly.
 pub(super) const CELL: u16 = u16::MAX;
 
-/// The share of each cell that stays uncovered.
+/// The uncovered share of each cell.
 #[derive(Clone, Debug)]
-pub(super) struct Shares {
-    /// Of all cells, row by row, and of some beyond the last that are none: the rows of a device end there.
+pub(super) struct UncoveredShares {
+    /// Shares of all cells, row by row, followed by padding for the last spans.
     missed: Vec<u16>,
     cells: usize,
     /// The rows of device j are `rows[starts[j] .. starts[j + 1]]`.
     starts: Vec<u32>,
-    rows: Vec<Stretch>,
-    /// p(d), in 65536ths, of all cells of all stretches, one after the other.
+    rows: Vec<ShareSpan>,
+    /// p(d) of the cells of all spans, in order, in 65536ths.
     detected: Vec<u16>,
 }
 
-/// Cells of one row of the raster that a device may detect an event in, and after them as many that it detects nothing
-/// in as make a multiple of [`LANES`].
+/// Cells of one grid row in which a device may detect an event, padded to a multiple of [`LANES`] with cells of p(d) =
+/// 0.
 #[derive(Clone, Copy, Debug)]
-struct Stretch {
-    /// The first of them, and the first of their p(d).
+struct ShareSpan {
+    /// Index of the first cell, and of its p(d).
     cell: u32,
     detected: u32,
     length: u32,
 }
 
-impl Stretch {
+impl ShareSpan {
     fn cells(self) -> std::ops::Range<usize> {
         self.cell as usize..(self.cell + self.length) as usize
     }
@@ -44,13 +44,13 @@ impl Stretch {
     }
 }
 
-/// What a device that detects with probability `detected` covers of the share that is `missed`, rounded down.
+/// Returns the part of the share `missed` that a device with detection probability `detected` covers, rounded down.
 #[inline]
 const fn covered(missed: u16, detected: u16) -> u16 {
     ((missed as u32 * detected as u32) >> 16) as u16
 }
 
-impl Shares {
+impl UncoveredShares {
     pub(super) fn new(raster: &Raster, positions: &[Point], sensing: &Sensing) -> Self {
         let (mut starts, mut rows, mut detected) = (vec![0], Vec::new(), Vec::new());
         for &p in positions {
@@ -58,17 +58,18 @@ impl Shares {
             for row in south_to_north {
                 let begin = detected.len();
                 let mut first = None;
-                // The cells of a row that are near enough are neighbours.
+                // The cells of a row that are near enough are adjacent.
                 for column in west_to_east.clone() {
                     let (_, middle) = raster.distances(row, column, p);
                     if middle <= sensing.d_max {
                         first = first.or(Some(column));
+                        // p = 1 would be 65536, which does not fit.
                         detected.push((sensing.p(middle) * 65536.0).round().min(f64::from(u16::MAX)) as u16);
                     }
                 }
                 let length = (detected.len() - begin).next_multiple_of(LANES);
                 detected.resize(begin + length, 0);
-                rows.extend(first.map(|column| Stretch {
+                rows.extend(first.map(|column| ShareSpan {
                     cell: (row * raster.columns + column) as u32,
                     detected: begin as u32,
                     length: length as u32,
@@ -89,12 +90,12 @@ impl Shares {
         self.missed.fill(CELL);
     }
 
-    /// In 65535ths of a cell.
+    /// Returns the uncovered area, in 65535ths of a cell.
     pub(super) fn uncovered(&self) -> u64 {
         self.missed[..self.cells].iter().map(|&missed| u64::from(missed)).sum()
     }
 
-    /// What the `j`-th device would newly cover, in 65535ths of a cell.
+    /// Returns the area that the `j`-th device would newly cover, in 65535ths of a cell.
     pub(super) fn gain(&self, j: usize) -> u64 {
         let mut lanes = [0; LANES];
         for row in &self.rows[self.starts[j] as usize..self.starts[j + 1] as usize] {
@@ -113,6 +114,7 @@ impl Shares {
         for row in &self.rows[self.starts[j] as usize..self.starts[j + 1] as usize] {
             let missed = &mut self.missed[row.cells()];
             for (missed, &detected) in missed.iter_mut().zip(&self.detected[row.detected()]) {
+                // No underflow: `detected` is below 2¹⁶, so the product shifted by 16 bits is at most `missed`.
                 *missed -= covered(*missed, detected);
             }
         }

@@ -1,34 +1,34 @@
-//! How much of the area devices cover together, and nothing else: what rewards need, in less memory than
-//! [`Coverage`](super::Coverage), which is there for those who choose.
+//! The part of the area that a set of devices covers. Rewards need only this, in less memory than
+//! [`Coverage`](super::Coverage), which serves the selection of devices.
 
 use reveille_common::geometry::{Area, Point};
 use reveille_common::sensing::{DetectionKind, Sensing};
 
-use super::bits::{Disc, SIDE};
-use super::shares::{CELL, Shares};
+use super::bits::{BitDisc, SIDE};
+use super::shares::{CELL, UncoveredShares};
 use super::{Raster, per_range};
 
-/// What devices cover together, by cells as [`Coverage`](super::Coverage) counts them.
+/// The area that a set of devices covers, in the cells of `Coverage`.
 #[derive(Clone, Debug)]
 pub struct Union {
-    /// Cells of the area.
+    /// Number of cells of the area.
     cells: f64,
-    cover: Cover,
+    cover: UnionModel,
 }
 
 #[derive(Clone, Debug)]
-enum Cover {
+enum UnionModel {
     Range(Tiles),
-    Chance(Shares),
+    Chance(UncoveredShares),
 }
 
 impl Union {
-    /// Of devices at `positions`.
+    /// Creates the model for devices at `positions`.
     pub fn new(positions: &[Point], area: Area, sensing: &Sensing) -> Self {
         let raster = Raster::new(area, sensing.d_max, per_range(sensing.kind));
         let cover = match sensing.kind {
-            DetectionKind::Range => Cover::Range(Tiles::new(&raster, positions, sensing.d_max)),
-            DetectionKind::Probabilistic => Cover::Chance(Shares::new(&raster, positions, sensing)),
+            DetectionKind::Range => UnionModel::Range(Tiles::new(&raster, positions, sensing.d_max)),
+            DetectionKind::Probabilistic => UnionModel::Chance(UncoveredShares::new(&raster, positions, sensing)),
         };
         Self {
             cells: raster.cells() as f64,
@@ -36,15 +36,15 @@ impl Union {
         }
     }
 
-    /// The share of the area, `[0, 1]`, that none of `devices` covers, each of them named once.
+    /// Returns the share of the area, `[0, 1]`, that none of `devices` covers. Each device appears once in `devices`.
     pub fn uncovered(&mut self, devices: impl Iterator<Item = usize>) -> f64 {
         match &mut self.cover {
-            Cover::Range(tiles) => {
+            UnionModel::Range(tiles) => {
                 tiles.covered.fill(0);
                 let covered: u32 = devices.map(|j| tiles.add(j)).sum();
                 (self.cells - f64::from(covered)) / self.cells
             }
-            Cover::Chance(shares) => {
+            UnionModel::Chance(shares) => {
                 shares.clear();
                 devices.for_each(|j| shares.add(j));
                 shares.uncovered() as f64 / f64::from(CELL) / self.cells
@@ -53,14 +53,14 @@ impl Union {
     }
 }
 
-/// A bit for each cell. Columns lie in tiles of 64, and a tile has a word for each row, with [`SIDE`] empty ones above;
-/// there is a tile too many in the east. So nothing has to be tested for its end.
+/// One bit per cell. Columns lie in tiles of 64, and a tile has a word for each row, with [`SIDE`] empty words above.
+/// An extra tile in the east makes bounds tests unnecessary.
 #[derive(Clone, Debug)]
 struct Tiles {
-    /// Words of a tile.
+    /// Words per tile.
     stride: usize,
     covered: Vec<u64>,
-    discs: Vec<Disc>,
+    discs: Vec<BitDisc>,
 }
 
 impl Tiles {
@@ -69,13 +69,13 @@ impl Tiles {
         Self {
             stride,
             covered: vec![0; (raster.columns.div_ceil(64) + 1) * stride],
-            discs: positions.iter().map(|&p| Disc::new(raster, 0, p, d_max)).collect(),
+            discs: positions.iter().map(|&p| BitDisc::new(raster, 0, p, d_max)).collect(),
         }
     }
 
-    /// How many cells the `j`-th device covers that were not covered before.
+    /// Adds the `j`-th device and returns the number of cells that it newly covers.
     fn add(&mut self, j: usize) -> u32 {
-        let Disc { first, rows, .. } = &self.discs[j];
+        let BitDisc { first, rows, .. } = &self.discs[j];
         let (row, column) = (first.0 as usize, first.1 as usize);
         let (begin, shift) = (column / 64 * self.stride + row, column % 64);
         let (west, east) = self.covered.split_at_mut(begin + self.stride);
@@ -84,7 +84,7 @@ impl Tiles {
         let mut new = 0;
         for i in 0..SIDE {
             let cells = u64::from(rows[i]);
-            // A shift by 64 is one by 1 and one by 63.
+            // A shift by 64 − `shift` would overflow for 0, so it is split into two.
             let known = west[i] >> shift | east[i] << 1 << (63 - shift);
             new += (cells & !known).count_ones();
             west[i] |= cells << shift;

@@ -1,58 +1,55 @@
 //! Adjusted duty cycling (Sec. V-A, first approach): one (t_on, t_DRX) for all devices, found by exhaustive search for
-//! the deployment, with offsets that are staggered in an order drawn once; after a report any sleeping device may be
-//! woken, most correlated first, until Î ≥ I_min.
+//! the deployment. Offsets are staggered in an order drawn once. After a report any sleeping device can be woken, most
+//! correlated first, until Î ≥ I_min.
 //!
-//! The search runs the devices too, so whoever drives both sides makes the pilot runs; what they bring is judged in
-//! [`search`], and the policy is handed what was found.
+//! The search needs pilot runs with devices, so the caller that drives both sides makes them. [`search`] judges the
+//! pilot runs, and the policy receives the result.
 
 pub mod search;
 pub mod settings;
 
 use std::sync::Arc;
 
-use reveille_common::declare::{Reader, ScenarioError, Section};
+use reveille_common::declare::{FieldSink, Visit};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Report;
 use reveille_common::plan::{DutyCycle, Plan};
 use reveille_common::rng::PolicyPurpose;
-use reveille_common::scenario::{PolicyChoice, PolicyKind, PolicySettings, Site};
 
-use self::search::{DutyChoice, Search};
+use self::search::DutyCycleChoice;
 use self::settings::AdjustedSettings;
-use super::contract::{Opaque, Policy};
-use super::kind::{Profile, Registered, own};
-use super::mind::Mind;
-use super::pilots::Pilots;
-use crate::beliefs::aim::Aim;
-use crate::beliefs::posterior::Belief;
+use super::factory::{PilotSearch, PolicyEntry, PolicyFactory};
+use super::interface::Policy;
+use crate::beliefs::information_target::InformationTarget;
+use crate::beliefs::posterior::EpicentreBelief;
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
 
 /// The `adjusted` policy.
 pub struct Adjusted {
-    choice: DutyChoice,
-    /// The turn of each device, `0 .. N`. In the order of numbers neighbours on a regular layout would take theirs
-    /// together, and leave the rest of the area blind meanwhile.
+    choice: DutyCycleChoice,
+    /// Turn of each device, `0 .. N`, in random order. In the order of ids, neighbours on a regular layout would sense
+    /// together and leave the rest of the area blind.
     turns: Vec<u32>,
-    aim: Aim,
+    aim: InformationTarget,
 }
 
 impl Adjusted {
-    /// The policy with the duty cycle that the search has found.
-    pub fn new(known: &Knowledge, choice: DutyChoice) -> Self {
+    /// Creates the policy with the duty cycle that the search has found.
+    pub fn new(known: &Knowledge, choice: DutyCycleChoice) -> Self {
         let mut turns: Vec<u32> = (0..known.n() as u32).collect();
         known.streams.stream(PolicyPurpose::Offsets, 0).shuffle(&mut turns);
         Self {
             choice,
             turns,
-            aim: Aim::new(known),
+            aim: InformationTarget::new(known),
         }
     }
 }
 
 impl Policy for Adjusted {
     fn decide(&mut self, _: &Observation<'_>) -> Plan {
-        let DutyChoice { t_on, t_drx, .. } = self.choice;
+        let DutyCycleChoice { t_on, t_drx, .. } = self.choice;
         let cycle = |turn: &u32| DutyCycle {
             t_on,
             t_drx,
@@ -65,7 +62,7 @@ impl Policy for Adjusted {
         Tti::NEVER
     }
 
-    fn reported(&mut self, seen: &Observation<'_>, reports: &[Report]) {
+    fn reports_received(&mut self, seen: &Observation<'_>, reports: &[Report]) {
         self.aim.start(seen, reports);
     }
 
@@ -73,16 +70,16 @@ impl Policy for Adjusted {
         self.aim.next(seen, |_| true)
     }
 
-    fn belief(&self) -> Option<&Belief> {
+    fn belief(&self) -> Option<&EpicentreBelief> {
         self.aim.belief()
     }
 
-    fn answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
-        self.aim.answered(seen, report);
+    fn wake_up_answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
+        self.aim.add_answer(seen, report);
     }
 
-    fn facts(&self) -> Vec<(&'static str, f64)> {
-        let DutyChoice {
+    fn summary_facts(&self) -> Vec<(&'static str, f64)> {
+        let DutyCycleChoice {
             t_on,
             t_drx,
             reaches_i_min,
@@ -105,47 +102,41 @@ impl Policy for Adjusted {
 }
 
 /// The policy `adjusted`.
-#[derive(Clone, Copy, Debug)]
-pub struct AdjustedKind;
+pub(crate) const ADJUSTED: PolicyEntry = PolicyEntry {
+    about: "One duty cycle for all devices, found by exhaustive search in pilot runs. Wakes any \
+            device, the most correlated first.",
+    heeds_ranking: true,
+    runtime: "O(ϱ^N)",
+    ..PolicyEntry::new(AdjustedSettings::SECTION, |reader, _| {
+        Ok(Arc::new(AdjustedSettings::from_fields(reader)?))
+    })
+};
 
-impl PolicyKind for AdjustedKind {
-    fn name(&self) -> &'static str {
-        "adjusted"
+impl PolicyFactory for AdjustedSettings {
+    /// # Panics
+    /// Always: the search in pilot runs returns the factory to build with.
+    fn build(&self, _: &Knowledge) -> Box<dyn Policy> {
+        panic!("the duty cycle is searched before a run")
     }
 
-    fn about(&self) -> &'static str {
-        "One duty cycle for all devices, found by exhaustive search in pilot runs; wakes any \
-         device, most correlated first."
+    fn pilots(&self) -> Option<PilotSearch> {
+        Some(search::pilots(self))
     }
 
-    fn section(&self) -> Option<&'static Section> {
-        Some(AdjustedSettings::SECTION)
-    }
-
-    fn settle(&self, reader: &Reader<'_>, _: &Site<'_>) -> Result<Arc<dyn PolicySettings>, ScenarioError> {
-        Ok(Arc::new(AdjustedSettings::settle(reader)?))
+    fn pilot_ttis(&self) -> Option<(&'static str, u64)> {
+        // Only this length must fit the sums of energy: the extension up to `pilot_limit` stops where they would
+        // overflow.
+        Some(("policy.adjusted.pilot_ttis", self.pilot_ttis))
     }
 }
 
-impl Registered for AdjustedKind {
-    fn profile(&self) -> Profile {
-        Profile {
-            runtime: "O(ϱ^N)",
-            wakes: true,
-            heeds_ranking: true,
-            ..Profile::plain(1)
-        }
-    }
+impl Visit for DutyCycleChoice {
+    /// Visits nothing: a result of the search is not a setting.
+    fn visit(&self, _: &mut dyn FieldSink) {}
+}
 
-    fn pilots(&self, choice: &PolicyChoice) -> Option<Box<dyn Pilots>> {
-        Some(Box::new(Search(own::<AdjustedSettings>(choice).clone())))
-    }
-
-    fn build(&self, _: &PolicyChoice, known: &Knowledge, findings: Option<&Opaque>) -> Mind {
-        let choice = findings.and_then(Opaque::get).copied();
-        Mind::of(Adjusted::new(
-            known,
-            choice.expect("the duty cycle is searched before a run"),
-        ))
+impl PolicyFactory for DutyCycleChoice {
+    fn build(&self, known: &Knowledge) -> Box<dyn Policy> {
+        Box::new(Adjusted::new(known, *self))
     }
 }

@@ -1,14 +1,15 @@
-//! The choice among the duty cycles of a grid (Sec. V-A, P2): the (t_on, t_DRX) of least mean consumption among those
-//! that reach I_min in their pilot runs, or, if none does, the one of most information. If no pilot run has an event,
-//! nothing is known but what the pairs spend, and the least decides.
+//! Choice among the duty cycles of a grid (Sec. V-A, P2): the (t_on, t_DRX) of least mean consumption among those that
+//! reach I_min in their pilot runs. If none does, the one with the most information is chosen. If no pilot run has an
+//! event, the least consumption decides.
+
+use std::sync::Arc;
 
 use super::settings::AdjustedSettings;
 use crate::beliefs::ranking::i_min;
 use crate::knowledge::Knowledge;
-use crate::policy::contract::Opaque;
-use crate::policy::pilots::{Pilots, Trials};
+use crate::policy::factory::{PilotSearch, PolicyFactory, Trials};
 
-/// A duty cycle of the grid and how its pilot run went.
+/// Duty cycle of the grid with the results of its pilot run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trial {
     /// t_on, TTIs.
@@ -21,58 +22,41 @@ pub struct Trial {
     pub energy: f64,
 }
 
-/// The duty cycle that a search has chosen, and what it cost to find.
+/// Duty cycle chosen by a search, with the cost of the search.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DutyChoice {
+pub struct DutyCycleChoice {
     /// t_on, TTIs.
     pub t_on: u32,
     /// t_DRX, TTIs.
     pub t_drx: u32,
-    /// Whether the pair reached I_min in its pilot run; if not, none did.
+    /// Whether the pair reached I_min in its pilot run; if false, no pair did.
     pub reaches_i_min: bool,
-    /// Pairs judged.
+    /// Number of judged pairs.
     pub pairs: u32,
-    /// Events that the pilot run with the fewest held.
+    /// Number of events in the pilot run with the fewest.
     pub pilot_events: u64,
     /// Length of a pilot run, TTIs.
     pub pilot_ttis: u64,
-    /// Device-TTIs of all pilot runs together.
+    /// Total device-TTIs of all pilot runs.
     pub device_ttis: u64,
 }
 
-/// The search with its settings.
-#[derive(Clone, Debug)]
-pub struct Search(pub AdjustedSettings);
-
-impl Search {
-    /// The duty cycles of the grid with what their pilot runs brought, in the order of the grid.
-    pub fn judged(&self, trials: &Trials) -> Vec<Trial> {
-        let pairs = self.0.pairs().zip(&trials.metrics);
-        let trial = pairs.map(|((t_on, t_drx), metrics)| Trial {
-            t_on,
-            t_drx,
-            information: metrics.info_per_event,
-            energy: metrics.energy_per_device_tti,
-        });
-        trial.collect()
-    }
+/// Returns the duty cycles of the grid with the results of their pilot runs, in the order of the grid.
+pub fn judged(settings: &AdjustedSettings, trials: &Trials) -> Vec<Trial> {
+    let pairs = settings.pairs().zip(&trials.metrics);
+    let trial = pairs.map(|((t_on, t_drx), metrics)| Trial {
+        t_on,
+        t_drx,
+        information: metrics.info_per_event,
+        energy: metrics.energy_per_device_tti,
+    });
+    trial.collect()
 }
 
-impl Pilots for Search {
-    fn ttis(&self) -> u64 {
-        self.0.pilot_ttis
-    }
-
-    fn events(&self) -> u64 {
-        self.0.pilot_events
-    }
-
-    fn limit(&self) -> u64 {
-        self.0.pilot_limit
-    }
-
-    fn candidates(&self) -> Vec<Opaque> {
-        let candidate = |(t_on, t_drx)| DutyChoice {
+/// Creates the pilot search over the grid.
+pub(super) fn pilots(settings: &AdjustedSettings) -> PilotSearch {
+    let candidate = |(t_on, t_drx)| {
+        let choice = DutyCycleChoice {
             t_on,
             t_drx,
             reaches_i_min: false,
@@ -81,45 +65,56 @@ impl Pilots for Search {
             pilot_ttis: 0,
             device_ttis: 0,
         };
-        self.0.pairs().map(|pair| Opaque::new(candidate(pair))).collect()
-    }
-
-    fn judge(&self, known: &Knowledge, trials: &Trials) -> Opaque {
-        let threshold = i_min(&known.positions(), known.area, &known.sensing);
-        let (best, reaches_i_min) = choose(&self.judged(trials), threshold).expect("the grid holds a pair");
-        Opaque::new(DutyChoice {
-            t_on: best.t_on,
-            t_drx: best.t_drx,
-            reaches_i_min,
-            pairs: trials.metrics.len() as u32,
-            pilot_events: trials.fewest_events(),
-            pilot_ttis: trials.ttis,
-            device_ttis: trials.all_ttis.saturating_mul(known.n() as u64),
-        })
-    }
-
-    fn warnings(&self, trials: &Trials) -> Vec<String> {
-        if trials.fewest_events() >= self.0.pilot_events {
-            return Vec::new();
-        }
-        vec![format!(
-            "the duty cycle of adjusted is hardly more than a guess: its pilot runs were to hold {} events each, and \
-             not all do in {} TTIs; raise policy.adjusted.pilot_limit, or leave one pair in policy.adjusted.t_on and \
-             policy.adjusted.t_drx",
-            self.0.pilot_events, trials.ttis
-        )]
+        Arc::new(choice) as Arc<dyn PolicyFactory>
+    };
+    PilotSearch {
+        ttis: settings.pilot_ttis,
+        events: settings.pilot_events,
+        limit: settings.pilot_limit,
+        candidates: settings.pairs().map(candidate).collect(),
+        judge: {
+            let settings = settings.clone();
+            Box::new(move |known, trials| (Arc::new(judge(&settings, known, trials)), warnings(&settings, trials)))
+        },
     }
 }
 
-/// The first of the best of `trials` for the threshold `i_min`, and whether it reaches it.
+fn judge(settings: &AdjustedSettings, known: &Knowledge, trials: &Trials) -> DutyCycleChoice {
+    let threshold = i_min(&known.positions(), known.area, &known.sensing);
+    let (best, reaches_i_min) = choose(&judged(settings, trials), threshold).expect("the grid holds a pair");
+    DutyCycleChoice {
+        t_on: best.t_on,
+        t_drx: best.t_drx,
+        reaches_i_min,
+        pairs: trials.metrics.len() as u32,
+        pilot_events: trials.fewest_events(),
+        pilot_ttis: trials.ttis,
+        device_ttis: trials.all_ttis.saturating_mul(known.n() as u64),
+    }
+}
+
+fn warnings(settings: &AdjustedSettings, trials: &Trials) -> Vec<String> {
+    if trials.fewest_events() >= settings.pilot_events {
+        return Vec::new();
+    }
+    vec![format!(
+        "the duty cycle of adjusted is hardly more than a guess: its pilot runs were to hold {} events each, and \
+         not all do in {} TTIs; raise policy.adjusted.pilot_limit, or leave one pair in policy.adjusted.t_on and \
+         policy.adjusted.t_drx",
+        settings.pilot_events, trials.ttis
+    )]
+}
+
+/// Returns the best of `trials` for the threshold `i_min`, and whether it reaches the threshold. Ties go to the first.
 pub fn choose(trials: &[Trial], i_min: f64) -> Option<(Trial, bool)> {
+    // NaN, the information of a run without events, is below every threshold.
     let reaching = trials.iter().filter(|trial| trial.information >= i_min);
     let least = reaching.min_by(|a, b| a.energy.total_cmp(&b.energy));
     if let Some(trial) = least {
         return Some((*trial, true));
     }
     let with_events = trials.iter().filter(|trial| !trial.information.is_nan());
-    // Of equals `max_by` takes the last, hence the reversal.
+    // `max_by` takes the last of equals; in reverse order that is the first pair of the grid.
     let most = with_events.rev().max_by(|a, b| a.information.total_cmp(&b.information));
     let cheapest = || trials.iter().min_by(|a, b| a.energy.total_cmp(&b.energy));
     most.or_else(cheapest).map(|trial| (*trial, false))
@@ -150,7 +145,7 @@ mod tests {
         assert_eq!(chosen(0.5), Some((3, true)));
         assert_eq!(chosen(0.7), Some((3, false)));
         assert_eq!(choose(&[], 0.1), None);
-        // Of pairs that nothing is known of, the first of those that spend least.
+        // Among pairs without events, the first of those with the least consumption.
         let unknown = [(1, 0.4), (2, 0.3), (3, 0.5), (4, 0.3)].map(|(t_on, energy)| trial(t_on, f64::NAN, energy));
         let chosen = choose(&unknown, 0.1).map(|(trial, reaches)| (trial.t_on, reaches));
         assert_eq!(chosen, Some((2, false)));

@@ -1,86 +1,86 @@
-//! Trajectories: what a BS knew, did and gained in each TTI under any policy.
+//! Trajectories: observation, action and reward of a base station in each TTI under any policy.
 
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Report;
 use reveille_common::plan::Plan;
 use reveille_common::rng::PolicyPurpose;
 
-use super::senses::Senses;
+use super::tokens::TokenBuilder;
+use crate::battery_estimator::BatteryEstimator;
 use crate::beliefs::ages::price::needed;
 use crate::beliefs::candidates::Candidates;
 use crate::beliefs::coverage::Union;
-use crate::beliefs::posterior::Belief;
-use crate::beliefs::reward::{self, Looked, MU1, MU2};
+use crate::beliefs::posterior::EpicentreBelief;
+use crate::beliefs::reward::{self, CoverageReward, MU1, MU2};
 use crate::knowledge::Knowledge;
-use crate::levels::Levels;
 use crate::observation::Observation;
-use crate::policy::contract::{Opaque, Policy};
+use crate::policy::interface::{Opaque, Policy};
 use reveille_common::scenario::WakeUpRanking;
 
-/// What happened to one device in a TTI.
+/// Action and outcome of one device in a TTI.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Look {
-    /// Events that it would find if it looked and nothing but α was known of them.
+pub struct DeviceStep {
+    /// Events that it would find if it sensed, given only α.
     pub expected: f32,
     /// Whether it was in S1 (δ = 1).
     pub on: bool,
-    /// Whether it was the first, or among the first, to report an event.
+    /// Whether its report was among the first reports of an event.
     pub found: bool,
-    /// Of a device that was woken: the information that was expected of it, and that it brought, shares of Ψ.
+    /// Expected and actual gain of information of a woken device, shares of Ψ.
     pub wake_up: Option<(f32, f32)>,
 }
 
 /// One TTI of a trajectory.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Step {
+pub struct TrajectoryStep {
     /// The TTI.
     pub tti: Tti,
     /// The tokens of the devices, `[N, F]`.
     pub tokens: Vec<f32>,
-    /// By device.
-    pub looks: Vec<Look>,
-    /// The share of the area that was looked at: of events that start in this TTI, those to be found in it.
+    /// Actions and outcomes by device.
+    pub looks: Vec<DeviceStep>,
+    /// Covered share of the area: the probability that an event that starts in this TTI is found in it.
     pub share: f32,
-    /// r(k), with the expectation over events that start in this TTI.
+    /// Reward r(k), in expectation over events that start in this TTI.
     pub reward: f32,
-    /// r*(k) with μ2 = 1, 0 where nobody was woken.
+    /// Reward r*(k) with μ2 = 1; 0 without wake-ups.
     pub wake_reward: f32,
 }
 
-/// Where steps go, one TTI after the other.
-pub trait Sink: Send {
-    /// Takes the next.
-    fn take(&mut self, step: Step);
+/// Consumer of the steps of a trajectory, in order of TTIs.
+pub trait StepSink: Send {
+    /// Takes the next step.
+    fn take(&mut self, step: TrajectoryStep);
 }
 
-impl<F: FnMut(Step) + Send> Sink for F {
-    fn take(&mut self, step: Step) {
+impl<F: FnMut(TrajectoryStep) + Send> StepSink for F {
+    fn take(&mut self, step: TrajectoryStep) {
         self(step);
     }
 }
 
-/// How a policy is recorded.
+/// Options of a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Manner {
-    /// The probability, `[0, 1)`, with which a device does not do what the policy says.
+pub struct RecordingOptions {
+    /// Probability that a device does the opposite of the plan, `[0, 1)`.
     pub explores: f64,
-    /// Whether a policy that does not look at batteries goes by those that are recorded when it asks who can pay for a
-    /// report. With `bs.battery_knowledge = "oracle"` those are the true ones, and it wakes others than in a run that
-    /// is not recorded.
+    /// Whether a policy that does not need batteries uses the recorded levels to find the devices that can pay for a
+    /// report. With `bs.battery_knowledge = "oracle"` these are the true levels. The policy then wakes other devices
+    /// than in a run without a recording.
     pub told: bool,
 }
 
-/// What the policy is shown of batteries.
+/// Battery levels that the policy receives.
 #[derive(Debug)]
-enum Own {
-    /// What is recorded.
+enum BatterySource {
+    /// The recorded levels.
     Recorded,
-    /// No levels; what it goes by when it asks who can pay for a report, as without a recording.
-    Hidden(Option<Box<Levels>>),
+    /// No levels. The estimator finds the devices that can pay for a report, as in a run without a recording.
+    Hidden(Option<Box<BatteryEstimator>>),
 }
 
-impl Own {
-    /// `seen` as the policy is to see it.
+impl BatterySource {
+    /// Returns the observation `seen` with the battery levels for the policy.
     fn shown<'a>(&'a self, seen: &Observation<'a>) -> Observation<'a> {
         match self {
             Self::Recorded => *seen,
@@ -92,44 +92,47 @@ impl Own {
         }
     }
 
-    /// Does `keep` with what is reckoned besides.
-    fn keep(&mut self, keep: impl FnOnce(&mut Levels)) {
+    /// Applies `keep` to the separate estimator, if present.
+    fn keep(&mut self, keep: impl FnOnce(&mut BatteryEstimator)) {
         if let Self::Hidden(Some(levels)) = self {
             keep(levels);
         }
     }
 }
 
-/// A policy whose trajectory is recorded. It may be made to explore: then a device does not do what the policy says in
-/// a share of its TTIs.
-pub struct Recorded<S> {
+/// A policy whose trajectory is recorded, optionally with exploration ([`RecordingOptions::explores`]).
+pub struct RecordingPolicy<S> {
     policy: Box<dyn Policy>,
-    own: Own,
-    senses: Senses,
+    own: BatterySource,
+    senses: TokenBuilder,
     union: Union,
-    /// Tell what was to be expected of a wake-up.
+    /// Candidates, which give the expected gain of a wake-up.
     candidates: Candidates,
     explores: f64,
     sink: S,
     plan: Option<Plan>,
     due: Tti,
-    open: Option<Step>,
-    /// The device that is woken, with the expected information, and Î before.
+    open: Option<TrajectoryStep>,
+    /// Device being woken, its expected gain, and Î before.
     woken: Option<(DeviceId, f64, f64)>,
 }
 
-impl<S: Sink> Recorded<S> {
-    /// `policy`, for the devices in `known`, recorded in this `manner`.
-    pub fn new(policy: Box<dyn Policy>, known: &Knowledge, manner: Manner, sink: S) -> Self {
-        let own = if policy.looks_at_batteries() || manner.told {
-            Own::Recorded
+impl<S: StepSink> RecordingPolicy<S> {
+    /// Records `policy`, for the devices in `known`, with the options in `manner`.
+    pub fn new(policy: Box<dyn Policy>, known: &Knowledge, manner: RecordingOptions, sink: S) -> Self {
+        let own = if policy.needs_batteries() || manner.told {
+            BatterySource::Recorded
         } else {
-            Own::Hidden(policy.wakes().then(|| Box::new(Levels::reckoned(known))))
+            BatterySource::Hidden(
+                policy
+                    .needs_levels()
+                    .then(|| Box::new(BatteryEstimator::estimated(known))),
+            )
         };
         Self {
             policy,
             own,
-            senses: Senses::new(known, |j| needed(&known.devices[j].energy)),
+            senses: TokenBuilder::new(known, |j| needed(&known.devices[j].energy)),
             union: reward::union(known),
             candidates: Candidates::by(WakeUpRanking::Posterior, known),
             explores: manner.explores,
@@ -141,7 +144,7 @@ impl<S: Sink> Recorded<S> {
         }
     }
 
-    /// What the devices do in the TTI of `seen` where the policy says `plan`.
+    /// Returns whether each device senses in the TTI of `seen` under `plan` with exploration.
     fn explored(&self, seen: &Observation<'_>, plan: &Plan) -> Vec<bool> {
         let known = seen.known;
         let is_on = |j: usize| plan.duty_cycle(DeviceId(j as u32)).is_on(seen.now);
@@ -152,13 +155,15 @@ impl<S: Sink> Recorded<S> {
         };
         let can = |j: usize| seen.batteries[j] >= needed(&known.devices[j].energy);
         (0..known.n())
+            // An exploring device does the opposite of the plan; one without energy for a report does not explore.
             .map(|j| is_on(j) ^ (self.explores > 0.0 && can(j) && draw(j) < self.explores))
             .collect()
     }
 }
 
-impl<S: Sink> Policy for Recorded<S> {
+impl<S: StepSink + 'static> Policy for RecordingPolicy<S> {
     fn decide(&mut self, seen: &Observation<'_>) -> Plan {
+        // A step is complete only now: reports and wake-ups of a TTI come after its decision.
         if let Some(step) = self.open.take() {
             self.sink.take(step);
         }
@@ -168,16 +173,17 @@ impl<S: Sink> Policy for Recorded<S> {
             self.plan = Some(self.policy.decide(&self.own.shown(seen)));
             self.due = self.policy.next_decision(seen.now);
         }
+        // The plan changes when the policy decides, and in every TTI while devices explore.
         if decides || self.explores > 0.0 {
-            self.own.keep(|levels| levels.pass(seen.now, seen.plan));
+            self.own.keep(|levels| levels.advance(seen.now, seen.plan));
         }
         let on = self.explored(seen, self.plan.as_ref().expect("decided in TTI 0"));
-        let looked = Looked::of(&mut self.union, &on);
-        let mut looks = vec![Look::default(); on.len()];
+        let looked = CoverageReward::of(&mut self.union, &on);
+        let mut looks = vec![DeviceStep::default(); on.len()];
         for (j, (look, &on)) in looks.iter_mut().zip(&on).enumerate() {
             (look.expected, look.on) = (self.senses.expected(j), on);
         }
-        self.open = Some(Step {
+        self.open = Some(TrajectoryStep {
             tti: seen.now,
             tokens: self.senses.tokens().to_vec(),
             looks,
@@ -190,49 +196,47 @@ impl<S: Sink> Policy for Recorded<S> {
         } else {
             self.plan.clone().expect("decided in TTI 0")
         };
-        self.senses.look(seen.now, &plan, false);
+        self.senses.mark_sensing(seen.now, &plan, false);
         plan
     }
 
-    fn next_decision(&self, now: Tti) -> Tti {
-        now + 1
-    }
-
-    fn looks_at_batteries(&self) -> bool {
+    fn needs_batteries(&self) -> bool {
         true
     }
 
-    fn wakes(&self) -> bool {
-        self.policy.wakes()
+    fn needs_levels(&self) -> bool {
+        self.policy.needs_levels()
     }
 
-    fn reported(&mut self, seen: &Observation<'_>, reports: &[Report]) {
+    fn reports_received(&mut self, seen: &Observation<'_>, reports: &[Report]) {
         for report in reports {
-            self.senses.hear(seen, report);
+            self.senses.add_report(seen, report);
             if let Some(step) = &mut self.open {
                 step.looks[report.device.index()].found = true;
             }
         }
         let ages = self.senses.ages();
-        self.candidates.start_with(seen, reports, |place| ages.at(place));
-        self.own.keep(|levels| levels.gathered(seen.now, seen.plan, reports));
-        self.policy.reported(&self.own.shown(seen), reports);
+        self.candidates.start_with(seen, reports, |place| ages.age_at(place));
+        self.own
+            .keep(|levels| levels.observe_reports(seen.now, seen.plan, reports));
+        self.policy.reports_received(&self.own.shown(seen), reports);
     }
 
     fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId> {
         let device = self.policy.next_wake_up(&self.own.shown(seen))?;
+        // Restricted to the device that the policy wakes, the candidates give the expected gain of this device.
         let own = self.candidates.next(seen, |candidate| candidate == device);
         self.woken = Some((device, own.map_or(0.0, |(_, gain)| gain), seen.information));
         Some(device)
     }
 
-    fn answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
+    fn wake_up_answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
         let psi = seen.known.sensing.psi;
         let woken = self.woken.take();
         if let Some((device, ..)) = woken {
             self.own.keep(|levels| match report {
-                Some(report) => levels.heard(device, seen.now, report.battery),
-                None => levels.silent(device, seen.now, seen.plan),
+                Some(report) => levels.observe_level(device, seen.now, report.battery),
+                None => levels.observe_no_answer(device, seen.now, seen.plan),
             });
         }
         if let (Some((device, gain, before)), Some(step)) = (woken, &mut self.open) {
@@ -242,15 +246,15 @@ impl<S: Sink> Policy for Recorded<S> {
             step.wake_reward += (worth + cost) as f32;
         }
         if let Some(report) = report {
-            self.senses.hear(seen, report);
+            self.senses.add_report(seen, report);
             let ages = self.senses.ages();
-            self.candidates.add_with(seen, report, |place| ages.at(place));
+            self.candidates.add_with(seen, report, |place| ages.age_at(place));
         }
-        self.policy.answered(&self.own.shown(seen), report);
+        self.policy.wake_up_answered(&self.own.shown(seen), report);
     }
 
-    fn facts(&self) -> Vec<(&'static str, f64)> {
-        self.policy.facts()
+    fn summary_facts(&self) -> Vec<(&'static str, f64)> {
+        self.policy.summary_facts()
     }
 
     fn learned(&self) -> Option<Opaque> {
@@ -261,7 +265,7 @@ impl<S: Sink> Policy for Recorded<S> {
         self.policy.groups()
     }
 
-    fn belief(&self) -> Option<&Belief> {
+    fn belief(&self) -> Option<&EpicentreBelief> {
         self.policy.belief()
     }
 }

@@ -5,23 +5,24 @@ use std::sync::Arc;
 
 use reveille_common::declare;
 use reveille_common::declare::{
-    Alternative, NOT_NEGATIVE, PROBABILITY, Reader, ScenarioError, Section, Sink, Value, number, source, whole,
+    Alternative, FieldReader, FieldSink, FieldValue, NOT_NEGATIVE, PROBABILITY, ScenarioError, Section, Visit, number,
+    source, whole,
 };
-use reveille_common::scenario::{PolicySettings, Site};
+use reveille_common::scenario::Site;
 
-use super::model::shape::{LONGEST_MEMORY, MOST_HEADS, Objective, Shape, WIDEST};
-use super::model::weights::Weights;
+use super::model::weights::ModelWeights;
+use super::model::{LONGEST_MEMORY, MOST_HEADS, ModelObjective, ModelShape, WIDEST};
 use crate::beliefs::ages;
 
-/// Where models come from, but for files.
+/// Named sources of models, other than files.
 const MODELS: &[Alternative] = &[
     Alternative {
         name: "shipped",
-        about: "The model that comes with the program.",
+        about: "The model shipped with the program.",
     },
     Alternative {
         name: "untrained",
-        about: "One that has learned nothing; with in_vain = 0 it is age-index, bit by bit.",
+        about: "An untrained model; with in_vain = 0 it decides exactly as `age-index`.",
     },
 ];
 
@@ -29,36 +30,36 @@ declare! {
     /// Settings of the policy `dt` (Sec. V-C, Algorithm 2).
     #[derive(Clone, Debug)]
     struct Fields in "policy.dt" {
-        /// Where the model comes from; a file is one that `reveille train dt` wrote.
+        /// Source of the model; a file must be written by `reveille train dt`.
         model: Option<String> = source(MODELS, "shipped").source("Sec. V-C"),
-        /// Price θ of a TTI in S1, in reaches, as under `age-index`: the energy target. With 0 every place in reach is
-        /// looked at in every TTI. It is not asked for where a target return is set.
+        /// Price θ of a TTI in S1, in reaches, as under `age-index`: the energy target. With 0, every place in reach is
+        /// covered in every TTI. It has no effect if a target return is set.
         price: f64 = number(NOT_NEGATIVE, 0.35),
-        /// Target return: the share of new events that is to be found in the TTI in which they start; the model names
-        /// the price for it. With 0 the price above is taken.
+        /// Target return: share of new events to detect in the TTI in which they start. The model predicts the price
+        /// for it; with 0, `price` applies.
         target: f64 = number(PROBABILITY, 0.0).source("Sec. V-C"),
-        /// What waking a device in vain, farther than d_max from the event, counts as a loss of when devices are
-        /// compared, as a share of Ψ. The higher, the surer are those that are woken, and the less they bring.
+        /// Loss, as a share of Ψ, for a wake-up farther than d_max from the event, in the comparison of devices. A
+        /// higher loss selects devices that are surer to sense the event but add less information.
         in_vain: f64 = number(PROBABILITY, 0.16),
-        /// TTIs Z that a decision attends to. With 0 as many as the model does; a training takes 8.
+        /// TTIs Z that a decision attends to. With 0, the value of the model; training uses 8.
         memory: u64 = whole(0, LONGEST_MEMORY, 0).unit("TTIs").source("Sec. V-C"),
-        /// Width of a device's embedding, a multiple of 4 times its heads. With 0 that of the model; a training
-        /// takes 32.
+        /// Width of a device's embedding, a multiple of 4 times its heads. With 0, the width of the model; training
+        /// uses 32.
         width: u64 = whole(0, WIDEST, 0).source("Sec. V-C"),
-        /// Heads of each attention. With 0 those of the model; a training takes 2.
+        /// Heads of each attention layer. With 0, the number in the model; training uses 2.
         heads: u64 = whole(0, MOST_HEADS, 0).source("Sec. V-C"),
     }
 }
 
-/// Bytes of the largest file that is read.
+/// Size of the largest file that is read, bytes.
 const LARGEST: u64 = 64 << 20;
 
-/// Where a model comes from.
+/// Source of a model.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ModelSource {
-    /// The program.
+    /// The model that comes with the program.
     Shipped,
-    /// None: it has learned nothing.
+    /// An untrained model.
     Untrained,
     /// A file that `reveille train dt` wrote.
     File(PathBuf),
@@ -67,23 +68,23 @@ pub enum ModelSource {
 /// Settings of the `dt` policy.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DtSettings {
-    /// Where the model comes from.
+    /// Source of the model.
     pub source: ModelSource,
     /// The model.
-    pub weights: Arc<Weights>,
-    /// The price θ of a TTI in S1, ≥ 0, where no target is set.
+    pub weights: Arc<ModelWeights>,
+    /// Price θ of a TTI in S1, ≥ 0, used without a target.
     pub price: f64,
-    /// The share of new events to be found in their first TTI, `[0, 1]`; 0 for none.
+    /// Target share of new events found in their first TTI, `[0, 1]`; 0 for no target.
     pub target: f64,
-    /// What a wake-up in vain costs, a share of Ψ, `[0, 1]`.
+    /// Cost of a wake-up of a device beyond d_max of the event, a share of Ψ, `[0, 1]`.
     pub in_vain: f64,
-    /// What the scenario asks of the model.
-    pub asked: AskedShape,
+    /// Model shape that the scenario requests.
+    pub asked: RequestedShape,
 }
 
-/// The shape that a scenario asks of a model; 0 leaves it to the model.
+/// Model shape that a scenario requests; 0 accepts the value of the model.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct AskedShape {
+pub struct RequestedShape {
     /// TTIs Z that a decision attends to.
     pub memory: u64,
     /// Width of a device's embedding.
@@ -92,13 +93,13 @@ pub struct AskedShape {
     pub heads: u64,
 }
 
-impl AskedShape {
-    /// What is asked for, and of the rest what `shape` has.
-    const fn or(self, shape: Shape) -> Shape {
+impl RequestedShape {
+    /// Returns the requested shape, with values of `shape` where nothing is requested.
+    const fn or(self, shape: ModelShape) -> ModelShape {
         const fn or(asked: u64, other: usize) -> usize {
             if asked == 0 { other } else { asked as usize }
         }
-        Shape {
+        ModelShape {
             memory: or(self.memory, shape.memory),
             width: or(self.width, shape.width),
             heads: or(self.heads, shape.heads),
@@ -106,8 +107,8 @@ impl AskedShape {
         }
     }
 
-    /// The field that asks for something else than `shape` has, what it asks for, and what there is.
-    fn other_than(self, shape: Shape) -> Option<(&'static str, u64, usize)> {
+    /// Returns the first field that differs from `shape`, with the requested and the actual value.
+    fn other_than(self, shape: ModelShape) -> Option<(&'static str, u64, usize)> {
         let Self { memory, width, heads } = self;
         let fields = [
             ("memory", memory, shape.memory),
@@ -119,29 +120,29 @@ impl AskedShape {
     }
 }
 
-/// The model that comes with the program.
-fn shipped() -> Weights {
-    Weights::read(include_bytes!("shipped.safetensors")).expect("the model of this program")
+/// Returns the model that comes with the program.
+fn shipped() -> ModelWeights {
+    ModelWeights::read(include_bytes!("shipped.safetensors")).expect("the model of this program")
 }
 
 impl DtSettings {
-    /// The price θ, if no target stands in its place.
+    /// Returns the price θ, or `None` if a target is set.
     pub fn fixed_price(&self) -> Option<f64> {
         (self.target <= 0.0).then_some(self.price)
     }
 
-    /// Its fields as they are declared.
+    /// The declared fields of the section.
     pub const SECTION: &'static Section = Fields::SECTION;
 
-    /// The settings that `reader` has, for a base station that knows `site`.
+    /// Reads the settings for a base station that knows `site`.
     ///
     /// # Errors
-    /// A value that may not be, a model that cannot be used, or an area of too many cells.
-    pub fn settle(reader: &Reader<'_>, site: &Site<'_>) -> Result<Self, ScenarioError> {
+    /// A value is out of range, the model cannot be used, or the area has too many cells.
+    pub fn from_fields(reader: &FieldReader<'_>, site: &Site<'_>) -> Result<Self, ScenarioError> {
         let fields = Fields::read(reader)?;
         let price = (fields.target <= 0.0).then_some(fields.price);
-        ages::check("dt", price, reader, site)?;
-        let asked = AskedShape {
+        ages::check_price("dt", price, reader, site)?;
+        let asked = RequestedShape {
             memory: fields.memory,
             width: fields.width,
             heads: fields.heads,
@@ -149,22 +150,22 @@ impl DtSettings {
         let (source, weights) = match fields.model.as_deref().unwrap_or("shipped") {
             "shipped" => (ModelSource::Shipped, shipped()),
             "untrained" => {
-                let shape = asked.or(Shape::USUAL);
-                if !shape.is_sound() {
+                let shape = asked.or(ModelShape::USUAL);
+                if !shape.is_valid() {
                     let allowed = format!("must be a multiple of 4 times the heads, {}", 4 * shape.heads);
-                    return Err(reader.refuse("policy.dt.width", shape.width, allowed));
+                    return Err(reader.invalid_value("policy.dt.width", shape.width, allowed));
                 }
-                (ModelSource::Untrained, Weights::untrained(shape))
+                (ModelSource::Untrained, ModelWeights::untrained(shape))
             }
             file => {
                 let field = "policy.dt.model";
                 let path = reader.file(field, file)?;
-                let refuse = |why: String| reader.data(field, path.clone(), why);
+                let refuse = |why: String| reader.file_error(field, path.clone(), why);
                 let bytes = reader
                     .files()
                     .read(&path, LARGEST)
                     .map_err(|error| refuse(error.to_string()))?;
-                let weights = Weights::read(&bytes).map_err(|error| refuse(error.to_string()))?;
+                let weights = ModelWeights::read(&bytes).map_err(|error| refuse(error.to_string()))?;
                 (ModelSource::File(path), weights)
             }
         };
@@ -172,16 +173,16 @@ impl DtSettings {
             let allowed = format!(
                 "is not what the model has, {has}; train one: reveille train dt --set policy.dt.{name}={asked}"
             );
-            return Err(reader.refuse(&format!("policy.dt.{name}"), asked, allowed));
+            return Err(reader.invalid_value(&format!("policy.dt.{name}"), asked, allowed));
         }
-        let knows_prices = source != ModelSource::Untrained && weights.shape().objective == Objective::Events;
+        let knows_prices = source != ModelSource::Untrained && weights.shape().objective == ModelObjective::Events;
         if fields.target > 0.0 && !knows_prices {
             reader.warn(format!(
                 "policy.dt.target is {}, and the model has not learned what price goes with it: {}",
                 fields.target,
                 match weights.shape().objective {
-                    Objective::Events => "an untrained one takes 1",
-                    Objective::Actions => "one that imitates actions has none",
+                    ModelObjective::Events => "an untrained one takes 1",
+                    ModelObjective::Actions => "one that imitates actions has none",
                 }
             ));
         }
@@ -196,15 +197,16 @@ impl DtSettings {
     }
 }
 
-impl PolicySettings for DtSettings {
-    fn visit(&self, sink: &mut dyn Sink) {
+impl Visit for DtSettings {
+    fn visit(&self, sink: &mut dyn FieldSink) {
         let model = match &self.source {
             ModelSource::Shipped => "shipped".into(),
             ModelSource::Untrained => "untrained".into(),
             ModelSource::File(path) => path.to_string_lossy(),
         };
         if let Some(field) = Fields::SECTION.field("model") {
-            sink.field(Fields::SECTION, field, Value::Path(&model));
+            sink.field(Fields::SECTION, field, FieldValue::Path(&model));
+            // Another model under the same path makes another scenario.
             sink.content(&self.weights.hash);
         }
         let fields = Fields {

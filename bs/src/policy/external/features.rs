@@ -1,20 +1,19 @@
-//! What a question says, as numbers from 0 to 1: a row for each device, and a row for all. What was trained on them in
-//! memory can be asked on the bus.
+//! Features of a decision request, in `[0, 1]`: one row per device and one global row. A model trained on them in
+//! memory can decide on the bus.
 //!
-//! Nothing is in them that a base station could not know, and nothing grows with N, with the area or with the length of
-//! the run.
+//! The features hold only knowledge of the base station. None grows with N, the area or the length of the run.
 
 use reveille_common::ids::{DeviceId, Tti};
 
-use super::memory::{Fixed, harvest};
-use super::question::{Question, Stage};
+use super::decision::{DecisionContext, DecisionStage};
+use super::history::{StaticFeatures, harvest};
 
-/// A number that says something of a device, or of all.
+/// Description of a feature of a device, or of the global row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Feature {
     /// Its name.
     pub name: &'static str,
-    /// What it says, one sentence without its stop.
+    /// Meaning, one sentence without its stop.
     pub about: &'static str,
 }
 
@@ -22,35 +21,35 @@ const fn of(name: &'static str, about: &'static str) -> Feature {
     Feature { name, about }
 }
 
-/// Of each device, in this order; all in `[0, 1]`.
+/// Features of each device, in this order; all in `[0, 1]`.
 pub const DEVICE: [Feature; 15] = [
-    of("x", "position along the width of the area, a share of it"),
-    of("y", "position along its height, a share of it"),
+    of("x", "position along the area's width, as a share of the width"),
+    of("y", "position along the area's height, as a share of the height"),
     of(
         "battery",
-        "B / E_max at the end of the last TTI, as far as `bs.battery_knowledge` goes",
+        "B / E_max at the end of the last TTI, as known under `bs.battery_knowledge`",
     ),
     of(
         "can_report",
-        "1 if it can pay for a report in this TTI, as far as is known",
+        "1 if its known battery level pays for a report in this TTI",
     ),
-    of("sensing", "δ: of this TTI at stage 1, of the last at stage 0"),
+    of("sensing", "δ of this TTI at stage 1, of the last TTI at stage 0"),
     of(
         "may_wake",
-        "1 if a wake-up can be answered with: stage 1, told to sleep, not woken yet",
+        "1 if a wake-up decision may name it: at stage 1, with δ = 0 and not yet woken",
     ),
     of("woken", "1 if it was woken in this TTI; 0 at stage 0"),
     of(
         "information",
-        "I / Ψ of its report in this TTI; 0 without, and at stage 0",
+        "I / Ψ of its report in this TTI; 0 without a report, and at stage 0",
     ),
     of(
         "nearness",
-        "p(d) of the distance to the nearest reporter of this TTI; 0 at stage 0",
+        "p(d), d the distance to the nearest reporter of this TTI; 0 at stage 0",
     ),
     of(
         "since_sensing",
-        "t / (t + 8), t the TTIs since it was last told to sense; 1 if never",
+        "t / (t + 8), t the TTIs since its last δ = 1; 1 if never",
     ),
     of(
         "since_report",
@@ -58,42 +57,42 @@ pub const DEVICE: [Feature; 15] = [
     ),
     of(
         "stale",
-        "1 - 1 / √w, w the mean of a(a + 1)/2 over what it covers, a the TTIs since a look",
+        "1 - 1 / √w, w the mean of a(a + 1)/2 over the places it covers, a the age of a place in TTIs",
     ),
     of("neighbours", "ln(1 + n) / ln(N), n the other devices within d_max"),
     of("harvest", "h / (h + E_idle), h the mean harvest in a TTI"),
-    of("harvest_now", "the same of the harvest that is expected in this TTI"),
+    of("harvest_now", "h / (h + E_idle), h the expected harvest in this TTI"),
 ];
 
-/// Of all, in this order; all in `[0, 1]`.
+/// Features of the global row, in this order; all in `[0, 1]`.
 pub const GLOBAL: [Feature; 10] = [
     of(
         "information",
-        "Î / Ψ: what is known about the event of this TTI; 0 at stage 0",
+        "Î / Ψ: the known information about the event of this TTI; 0 at stage 0",
     ),
     of("i_min", "I_min / Ψ: the information at which `knn` stops"),
     of("alpha", "α: the probability that an event starts in a TTI"),
     of("devices", "ln(N) / 10"),
     of(
         "sensing",
-        "share of the devices with δ = 1: of this TTI at stage 1, of the last at stage 0",
+        "share of the devices with δ = 1 in this TTI at stage 1, in the last TTI at stage 0",
     ),
-    of("reports", "n / (n + 1), n the reports of this TTI so far; 0 at stage 0"),
     of(
-        "woken",
-        "share of the devices that were woken in this TTI; 0 at stage 0",
+        "reports",
+        "n / (n + 1), n the number of reports so far in this TTI; 0 at stage 0",
     ),
-    of("battery", "mean of B / E_max over the devices, as far as is known"),
+    of("woken", "share of the devices woken in this TTI; 0 at stage 0"),
+    of("battery", "mean of the known B / E_max over the devices"),
     of(
         "since_report",
-        "t / (t + 8), t the TTIs since anybody's last report; 1 if never",
+        "t / (t + 8), t the TTIs since the last report of any device; 1 if never",
     ),
-    of("stale", "1 - 1 / √w, w the mean over the whole area"),
+    of("stale", "1 - 1 / √w, w the mean of a(a + 1)/2 over the whole area"),
 ];
 
-/// TTIs after which half of a device's silence is reached.
+/// Time after which the feature of a device's last report is 1/2, TTIs.
 const HALF_REPORT: f64 = 64.0;
-/// The same of looks, and of reports of anybody.
+/// Time after which the features of sensing, and of the last report of any device, are 1/2, TTIs.
 const HALF: f64 = 8.0;
 
 fn bounded(ttis: Option<u64>, half: f64) -> f64 {
@@ -108,15 +107,15 @@ fn flag(is_so: bool) -> f32 {
     f32::from(u8::from(is_so))
 }
 
-impl Question<'_> {
-    /// Whether `device` was told to sense: in this TTI at [`Stage::Wake`], in the last at [`Stage::Plan`].
+impl DecisionContext<'_> {
+    /// Returns whether δ = 1: in this TTI at [`DecisionStage::Wake`], in the last at [`DecisionStage::Plan`].
     #[inline]
     fn is_sensing(&self, device: DeviceId) -> bool {
         let plan = self.seen.plan;
         match (self.stage, self.seen.now) {
-            (Stage::Wake, now) => plan.is_on(device, now),
-            (Stage::Plan, Tti(0)) => false,
-            (Stage::Plan, Tti(now)) => plan.is_on(device, Tti(now - 1)),
+            (DecisionStage::Wake, now) => plan.is_on(device, now),
+            (DecisionStage::Plan, Tti(0)) => false,
+            (DecisionStage::Plan, Tti(now)) => plan.is_on(device, Tti(now - 1)),
         }
     }
 
@@ -125,9 +124,10 @@ impl Question<'_> {
         (self.seen.batteries[device].units() / self.memory.fixed(device).e_max).min(1.0)
     }
 
-    /// What `device` is expected to harvest in this TTI, as [`Fixed::harvest`].
+    /// Returns the expected harvest of `device` in this TTI, scaled as [`StaticFeatures::harvest`].
     #[inline]
-    fn harvest_now(&self, device: usize, fixed: &Fixed) -> f32 {
+    fn harvest_now(&self, device: usize, fixed: &StaticFeatures) -> f32 {
+        // A steady harvest is the same in every TTI and was computed once.
         if fixed.is_steady {
             return fixed.harvest;
         }
@@ -139,12 +139,12 @@ impl Question<'_> {
     /// Writes [`DEVICE`] of each device, in the order of ids, into `rows`.
     ///
     /// # Panics
-    /// If `rows` is not as long as N times the features.
+    /// If the length of `rows` is not N times the number of features.
     pub fn write_devices(&self, rows: &mut [f32]) {
         let (seen, memory) = (&self.seen, self.memory);
         let (n, psi) = (seen.known.n(), seen.known.sensing.psi);
         assert_eq!(rows.len(), n * DEVICE.len(), "a row for each device");
-        let is_open = self.stage == Stage::Wake;
+        let is_open = self.stage == DecisionStage::Wake;
         for (j, row) in rows.chunks_exact_mut(DEVICE.len()).enumerate() {
             let (device, fixed) = (DeviceId(j as u32), memory.fixed(j));
             let [information, nearness] = if is_open {
@@ -184,8 +184,8 @@ impl Question<'_> {
         let devices = || (0..known.n() as u32).map(DeviceId);
         let share = |count: usize| count as f64 / n;
         let (reports, woken) = match self.stage {
-            Stage::Plan => (0.0, 0),
-            Stage::Wake => (
+            DecisionStage::Plan => (0.0, 0),
+            DecisionStage::Wake => (
                 self.heard.len() as f64,
                 self.woken.iter().filter(|woken| **woken).count(),
             ),
@@ -207,17 +207,16 @@ impl Question<'_> {
         }
     }
 
-    /// Writes into `mask` what can be answered for each device, in the order of ids: 2 for either, 0 for what would be
-    /// dropped.
+    /// Writes the allowed actions by device id into `mask`: 2 if both are allowed, 0 if an action would be dropped.
     ///
     /// # Panics
-    /// If `mask` is not as long as N.
+    /// If the length of `mask` is not N.
     pub fn write_mask(&self, mask: &mut [i8]) {
         assert_eq!(mask.len(), self.woken.len(), "a place for each device");
         for (j, place) in (0..).zip(mask) {
             let is_free = match self.stage {
-                Stage::Plan => true,
-                Stage::Wake => self.may_wake(DeviceId(j)),
+                DecisionStage::Plan => true,
+                DecisionStage::Wake => self.may_wake(DeviceId(j)),
             };
             *place = if is_free { 2 } else { 0 };
         }

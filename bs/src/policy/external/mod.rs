@@ -1,25 +1,25 @@
-//! A policy that makes no decision itself: somebody outside is asked for each.
+//! A policy whose decisions come from a policy process.
 //!
-//! A driver of the cycle asks, and goes on when it has an answer; the cycle never waits.
+//! The driver of the cycle sends a decision request and continues once it has the decision; the cycle never waits.
 //!
 //! ```text
-//!            Stage::Plan                      Stage::Wake
-//!   TTI k ─────────────► δ ──► reports? ──yes──────────────► whom? ──► each is woken ──┐
-//!     ▲                           │ no            ▲            │ nobody, or nobody left │
+//!           plan request                    wake request
+//!   TTI k ─────────────► δ ──► reports? ──yes──────────────► wake? ──► each is woken ──┐
+//!     ▲                           │ no            ▲            │ none, or none left     │
 //!     └───────────────────────────┴───────────────┼────────────┘                        │
 //!                                                 └─────────────────────────────────────┘
 //! ```
-//! On the bus, the host of the base station asks ([`wire`] is what is said there); in memory, whoever steps the run;
-//! and where decisions were kept, nobody needs to be asked.
+//! On the bus, the host of the base station sends the requests ([`wire`] holds the messages). In memory, the code that
+//! steps the run asks directly. A run with recorded decisions needs no requests.
 //!
-//! An answer cannot break a run: it is projected on what can be done. A δ plan is fitted to the devices
-//! ([`Decision::plan`]). Of the wake-ups, those of devices that were not told to sleep, that were woken in this TTI
-//! before, or that do not exist are dropped ([`Question::may_wake`]); an answer of which nothing is left ends the
-//! wake-ups of the TTI. A device that cannot pay may be told to sense or woken, as by any policy: its action fails.
+//! A decision cannot break a run, since it is projected on the allowed actions. A δ plan is fitted to the devices
+//! ([`PlanDecision::plan`]). A wake-up is dropped if its device does not exist, does not sleep by the plan, or was
+//! already woken in this TTI ([`DecisionContext::may_wake`]). A decision without remaining wake-ups ends the wake-ups
+//! of the TTI. Devices without enough energy can be addressed, as under any policy; their actions fail.
 
+mod decision;
 mod features;
-mod memory;
-mod question;
+mod history;
 pub mod wire;
 
 use std::collections::VecDeque;
@@ -28,32 +28,33 @@ use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Report;
 use reveille_common::plan::{DutyCycle, Plan};
 
+pub use self::decision::{Decision, DecisionContext, DecisionStage, PlanDecision, RecordedDecision};
 pub use self::features::{DEVICE, Feature, GLOBAL};
-pub use self::memory::Memory;
-pub use self::question::{Answer, Answered, Decision, Question, Stage};
+pub use self::history::ReportHistory;
+use super::interface::Policy;
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
 
-/// What has been asked and answered so far.
+/// Decision state of the `external` policy.
 #[derive(Clone, Debug)]
 pub struct External {
-    /// The answer for the coming TTI.
-    told: Option<Decision>,
-    /// The TTI in which the next plan is asked for.
+    /// Plan decision for the coming TTI.
+    told: Option<PlanDecision>,
+    /// TTI of the next plan request.
     next: Tti,
-    /// See [`Question::heard`].
+    /// See [`DecisionContext::heard`].
     heard: Vec<Report>,
-    /// See [`Question::woken`].
+    /// See [`DecisionContext::woken`].
     woken: Vec<bool>,
     /// Devices that are still to be woken.
     queue: VecDeque<DeviceId>,
-    /// Whether no more wake-ups are asked for in this TTI.
+    /// Whether the wake-ups of this TTI have ended.
     is_done: bool,
-    memory: Memory,
+    memory: ReportHistory,
 }
 
 impl External {
-    /// Before TTI 0, for the devices in `known`.
+    /// Creates the state before TTI 0, for the devices in `known`.
     pub fn new(known: &Knowledge) -> Self {
         Self {
             told: None,
@@ -62,25 +63,26 @@ impl External {
             woken: vec![false; known.n()],
             queue: VecDeque::new(),
             is_done: true,
-            memory: Memory::new(known),
+            memory: ReportHistory::new(known),
         }
     }
 
-    /// Whether a plan is to be told before TTI `k` begins.
-    pub fn asks_for_plan(&self, k: Tti) -> bool {
+    /// Whether a plan decision is needed before TTI `k` begins.
+    pub(crate) fn needs_plan(&self, k: Tti) -> bool {
         self.told.is_none() && k >= self.next
     }
 
-    /// Whether it is to be told whom to wake in the TTI of `seen`: something was heard, there is somebody to wake, and
-    /// the last answer was not empty.
-    pub fn asks_whom(&self, seen: &Observation<'_>) -> bool {
+    /// Whether a wake-up decision is needed in the TTI of `seen`: a report arrived, a device can be woken, and the last
+    /// decision was not empty.
+    pub(crate) fn needs_wake_ups(&self, seen: &Observation<'_>) -> bool {
         let mut devices = (0..self.woken.len() as u32).map(DeviceId);
-        !self.is_done && self.queue.is_empty() && devices.any(|j| question::may_wake(seen, &self.woken, j))
+        // If no device can be woken, every decision would be empty, so no request is sent.
+        !self.is_done && self.queue.is_empty() && devices.any(|j| decision::may_wake(seen, &self.woken, j))
     }
 
-    /// The question of `stage` where the base station sees what is in `seen`.
-    pub fn question<'a>(&'a self, stage: Stage, seen: Observation<'a>) -> Question<'a> {
-        Question {
+    /// Returns the decision context of `stage` for the observation `seen`.
+    pub fn question<'a>(&'a self, stage: DecisionStage, seen: Observation<'a>) -> DecisionContext<'a> {
+        DecisionContext {
             stage,
             seen,
             heard: &self.heard,
@@ -89,17 +91,18 @@ impl External {
         }
     }
 
-    /// The answer at [`Stage::Plan`].
-    pub fn tell_plan(&mut self, decision: Decision) {
-        let Decision { plan, next } = decision;
+    /// Sets the decision at [`DecisionStage::Plan`].
+    pub(crate) fn set_plan(&mut self, decision: PlanDecision) {
+        let PlanDecision { plan, next } = decision;
         let plan = fitted(&plan, self.woken.len() as u32);
-        self.told = Some(Decision { plan, next });
+        self.told = Some(PlanDecision { plan, next });
     }
 
-    /// The answer at [`Stage::Wake`]: wake these, one after the other in this order.
-    pub fn tell_whom(&mut self, seen: &Observation<'_>, devices: &[DeviceId]) {
+    /// Sets the decision at [`DecisionStage::Wake`]: the devices to wake, in this order.
+    pub(crate) fn set_wake_ups(&mut self, seen: &Observation<'_>, devices: &[DeviceId]) {
         for &device in devices {
-            if question::may_wake(seen, &self.woken, device) {
+            if decision::may_wake(seen, &self.woken, device) {
+                // Marked when queued, so that a device listed twice is woken once.
                 self.woken[device.index()] = true;
                 self.queue.push_back(device);
             }
@@ -107,25 +110,30 @@ impl External {
         self.is_done = self.queue.is_empty();
     }
 
-    /// The plan that was told for the TTI of `seen`.
-    ///
+    /// Ends the TTIs before `end`; TTIs still open passed under `plan`.
+    pub fn closed(&mut self, end: Tti, plan: &Plan) {
+        self.memory.advance(end, plan);
+    }
+}
+
+impl Policy for External {
     /// # Panics
-    /// If none was.
-    pub fn decide(&mut self, seen: &Observation<'_>) -> Plan {
-        let Decision { plan, next } = self.told.take().expect("a driver tells the plan that is asked for");
+    /// If there is no plan for this TTI.
+    fn decide(&mut self, seen: &Observation<'_>) -> Plan {
+        let PlanDecision { plan, next } = self.told.take().expect("a driver tells the plan that is asked for");
+        // The decision can name a TTI that has passed, but the base station requires a later one.
         self.next = next.max(seen.now + 1);
         plan
     }
 
-    /// The TTI in which the next plan is asked for.
-    pub const fn next_decision(&self) -> Tti {
+    fn next_decision(&self, _: Tti) -> Tti {
         self.next
     }
 
-    /// The TTI has brought these reports, at least one.
-    pub fn reported(&mut self, seen: &Observation<'_>, reports: &[Report]) {
-        self.memory.pass(seen.now, seen.plan);
-        self.memory.hear_first(reports);
+    fn reports_received(&mut self, seen: &Observation<'_>, reports: &[Report]) {
+        // The TTIs before this one pass first, since the reports belong to this one.
+        self.memory.advance(seen.now, seen.plan);
+        self.memory.start_event(reports);
         self.heard.clear();
         self.heard.extend_from_slice(reports);
         self.woken.fill(false);
@@ -133,26 +141,23 @@ impl External {
         self.is_done = false;
     }
 
-    /// The next of those that are to be woken.
-    pub fn next_wake_up(&mut self) -> Option<DeviceId> {
+    fn next_wake_up(&mut self, _: &Observation<'_>) -> Option<DeviceId> {
         self.queue.pop_front()
     }
 
-    /// The TTIs before `end` are closed; those that were not before have passed under `plan`.
-    pub fn closed(&mut self, end: Tti, plan: &Plan) {
-        self.memory.pass(end, plan);
-    }
-
-    /// What the last wake-up brought.
-    pub fn answered(&mut self, report: Option<&Report>) {
+    fn wake_up_answered(&mut self, _: &Observation<'_>, report: Option<&Report>) {
         if let Some(report) = report {
-            self.memory.hear(report);
+            self.memory.add_report(report);
             self.heard.push(*report);
         }
     }
+
+    fn needs_batteries(&self) -> bool {
+        true
+    }
 }
 
-/// `plan` for the devices 0 to `devices` − 1.
+/// Fits `plan` to the devices 0 to `devices` − 1.
 fn fitted(plan: &Plan, devices: u32) -> Plan {
     let cycles = (0..devices).map(|j| plan.duty_cycle(DeviceId(j)));
     match plan {

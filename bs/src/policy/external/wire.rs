@@ -1,4 +1,4 @@
-//! What is said at the policy port, in [`Form`](reveille_common::forms::Form)s that any language reads.
+//! Messages of the policy port, in an [`Encoding`](reveille_common::encoding::Encoding) that any language can read.
 //!
 //! ```text
 //!   BS                                                    policy process
@@ -13,71 +13,71 @@
 //!    │ bye: the run is over                                       │
 //!    ├───────────────────────────────────────────────────────────►│
 //! ```
-//! Virtual time stands from a question to its answer. The same question may come again, as after a lost link: `seq`
-//! says so, and who decides by more than the question answers as before. An answer that echoes another question is not
-//! taken for this one. Fields that are not known are an error in an answer, and are to be left alone in a
-//! question: later versions add some.
+//! Virtual time stops between a request and its reply. The base station can repeat a request, for example after a lost
+//! link. A repeated request has the same `seq`, and a process with internal state must repeat its first reply. A reply
+//! that echoes another request is not accepted. Unknown fields are an error in a reply. A process must ignore unknown
+//! fields in a request, since later versions add some.
 
-use reveille_common::forms::{Octets, Rows};
+use reveille_common::encoding::{FloatRows, Octets};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::plan::{DutyCycle, Plan};
 use serde::{Deserialize, Serialize};
 
+use super::decision::{Decision, DecisionContext, DecisionStage, PlanDecision};
 use super::features::{DEVICE, Feature, GLOBAL};
-use super::question::{Answer, Decision, Question, Stage};
 use crate::knowledge::Knowledge;
 
-/// The version that is spoken here.
-pub const PROTOCOL: u32 = 1;
-/// The oldest version that is understood here.
-pub const OLDEST: u32 = 1;
+/// Protocol version of this program.
+pub(crate) const PROTOCOL: u32 = 1;
+/// Oldest protocol version that this program supports.
+pub(crate) const OLDEST: u32 = 1;
 
-/// What is asked.
+/// Kind of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Said {
-    /// Who is there.
+pub enum RequestKind {
+    /// Greeting, which asks a policy process to identify itself.
     Hello,
-    /// [`Stage::Plan`].
+    /// [`DecisionStage::Plan`].
     Plan,
-    /// [`Stage::Wake`].
+    /// [`DecisionStage::Wake`].
     Wake,
-    /// The run is over; nothing is to be answered.
+    /// The run is over; no reply is expected.
     Bye,
 }
 
-impl From<Stage> for Said {
-    fn from(stage: Stage) -> Self {
+impl From<DecisionStage> for RequestKind {
+    fn from(stage: DecisionStage) -> Self {
         match stage {
-            Stage::Plan => Self::Plan,
-            Stage::Wake => Self::Wake,
+            DecisionStage::Plan => Self::Plan,
+            DecisionStage::Wake => Self::Wake,
         }
     }
 }
 
-/// What all that is said begins with; all that is looked at before the rest.
+/// Common header of all messages. It is decoded and checked before the rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Head {
-    /// The version of who says it.
+pub struct WireHeader {
+    /// Protocol version of the sender.
     pub protocol: u32,
-    /// The number of the decision in the run, from 0; an answer echoes it.
+    /// Number of the decision in the run, from 0; a reply echoes it.
     pub seq: u64,
-    /// The TTI of the decision; an answer echoes it.
+    /// TTI of the decision; a reply echoes it.
     pub tti: u64,
-    /// What is asked; an answer echoes it.
-    pub stage: Said,
+    /// Kind of request; a reply echoes it.
+    pub stage: RequestKind,
 }
 
-/// A feature by name.
+/// Name and meaning of a feature.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Column {
+pub struct FeatureInfo {
     /// Its name.
     pub name: String,
-    /// What it says.
+    /// Meaning of the feature.
     pub about: String,
 }
 
-impl From<&Feature> for Column {
+impl From<&Feature> for FeatureInfo {
     fn from(feature: &Feature) -> Self {
         Self {
             name: feature.name.to_owned(),
@@ -86,9 +86,9 @@ impl From<&Feature> for Column {
     }
 }
 
-/// What a base station knows of a device, in the units of the scenario.
+/// Properties of a device that the base station knows, in the units of the scenario.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct KnownDevice {
+pub struct DeviceInfo {
     /// Position along the width, m.
     pub x: f64,
     /// Position along the height, m.
@@ -105,9 +105,9 @@ pub struct KnownDevice {
     pub mean_harvest: f64,
 }
 
-/// What a base station knows before TTI 0, and nothing that it could not.
+/// Knowledge of the base station before TTI 0, without any ground truth.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Known {
+pub struct SiteInfo {
     /// Width of the area, m.
     pub width: f64,
     /// Height of the area, m.
@@ -119,12 +119,12 @@ pub struct Known {
     /// The distance beyond which no device detects an event, m.
     pub d_max: f64,
     /// The devices, in the order of ids.
-    pub devices: Vec<KnownDevice>,
+    pub devices: Vec<DeviceInfo>,
 }
 
-impl From<&Knowledge> for Known {
+impl From<&Knowledge> for SiteInfo {
     fn from(known: &Knowledge) -> Self {
-        let devices = known.devices.iter().map(|device| KnownDevice {
+        let devices = known.devices.iter().map(|device| DeviceInfo {
             x: device.position.x,
             y: device.position.y,
             e_max: device.energy.e_max.units(),
@@ -144,149 +144,150 @@ impl From<&Knowledge> for Known {
     }
 }
 
-/// The first question to a policy process. It is in JSON.
+/// First request to a policy process, always in JSON.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Hello {
-    /// Its head.
+    /// Common header.
     #[serde(flatten)]
-    pub head: Head,
-    /// The oldest version that the BS understands.
+    pub head: WireHeader,
+    /// Oldest protocol version that the base station supports.
     pub min: u32,
-    /// The newest.
+    /// Newest protocol version that the base station supports.
     pub max: u32,
-    /// The run.
+    /// Identifier of the run.
     pub run: String,
-    /// The release of the BS.
+    /// Reveille version of the base station.
     pub reveille: String,
-    /// K.
+    /// Length K of the run, TTIs.
     pub ttis: u64,
-    /// What the columns of [`Asked::device`] are.
-    pub device_features: Vec<Column>,
-    /// What [`Asked::globals`] are.
-    pub global_features: Vec<Column>,
-    /// What is known before TTI 0.
-    pub known: Known,
-    /// Who has answered the last greeting and cannot decide, and why.
+    /// Features in the columns of [`DecisionRequest::device`].
+    pub device_features: Vec<FeatureInfo>,
+    /// Features in the columns of [`DecisionRequest::globals`].
+    pub global_features: Vec<FeatureInfo>,
+    /// Knowledge before TTI 0.
+    pub known: SiteInfo,
+    /// Process that answered the last greeting but was rejected, with the reason.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub refused: Option<Refused>,
+    pub refused: Option<Rejection>,
 }
 
-/// A process that cannot decide.
+/// Policy process that was rejected.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Refused {
-    /// Its id.
+pub struct Rejection {
+    /// Id of the process.
     pub id: String,
-    /// Why not.
+    /// Reason for the rejection.
     pub why: String,
 }
 
 impl Hello {
-    /// The greeting of the BS of `run`, before the first decision.
+    /// Creates the greeting of the base station of `run`, sent before the first decision.
     pub fn new(run: String, known: &Knowledge) -> Self {
         Self {
-            head: Head {
+            head: WireHeader {
                 protocol: PROTOCOL,
                 seq: 0,
                 tti: 0,
-                stage: Said::Hello,
+                stage: RequestKind::Hello,
             },
             min: OLDEST,
             max: PROTOCOL,
             run,
             reveille: env!("CARGO_PKG_VERSION").to_owned(),
             ttis: known.ttis,
-            device_features: DEVICE.iter().map(Column::from).collect(),
-            global_features: GLOBAL.iter().map(Column::from).collect(),
+            device_features: DEVICE.iter().map(FeatureInfo::from).collect(),
+            global_features: GLOBAL.iter().map(FeatureInfo::from).collect(),
             known: known.into(),
             refused: None,
         }
     }
 }
 
-/// The answer to [`Hello`].
+/// Reply of a policy process to [`Hello`].
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Welcome {
-    /// Its head.
+pub struct HelloReply {
+    /// Common header.
     #[serde(flatten)]
-    pub head: Head,
-    /// By what the process tells itself from others: it answers questions to this id alone.
+    pub head: WireHeader,
+    /// Id that distinguishes the process from others. The process answers only requests to this id.
     pub id: String,
-    /// What it is called, for people.
+    /// Name of the process, for display.
     #[serde(default)]
     pub name: String,
     /// The run's key.
     #[serde(default)]
     pub key: String,
-    /// The form in which it wants its questions.
+    /// Encoding in which the process wants its requests.
     #[serde(default)]
-    pub form: reveille_common::forms::Form,
+    pub form: reveille_common::encoding::Encoding,
 }
 
-/// A report that was heard.
+/// A received report.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct HeardReport {
-    /// Whose.
+pub struct ReportInfo {
+    /// Reporting device.
     pub device: u32,
-    /// I of it.
+    /// Information I of the report.
     pub information: f64,
-    /// The battery that it tells of.
+    /// Battery level in the report, units.
     pub battery: f64,
 }
 
-/// A question.
+/// A decision request.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Asked {
-    /// Its head.
+pub struct DecisionRequest {
+    /// Common header.
     #[serde(flatten)]
-    pub head: Head,
-    /// The id of the process that is asked.
+    pub head: WireHeader,
+    /// Id of the process that must decide.
     pub to: String,
     /// A row for each device, in the order of ids, with the features of [`Hello::device_features`].
-    pub device: Rows,
+    pub device: FloatRows,
     /// A row with the features of [`Hello::global_features`].
-    pub globals: Rows,
-    /// What can be answered for each device: 2 for either, 0 for what would be dropped.
+    pub globals: FloatRows,
+    /// Allowed actions by device: 2 if both 0 and 1 are allowed, 0 if the device's action would be dropped.
     pub action_mask: Octets,
-    /// At [`Said::Wake`], the reports of this TTI in the order in which they came; else nothing.
-    pub heard: Vec<HeardReport>,
-    /// Why the last answer to this question was not taken.
+    /// At [`RequestKind::Wake`], the reports of this TTI in order of arrival; otherwise empty.
+    pub heard: Vec<ReportInfo>,
+    /// Reason why the last reply to this request was rejected.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub refused: Option<String>,
 }
 
-impl Asked {
-    /// `question` as decision `seq` to the process with this id.
-    pub fn new(question: &Question<'_>, seq: u64, to: &str) -> Self {
+impl DecisionRequest {
+    /// Encodes `question` as decision request `seq` to process `to`.
+    pub fn new(question: &DecisionContext<'_>, seq: u64, to: &str) -> Self {
         let n = question.woken.len();
         let mut device = vec![0.0; n * DEVICE.len()];
         let (mut globals, mut mask) = (vec![0.0; GLOBAL.len()], vec![0; n]);
         question.write_devices(&mut device);
         question.write_global(&mut globals);
         question.write_mask(&mut mask);
+        // At `DecisionStage::Plan` the context still holds the reports of an earlier TTI.
         let heard = match question.stage {
-            Stage::Plan => &[],
-            Stage::Wake => question.heard,
+            DecisionStage::Plan => &[],
+            DecisionStage::Wake => question.heard,
         };
         Self {
-            head: Head {
+            head: WireHeader {
                 protocol: PROTOCOL,
                 seq,
                 tti: question.seen.now.0,
                 stage: question.stage.into(),
             },
             to: to.to_owned(),
-            device: Rows {
+            device: FloatRows {
                 width: DEVICE.len(),
                 values: device,
             },
-            globals: Rows {
+            globals: FloatRows {
                 width: GLOBAL.len(),
                 values: globals,
             },
             action_mask: Octets(mask.into_iter().map(i8::cast_unsigned).collect()),
             heard: heard
                 .iter()
-                .map(|report| HeardReport {
+                .map(|report| ReportInfo {
                     device: report.device.0,
                     information: report.information,
                     battery: report.battery.units(),
@@ -297,9 +298,9 @@ impl Asked {
     }
 }
 
-/// What an answer shows of who gave it; looked at before the rest.
+/// Credentials in a reply. They are decoded and checked before the rest.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-pub struct Shown {
+pub struct ReplyCredentials {
     /// The id of the process.
     pub id: String,
     /// The run's key.
@@ -307,43 +308,43 @@ pub struct Shown {
     pub key: String,
 }
 
-/// An answer. Exactly one of `action`, `sense`, `cycles` and `wake` says what is decided.
+/// Reply to a decision request. Exactly one of `action`, `sense`, `cycles` and `wake` holds the decision.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Reply {
-    /// The version of the process.
+pub struct DecisionReply {
+    /// Protocol version of the process.
     pub protocol: u32,
-    /// As asked.
+    /// Sequence number of the request.
     pub seq: u64,
-    /// As asked.
+    /// TTI of the request.
     pub tti: u64,
-    /// As asked.
-    pub stage: Option<Said>,
+    /// Kind of the request.
+    pub stage: Option<RequestKind>,
     /// The id of the process.
     pub id: String,
     /// The run's key.
     #[serde(default)]
     pub key: String,
-    /// A zero or a one for each device: who senses, or whom to wake in the order of ids.
+    /// A 0 or 1 for each device: whether it senses, or whether to wake it. Wake-ups follow the order of ids.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub action: Option<Octets>,
     /// The devices that sense; the others sleep.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sense: Option<Vec<u32>>,
-    /// For each device `[t_on, t_drx, offset]`: it senses in the first `t_on` of every `t_drx` TTIs.
+    /// `[t_on, t_drx, offset]` of each device: it senses in the first `t_on` of every `t_drx` TTIs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cycles: Option<Vec<[u32; 3]>>,
-    /// The devices to wake, in this order; nobody ends the wake-ups of the TTI.
+    /// Devices to wake, in this order; an empty list ends the wake-ups of the TTI.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wake: Option<Vec<u32>>,
-    /// The TTI in which to be asked for a plan again, if that is not the next.
+    /// TTI of the next plan request, unless it is the next TTI.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub next: Option<u64>,
 }
 
-impl Reply {
-    /// An empty answer to the question with this `head`.
-    pub fn to(head: &Head, id: &str, key: &str) -> Self {
+impl DecisionReply {
+    /// Creates an empty reply to the request with this `head`.
+    pub fn to(head: &WireHeader, id: &str, key: &str) -> Self {
         Self {
             protocol: PROTOCOL,
             seq: head.seq,
@@ -355,15 +356,15 @@ impl Reply {
         }
     }
 
-    /// The same with what `answer` says.
+    /// Returns the reply with the decision in `answer`.
     #[must_use]
-    pub fn with(self, answer: &Answer) -> Self {
+    pub fn with(self, answer: &Decision) -> Self {
         match answer {
-            Answer::Plan(Decision { plan, next }) => {
+            Decision::Plan(PlanDecision { plan, next }) => {
                 let next = (next.0 > self.tti + 1).then_some(next.0);
                 match plan {
                     Plan::Bits { bits } => {
-                        let sense = Some(Plan::chosen(bits).map(|device| device.0).collect());
+                        let sense = Some(Plan::sensing_devices(bits).map(|device| device.0).collect());
                         Self { sense, next, ..self }
                     }
                     Plan::Periodic(cycles) => {
@@ -373,18 +374,18 @@ impl Reply {
                     }
                 }
             }
-            Answer::Wake(devices) => Self {
+            Decision::Wake(devices) => Self {
                 wake: Some(devices.iter().map(|device| device.0).collect()),
                 ..self
             },
         }
     }
 
-    /// What it decides at `stage` in TTI `tti`, for N = `devices`.
+    /// Returns the decision at `stage` in TTI `tti`, for N = `devices`.
     ///
     /// # Errors
-    /// Why it decides nothing, in words for who wrote the process.
-    pub fn answer(&self, stage: Stage, tti: Tti, devices: u32) -> Result<Answer, String> {
+    /// The reply holds no valid decision. The message is worded for the author of the process.
+    pub fn answer(&self, stage: DecisionStage, tti: Tti, devices: u32) -> Result<Decision, String> {
         if !(OLDEST..=PROTOCOL).contains(&self.protocol) {
             let own = self.protocol;
             return Err(format!(
@@ -403,9 +404,10 @@ impl Reply {
             .map(|(name, _)| *name)
             .collect();
         let allowed: &[&str] = match stage {
-            Stage::Plan => &["action", "sense", "cycles"],
-            Stage::Wake => &["action", "wake"],
+            DecisionStage::Plan => &["action", "sense", "cycles"],
+            DecisionStage::Wake => &["action", "wake"],
         };
+        // Two kinds of decision in one reply could contradict each other.
         let [one] = said[..] else {
             return Err(format!("one of {} is to be said, not {said:?}", allowed.join(", ")));
         };
@@ -413,18 +415,18 @@ impl Reply {
             return Err(format!("{one} is no answer here; {} are", allowed.join(", ")));
         }
         match stage {
-            Stage::Plan => {
+            DecisionStage::Plan => {
                 let next = self.next.map_or(tti + 1, Tti);
                 if next <= tti {
                     return Err(format!("next is {next}, and must be after TTI {tti}"));
                 }
                 let plan = self.plan(devices)?;
-                Ok(Answer::Plan(Decision { plan, next }))
+                Ok(Decision::Plan(PlanDecision { plan, next }))
             }
-            Stage::Wake if self.next.is_some() => Err("next goes with a plan, not with wake-ups".to_owned()),
-            Stage::Wake => match (&self.wake, &self.action) {
-                (Some(wake), _) => Ok(Answer::Wake(known(wake, devices)?)),
-                (None, action) => Ok(Answer::Wake(chosen(action.as_ref(), devices)?)),
+            DecisionStage::Wake if self.next.is_some() => Err("next goes with a plan, not with wake-ups".to_owned()),
+            DecisionStage::Wake => match (&self.wake, &self.action) {
+                (Some(wake), _) => Ok(Decision::Wake(known(wake, devices)?)),
+                (None, action) => Ok(Decision::Wake(chosen(action.as_ref(), devices)?)),
             },
         }
     }
@@ -436,6 +438,7 @@ impl Reply {
             }
             let cycles = cycles.iter().enumerate().map(|(j, &[t_on, t_drx, offset])| {
                 let cycle = DutyCycle { t_on, t_drx, offset };
+                // A period of 0, which a process can send, would divide by zero in `DutyCycle::phase`.
                 cycle.is_valid().then_some(cycle).ok_or_else(|| {
                     format!("the cycle of device {j} is [{t_on}, {t_drx}, {offset}]: t_on ≤ t_drx, offset < t_drx")
                 })
@@ -446,11 +449,11 @@ impl Reply {
             Some(sense) => known(sense, devices)?,
             None => chosen(self.action.as_ref(), devices)?,
         };
-        Ok(Plan::from_chosen(devices as usize, &on))
+        Ok(Plan::from_devices(devices as usize, &on))
     }
 }
 
-/// These devices, if there are such.
+/// Converts the ids, all of which must be below `devices`.
 fn known(ids: &[u32], devices: u32) -> Result<Vec<DeviceId>, String> {
     match ids.iter().find(|id| **id >= devices) {
         Some(id) => Err(format!("there is no device {id}: they are 0 to {}", devices - 1)),
@@ -458,7 +461,7 @@ fn known(ids: &[u32], devices: u32) -> Result<Vec<DeviceId>, String> {
     }
 }
 
-/// The devices with a one.
+/// Returns the devices with a 1 in `action`.
 fn chosen(action: Option<&Octets>, devices: u32) -> Result<Vec<DeviceId>, String> {
     let bits = action.map_or(&[][..], |action| &action.0);
     if bits.len() != devices as usize {
@@ -473,33 +476,39 @@ fn chosen(action: Option<&Octets>, devices: u32) -> Result<Vec<DeviceId>, String
 
 #[cfg(test)]
 mod tests {
-    use reveille_common::forms::Form;
+    use reveille_common::encoding::Encoding;
 
     use super::*;
 
-    const HEAD: Head = Head {
+    const HEAD: WireHeader = WireHeader {
         protocol: PROTOCOL,
         seq: 9,
         tti: 7,
-        stage: Said::Plan,
+        stage: RequestKind::Plan,
     };
 
-    fn read(text: &str) -> Result<Reply, String> {
-        Form::Json.decode(text.as_bytes())
+    fn read(text: &str) -> Result<DecisionReply, String> {
+        Encoding::Json.decode(text.as_bytes())
     }
 
-    /// What `text`, behind the head of an answer, decides at `stage` for five devices.
-    fn decided(stage: Stage, text: &str) -> Result<Answer, String> {
+    /// Decodes a reply with the fields in `text` and returns its decision at `stage` for five devices.
+    fn decided(stage: DecisionStage, text: &str) -> Result<Decision, String> {
         let head = r#"{"protocol":1,"seq":9,"tti":7,"stage":"plan","id":"a","#;
         read(&format!("{head}{text}}}")).and_then(|reply| reply.answer(stage, Tti(7), 5))
     }
 
     #[test]
     fn a_plan_can_be_said_in_three_ways() {
-        let plan = |plan, next| Ok(Answer::Plan(Decision { plan, next: Tti(next) }));
+        let plan = |plan, next| Ok(Decision::Plan(PlanDecision { plan, next: Tti(next) }));
         let bits = Plan::from_bits([false, true, false, false, true]);
-        assert_eq!(decided(Stage::Plan, r#""action":[0,1,0,0,1]"#), plan(bits.clone(), 8));
-        assert_eq!(decided(Stage::Plan, r#""sense":[4,1],"next":30"#), plan(bits, 30));
+        assert_eq!(
+            decided(DecisionStage::Plan, r#""action":[0,1,0,0,1]"#),
+            plan(bits.clone(), 8)
+        );
+        assert_eq!(
+            decided(DecisionStage::Plan, r#""sense":[4,1],"next":30"#),
+            plan(bits, 30)
+        );
         let cycle = |t_on, t_drx, offset| DutyCycle { t_on, t_drx, offset };
         let cycles = Plan::Periodic(vec![
             cycle(1, 4, 3),
@@ -509,34 +518,38 @@ mod tests {
             cycle(1, 1, 0),
         ]);
         let text = r#""cycles":[[1,4,3],[0,1,0],[2,2,1],[1,9,0],[1,1,0]]"#;
-        assert_eq!(decided(Stage::Plan, text), plan(cycles, 8));
+        assert_eq!(decided(DecisionStage::Plan, text), plan(cycles, 8));
     }
 
     #[test]
     fn wake_ups_can_be_said_in_two() {
-        let wake = |ids: &[u32]| Ok(Answer::Wake(ids.iter().copied().map(DeviceId).collect()));
-        assert_eq!(decided(Stage::Wake, r#""action":[0,1,0,0,1]"#), wake(&[1, 4]));
-        assert_eq!(decided(Stage::Wake, r#""wake":[4,1]"#), wake(&[4, 1]));
-        assert_eq!(decided(Stage::Wake, r#""wake":[]"#), wake(&[]));
+        let wake = |ids: &[u32]| Ok(Decision::Wake(ids.iter().copied().map(DeviceId).collect()));
+        assert_eq!(decided(DecisionStage::Wake, r#""action":[0,1,0,0,1]"#), wake(&[1, 4]));
+        assert_eq!(decided(DecisionStage::Wake, r#""wake":[4,1]"#), wake(&[4, 1]));
+        assert_eq!(decided(DecisionStage::Wake, r#""wake":[]"#), wake(&[]));
     }
 
     #[test]
     fn what_decides_nothing_is_refused_with_what_is_wrong() {
         let refused = [
-            (Stage::Plan, r#""name":"x""#, "unknown field"),
-            (Stage::Plan, r#""next":9"#, "one of action, sense, cycles"),
-            (Stage::Plan, r#""sense":[],"action":[0,0,0,0,0]"#, "one of"),
-            (Stage::Plan, r#""wake":[1]"#, "wake is no answer here"),
-            (Stage::Wake, r#""sense":[1]"#, "sense is no answer here"),
-            (Stage::Wake, r#""wake":[1],"next":9"#, "next goes with a plan"),
-            (Stage::Plan, r#""sense":[5]"#, "no device 5: they are 0 to 4"),
-            (Stage::Wake, r#""wake":[4294967295]"#, "no device 4294967295"),
-            (Stage::Plan, r#""action":[0,1]"#, "2 numbers in action for 5 devices"),
-            (Stage::Plan, r#""action":[0,1,2,0,0]"#, "2 at device 2"),
-            (Stage::Plan, r#""sense":[1],"next":7"#, "must be after TTI 7"),
-            (Stage::Plan, r#""cycles":[[1,1,0]]"#, "1 cycles for 5 devices"),
+            (DecisionStage::Plan, r#""name":"x""#, "unknown field"),
+            (DecisionStage::Plan, r#""next":9"#, "one of action, sense, cycles"),
+            (DecisionStage::Plan, r#""sense":[],"action":[0,0,0,0,0]"#, "one of"),
+            (DecisionStage::Plan, r#""wake":[1]"#, "wake is no answer here"),
+            (DecisionStage::Wake, r#""sense":[1]"#, "sense is no answer here"),
+            (DecisionStage::Wake, r#""wake":[1],"next":9"#, "next goes with a plan"),
+            (DecisionStage::Plan, r#""sense":[5]"#, "no device 5: they are 0 to 4"),
+            (DecisionStage::Wake, r#""wake":[4294967295]"#, "no device 4294967295"),
             (
-                Stage::Plan,
+                DecisionStage::Plan,
+                r#""action":[0,1]"#,
+                "2 numbers in action for 5 devices",
+            ),
+            (DecisionStage::Plan, r#""action":[0,1,2,0,0]"#, "2 at device 2"),
+            (DecisionStage::Plan, r#""sense":[1],"next":7"#, "must be after TTI 7"),
+            (DecisionStage::Plan, r#""cycles":[[1,1,0]]"#, "1 cycles for 5 devices"),
+            (
+                DecisionStage::Plan,
                 r#""cycles":[[1,1,0],[1,0,0],[1,1,0],[1,1,0],[1,1,0]]"#,
                 "device 1 is [1, 0, 0]",
             ),
@@ -550,20 +563,20 @@ mod tests {
     #[test]
     fn what_is_decided_comes_back() {
         let decisions = [
-            Answer::Plan(Decision {
+            Decision::Plan(PlanDecision {
                 plan: Plan::from_bits([true, false, false, true, true]),
                 next: Tti(8),
             }),
-            Answer::Plan(Decision {
+            Decision::Plan(PlanDecision {
                 plan: Plan::Periodic(vec![DutyCycle::SENSING; 5]),
                 next: Tti::NEVER,
             }),
-            Answer::Wake(vec![DeviceId(3), DeviceId(0)]),
+            Decision::Wake(vec![DeviceId(3), DeviceId(0)]),
         ];
         for answer in decisions {
-            for form in [Form::Json, Form::Cbor] {
-                let reply = Reply::to(&HEAD, "a", "").with(&answer);
-                let read: Reply = form.decode(&form.encode(&reply)).expect("an answer");
+            for form in [Encoding::Json, Encoding::Cbor] {
+                let reply = DecisionReply::to(&HEAD, "a", "").with(&answer);
+                let read: DecisionReply = form.decode(&form.encode(&reply)).expect("an answer");
                 assert_eq!(read, reply);
                 assert_eq!(read.answer(answer.stage(), Tti(7), 5), Ok(answer.clone()));
             }

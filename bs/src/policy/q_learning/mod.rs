@@ -1,89 +1,87 @@
-//! Q-learning (Sec. V-B): a table says who senses, another whom to wake after a report. Both may go on learning.
+//! Q-learning (Sec. V-B): one table chooses the sensing devices, another the devices to wake after a report. Both can
+//! continue to learn in a run.
 //!
 //! # Factorisation
-//! A joint action δ(k) of N devices has 2^N values. Devices are therefore considered one after the other, as
-//! [`duty::Duty::choose`] says, and each has its own share of the paper's reward.
+//! A joint action δ(k) of N devices has 2^N values. Devices are therefore considered one by one
+//! ([`duty::Duty::choose`]), and each has its own share of the paper's reward.
 //!
-//! A place is covered in TTI k if some device that detects an event there senses in k or did in one of the `window` − 1
-//! TTIs before it: an event that ends there in k is then reported. With U(k) for the share of the area that is not
-//! covered, the expectation of the paper's 1_0(I_i) is U(k), and
+//! A place is covered in TTI k if a device that detects an event there senses in k or sensed in one of the `window` − 1
+//! TTIs before. An event that ends there in k is then reported. With U(k) for the uncovered share of the area, the
+//! expectation of the paper's 1_0(I_i) is U(k), and
 //!
 //! ```text
 //!   r(k)   = (1 − δ(k)·1/N) − α μ1 U(k)
 //!   r_j(k) = (1 − δ_j(k))/N + α μ1 (c_j(k) − 1/N)
 //! ```
 //!
-//! where c_j(k) is the share of the area whose first coverer in the window is device j: earlier TTIs come first, and
-//! within a TTI those who were chosen earlier. Every covered place has one first coverer, so Σ_j c_j = 1 − U, and Σ_j
-//! r_j = (1 − δ·1/N) + α μ1 (1 − U − 1) = r. A choice adds to c_j in its own TTI what it newly covers, and keeps that
-//! for the whole window; so the table's target for δ_j = 1 has N α μ1 · (newly covered share) · (1 + ζ + … + ζ^(window
-//! − 1)). With `window` = 1 that is N times the share's α μ1 c_j. With a longer one it is the part that is certain when
-//! the choice is made: a place that somebody else had covered earlier falls to j as well once that has run out, and is
-//! left out.
+//! where c_j(k) is the share of the area that device j covers first in the window: earlier TTIs come first, and within
+//! a TTI earlier choices. Every covered place has one first coverer, so Σ_j c_j = 1 − U, and Σ_j r_j = (1 − δ·1/N) + α
+//! μ1 (1 − U − 1) = r. A choice adds its newly covered share to c_j in its own TTI and keeps it for the whole window.
+//! The table's target for δ_j = 1 therefore has N α μ1 · (newly covered share) · (1 + ζ + … + ζ^(window − 1)). With
+//! `window` = 1 that is N times the share's α μ1 c_j. With a longer window it is the part that is certain at the time
+//! of the choice. It leaves out the places that fall to j later, when the coverage by an earlier device has expired.
 //!
 //! With ages ([`learned::Lookback::Ages`]) places count by their ages a: U(k) is the mean of a(a + 1)/2 over all
-//! places, 0 where somebody looks, and Ā that mean over all of them. Then r_j(k) = (1 − δ_j)/N + α μ1 (c_j − Ā/N), and
-//! the sum of c_j over all devices is Ā − U.
+//! places, 0 for covered ones, and Ā the mean of a(a + 1)/2 without any coverage. Then r_j(k) = (1 − δ_j)/N + α μ1 (c_j
+//! − Ā/N), and the sum of c_j over all devices is Ā − U.
 //!
-//! Wake-ups are decided one after the other too: the m-th of a TTI has the share μ2 (Î_m − Î_{m−1}) − 1/N. These
-//! telescope to r*(k) = μ2 I_i − δ*·1/N, but for μ2 Î_0, the information that came without a wake-up.
+//! Wake-ups are also decided one by one: the m-th of a TTI has the share μ2 (Î_m − Î_{m−1}) − 1/N. These telescope to
+//! r*(k) = μ2 I_i − δ*·1/N, except for μ2 Î_0, the information that came without a wake-up.
 //!
-//! Tables hold N times these shares, and leave out α μ1, the part that is the same whatever a device does.
+//! Tables hold N times these shares, without α μ1, the part that is the same for every action of a device.
 
+mod area_state;
 pub mod duty;
-mod ground;
 pub mod learned;
 pub mod settings;
 pub mod wake;
 
 use std::sync::Arc;
 
-use reveille_common::declare::{Reader, ScenarioError, Section};
-use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::ids::DeviceId;
 use reveille_common::message::Report;
 use reveille_common::plan::Plan;
 use reveille_common::rng::PolicyPurpose;
-use reveille_common::scenario::{PolicyChoice, PolicyKind, PolicySettings, Site, WakeUpRanking};
+use reveille_common::scenario::WakeUpRanking;
 
-use self::learned::Entry;
+use self::duty::{Duty, DutyTerms};
+use self::learned::{Lookback, TableSet};
 use self::settings::QLearningSettings;
-use super::contract::{Opaque, Policy};
-use super::kind::{Profile, Registered, own};
-use super::mind::Mind;
-use super::tally::Tally;
+use self::wake::{WakeLearner, WakeState};
+use super::SensingCount;
+use super::factory::{PolicyEntry, PolicyFactory};
+use super::interface::{Opaque, Policy};
 use crate::beliefs::candidates::Candidates;
-use crate::beliefs::posterior::Belief;
+use crate::beliefs::posterior::EpicentreBelief;
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
-use crate::policy::q_learning::duty::{Duty, Terms};
-use crate::policy::q_learning::wake::{Wake, WakeState};
 
 /// The `q-learning` policy.
 pub struct QLearning {
     settings: QLearningSettings,
     ranking: WakeUpRanking,
     duty: Duty,
-    wake: Wake,
+    wake: WakeLearner,
     candidates: Candidates,
-    /// E_Tx and what a TTI asleep costs, by device.
+    /// E_Tx plus the cost of a TTI asleep, by device.
     needed: Vec<reveille_common::units::Energy>,
     reports: usize,
     is_exploring: bool,
-    tally: Tally,
-    /// The sum of r(k), and over how many TTIs.
+    tally: SensingCount,
+    /// Sum of r(k) and the number of TTIs in it.
     rewards: (f64, u64),
 }
 
 impl QLearning {
-    /// The policy for the devices in `known`, with the tables that it starts from.
+    /// Creates the policy for the devices in `known`, with its initial tables.
     pub fn new(known: &Knowledge, settings: &QLearningSettings) -> Self {
         let start = &settings.start;
-        let terms = Terms {
+        let terms = DutyTerms {
             weights: settings.weights,
             schedule: settings.schedule,
             alpha: known.alpha,
             lookback: settings.lookback,
-            lost: known.radio.silence(),
+            lost: known.radio.no_report_probability(),
         };
         let wake_table = match known.bs.ranking {
             WakeUpRanking::P42 => start.wake_p42.clone(),
@@ -100,7 +98,7 @@ impl QLearning {
                 known.area,
                 &known.sensing,
             ),
-            wake: Wake::new(
+            wake: WakeLearner::new(
                 wake_table,
                 &settings.weights,
                 &settings.schedule,
@@ -111,13 +109,13 @@ impl QLearning {
             needed: needed.collect(),
             reports: 0,
             is_exploring: false,
-            tally: Tally::default(),
+            tally: SensingCount::default(),
             rewards: (0.0, 0),
             settings: settings.clone(),
         }
     }
 
-    /// The next candidate that can afford a report, with its state.
+    /// Returns the next candidate that can pay for a report, with its state.
     fn candidate(&mut self, seen: &Observation<'_>) -> Option<(DeviceId, WakeState)> {
         let needed = &self.needed;
         let can_report = |device: DeviceId| seen.batteries[device.index()] >= needed[device.index()];
@@ -125,7 +123,7 @@ impl QLearning {
         Some((device, self.wake.state(score, seen.information, self.reports)))
     }
 
-    /// ε in this TTI.
+    /// Returns ε in this TTI.
     fn epsilon(&self, seen: &Observation<'_>) -> f64 {
         let (first, last) = self.settings.epsilon;
         first + (last - first) * (seen.now.0 as f64 / seen.known.ttis.saturating_sub(1).max(1) as f64)
@@ -156,18 +154,13 @@ impl Policy for QLearning {
         self.tally.plan(seen.known.n(), &chosen)
     }
 
-    /// Decides in every TTI: batteries change, and so does who should sense.
-    fn next_decision(&self, now: Tti) -> Tti {
-        now + 1
-    }
-
-    fn looks_at_batteries(&self) -> bool {
+    fn needs_batteries(&self) -> bool {
         true
     }
 
-    fn reported(&mut self, seen: &Observation<'_>, reports: &[Report]) {
+    fn reports_received(&mut self, seen: &Observation<'_>, reports: &[Report]) {
         self.reports = reports.len();
-        // An event in which everyone is woken: what comes after a stop is learned only if it is not always made.
+        // Exploring wakes all candidates of an event: values beyond a stop are learned only by continuing there.
         self.is_exploring = self.settings.learn
             && seen
                 .known
@@ -181,6 +174,7 @@ impl Policy for QLearning {
 
     fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId> {
         let candidate = self.candidate(seen);
+        // The value of the last wake-up includes what can follow it, so learning waits for the next candidate.
         if self.settings.learn {
             self.wake.learn(candidate.map(|(_, state)| state));
         }
@@ -192,11 +186,11 @@ impl Policy for QLearning {
         Some(device)
     }
 
-    fn belief(&self) -> Option<&Belief> {
+    fn belief(&self) -> Option<&EpicentreBelief> {
         self.candidates.belief()
     }
 
-    fn answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
+    fn wake_up_answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
         self.wake.answered(seen.information);
         if let Some(report) = report {
             self.reports += 1;
@@ -205,7 +199,7 @@ impl Policy for QLearning {
         }
     }
 
-    fn facts(&self) -> Vec<(&'static str, f64)> {
+    fn summary_facts(&self) -> Vec<(&'static str, f64)> {
         let mut facts = vec![
             ("learned_for_devices", f64::from(self.settings.start.devices)),
             self.tally.fact(),
@@ -221,7 +215,7 @@ impl Policy for QLearning {
         if !self.settings.learn {
             return None;
         }
-        let mut entry = Entry::clone(&self.settings.start);
+        let mut entry = TableSet::clone(&self.settings.start);
         entry.duty = self.duty.table().clone();
         let wake = self.wake.table().clone();
         match self.ranking {
@@ -233,40 +227,27 @@ impl Policy for QLearning {
 }
 
 /// The policy `q-learning`.
-#[derive(Clone, Copy, Debug)]
-pub struct QLearningKind;
+pub(crate) const Q_LEARNING: PolicyEntry = PolicyEntry {
+    about: "Selects sensing devices by battery and newly covered area, with trained tables. Wakes devices by \
+            expected gain.",
+    learns: true,
+    heeds_ranking: true,
+    runtime: "O(N²)",
+    ..PolicyEntry::new(QLearningSettings::SECTION, |reader, site| {
+        Ok(Arc::new(QLearningSettings::from_fields(reader, site)?))
+    })
+};
 
-impl PolicyKind for QLearningKind {
-    fn name(&self) -> &'static str {
-        "q-learning"
+impl PolicyFactory for QLearningSettings {
+    fn build(&self, known: &Knowledge) -> Box<dyn Policy> {
+        Box::new(QLearning::new(known, self))
     }
 
-    fn about(&self) -> &'static str {
-        "Chooses who senses, from battery and what is newly looked at, and whom to wake, from expected \
-         gain, with trained tables."
-    }
-
-    fn section(&self) -> Option<&'static Section> {
-        Some(QLearningSettings::SECTION)
-    }
-
-    fn settle(&self, reader: &Reader<'_>, site: &Site<'_>) -> Result<Arc<dyn PolicySettings>, ScenarioError> {
-        Ok(Arc::new(QLearningSettings::settle(reader, site)?))
-    }
-}
-
-impl Registered for QLearningKind {
-    fn profile(&self) -> Profile {
-        Profile {
-            learns: true,
-            runtime: "O(N²)",
-            wakes: true,
-            heeds_ranking: true,
-            ..Profile::plain(3)
+    fn delay_budget(&self) -> Option<(&'static str, u64)> {
+        // Ages grant no delay budget: the time that a place waits depends on the price of sensing.
+        match self.lookback {
+            Lookback::Window(window) => Some(("policy.q-learning.window", u64::from(window))),
+            Lookback::Ages => None,
         }
-    }
-
-    fn build(&self, choice: &PolicyChoice, known: &Knowledge, _: Option<&Opaque>) -> Mind {
-        Mind::of(QLearning::new(known, own(choice)))
     }
 }

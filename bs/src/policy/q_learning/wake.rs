@@ -1,31 +1,31 @@
-//! Whom to wake: one candidate after the other, until waking the best is worth nothing.
+//! Wake-up decisions: candidates are woken one by one until waking the best is worth nothing.
 
 use super::learned::{
-    INFORMATIONS, REPORTS, Rates, SCORES, Schedule, WakeTable, Weights, information_bucket, score_bucket,
+    INFORMATIONS, QWeights, REPORTS, Rates, SCORES, Schedule, WakeTable, information_bucket, score_bucket,
 };
 
-/// What a wake-up is decided in: buckets of the candidate's score, of Î, and the reports so far.
-pub type WakeState = [usize; 3];
+/// State of a wake-up decision: buckets of the candidate's score, of Î, and of the reports so far.
+pub(crate) type WakeState = [usize; 3];
 
-/// The wake-ups of a deployment.
+/// Learner of the wake-ups of a deployment.
 #[derive(Clone, Debug)]
-pub struct Wake {
+pub struct WakeLearner {
     table: WakeTable,
     rates: Rates,
-    /// By Î, reports and score: Q, made never to fall with the score.
+    /// Q by Î, reports and score, made monotone in the score.
     worths: [[[f64; SCORES]; REPORTS]; INFORMATIONS],
-    /// μ2 N, the worth of all information in r*(k) N.
+    /// Worth μ2 N of all information in N r*(k).
     worth: f64,
     psi: f64,
-    /// The wake-up that waits for its answer: its state, and Î before.
+    /// State and previous Î of the wake-up that waits for its answer.
     open: Option<(WakeState, f64)>,
-    /// The last wake-up that was answered, with its reward, until it is known whether another follows.
+    /// State and reward of the last answered wake-up, until it is known whether another follows.
     answered: Option<(WakeState, f64)>,
 }
 
-impl Wake {
-    /// A learner with `table` for `devices` devices whose reports are worth up to `psi`.
-    pub fn new(table: WakeTable, weights: &Weights, schedule: &Schedule, devices: u32, psi: f64) -> Self {
+impl WakeLearner {
+    /// Creates a learner with `table` for `devices` devices, whose reports are worth at most `psi`.
+    pub fn new(table: WakeTable, weights: &QWeights, schedule: &Schedule, devices: u32, psi: f64) -> Self {
         let of = |information| std::array::from_fn(|reports| table.worths(information, reports));
         Self {
             worths: std::array::from_fn(of),
@@ -38,12 +38,12 @@ impl Wake {
         }
     }
 
-    /// The table as it is now.
+    /// Current table.
     pub const fn table(&self) -> &WakeTable {
         &self.table
     }
 
-    /// The state of a candidate with `score`, in units of information like `information`, after `reports` reports.
+    /// Returns the state of a candidate after `reports` reports, with `score` and `information` in the same unit.
     pub fn state(&self, score: f64, information: f64, reports: usize) -> WakeState {
         [
             score_bucket(score / self.psi),
@@ -61,12 +61,12 @@ impl Wake {
         self.worths[information][reports][score]
     }
 
-    /// The candidate of `state` is woken, at `information`.
+    /// Records that the candidate of `state` is woken, with Î at `information`.
     pub fn wake(&mut self, state: WakeState, information: f64) {
         self.open = Some((state, information));
     }
 
-    /// What came of the wake-up: Î is `information` now. Gives its reward N (μ2 ΔÎ − 1/N).
+    /// Records the outcome of the wake-up, after which Î is `information`. Returns its reward N (μ2 ΔÎ − 1/N).
     pub fn answered(&mut self, information: f64) -> f64 {
         let Some((state, before)) = self.open.take() else {
             return 0.0;
@@ -76,13 +76,15 @@ impl Wake {
         reward
     }
 
-    /// Learns from the last answer. `next` is the state that it led to, or `None` where nobody is left to be woken.
+    /// Learns from the last answer. `next` is the state that followed, or `None` if no candidate is left.
     pub fn learn(&mut self, next: Option<WakeState>) {
         let Some((state, reward)) = self.answered.take() else {
             return;
         };
+        // Stopping is always possible and worth 0.
         let rest = next.map_or(0.0, |next| self.worth_of(next).max(0.0));
         self.table.at_mut(state).learn(reward + rest, self.rates);
+        // Only this row of the table has changed.
         let [_, information, reports] = state;
         self.worths[information][reports] = self.table.worths(information, reports);
     }
@@ -113,13 +115,13 @@ mod tests {
                     Fusion::SumSaturation
                 },
             };
-            let weights = Weights {
+            let weights = QWeights {
                 mu1: 1.0,
                 mu2: 5.0 * stream.unit(),
                 zeta: 0.9,
             };
-            let mut wake = Wake::new(WakeTable::optimistic(1.0), &weights, &Schedule::default(), devices, psi);
-            // The first report; what it brought is not a wake-up's.
+            let mut wake = WakeLearner::new(WakeTable::optimistic(1.0), &weights, &Schedule::default(), devices, psi);
+            // The information of the first report is not due to a wake-up.
             let mut distances = vec![4.0 * stream.unit()];
             let information = |distances: &[f64]| {
                 let reports = distances.iter().map(|d| psi * libm::exp(-d));
@@ -135,7 +137,7 @@ mod tests {
             for _ in 0..wakes {
                 let state = wake.state(psi * stream.unit(), seen, distances.len());
                 wake.wake(state, seen);
-                // One in three brings nothing: too far, or its battery is empty.
+                // One in three fails: the device is too far away, or its battery is empty.
                 if stream.unit() < 0.67 {
                     distances.push(4.0 * stream.unit());
                 }
@@ -155,16 +157,16 @@ mod tests {
 
     #[test]
     fn a_wake_up_is_learned_with_what_may_follow() {
-        let weights = Weights {
+        let weights = QWeights {
             mu1: 1.0,
             mu2: 2.0,
             zeta: 0.9,
         };
-        let mut wake = Wake::new(WakeTable::optimistic(1.0), &weights, &Schedule::default(), 50, 1.0);
+        let mut wake = WakeLearner::new(WakeTable::optimistic(1.0), &weights, &Schedule::default(), 50, 1.0);
         let (good, bad) = ([19, 0, 0], [0, 7, 3]);
         wake.worths[0][0][19] = 5.0;
         wake.worths[7][3][0] = -5.0;
-        // To stop is worth 0, so what follows is never worth less.
+        // Stopping is worth 0, so the next step is never worth less.
         for (next, rest) in [(Some(good), 5.0), (Some(bad), 0.0), (None, 0.0)] {
             let mut wake = wake.clone();
             let state = wake.state(0.3, 0.1, 1);
@@ -183,20 +185,20 @@ mod tests {
 
     #[test]
     fn a_better_candidate_is_woken_wherever_a_worse_one_is() {
-        let weights = Weights {
+        let weights = QWeights {
             mu1: 1.0,
             mu2: 2.0,
             zeta: 0.9,
         };
         let mut table = WakeTable::optimistic(1.0);
-        // Visited often and worth nothing, between cells that nobody knows.
+        // Often visited and worthless, among cells without visits.
         *table.at_mut([4, 2, 1]) = (-3.0, 500).into();
         *table.at_mut([17, 2, 1]) = (6.0, 500).into();
-        let mut wake = Wake::new(table, &weights, &Schedule::default(), 50, 1.0);
-        let woken = |wake: &Wake| (0..SCORES).filter(|&s| wake.is_worth_it([s, 2, 1])).collect::<Vec<_>>();
+        let mut wake = WakeLearner::new(table, &weights, &Schedule::default(), 50, 1.0);
+        let woken = |wake: &WakeLearner| (0..SCORES).filter(|&s| wake.is_worth_it([s, 2, 1])).collect::<Vec<_>>();
         assert_eq!(woken(&wake), (5..SCORES).collect::<Vec<_>>());
         assert!((0..SCORES).all(|s| wake.is_worth_it([s, 2, 0]) && wake.is_worth_it([s, 3, 1])));
-        // What is learned counts from the next candidate on.
+        // The learned value applies from the next candidate on.
         for _ in 0..40 {
             wake.wake([19, 2, 1], 0.0);
             wake.answered(-0.4);

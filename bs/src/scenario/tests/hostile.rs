@@ -1,4 +1,4 @@
-//! Hostile and random texts: refused in time, and whatever is accepted comes back as it was.
+//! Hostile and random texts: they are refused in bounded time, and accepted texts survive a round trip.
 
 use proptest::prelude::*;
 
@@ -20,9 +20,9 @@ fn hostile_texts_are_refused_in_time() {
     }
 }
 
-/// A preset's text with a piece of it replaced.
+/// Generates a preset's text with one piece replaced.
 fn mutated() -> impl Strategy<Value = String> {
-    let paper = load("paper", &[]).expect("a preset").to_toml();
+    let paper = load("paper", &[]).expect("a preset").scenario.to_toml();
     let source = format!("{paper}\n[[class]]\nname = \"a\"\nshare = 1\n");
     let length = source.chars().count();
     (0..length, 0..12usize, "[-0-9a-z.=\"\\[\\]{}#\n _+\u{e4}]{0,8}").prop_map(move |(at, cut, new)| {
@@ -31,7 +31,7 @@ fn mutated() -> impl Strategy<Value = String> {
     })
 }
 
-/// What comes back is the same scenario.
+/// Checks that the scenario survives a round trip.
 fn there_and_back(scenario: &Scenario) -> Result<(), TestCaseError> {
     let text = scenario.to_toml();
     let again = from(&text).map_err(|error| TestCaseError::fail(format!("{error}\n{text}")))?;
@@ -73,7 +73,7 @@ proptest! {
             1.0 - share,
         );
         let scenario = from(&text).map_err(|error| TestCaseError::fail(format!("{error}\n{text}")))?;
-        prop_assert_eq!(scenario.seed, seed);
+        prop_assert_eq!(scenario.run.seed, seed);
         there_and_back(&scenario)?;
     }
 }

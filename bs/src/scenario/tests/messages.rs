@@ -1,8 +1,8 @@
-//! Messages of refused scenarios, and warnings: field, value, what is allowed, and the place.
+//! Errors and warnings for invalid scenarios: field, value, allowed values and place.
 
 use std::path::Path;
 
-use reveille_common::declare::listed;
+use reveille_common::declare::quoted_list;
 use reveille_common::geometry::Layout;
 
 use super::*;
@@ -228,7 +228,7 @@ fn overrides_are_checked_like_files() {
             "policy.name=nkn",
             &format!(
                 "policy.name = nkn: must be one of {}; did you mean `knn`?",
-                listed(registry::names())
+                quoted_list(registry::names())
             ),
         ),
         ("ttis=1.5", "ttis = 1.5: must be a whole number"),
@@ -240,7 +240,7 @@ fn overrides_are_checked_like_files() {
         let message = load("paper", &set(&[text])).expect_err(text).to_string();
         assert!(message.contains(part), "{message}");
     }
-    let flag = Override::flag("--devices", "devices", "0").expect("well-formed");
+    let flag = Override::from_flag("--devices", "devices", "0").expect("well-formed");
     let message = load("paper", &[flag]).expect_err("no devices").to_string();
     assert!(message.ends_with("; set by --devices"), "{message}");
     let unknown = load("qiuck", &[]).expect_err("no such file").to_string();
@@ -288,7 +288,9 @@ fn data_files_are_checked_row_by_row() {
         let message = parse(&text, "my.toml", &folder, &[]).expect_err(&text).to_string();
         assert!(message.contains(part), "{message}");
     }
-    let placed = parse(&layout("p.csv"), "my.toml", &folder, &[]).expect("valid");
+    let placed = parse(&layout("p.csv"), "my.toml", &folder, &[])
+        .expect("valid")
+        .scenario;
     assert!(matches!(&placed.layout, Layout::File(file) if file.points.len() == 2));
     assert_eq!(from(&placed.to_toml()).expect("valid"), placed);
     std::fs::remove_dir_all(folder).expect("its own folder");

@@ -1,4 +1,4 @@
-//! Whole scenarios: presets, precedence, classes, and what decides the hash.
+//! Complete scenarios: presets, precedence, classes and the inputs of the hash.
 
 mod hostile;
 mod messages;
@@ -7,7 +7,7 @@ mod pages;
 use std::path::{Path, PathBuf};
 
 use super::*;
-use reveille_common::event::{Bursts, DurationKind, Process};
+use reveille_common::event::{DurationKind, EventBursts, ProcessSettings};
 use reveille_common::geometry::Layout;
 use reveille_common::harvest::Mpp;
 use reveille_common::sensing::DetectionKind;
@@ -21,14 +21,14 @@ fn set(texts: &[&str]) -> Vec<Override> {
 }
 
 fn from(text: &str) -> Result<Scenario, ScenarioError> {
-    parse(text, "my.toml", Path::new("/nonexistent"), &[])
+    parse(text, "my.toml", Path::new("/nonexistent"), &[]).map(|loaded| loaded.scenario)
 }
 
 fn examples() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../deploy/scenarios")
 }
 
-/// A folder of its own for the data files of one test.
+/// A temporary folder for the data files of one test.
 fn folder(name: &str, files: &[(&str, &str)]) -> PathBuf {
     let folder = std::env::temp_dir().join(format!("reveille-scenario-{}-{name}", std::process::id()));
     std::fs::create_dir_all(&folder).expect("a folder");
@@ -40,19 +40,22 @@ fn folder(name: &str, files: &[(&str, &str)]) -> PathBuf {
 
 #[test]
 fn the_paper_preset_is_table_ii() {
-    let scenario = load("paper", &[]).expect("a preset");
+    let scenario = load("paper", &[]).expect("a preset").scenario;
     let energy = scenario.classes[0].energy;
     assert_eq!(energy.e_wur, Energy::from_micro(71_429));
     assert_eq!(energy.initial, Energy::from_micro(50_000_000));
-    assert_eq!((scenario.devices, scenario.ttis, scenario.seed), (50, 10_000, 1));
+    assert_eq!(
+        (scenario.run.devices, scenario.run.ttis, scenario.run.seed),
+        (50, 10_000, 1)
+    );
     assert_eq!(scenario.layout, Layout::JitteredGrid);
     assert_eq!(
         scenario.events,
-        Events {
+        EventSettings {
             alpha: 0.2,
             duration: 4,
             duration_kind: DurationKind::Fixed,
-            process: Process::Uniform,
+            process: ProcessSettings::Uniform,
         }
     );
     assert_eq!(scenario.classes[0].name, "default");
@@ -61,11 +64,11 @@ fn the_paper_preset_is_table_ii() {
 #[test]
 fn every_preset_loads_under_its_name() {
     for Preset { name, .. } in PRESETS {
-        assert_eq!(load(name, &[]).expect(name).preset, *name);
+        assert_eq!(load(name, &[]).expect(name).scenario.run.preset, *name);
     }
-    let literal = load("paper-literal", &[]).expect("a preset");
+    let literal = load("paper-literal", &[]).expect("a preset").scenario;
     assert_eq!(literal.sensing.kind, DetectionKind::Probabilistic);
-    assert_eq!((literal.layout, literal.devices), (Layout::Uniform, 50));
+    assert_eq!((literal.layout, literal.run.devices), (Layout::Uniform, 50));
 }
 
 #[test]
@@ -77,10 +80,11 @@ fn later_layers_win() {
         Path::new(""),
         &set(&["sensing.d_max=6", "sensing.d_max=6.5"]),
     );
-    let scenario = scenario.expect("valid");
-    assert_eq!((scenario.devices, scenario.seed), (20, 7));
+    let scenario = scenario.expect("valid").scenario;
+    assert_eq!((scenario.run.devices, scenario.run.seed), (20, 7));
     assert!((scenario.sensing.d_max - 6.5).abs() < f64::EPSILON);
-    assert_eq!(load("paper", &set(&["preset=quick"])).expect("valid").devices, 20);
+    let quick = load("paper", &set(&["preset=quick"])).expect("valid").scenario;
+    assert_eq!((quick.run.preset.as_str(), quick.run.devices), ("quick", 20));
 }
 
 #[test]
@@ -93,7 +97,7 @@ fn a_class_inherits_field_by_field() {
         Path::new(""),
         &set(&["class.b.energy.e_max=80", "energy.e_wur=0.5"]),
     );
-    let classes = scenario.expect("valid").classes;
+    let classes = scenario.expect("valid").scenario.classes;
     let both = |field: fn(&EnergyModel) -> Energy| [0, 1].map(|i: usize| field(&classes[i].energy).micro());
     assert_eq!(both(|energy| energy.e_tx), [3_000_000, 10_000_000]);
     assert_eq!(both(|energy| energy.e_max), [100_000_000, 80_000_000]);
@@ -116,12 +120,14 @@ fn the_examples_load_and_come_back() {
         "rush-hours.toml",
     ] {
         let path = examples().join(name);
-        let scenario = load(path.to_str().expect("UTF-8"), &[]).expect(name);
+        let scenario = load(path.to_str().expect("UTF-8"), &[]).expect(name).scenario;
         let again = from(&scenario.to_toml()).expect(name);
         assert_eq!(scenario, again, "{}", scenario.to_toml());
         assert_eq!(scenario.hash(), again.hash());
     }
-    let solar = load(examples().join("solar.toml").to_str().expect("UTF-8"), &[]).expect("valid");
+    let solar = load(examples().join("solar.toml").to_str().expect("UTF-8"), &[])
+        .expect("valid")
+        .scenario;
     let Harvest::Trace(trace) = &solar.classes[0].harvest else {
         panic!("{:?}", solar.classes[0].harvest);
     };
@@ -131,8 +137,8 @@ fn the_examples_load_and_come_back() {
 #[test]
 fn alpha_of_bursts_is_the_mean_of_both_phases() {
     let path = examples().join("rush-hours.toml");
-    let events = load(path.to_str().expect("UTF-8"), &[]).expect("valid").events;
-    let Process::Bursts(Bursts {
+    let events = load(path.to_str().expect("UTF-8"), &[]).expect("valid").scenario.events;
+    let ProcessSettings::Bursts(EventBursts {
         busy_alpha,
         quiet_alpha,
         ..
@@ -140,12 +146,15 @@ fn alpha_of_bursts_is_the_mean_of_both_phases() {
     else {
         panic!("{events:?}");
     };
-    // Of 300 TTIs 60 are busy.
+    // 60 of the 300 TTIs are busy.
     assert!(
         (events.alpha - (busy_alpha + 4.0 * quiet_alpha) / 5.0).abs() < 1e-15,
         "{events:?}"
     );
-    let usual = load("paper", &set(&["events.process=bursts"])).expect("valid").events;
+    let usual = load("paper", &set(&["events.process=bursts"]))
+        .expect("valid")
+        .scenario
+        .events;
     assert!((usual.alpha - 0.176).abs() < 1e-15, "{usual:?}");
 }
 
@@ -156,7 +165,7 @@ fn an_override_replaces_the_shared_column() {
         "harvest.trace.columns=[\"hour\", \"ghi_w_m2\"]",
         "harvest.trace.scale=0.001",
     ]);
-    let scenario = load(path.to_str().expect("UTF-8"), &columns).expect("valid");
+    let scenario = load(path.to_str().expect("UTF-8"), &columns).expect("valid").scenario;
     let Harvest::Trace(trace) = &scenario.classes[0].harvest else {
         panic!("{:?}", scenario.classes[0].harvest);
     };
@@ -166,9 +175,13 @@ fn an_override_replaces_the_shared_column() {
 
 #[test]
 fn the_hash_follows_what_decides_a_run_and_nothing_else() {
-    let hash = |overrides: &[&str]| load("paper", &set(overrides)).expect("valid").hash_hex();
-    let quick = load("quick", &set(&["devices=50", "ttis=10000"])).expect("valid");
+    let paper = |overrides: &[&str]| load("paper", &set(overrides)).expect("valid").scenario;
+    let hash = |overrides: &[&str]| paper(overrides).hash_hex();
+    let quick = load("quick", &set(&["devices=50", "ttis=10000"]))
+        .expect("valid")
+        .scenario;
     assert_eq!(hash(&[]), quick.hash_hex());
+    assert_ne!(paper(&[]), quick, "the name of the preset differs");
     for changed in [
         "seed=2",
         "energy.e_wur=0.071428",
@@ -199,7 +212,7 @@ fn the_hash_follows_what_decides_a_run_and_nothing_else() {
     );
     let traced = |file: &str| {
         let text = format!("[harvest]\nkind = \"trace\"\ntrace = {{ file = \"{file}\", column = \"w\" }}");
-        parse(&text, "my.toml", &folder, &[]).expect("valid").hash()
+        parse(&text, "my.toml", &folder, &[]).expect("valid").scenario.hash()
     };
     assert_eq!(traced("a.csv"), traced("b.csv"));
     assert_ne!(traced("a.csv"), traced("c.csv"));
@@ -222,11 +235,14 @@ fn a_layout_file_may_say_the_class_of_each_device() {
         )
     };
     let load = |file: &str, share: &str| parse(&text(file, share), "my.toml", &folder, &[]);
-    let placed = load("good.csv", "").expect("valid");
+    let Loaded {
+        scenario: placed,
+        warnings,
+    } = load("good.csv", "").expect("valid");
     assert_eq!(assign_classes(&placed), [1, 0]);
     assert!((placed.classes[0].share - 0.5).abs() < 1e-12);
-    assert_eq!(placed.warnings.len(), 1, "{:?}", placed.warnings);
-    assert!(placed.warnings[0].contains("good.csv has 3 positions; the first 2 are used"));
+    assert_eq!(warnings.len(), 1, "{warnings:?}");
+    assert!(warnings[0].contains("good.csv has 3 positions; the first 2 are used"));
     assert_eq!(from(&placed.to_toml()).expect("valid"), placed);
     let shared = load("good.csv", "share = 0.5").expect("valid");
     assert!(
@@ -235,7 +251,7 @@ fn a_layout_file_may_say_the_class_of_each_device() {
             .iter()
             .any(|w| w.starts_with("class.share has no effect"))
     );
-    assert_eq!(shared.hash(), placed.hash());
+    assert_eq!(shared.scenario.hash(), placed.hash());
     let unknown = load("bad.csv", "").expect_err("no such class").to_string();
     assert!(
         unknown.contains("line 3, column `class`: \"stron\" is no class") && unknown.contains("did you mean `strong`?"),

@@ -1,9 +1,9 @@
-//! What is generated from the declarations: the reference page, the schema, the whole file, the fuzz dictionary.
+//! Output generated from the declarations: reference page, schema, complete scenario file, fuzz dictionary.
 
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use reveille_common::declare::Form;
+use reveille_common::declare::FieldType;
 
 use super::*;
 
@@ -20,7 +20,10 @@ fn the_reference_page_is_current() {
 #[test]
 fn schema_and_full_page_have_every_field() {
     let schema: serde_json::Value = serde_json::from_str(&schema()).expect("JSON");
-    let page = load("paper", &[]).expect("a preset").to_full_toml(&registry::kinds());
+    let page = load("paper", &[])
+        .expect("a preset")
+        .scenario
+        .to_full_toml(&registry::kinds());
     for path in declaration().paths() {
         let pointer = path
             .split('.')
@@ -32,7 +35,7 @@ fn schema_and_full_page_have_every_field() {
     }
     assert_eq!(
         from(&page).expect("what is shown loads"),
-        load("paper", &[]).expect("a preset")
+        load("paper", &[]).expect("a preset").scenario
     );
     let lambda = schema
         .pointer("/properties/harvest/properties/lambda")
@@ -63,7 +66,7 @@ fn words_of_the_fuzz_dictionary_are_those_of_the_declaration() {
         .flat_map(|section| section.fields)
     {
         words.insert(field.name);
-        if let Form::Choice(alternatives) | Form::Source(alternatives) = field.form {
+        if let FieldType::Choice(alternatives) | FieldType::Source(alternatives) = field.form {
             words.extend(alternatives.iter().map(|alternative| alternative.name));
         }
     }

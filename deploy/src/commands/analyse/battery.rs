@@ -3,12 +3,13 @@
 use std::process::ExitCode;
 
 use anyhow::bail;
-use reveille_common::scenario::{DeviceClass, Harvest, Scenario};
-use reveille_study::analysis::battery::{Comparison, Sample, Study, compare};
-use reveille_study::analysis::harvest::Reading;
+use reveille_bs::scenario::Scenario;
+use reveille_common::scenario::{DeviceClass, Harvest};
+use reveille_study::analysis::battery::{BatteryComparison, BatteryStudy, SampleConfig, compare};
+use reveille_study::analysis::harvest::LambdaReading;
 
 use super::lists::{duties, energies, numbers, scenario};
-use super::sheet::{Cell, Findings, Sheet};
+use super::sheet::{Findings, Sheet, SheetValue};
 use crate::cli::BatteryArgs;
 
 const CHAIN: &[&str] = &[
@@ -36,24 +37,25 @@ const AVAILABILITY: &[&str] = &[
 ];
 const LEVELS: &[&str] = &["e_b", "duty", "activation", "battery_from", "chain", "measured"];
 
-/// Solves, measures, compares.
-pub fn run(args: &BatteryArgs) -> anyhow::Result<ExitCode> {
+/// Solves the chain, measures the run and compares both.
+pub(super) fn run(args: &BatteryArgs) -> anyhow::Result<ExitCode> {
     let scenario = scenario(&args.study, &[])?;
     let class = only_class(&scenario)?;
     let (reading, lambda) = source(&class.harvest)?;
-    let base = |(t_on, t_drx), e_b, activation| Study {
+    let base = |(t_on, t_drx), e_b, activation| BatteryStudy {
         model: class.energy,
         reading,
         lambda,
-        tau: scenario.tau,
+        tau: scenario.run.tau,
         e_b,
         t_on,
         t_drx,
         activation,
-        sample: Sample {
-            seed: scenario.seed,
+        sample: SampleConfig {
+            seed: scenario.run.seed,
             devices: args.devices,
             ttis: args.ttis,
+            // The default share of a scenario.
             warm_up: args.ttis / 10,
         },
         bin: args.bin,
@@ -76,7 +78,7 @@ pub fn run(args: &BatteryArgs) -> anyhow::Result<ExitCode> {
             class.energy.e_max,
             args.devices,
             args.ttis,
-            scenario.seed
+            scenario.run.seed
         ),
         sheets: sheets(&found, args),
         notes: notes(&found, args.bin),
@@ -94,8 +96,8 @@ fn only_class(scenario: &Scenario) -> anyhow::Result<&DeviceClass> {
     }
 }
 
-fn source(harvest: &Harvest) -> anyhow::Result<(Reading, f64)> {
-    let reading = Reading::ALL
+fn source(harvest: &Harvest) -> anyhow::Result<(LambdaReading, f64)> {
+    let reading = LambdaReading::ALL
         .into_iter()
         .find(|reading| reading.kind() == harvest.kind());
     let Some((reading, arrivals)) = reading.zip(harvest.arrivals()) else {
@@ -106,10 +108,10 @@ fn source(harvest: &Harvest) -> anyhow::Result<(Reading, f64)> {
     Ok((reading, arrivals.lambda))
 }
 
-type Found = [(Study, Comparison)];
+type BatteryResults = [(BatteryStudy, BatteryComparison)];
 
-/// The distribution comes first, for --csv, where only one battery is studied.
-fn sheets(found: &Found, args: &BatteryArgs) -> Vec<Sheet> {
+/// The tables. The distribution comes first, for --csv, if only one battery is studied.
+fn sheets(found: &BatteryResults, args: &BatteryArgs) -> Vec<Sheet> {
     let chain = Sheet {
         name: "chain",
         title: format!(
@@ -140,7 +142,7 @@ fn sheets(found: &Found, args: &BatteryArgs) -> Vec<Sheet> {
     }
 }
 
-fn key(study: &Study) -> [Cell; 3] {
+fn key(study: &BatteryStudy) -> [SheetValue; 3] {
     [
         study.e_b.units().into(),
         format!("{}/{}", study.t_on, study.t_drx).into(),
@@ -148,8 +150,8 @@ fn key(study: &Study) -> [Cell; 3] {
     ]
 }
 
-fn chain_row((study, found): &(Study, Comparison)) -> Vec<Cell> {
-    let values: [Cell; 6] = [
+fn chain_row((study, found): &(BatteryStudy, BatteryComparison)) -> Vec<SheetValue> {
+    let values: [SheetValue; 6] = [
         found.total_variation.into(),
         found.chain_mean.into(),
         found.measured_mean.mean.into(),
@@ -160,11 +162,11 @@ fn chain_row((study, found): &(Study, Comparison)) -> Vec<Cell> {
     key(study).into_iter().chain(values).collect()
 }
 
-fn availability_rows((study, found): &(Study, Comparison)) -> Vec<Vec<Cell>> {
+fn availability_rows((study, found): &(BatteryStudy, BatteryComparison)) -> Vec<Vec<SheetValue>> {
     let names = ["B ≥ E_Tx", "B ≥ E_idle"];
     let rows = names.into_iter().zip(&found.availability);
     rows.map(|(name, a)| {
-        let values: [Cell; 6] = [
+        let values: [SheetValue; 6] = [
             a.chain.into(),
             a.measured.mean.into(),
             a.measured.half_width.into(),
@@ -177,15 +179,15 @@ fn availability_rows((study, found): &(Study, Comparison)) -> Vec<Vec<Cell>> {
     .collect()
 }
 
-fn level_rows((study, found): &(Study, Comparison)) -> Vec<Vec<Cell>> {
+fn level_rows((study, found): &(BatteryStudy, BatteryComparison)) -> Vec<Vec<SheetValue>> {
     let row = |&(from, chain, measured): &(f64, f64, f64)| {
-        let values: [Cell; 3] = [from.into(), chain.into(), measured.into()];
+        let values: [SheetValue; 3] = [from.into(), chain.into(), measured.into()];
         key(study).into_iter().chain(values).collect()
     };
     found.bins.iter().map(row).collect()
 }
 
-fn notes(found: &Found, bin: f64) -> Vec<String> {
+fn notes(found: &BatteryResults, bin: f64) -> Vec<String> {
     let largest = found.iter().map(|(_, c)| c.total_variation).fold(0.0, f64::max);
     let mut notes = vec![format!(
         "Largest total variation distance of chain and machines: {largest:.4}."
@@ -223,7 +225,7 @@ fn notes(found: &Found, bin: f64) -> Vec<String> {
     notes
 }
 
-fn above_one(study: &Study, found: &Comparison) -> Vec<String> {
+fn above_one(study: &BatteryStudy, found: &BatteryComparison) -> Vec<String> {
     let above = found.availability.iter().filter(|a| a.eq8.sum > 1.0);
     above
         .map(|a| {
@@ -238,10 +240,11 @@ fn above_one(study: &Study, found: &Comparison) -> Vec<String> {
         .collect()
 }
 
-/// A pair of studies that differ in E_B alone, where the printed sum falls while the chain's probability rises.
-fn falls_with_harvest((study, found): &(Study, Comparison), all: &Found) -> Option<String> {
-    let same = |other: &Study| {
+/// Finds two studies that differ only in E_B, where the printed sum falls while the chain's probability rises.
+fn falls_with_harvest((study, found): &(BatteryStudy, BatteryComparison), all: &BatteryResults) -> Option<String> {
+    let same = |other: &BatteryStudy| {
         (other.t_on, other.t_drx) == (study.t_on, study.t_drx)
+            // Compared by bits, since both values come from one list of the command line.
             && other.activation.to_bits() == study.activation.to_bits()
     };
     all.iter()
@@ -249,6 +252,7 @@ fn falls_with_harvest((study, found): &(Study, Comparison), all: &Found) -> Opti
         .find_map(|(other, more)| {
             let pairs = found.availability.iter().zip(&more.availability);
             pairs
+            // A fall of less than 10⁻⁶ can be rounding.
             .filter(|(a, b)| b.eq8.sum < a.eq8.sum * (1.0 - 1e-6) && b.chain > a.chain)
             .map(|(a, b)| {
                 format!(

@@ -5,11 +5,11 @@ use std::process::ExitCode;
 use reveille_common::units::Energy;
 use reveille_lab::stats::Estimate;
 use reveille_study::analysis::harvest::{
-    Point, Reading, STATED, Stated, Study, consumption, demand, measure, positive_net,
+    HarvestPoint, HarvestStudy, LambdaReading, STATED, StatedThreshold, consumption, demand, measure, positive_net,
 };
 
 use super::lists::{energies, numbers, readings, scenario, words};
-use super::sheet::{Cell, Findings, Sheet};
+use super::sheet::{Findings, Sheet, SheetValue};
 use crate::cli::HarvestArgs;
 
 const POINTS: &[&str] = &[
@@ -36,8 +36,8 @@ const CROSSINGS: &[&str] = &[
     "paper",
 ];
 
-/// Measures the curves, and where they cross the consumptions.
-pub fn run(args: &HarvestArgs) -> anyhow::Result<ExitCode> {
+/// Measures the curves and their crossings with the consumptions.
+pub(super) fn run(args: &HarvestArgs) -> anyhow::Result<ExitCode> {
     let policies = words("--policies", &args.policies, "random,adjusted")?;
     let (readings, energies) = (readings(&args.readings)?, energies(&args.e_b)?);
     let base = scenario(
@@ -47,7 +47,7 @@ pub fn run(args: &HarvestArgs) -> anyhow::Result<ExitCode> {
             ("--ttis", "ttis", args.ttis.as_deref()),
         ],
     )?;
-    let study = Study {
+    let study = HarvestStudy {
         scenario: base,
         readings: readings.clone(),
         lambdas: numbers("--lambda", &args.lambda, "0.05,0.1,0.2")?,
@@ -59,9 +59,9 @@ pub fn run(args: &HarvestArgs) -> anyhow::Result<ExitCode> {
         title: format!(
             "Harvest against λ, Figs. 13 and 14 · {} · {} devices · {} TTIs · preset {} · {} runs a point",
             study.scenario.policy.name(),
-            study.scenario.devices,
-            study.scenario.ttis,
-            study.scenario.preset,
+            study.scenario.run.devices,
+            study.scenario.run.ttis,
+            study.scenario.run.preset,
             args.seeds
         ),
         sheets: vec![
@@ -85,7 +85,7 @@ pub fn run(args: &HarvestArgs) -> anyhow::Result<ExitCode> {
     findings.present(&args.study)
 }
 
-fn point(p: &Point) -> Vec<Cell> {
+fn point(p: &HarvestPoint) -> Vec<SheetValue> {
     vec![
         p.reading.name().into(),
         p.e_b.into(),
@@ -102,9 +102,9 @@ fn point(p: &Point) -> Vec<Cell> {
 fn crossings(
     args: &HarvestArgs,
     policies: &[&str],
-    readings: &[Reading],
+    readings: &[LambdaReading],
     energies: &[Energy],
-) -> anyhow::Result<Vec<Vec<Cell>>> {
+) -> anyhow::Result<Vec<Vec<SheetValue>>> {
     let mut rows = Vec::new();
     for devices in words("--devices", &args.devices, "10,100,250")? {
         for policy in policies {
@@ -123,8 +123,8 @@ fn crossings(
             for (kind, spent) in spent {
                 for reading in readings {
                     for e_b in energies {
-                        let key = [scenario.devices.into(), (*policy).into(), kind.into()];
-                        let row = crossing(&spent, *reading, e_b.units(), scenario.tau, scenario.devices);
+                        let key = [scenario.run.devices.into(), (*policy).into(), kind.into()];
+                        let row = crossing(&spent, *reading, e_b.units(), scenario.run.tau, scenario.run.devices);
                         rows.push(key.into_iter().chain(row).collect());
                     }
                 }
@@ -134,7 +134,8 @@ fn crossings(
     Ok(rows)
 }
 
-fn crossing(spent: &Estimate, reading: Reading, e_b: f64, tau: f64, devices: u32) -> [Cell; 7] {
+fn crossing(spent: &Estimate, reading: LambdaReading, e_b: f64, tau: f64, devices: u32) -> [SheetValue; 7] {
+    // If no λ brings this much, both ends are NaN, which a table shows as a dash.
     let (from, to) = positive_net(reading, e_b, spent.mean, tau).unwrap_or((f64::NAN, f64::NAN));
     [
         spent.mean.into(),
@@ -147,9 +148,10 @@ fn crossing(spent: &Estimate, reading: Reading, e_b: f64, tau: f64, devices: u32
     ]
 }
 
-/// What the paper states, where `reading` can be meant.
-fn stated(reading: Reading, devices: u32, e_b: f64) -> String {
-    let same = |s: &&Stated| reading == Reading::Eq5 && s.devices == devices && (s.e_b - e_b).abs() < 1e-9;
+/// Formats the threshold stated in the paper; "–" if no threshold applies to `reading`.
+fn stated(reading: LambdaReading, devices: u32, e_b: f64) -> String {
+    let same =
+        |s: &&StatedThreshold| reading == LambdaReading::Eq5 && s.devices == devices && (s.e_b - e_b).abs() < 1e-9;
     match STATED.iter().find(same) {
         Some(s) => {
             let ends: Vec<String> = s.ends().map(|end| format!("{} ({})", end.lambda, end.policy)).collect();
@@ -159,7 +161,7 @@ fn stated(reading: Reading, devices: u32, e_b: f64) -> String {
     }
 }
 
-fn notes(points: &[Point]) -> Vec<String> {
+fn notes(points: &[HarvestPoint]) -> Vec<String> {
     let missed = points
         .iter()
         .filter(|p| (p.harvested.mean - p.closed_form).abs() > p.harvested.half_width)

@@ -20,8 +20,8 @@ const COLUMNS: &[&str] = &[
     "deployments",
 ];
 
-/// Finds E(I_min).
-pub fn run(args: &IminArgs) -> anyhow::Result<ExitCode> {
+/// Measures E(I_min).
+pub(super) fn run(args: &IminArgs) -> anyhow::Result<ExitCode> {
     let mut rows = Vec::new();
     let mut about = String::new();
     for layout in words("--layouts", &args.layouts, "uniform,grid")? {
@@ -34,7 +34,7 @@ pub fn run(args: &IminArgs) -> anyhow::Result<ExitCode> {
             let found = measure(&scenario, args.seeds)?;
             rows.push(vec![
                 layout.into(),
-                scenario.devices.into(),
+                scenario.run.devices.into(),
                 found.grid.into(),
                 found.measured.mean.into(),
                 found.measured.deviation.into(),

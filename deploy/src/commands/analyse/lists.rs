@@ -1,17 +1,17 @@
-//! Lists on the command line, and the scenarios that they make.
+//! Parsing of lists on the command line, and the scenarios built from them.
 
 use anyhow::bail;
 use reveille_bs::scenario::{Override, Scenario, load};
 use reveille_common::units::{Energy, MAX_UNITS};
-use reveille_study::analysis::harvest::Reading;
+use reveille_study::analysis::harvest::LambdaReading;
 
 use crate::cli::StudyArgs;
 
-/// The words of the list `text` given by `flag`.
+/// Splits the list `text` given by `flag` into words.
 ///
 /// # Errors
-/// If there are none.
-pub fn words<'a>(flag: &str, text: &'a str, example: &str) -> anyhow::Result<Vec<&'a str>> {
+/// If the list is empty.
+pub(super) fn words<'a>(flag: &str, text: &'a str, example: &str) -> anyhow::Result<Vec<&'a str>> {
     let words: Vec<&str> = text.split(',').map(str::trim).filter(|word| !word.is_empty()).collect();
     if words.is_empty() {
         bail!(
@@ -22,11 +22,11 @@ pub fn words<'a>(flag: &str, text: &'a str, example: &str) -> anyhow::Result<Vec
     Ok(words)
 }
 
-/// The numbers of the list `text` given by `flag`.
+/// Parses the numbers of the list `text` given by `flag`.
 ///
 /// # Errors
-/// If there are none, or a word is no number.
-pub fn numbers(flag: &str, text: &str, example: &str) -> anyhow::Result<Vec<f64>> {
+/// If the list is empty, or a word is not a finite number.
+pub(super) fn numbers(flag: &str, text: &str, example: &str) -> anyhow::Result<Vec<f64>> {
     let read = |word: &str| match word.parse::<f64>() {
         Ok(number) if number.is_finite() => Ok(number),
         Ok(_) | Err(_) => bail!(
@@ -36,11 +36,11 @@ pub fn numbers(flag: &str, text: &str, example: &str) -> anyhow::Result<Vec<f64>
     words(flag, text, example)?.into_iter().map(read).collect()
 }
 
-/// The energies E_B of `--e-b`, units.
+/// Parses the energies E_B of `--e-b`, units.
 ///
 /// # Errors
-/// If there are none, or one is out of its range.
-pub fn energies(text: &str) -> anyhow::Result<Vec<Energy>> {
+/// If the list is empty, or a value is out of range.
+pub(super) fn energies(text: &str) -> anyhow::Result<Vec<Energy>> {
     let in_range = |units: f64| match Energy::from_units(units) {
         Some(energy) if energy > Energy::ZERO => Ok(energy),
         Some(_) | None => bail!("--e-b {text}: {units} must be above 0 and at most {MAX_UNITS} units an arrival"),
@@ -48,23 +48,23 @@ pub fn energies(text: &str) -> anyhow::Result<Vec<Energy>> {
     numbers("--e-b", text, "1,5,10")?.into_iter().map(in_range).collect()
 }
 
-/// The readings of `--readings`.
+/// Parses the readings of `--readings`.
 ///
 /// # Errors
-/// If there are none, or one is unknown.
-pub fn readings(text: &str) -> anyhow::Result<Vec<Reading>> {
-    let known = |word: &str| match Reading::ALL.into_iter().find(|r| r.name() == word) {
+/// If the list is empty, or a reading is unknown.
+pub(super) fn readings(text: &str) -> anyhow::Result<Vec<LambdaReading>> {
+    let known = |word: &str| match LambdaReading::ALL.into_iter().find(|r| r.name() == word) {
         Some(reading) => Ok(reading),
         None => bail!("--readings {text}: `{word}` is no reading of λ; must be eq5 or exp-minus-lambda"),
     };
     words("--readings", text, "eq5")?.into_iter().map(known).collect()
 }
 
-/// The duty cycles (t_on, t_DRX) of `--duty`.
+/// Parses the duty cycles (t_on, t_DRX) of `--duty`.
 ///
 /// # Errors
-/// If there are none, or one is not of the form t_on/t_DRX.
-pub fn duties(text: &str) -> anyhow::Result<Vec<(u32, u32)>> {
+/// If the list is empty, or an entry is not of the form t_on/t_DRX.
+pub(super) fn duties(text: &str) -> anyhow::Result<Vec<(u32, u32)>> {
     let read = |word: &str| {
         let pair = word
             .split_once('/')
@@ -80,11 +80,11 @@ pub fn duties(text: &str) -> anyhow::Result<Vec<(u32, u32)>> {
     words("--duty", text, "1/2,1/8")?.into_iter().map(read).collect()
 }
 
-/// The scenario of `study` with `fields` on top: the option that says so, the field, its value.
+/// Builds the scenario of `study` with `fields` on top. Each entry has the option, the field and the value.
 ///
 /// # Errors
-/// If it cannot be used; the message names the field and the option.
-pub fn scenario(study: &StudyArgs, fields: &[(&str, &str, Option<&str>)]) -> anyhow::Result<Scenario> {
+/// If the scenario is invalid; the message names the field and the option.
+pub(super) fn scenario(study: &StudyArgs, fields: &[(&str, &str, Option<&str>)]) -> anyhow::Result<Scenario> {
     let mut overrides: Vec<Override> = study
         .set
         .iter()
@@ -93,10 +93,10 @@ pub fn scenario(study: &StudyArgs, fields: &[(&str, &str, Option<&str>)]) -> any
     let seed = [("--seed", "seed", study.seed.as_deref())];
     for (flag, field, value) in seed.iter().chain(fields) {
         if let Some(value) = value {
-            overrides.push(Override::flag(flag, field, value)?);
+            overrides.push(Override::from_flag(flag, field, value)?);
         }
     }
-    Ok(load(&study.scenario, &overrides)?)
+    Ok(load(&study.scenario, &overrides)?.scenario)
 }
 
 #[cfg(test)]
@@ -109,7 +109,7 @@ mod tests {
         assert_eq!(duties("1/2, 3/3").expect("duties"), [(1, 2), (3, 3)]);
         assert_eq!(
             readings("exp-minus-lambda").expect("a reading"),
-            [Reading::ExpMinusLambda]
+            [LambdaReading::ExpMinusLambda]
         );
         assert_eq!(energies("0.5").expect("an energy"), [Energy::from_micro(500_000)]);
     }

@@ -1,4 +1,4 @@
-//! `reveille analyse`: the paper's analysis beside what the machines do.
+//! `reveille analyse`: the paper's analysis next to measurements of the emulator.
 
 mod battery;
 mod harvest;
@@ -12,8 +12,8 @@ use std::process::ExitCode;
 
 use crate::cli::AnalyseCommand;
 
-/// Studies.
-pub fn run(command: &AnalyseCommand) -> anyhow::Result<ExitCode> {
+/// Runs a study.
+pub(crate) fn run(command: &AnalyseCommand) -> anyhow::Result<ExitCode> {
     match command {
         AnalyseCommand::Transitions(args) => transitions::run(args),
         AnalyseCommand::Battery(args) => battery::run(args),

@@ -1,14 +1,14 @@
-//! `reveille analyse runtime`: the one study that reads the wall clock.
+//! `reveille analyse runtime`: the only study that reads the wall clock.
 
 use std::process::ExitCode;
 
-use reveille_common::scenario::Scenario;
-use reveille_study::analysis::runtime::{Work, paper_claim, power_law};
+use reveille_bs::scenario::Scenario;
+use reveille_study::analysis::runtime::{TimedWork, paper_claim, power_law};
 
 use super::lists::{scenario, words};
-use super::sheet::{Cell, Findings, Sheet};
+use super::sheet::{Findings, Sheet, SheetValue};
 use crate::cli::RuntimeArgs;
-use crate::wall::{median, now};
+use crate::runtime::{median, now};
 
 const TIMES: &[&str] = &[
     "policy",
@@ -28,12 +28,12 @@ struct Times {
     tti_s: f64,
     decision_s: f64,
     wake_ups: f64,
-    /// Seconds for a decision on who senses; NaN where a plan holds for good.
+    /// Seconds for a sensing decision; NaN if a plan never changes.
     plan_s: f64,
 }
 
-/// Times every policy with every N, and fits.
-pub fn run(args: &RuntimeArgs) -> anyhow::Result<ExitCode> {
+/// Times every policy with every N, and fits power laws.
+pub(super) fn run(args: &RuntimeArgs) -> anyhow::Result<ExitCode> {
     let (mut rows, mut fits) = (Vec::new(), Vec::new());
     for policy in words("--policies", &args.policies, "knn,random")? {
         let mut times = Vec::new();
@@ -77,7 +77,7 @@ pub fn run(args: &RuntimeArgs) -> anyhow::Result<ExitCode> {
         ],
         notes: vec![
             "adjusted searches one (t_on, t_DRX) for all devices, so its set-up is ϱ pilot runs and not the ϱ^N of a \
-             search that gives each device its own. knn finds neighbours by a k-d tree, not by all N(N−1)/2 distances."
+             search for each device. knn finds neighbours in a grid, not by all N(N−1)/2 distances."
                 .to_owned(),
             "q-learning decides in every TTI who senses (plan); a decision is what follows a report, with all \
              wake-ups. The plans of the others hold for good."
@@ -92,17 +92,14 @@ fn measure(scenario: &Scenario, args: &RuntimeArgs) -> Times {
     let (mut set_ups, mut runs, mut decisions, mut plans) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     let mut wake_ups = 0;
     for repetition in 0..args.repeat {
-        // A seed of its own: what a search found for another deployment is no help.
-        let work = Work::new(Scenario {
-            seed: scenario.seed.wrapping_add(repetition),
-            ..scenario.clone()
-        });
+        // Each repetition has another seed, and so another deployment.
+        let work = TimedWork::new(scenario.with_seed(scenario.run.seed.wrapping_add(repetition)));
         let started = now();
         let run = work.set_up();
         set_ups.push(started.elapsed().as_secs_f64());
         let started = now();
-        Work::run(run);
-        runs.push(started.elapsed().as_secs_f64() / scenario.ttis as f64);
+        TimedWork::run(run);
+        runs.push(started.elapsed().as_secs_f64() / scenario.run.ttis as f64);
         let mut decide = work.decide(args.events);
         let started = now();
         wake_ups += decide.run();
@@ -113,7 +110,7 @@ fn measure(scenario: &Scenario, args: &RuntimeArgs) -> Times {
         plans.push(planned.map_or(f64::NAN, |()| seconds));
     }
     Times {
-        n: f64::from(scenario.devices),
+        n: f64::from(scenario.run.devices),
         set_up_s: median(set_ups),
         tti_s: median(runs),
         decision_s: median(decisions),
@@ -122,7 +119,7 @@ fn measure(scenario: &Scenario, args: &RuntimeArgs) -> Times {
     }
 }
 
-fn row(policy: &str, times: &Times) -> Vec<Cell> {
+fn row(policy: &str, times: &Times) -> Vec<SheetValue> {
     vec![
         policy.into(),
         (times.n as u64).into(),
@@ -134,8 +131,8 @@ fn row(policy: &str, times: &Times) -> Vec<Cell> {
     ]
 }
 
-/// One row for each kind of time; without an exponent where there is none to be fitted.
-fn fit(policy: &str, claim: &str, times: &[Times]) -> Vec<Vec<Cell>> {
+/// One row for each kind of time; the exponent is NaN if none can be fitted.
+fn fit(policy: &str, claim: &str, times: &[Times]) -> Vec<Vec<SheetValue>> {
     let fitted = |what: &str, time: fn(&Times) -> f64, claim: &str| {
         let points: Vec<(f64, f64)> = times.iter().map(|t| (t.n, time(t))).collect();
         let law = power_law(&points).map_or((f64::NAN, f64::NAN), |law| (law.exponent, law.half_width));

@@ -1,4 +1,4 @@
-//! What a study has to show: tables, and sentences about them; for people, as JSON, as CSV.
+//! The results of a study: tables and notes, as text, JSON and CSV.
 
 use std::process::ExitCode;
 
@@ -6,17 +6,15 @@ use anyhow::Context;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};
 use reveille_lab::io::put;
+use reveille_study::report::page_sections::wrapped;
 use serde_json::{Map, Value};
 
 use crate::cli::StudyArgs;
 use crate::display;
 
-/// Widest line of a note.
-const WIDTH: usize = 118;
-
 /// One value of a table.
 #[derive(Clone, Debug)]
-pub enum Cell {
+pub(super) enum SheetValue {
     /// A text.
     Text(String),
     /// A whole number.
@@ -25,38 +23,38 @@ pub enum Cell {
     Number(f64),
 }
 
-impl From<&str> for Cell {
+impl From<&str> for SheetValue {
     fn from(text: &str) -> Self {
         Self::Text(text.to_owned())
     }
 }
 
-impl From<String> for Cell {
+impl From<String> for SheetValue {
     fn from(text: String) -> Self {
         Self::Text(text)
     }
 }
 
-impl From<u64> for Cell {
+impl From<u64> for SheetValue {
     fn from(n: u64) -> Self {
         Self::Whole(n)
     }
 }
 
-impl From<u32> for Cell {
+impl From<u32> for SheetValue {
     fn from(n: u32) -> Self {
         Self::Whole(n.into())
     }
 }
 
-impl From<f64> for Cell {
+impl From<f64> for SheetValue {
     fn from(x: f64) -> Self {
         Self::Number(x)
     }
 }
 
-impl Cell {
-    /// The value as people read it, with four significant digits or so.
+impl SheetValue {
+    /// The value as text, with about four significant digits.
     fn shown(&self) -> String {
         match self {
             Self::Text(text) => text.clone(),
@@ -67,7 +65,7 @@ impl Cell {
         }
     }
 
-    /// The value as machines read it: in full, and empty where it is not defined.
+    /// The value with full precision for CSV; empty if undefined.
     fn exact(&self) -> String {
         match self {
             Self::Text(text) => text.clone(),
@@ -81,6 +79,7 @@ impl Cell {
         match self {
             Self::Text(text) => text.as_str().into(),
             Self::Whole(n) => (*n).into(),
+            // serde_json turns NaN into null.
             Self::Number(x) => (*x).into(),
         }
     }
@@ -88,15 +87,15 @@ impl Cell {
 
 /// A table.
 #[derive(Clone, Debug)]
-pub struct Sheet {
+pub(super) struct Sheet {
     /// Its key in JSON.
     pub name: &'static str,
-    /// What its rows are, for people.
+    /// Its heading, which names the content of a row.
     pub title: String,
     /// Its columns: keys in JSON and headers elsewhere.
     pub columns: &'static [&'static str],
     /// Its rows, each as long as `columns`.
-    pub rows: Vec<Vec<Cell>>,
+    pub rows: Vec<Vec<SheetValue>>,
 }
 
 impl Sheet {
@@ -106,10 +105,10 @@ impl Sheet {
             .load_style(UTF8_FULL_CONDENSED)
             .set_header(self.columns.iter().copied());
         for row in &self.rows {
-            table.add_row(row.iter().map(Cell::shown));
+            table.add_row(row.iter().map(SheetValue::shown));
         }
         for column in 0..self.columns.len() {
-            let is_number = |row: &Vec<Cell>| !matches!(row[column], Cell::Text(_));
+            let is_number = |row: &Vec<SheetValue>| !matches!(row[column], SheetValue::Text(_));
             if self.rows.iter().any(is_number)
                 && let Some(column) = table.column_mut(column)
             {
@@ -120,7 +119,7 @@ impl Sheet {
     }
 
     fn json(&self) -> Value {
-        let object = |row: &Vec<Cell>| {
+        let object = |row: &Vec<SheetValue>| {
             let pairs = self.columns.iter().zip(row);
             Value::Object(pairs.map(|(key, cell)| ((*key).to_owned(), cell.json())).collect())
         };
@@ -131,7 +130,7 @@ impl Sheet {
         let mut writer = csv::Writer::from_writer(Vec::new());
         writer.write_record(self.columns)?;
         for row in &self.rows {
-            writer.write_record(row.iter().map(Cell::exact))?;
+            writer.write_record(row.iter().map(SheetValue::exact))?;
         }
         Ok(writer.into_inner()?)
     }
@@ -139,22 +138,23 @@ impl Sheet {
 
 /// The results of a study.
 #[derive(Clone, Debug)]
-pub struct Findings {
-    /// One line that says what was studied.
+pub(super) struct Findings {
+    /// One line that names the studied setup.
     pub title: String,
-    /// The tables; the first is what --csv writes.
+    /// The tables; --csv writes the first one.
     pub sheets: Vec<Sheet>,
-    /// What to know about them.
+    /// Explanations of the tables.
     pub notes: Vec<String>,
 }
 
 impl Findings {
-    /// Writes and prints them as asked.
+    /// Prints the results, and writes the requested files.
     ///
     /// # Errors
     /// If a file or standard output cannot be written.
-    pub fn present(&self, args: &StudyArgs) -> anyhow::Result<ExitCode> {
+    pub(super) fn present(&self, args: &StudyArgs) -> anyhow::Result<ExitCode> {
         if let (Some(path), Some(first)) = (&args.csv, self.sheets.first()) {
+            // `put` writes into links and devices such as /dev/stdout, which a rename would replace.
             let written = put(path, &first.csv()?);
             written.with_context(|| {
                 format!(
@@ -164,7 +164,7 @@ impl Findings {
             })?;
         }
         let text = if args.json { self.json()? } else { self.text() };
-        display::out(&text)?;
+        display::print(&text)?;
         Ok(ExitCode::SUCCESS)
     }
 
@@ -187,25 +187,10 @@ impl Findings {
             text.push('\n');
         }
         for note in &self.notes {
-            text += &wrapped(note);
+            text += &wrapped(&format!("- {note}"), "  ");
         }
         text
     }
-}
-
-/// `note` as an item of a list, broken into lines.
-fn wrapped(note: &str) -> String {
-    let (mut text, mut line) = (String::new(), "-".to_owned());
-    for word in note.split_whitespace() {
-        if line.chars().count() + 1 + word.chars().count() > WIDTH {
-            text += &line;
-            text.push('\n');
-            " ".clone_into(&mut line);
-        }
-        line.push(' ');
-        line += word;
-    }
-    text + &line + "\n"
 }
 
 #[cfg(test)]
@@ -224,13 +209,5 @@ mod tests {
         assert_eq!(csv, "x,y\n\"a,b\",0.1\n7,\n");
         assert_eq!(sheet.json().to_string(), r#"[{"x":"a,b","y":0.1},{"x":7,"y":null}]"#);
         assert!(sheet.table().contains("0.1000"));
-    }
-
-    #[test]
-    fn notes_are_broken_between_words() {
-        let note = "word ".repeat(60);
-        let text = wrapped(&note);
-        assert!(text.lines().all(|line| line.chars().count() <= WIDTH) && text.lines().count() == 3);
-        assert_eq!(text.matches("word").count(), 60);
     }
 }

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use reveille_study::analysis::transitions::{Transition, Transitions, measure};
 
 use super::lists::scenario;
-use super::sheet::{Cell, Findings, Sheet};
+use super::sheet::{Findings, Sheet, SheetValue};
 use crate::cli::TransitionsArgs;
 
 const COLUMNS: &[&str] = &[
@@ -24,7 +24,7 @@ const COLUMNS: &[&str] = &[
 ];
 
 /// Counts transitions.
-pub fn run(args: &TransitionsArgs) -> anyhow::Result<ExitCode> {
+pub(super) fn run(args: &TransitionsArgs) -> anyhow::Result<ExitCode> {
     let scenario = scenario(
         &args.study,
         &[
@@ -38,9 +38,9 @@ pub fn run(args: &TransitionsArgs) -> anyhow::Result<ExitCode> {
         title: format!(
             "P_m,n of Sec. IV · {} · {} devices · {} TTIs · preset {} · {} runs",
             scenario.policy.name(),
-            scenario.devices,
-            scenario.ttis,
-            scenario.preset,
+            scenario.run.devices,
+            scenario.run.ttis,
+            scenario.run.preset,
             args.seeds
         ),
         sheets: vec![Sheet {
@@ -55,7 +55,7 @@ pub fn run(args: &TransitionsArgs) -> anyhow::Result<ExitCode> {
     findings.present(&args.study)
 }
 
-fn row(t: &Transition) -> Vec<Cell> {
+fn row(t: &Transition) -> Vec<SheetValue> {
     vec![
         format!("P_{},{}", t.from, t.to).into(),
         t.printed.into(),

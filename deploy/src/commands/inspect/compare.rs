@@ -1,21 +1,21 @@
-//! `reveille inspect compare`: where two recordings first differ.
+//! `reveille inspect compare`: finds the first difference of two recordings.
 
 use std::fmt::Write as _;
 use std::process::ExitCode;
 
 use anyhow::bail;
-use reveille_view::compare::{Difference, Side, fields, recordings};
+use reveille_view::compare::{FirstDifference, RunSide, fields, recordings};
 
 use super::source::open;
 use crate::cli::CompareArgs;
-use crate::display::out;
-use crate::exit::Exit;
+use crate::display::print;
+use crate::exit::ExitReason;
 
-/// The most devices that are named.
+/// Most devices that are listed.
 const NAMED: usize = 12;
 
-/// Goes through both recordings, one beside the other.
-pub fn run(args: &CompareArgs) -> anyhow::Result<ExitCode> {
+/// Compares both recordings in parallel.
+pub(super) fn run(args: &CompareArgs) -> anyhow::Result<ExitCode> {
     let (mut this, mut other) = (open(&args.this)?, open(&args.other)?);
     let mut said = String::new();
     for (field, this, other) in fields(&this.bundle().scenario, &other.bundle().scenario)? {
@@ -30,24 +30,24 @@ pub fn run(args: &CompareArgs) -> anyhow::Result<ExitCode> {
     if differences.is_empty() {
         said = format!("{said}the same happens in both\n");
     }
-    out(&said)?;
+    print(&said)?;
     if let Some((side, error)) = torn {
         let path = match side {
-            Side::This => &args.this,
-            Side::Other => &args.other,
+            RunSide::This => &args.this,
+            RunSide::Other => &args.other,
         };
         bail!("{}: {error}; both are compared up to there", path.display());
     }
     Ok(if differences.is_empty() {
-        Exit::Done
+        ExitReason::Done
     } else {
-        Exit::Failed
+        ExitReason::Failed
     }
     .into())
 }
 
-fn told(difference: &Difference, is_first: bool) -> String {
-    let Difference { tti, kind, .. } = difference;
+fn told(difference: &FirstDifference, is_first: bool) -> String {
+    let FirstDifference { tti, kind, .. } = difference;
     let nth = if is_first { "first difference" } else { "then" };
     let devices = difference.devices();
     let named: Vec<String> = devices.iter().take(NAMED).map(ToString::to_string).collect();
@@ -59,7 +59,7 @@ fn told(difference: &Difference, is_first: bool) -> String {
     format!(
         "{nth}: {} in TTI {tti}{whose}\n  this:  {}\n  other: {}\n",
         kind.name(),
-        difference.says(Side::This),
-        difference.says(Side::Other)
+        difference.describe(RunSide::This),
+        difference.describe(RunSide::Other)
     )
 }

@@ -1,11 +1,11 @@
-//! `reveille inspect`: the messages of a run, as they go or from a recording.
+//! `reveille inspect`: the messages of a live or recorded run.
 
+mod catch_up;
 mod compare;
 mod export;
-pub mod live;
-mod past;
+pub(crate) mod live;
 mod record;
-pub mod source;
+pub(crate) mod source;
 mod stats;
 mod tail;
 mod verify;
@@ -14,8 +14,8 @@ use std::process::ExitCode;
 
 use crate::cli::InspectCommand;
 
-/// Looks at a run.
-pub async fn run(command: &InspectCommand) -> anyhow::Result<ExitCode> {
+/// Runs an inspection.
+pub(crate) async fn run(command: &InspectCommand) -> anyhow::Result<ExitCode> {
     match command {
         InspectCommand::Tail(args) => tail::run(args).await,
         InspectCommand::Stats(args) => stats::run(args).await,

@@ -1,4 +1,4 @@
-//! `reveille inspect record`: records a run that goes on.
+//! `reveille inspect record`: records a live run.
 
 use std::process::ExitCode;
 use std::time::Instant;
@@ -9,10 +9,10 @@ use reveille_view::recording::Recorder;
 use super::live::Live;
 use crate::cli::InspectRecordArgs;
 use crate::display::note;
-use crate::exit::Exit;
+use crate::exit::ExitReason;
 
-/// Records until the run ends, or Ctrl-C.
-pub async fn run(args: &InspectRecordArgs) -> anyhow::Result<ExitCode> {
+/// Records until the run ends or a signal arrives.
+pub(super) async fn run(args: &InspectRecordArgs) -> anyhow::Result<ExitCode> {
     let path = &args.file;
     if path.exists() {
         bail!("{}: is there already; choose another, or move it away", path.display());
@@ -21,17 +21,19 @@ pub async fn run(args: &InspectRecordArgs) -> anyhow::Result<ExitCode> {
     let bundle = live.bundle().await?;
     let failed = |why: String| anyhow!("{}: {why}", path.display());
     let past = live.past(&bundle).await?;
+    // The file is created last, so that a failed connection leaves none.
     let recorder = Recorder::start(path, &live.run, &bundle).map_err(failed)?;
-    live.greet();
-    let tape = recorder.tape();
-    let started = crate::wall::now();
+    live.report_position();
+    let tape = recorder.handle();
+    let started = crate::runtime::now();
     let record = |frame| {
         tape.take(frame);
         tape.failure().is_none()
     };
     let followed = live.follow(past, record).await;
     drop(tape);
-    let (left_out, whole) = (live.left_out, live.check_whole());
+    let (left_out, whole) = (live.left_out, live.report_early_end());
+    // Closed before any error is returned, so that the frames so far can be read.
     let recorded = recorder.finish(None).map_err(failed)?;
     followed?;
     live.close().await;
@@ -49,5 +51,5 @@ pub async fn run(args: &InspectRecordArgs) -> anyhow::Result<ExitCode> {
         );
     }
     whole?;
-    Ok(Exit::Done.into())
+    Ok(ExitReason::Done.into())
 }

@@ -1,31 +1,31 @@
-//! Where frames come from: a run that goes on, or a recording.
+//! Sources of frames: a live run or a recording.
 
 use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
 use anyhow::Context;
-use reveille_bs::policy::registry;
-use reveille_bs::prepared::Prepared;
+use reveille_bs::cycle::PreparedRun;
+use reveille_bs::scenario::Scenario;
 use reveille_common::ids::Tti;
 use reveille_common::message::Frame;
-use reveille_common::scenario::Scenario;
-use reveille_view::recording::{Bundle, Reader, is_growing};
+use reveille_view::recording::{Bundle, RecordingReader, is_growing};
 
 use super::live::Live;
 use crate::cli::TargetArgs;
 use crate::display::note;
 
-/// A recording on the disk.
-pub type Recording = Reader<BufReader<File>>;
+/// A recording file.
+pub(crate) type RecordingFile = RecordingReader<BufReader<File>>;
 
 /// Opens the recording at `path`.
 ///
 /// # Errors
-/// If it is none, or of another version.
-pub fn open(path: &Path) -> anyhow::Result<Recording> {
+/// If the file is not a recording, or has another version.
+pub(crate) fn open(path: &Path) -> anyhow::Result<RecordingFile> {
     let named = || path.display().to_string();
     let file = File::open(path).with_context(named)?;
+    // A folder can be opened too, and fails only when read.
     anyhow::ensure!(
         file.metadata().is_ok_and(|file| file.is_file()),
         "{}: is not a file",
@@ -34,63 +34,65 @@ pub fn open(path: &Path) -> anyhow::Result<Recording> {
     if is_growing(&file) {
         note!("{} is still being written: this is what there is so far", named());
     }
-    Reader::open(BufReader::new(file)).with_context(named)
+    RecordingReader::open(BufReader::new(file)).with_context(named)
 }
 
-/// Where frames come from.
-pub enum Source {
-    /// A run that goes on.
+/// A source of frames.
+pub(crate) enum FrameSource {
+    /// A live run.
     Live(Box<Live>),
     /// A recording, with its name.
-    Recorded(Box<Recording>, String),
+    Recorded(Box<RecordingFile>, String),
 }
 
-impl Source {
-    /// The recording at `from`, or else the run that `target` means.
+impl FrameSource {
+    /// Opens the recording at `from`, or else the run that `target` selects.
     ///
     /// # Errors
-    /// If there is no such run, or it is no recording.
-    pub async fn open(from: Option<&Path>, target: &TargetArgs) -> anyhow::Result<Self> {
-        match from {
-            Some(path) => Ok(Self::Recorded(Box::new(open(path)?), path.display().to_string())),
-            None => Ok(Self::Live(Box::new(Live::connect(target).await?))),
+    /// If there is no such run, or the file is not a recording.
+    pub(crate) async fn open(from: Option<&Path>, target: &TargetArgs) -> anyhow::Result<Self> {
+        if let Some(path) = from {
+            return Ok(Self::Recorded(Box::new(open(path)?), path.display().to_string()));
         }
+        let mut live = Live::connect(target).await?;
+        live.insist()?;
+        Ok(Self::Live(Box::new(live)))
     }
 
     /// The scenario.
     ///
     /// # Errors
-    /// If the run is gone.
-    pub async fn bundle(&self) -> anyhow::Result<Bundle> {
+    /// If the run has ended.
+    pub(crate) async fn bundle(&self) -> anyhow::Result<Bundle> {
         match self {
             Self::Live(live) => live.bundle().await,
             Self::Recorded(recording, _) => Ok(recording.bundle().clone()),
         }
     }
 
-    /// The first frames of TTI `tti` or later come next, of a recording.
+    /// Moves a recording to the first frame of TTI `tti` or later.
     ///
     /// # Errors
     /// If it cannot be read.
-    pub fn seek(&mut self, tti: Tti) -> anyhow::Result<()> {
+    pub(crate) fn seek(&mut self, tti: Tti) -> anyhow::Result<()> {
         match self {
             Self::Live(_) => Ok(()),
             Self::Recorded(recording, name) => recording.seek(tti).with_context(|| name.clone()),
         }
     }
 
-    /// Says where a run that goes on is.
-    pub fn greet(&self) {
+    /// Prints the position of a live run.
+    pub(crate) fn greet(&self) {
         if let Self::Live(live) = self {
-            live.greet();
+            live.report_position();
         }
     }
 
-    /// The next frames, and how many were left out before them; nothing after the last.
+    /// Returns the next frames and the number of frames dropped before them; `None` after the last.
     ///
     /// # Errors
     /// If the recording is torn or damaged here.
-    pub async fn next(&mut self) -> anyhow::Result<Option<(Vec<Frame>, u64)>> {
+    pub(crate) async fn next(&mut self) -> anyhow::Result<Option<(Vec<Frame>, u64)>> {
         match self {
             Self::Live(live) => Ok(live.next().await),
             Self::Recorded(recording, name) => {
@@ -100,8 +102,8 @@ impl Source {
         }
     }
 
-    /// What is to be said at the end of `shown` messages.
-    pub fn said(&self, shown: u64) -> String {
+    /// The closing line after `shown` messages.
+    pub(crate) fn closing_line(&self, shown: u64) -> String {
         match self {
             Self::Live(live) => {
                 let left_out = live.left_out;
@@ -111,20 +113,20 @@ impl Source {
         }
     }
 
-    /// Ends it.
-    pub async fn close(self) {
+    /// Closes the source.
+    pub(crate) async fn close(self) {
         if let Self::Live(live) = self {
             live.close().await;
         }
     }
 }
 
-/// The group of each device, where the policy of `scenario` groups them by place and no pilot runs are needed to know.
-pub fn groups(scenario: &Scenario) -> Option<Vec<u32>> {
-    let prepared = Prepared::without_pilots(scenario);
-    if registry::pilots(prepared.policies, &scenario.policy).is_some() {
+/// The group of each device; `None` if the policy has no groups by position or needs pilot runs to form them.
+pub(crate) fn groups(scenario: &Scenario) -> Option<Vec<u32>> {
+    let prepared = PreparedRun::without_pilots(scenario);
+    if scenario.policy.settings().pilots().is_some() {
         return None;
     }
     let known = prepared.knowledge();
-    prepared.mind(&known).groups().map(<[u32]>::to_vec)
+    prepared.policy(&known).groups().map(<[u32]>::to_vec)
 }

@@ -1,4 +1,4 @@
-//! `reveille inspect stats`: how many messages there are, and how many bytes.
+//! `reveille inspect stats`: numbers and bytes of messages.
 
 use std::io::IsTerminal;
 use std::process::ExitCode;
@@ -7,26 +7,26 @@ use std::time::Duration;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};
 use reveille_common::message::{MessageKind, Plane};
-use reveille_view::traffic::{Count, Traffic};
+use reveille_view::traffic::{MessageCount, TrafficStats};
 use serde_json::{Value, json};
 
-use super::source::Source;
+use super::source::FrameSource;
 use crate::cli::StatsArgs;
-use crate::display::{note, out};
-use crate::exit::Exit;
+use crate::display::{note, print};
+use crate::exit::ExitReason;
 
 /// Time between two tables with `--watch`.
 const AGAIN: Duration = Duration::from_secs(1);
 
-/// Counts until the run or the recording ends, or Ctrl-C.
-pub async fn run(args: &StatsArgs) -> anyhow::Result<ExitCode> {
-    let mut source = Source::open(args.from.as_deref(), &args.target).await?;
-    let devices = source.bundle().await?.load()?.devices;
+/// Counts until the run or recording ends, or a signal arrives.
+pub(super) async fn run(args: &StatsArgs) -> anyhow::Result<ExitCode> {
+    let mut source = FrameSource::open(args.from.as_deref(), &args.target).await?;
+    let devices = source.bundle().await?.load()?.run.devices;
     if let Some(since) = args.since {
         source.seek(reveille_common::ids::Tti(since))?;
     }
     source.greet();
-    let (mut traffic, mut shown) = (Traffic::default(), crate::wall::now());
+    let (mut traffic, mut shown) = (TrafficStats::default(), crate::runtime::now());
     let torn = loop {
         match source.next().await {
             Ok(Some((frames, _))) => {
@@ -42,17 +42,18 @@ pub async fn run(args: &StatsArgs) -> anyhow::Result<ExitCode> {
             Err(error) => break Some(error),
         }
         if args.watch && shown.elapsed() >= AGAIN {
+            // Control codes belong on a screen, not in a file.
             let clear = if std::io::stdout().is_terminal() {
                 "\u{1b}[2J\u{1b}[H"
             } else {
                 ""
             };
-            out(&format!("{clear}{}\n", told(args, &traffic, devices)))?;
-            shown = crate::wall::now();
+            print(&format!("{clear}{}\n", told(args, &traffic, devices)))?;
+            shown = crate::runtime::now();
         }
     };
-    out(&format!("{}\n", told(args, &traffic, devices)))?;
-    if let Source::Live(live) = &source
+    print(&format!("{}\n", told(args, &traffic, devices)))?;
+    if let FrameSource::Live(live) = &source
         && live.left_out > 0
     {
         note!(
@@ -61,10 +62,10 @@ pub async fn run(args: &StatsArgs) -> anyhow::Result<ExitCode> {
         );
     }
     source.close().await;
-    torn.map_or_else(|| Ok(Exit::Done.into()), Err)
+    torn.map_or_else(|| Ok(ExitReason::Done.into()), Err)
 }
 
-fn told(args: &StatsArgs, traffic: &Traffic, devices: u32) -> String {
+fn told(args: &StatsArgs, traffic: &TrafficStats, devices: u32) -> String {
     if args.json {
         json(traffic, devices, args.devices).to_string()
     } else {
@@ -72,7 +73,7 @@ fn told(args: &StatsArgs, traffic: &Traffic, devices: u32) -> String {
     }
 }
 
-fn json(traffic: &Traffic, devices: u32, by_device: bool) -> Value {
+fn json(traffic: &TrafficStats, devices: u32, by_device: bool) -> Value {
     let kinds = traffic.kinds().map(|(kind, count)| {
         json!({ "kind": kind.name(), "plane": kind.plane().name(), "messages": count.messages, "bytes": count.bytes })
     });
@@ -85,7 +86,7 @@ fn json(traffic: &Traffic, devices: u32, by_device: bool) -> Value {
         "control_share_of_air_bytes": traffic.control_share(),
     });
     if by_device {
-        let device = |(device, kinds): (_, &std::collections::BTreeMap<MessageKind, Count>)| {
+        let device = |(device, kinds): (_, &std::collections::BTreeMap<MessageKind, MessageCount>)| {
             let kinds = kinds.iter().map(|(kind, count)| (kind.name().to_owned(), json!(count)));
             json!({ "device": device, "kinds": kinds.collect::<serde_json::Map<_, _>>() })
         };
@@ -94,7 +95,7 @@ fn json(traffic: &Traffic, devices: u32, by_device: bool) -> Value {
     told
 }
 
-fn text(traffic: &Traffic, devices: u32, by_device: bool) -> String {
+fn text(traffic: &TrafficStats, devices: u32, by_device: bool) -> String {
     let ttis = traffic.ttis().max(1) as f64;
     let mut table = Table::new();
     let header = [
@@ -107,7 +108,7 @@ fn text(traffic: &Traffic, devices: u32, by_device: bool) -> String {
         "bytes/TTI/device",
     ];
     table.load_style(UTF8_FULL_CONDENSED).set_header(header);
-    let row = |name: &str, plane: &str, count: Count| {
+    let row = |name: &str, plane: &str, count: MessageCount| {
         let each = count.bytes as f64 / ttis;
         [
             name.to_owned(),
@@ -149,7 +150,7 @@ fn text(traffic: &Traffic, devices: u32, by_device: bool) -> String {
     told.join("\n")
 }
 
-fn of_devices(traffic: &Traffic) -> Table {
+fn of_devices(traffic: &TrafficStats) -> Table {
     let mut table = Table::new();
     table.load_style(UTF8_FULL_CONDENSED).set_header([
         "device",

@@ -1,39 +1,39 @@
-//! `reveille inspect tail`: messages, decoded, one a line.
+//! `reveille inspect tail`: decoded messages, one per line.
 
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
 
 use anyhow::bail;
+use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
 use reveille_common::ids::DeviceId;
 use reveille_common::message::{Frame, MessageKind, Plane};
-use reveille_common::scenario::Scenario;
 use reveille_common::state::DeviceState;
+use reveille_view::device_mirror::DeviceMirror;
 use reveille_view::filter::Filter;
-use reveille_view::join::{Join, Joined, Step};
-use reveille_view::line::Line;
-use reveille_view::mirror::Mirror;
+use reveille_view::frame_line::FrameLine;
+use reveille_view::wake_up_pairs::{PairStep, WakeUpExchange, WakeUpPairer};
 use serde_json::json;
 
-use super::source::{Source, groups};
+use super::source::{FrameSource, groups};
 use crate::cli::{ColourArg, TailArgs};
 use crate::display::note;
-use crate::exit::Exit;
+use crate::exit::ExitReason;
 
-/// Shows the messages that are asked for.
-pub async fn run(args: &TailArgs) -> anyhow::Result<ExitCode> {
+/// Prints the requested messages.
+pub(super) async fn run(args: &TailArgs) -> anyhow::Result<ExitCode> {
     let mut filter = filter(args);
     filter.check().map_err(anyhow::Error::msg)?;
-    let mut source = Source::open(args.from.as_deref(), &args.target).await?;
+    let mut source = FrameSource::open(args.from.as_deref(), &args.target).await?;
     let needs_scenario = args.cluster.is_some() || !filter.states.is_empty();
-    let scenario = if needs_scenario || matches!(source, Source::Recorded(..)) {
+    let scenario = if needs_scenario || matches!(source, FrameSource::Recorded(..)) {
         Some(source.bundle().await?.load()?)
     } else {
         None
     };
     let devices = match (&source, &scenario) {
-        (Source::Live(live), _) => live.devices,
-        (_, Some(scenario)) => scenario.devices,
+        (FrameSource::Live(live), _) => live.devices,
+        (_, Some(scenario)) => scenario.run.devices,
         (_, None) => 0,
     };
     if let Some(device) = args.device {
@@ -48,15 +48,15 @@ pub async fn run(args: &TailArgs) -> anyhow::Result<ExitCode> {
         filter.devices = Some(of_cluster(scenario, cluster, filter.devices.as_deref())?);
     }
     let mut printer = Printer::new(args, filter, scenario.as_ref());
-    // States follow from all that was before.
+    // With --state the mirror needs every frame, so a recording is read from its start.
     if printer.mirror.is_none() {
         source.seek(printer.filter.first())?;
     }
     source.greet();
     let ended = printer.print(&mut source).await;
-    note!("{}", source.said(printer.printed));
+    note!("{}", source.closing_line(printer.printed));
     source.close().await;
-    ended.map(|()| Exit::Done.into())
+    ended.map(|()| ExitReason::Done.into())
 }
 
 fn filter(args: &TailArgs) -> Filter {
@@ -71,7 +71,7 @@ fn filter(args: &TailArgs) -> Filter {
     }
 }
 
-/// The devices of a cluster of the policy of `scenario`, those of them in `also` if that is given.
+/// The devices of a cluster of the policy of `scenario`, limited to `also` if given.
 fn of_cluster(scenario: &Scenario, cluster: u32, also: Option<&[DeviceId]>) -> anyhow::Result<Vec<DeviceId>> {
     let Some(groups) = groups(scenario) else {
         bail!(
@@ -90,14 +90,14 @@ fn of_cluster(scenario: &Scenario, cluster: u32, also: Option<&[DeviceId]>) -> a
     Ok(own.filter(|id| also.is_none_or(|also| also.contains(id))).collect())
 }
 
-/// Prints what passes.
+/// Prints the frames that pass the filter.
 struct Printer<'a> {
     args: &'a TailArgs,
     filter: Filter,
-    join: Option<Join>,
-    /// Tells the states of devices, where they are asked for.
-    mirror: Option<Mirror>,
-    /// The state of the device that was woken last, before that.
+    join: Option<WakeUpPairer>,
+    /// Tracks the states of devices, if requested.
+    mirror: Option<DeviceMirror>,
+    /// The state of the last woken device before its wake-up.
     before_wake: Option<DeviceState>,
     has_colour: bool,
     printed: u64,
@@ -107,11 +107,11 @@ impl<'a> Printer<'a> {
     fn new(args: &'a TailArgs, filter: Filter, scenario: Option<&Scenario>) -> Self {
         let is_wanted = |_: &&Scenario| !filter.states.is_empty();
         Self {
-            join: args.join.then(Join::default),
+            join: args.join.then(WakeUpPairer::default),
             before_wake: None,
             mirror: scenario
                 .filter(is_wanted)
-                .map(|scenario| Mirror::new(scenario, &Deployment::new(scenario))),
+                .map(|scenario| DeviceMirror::new(scenario, &Deployment::new(scenario))),
             has_colour: match args.colour {
                 ColourArg::Always => true,
                 ColourArg::Never => false,
@@ -125,13 +125,14 @@ impl<'a> Printer<'a> {
         }
     }
 
-    /// Prints until enough is printed, nobody reads, or there is no more.
-    async fn print(&mut self, source: &mut Source) -> anyhow::Result<()> {
+    /// Prints until enough messages are printed, the output is closed, or the source ends.
+    async fn print(&mut self, source: &mut FrameSource) -> anyhow::Result<()> {
         let mut is_first = true;
         while !self.is_done() {
             let Some((frames, missing)) = source.next().await? else {
                 return Ok(());
             };
+            // The mirror follows the states from TTI 0 on; after a gap they would be wrong.
             if let (Some(_), Some(frame)) = (&self.mirror, frames.first()) {
                 let is_late = std::mem::take(&mut is_first) && frame.tti.0 > 0;
                 if missing > 0 || is_late {
@@ -148,13 +149,14 @@ impl<'a> Printer<'a> {
                     return Ok(());
                 }
                 if let Some(line) = self.line(frame)? {
+                    // A reader that closes the pipe, such as `head`, ends the command in order.
                     if writeln!(out, "{line}").is_err() {
                         return Ok(());
                     }
                     self.printed += 1;
                 }
             }
-            if matches!(source, Source::Live(_)) && out.flush().is_err() {
+            if matches!(source, FrameSource::Live(_)) && out.flush().is_err() {
                 return Ok(());
             }
         }
@@ -165,25 +167,26 @@ impl<'a> Printer<'a> {
         self.args.count.is_some_and(|count| self.printed >= count)
     }
 
-    /// The line of a frame that passes.
+    /// Formats the line of a frame, if it passes the filter.
     fn line(&mut self, frame: &Frame) -> anyhow::Result<Option<String>> {
-        let line = Line::of(frame);
+        let line = FrameLine::of(frame);
         let mut state = None;
         if let Some(mirror) = &mut self.mirror {
+            // Filters see the state before the message has its effect.
             state = frame.device().and_then(|device| mirror.state(device));
             if frame.kind == MessageKind::Wake {
                 self.before_wake = state;
             }
             if let Ok(message) = &line.message {
-                mirror.take(frame, message)?;
+                mirror.apply(frame, message)?;
             }
         }
         let step = self
             .join
             .as_mut()
-            .map_or(Step::Alone, |join| join.take(frame, &line.message));
-        if let Step::Complete(joined) = step {
-            // It is a wake-up, whatever of it has come last.
+            .map_or(PairStep::Alone, |join| join.take(frame, &line.message));
+        if let PairStep::Complete(joined) = step {
+            // The filter treats the joined line as a wake-up, although its last frame is of another kind.
             let wake = Frame {
                 kind: MessageKind::Wake,
                 ..frame.clone()
@@ -191,12 +194,12 @@ impl<'a> Printer<'a> {
             let passes = self.filter.passes(&wake, line.message.as_ref().ok(), self.before_wake);
             return Ok(passes.then(|| self.joined(&joined)));
         }
-        let passes = step == Step::Alone && self.filter.passes(frame, line.message.as_ref().ok(), state);
+        let passes = step == PairStep::Alone && self.filter.passes(frame, line.message.as_ref().ok(), state);
         Ok(passes.then(|| self.shown(frame.kind, &line)))
     }
 
-    fn joined(&self, joined: &Joined) -> String {
-        let Joined {
+    fn joined(&self, joined: &WakeUpExchange) -> String {
+        let WakeUpExchange {
             tti,
             device,
             outcome,
@@ -212,7 +215,7 @@ impl<'a> Printer<'a> {
         self.painted(MessageKind::Wake, joined.to_string())
     }
 
-    fn shown(&self, kind: MessageKind, line: &Line<'_>) -> String {
+    fn shown(&self, kind: MessageKind, line: &FrameLine<'_>) -> String {
         if self.args.json {
             line.to_json()
         } else {
@@ -220,7 +223,7 @@ impl<'a> Printer<'a> {
         }
     }
 
-    /// `text` in the colour of its kind.
+    /// Returns `text` in the colour of its kind.
     fn painted(&self, kind: MessageKind, text: String) -> String {
         let code = match (kind, kind.plane()) {
             (MessageKind::Wake, _) => "1;33",

@@ -1,4 +1,4 @@
-//! `reveille inspect verify`: what a recording says that its run came to, from its messages alone.
+//! `reveille inspect verify`: recomputes the results of a recorded run from its messages alone.
 
 use std::collections::BTreeMap;
 use std::fmt::Debug;
@@ -6,23 +6,23 @@ use std::process::ExitCode;
 
 use anyhow::{Context, bail};
 use reveille_common::ids::Tti;
-use reveille_common::score::Final;
+use reveille_common::score::FinalScore;
 use reveille_common::totals::Totals;
-use reveille_view::replay::Replay;
+use reveille_view::reconstruction::Reconstruction;
 use serde::Deserialize;
 
 use super::source::open;
 use crate::cli::VerifyArgs;
-use crate::display::{count, out};
-use crate::exit::Exit;
+use crate::display::{count, print};
+use crate::exit::ExitReason;
 
-/// Goes through a recording.
-pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
+/// Verifies a recording.
+pub(super) fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     let named = || args.file.display().to_string();
     let mut recording = open(&args.file)?;
     let summary = recording.summary().map(str::to_owned);
     let scenario = recording.bundle().load().with_context(named)?;
-    let mut replay = Replay::new(&scenario);
+    let mut replay = Reconstruction::new(&scenario);
     let mut frames = 0;
     let torn = loop {
         match recording.next_frame() {
@@ -34,7 +34,7 @@ pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
                     named(),
                     frame.tti
                 );
-                replay.take(&frame).with_context(named)?;
+                replay.apply(&frame).with_context(named)?;
                 frames += 1;
             }
             Ok(None) => break None,
@@ -50,38 +50,38 @@ pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
         ttis.saturating_sub(1)
     );
     if let Some(error) = torn {
-        out(&format!("{said}\n"))?;
+        print(&format!("{said}\n"))?;
         bail!("{}: {error}; there is no summary to compare with", named());
     }
     let Some(summary) = summary else {
-        out(&format!("{said}\ndigest of these TTIs {}\n", own.digest))?;
-        let why = if ttis < scenario.ttis {
-            format!("the run was cut short, before TTI {}", scenario.ttis)
+        print(&format!("{said}\ndigest of these TTIs {}\n", own.digest))?;
+        let why = if ttis < scenario.run.ttis {
+            format!("the run was cut short, before TTI {}", scenario.run.ttis)
         } else {
             "it was recorded by another program than the run's, or its end was damaged".to_owned()
         };
         bail!("{}: there is no summary to compare with: {why}", named());
     };
-    let summary: Told = serde_json::from_str(&summary).with_context(named)?;
+    let summary: ExpectedResults = serde_json::from_str(&summary).with_context(named)?;
     let metrics = compare(&own, ttis, &summary).with_context(named)?;
-    out(&format!(
+    print(&format!(
         "{said}\ndigest {}, as in the summary\n{metrics} metrics and all totals, as in the summary\n",
         own.digest
     ))?;
-    Ok(Exit::Done.into())
+    Ok(ExitReason::Done.into())
 }
 
-/// What a summary says that follows from messages.
+/// The results in a summary that follow from the messages.
 #[derive(Deserialize)]
-struct Told {
+struct ExpectedResults {
     digest: String,
     ttis_done: u64,
     metrics: BTreeMap<String, Option<f64>>,
     totals: Totals,
 }
 
-/// Holds what the messages come to against the summary. Gives the number of metrics.
-fn compare(own: &Final, ttis: u64, told: &Told) -> anyhow::Result<usize> {
+/// Compares the results from the messages with the summary. Returns the number of metrics.
+fn compare(own: &FinalScore, ttis: u64, told: &ExpectedResults) -> anyhow::Result<usize> {
     fn same<T: PartialEq + Debug>(what: &str, own: &T, told: &T) -> anyhow::Result<()> {
         anyhow::ensure!(
             own == told,
@@ -92,10 +92,12 @@ fn compare(own: &Final, ttis: u64, told: &Told) -> anyhow::Result<usize> {
     same("ttis_done", &ttis, &told.ttis_done)?;
     let rows = own.metrics.rows();
     for (name, value, _) in &rows {
+        // JSON has no NaN: the summary holds null instead.
         let value = Some(*value).filter(|value| !value.is_nan());
         same(name, &value, &told.metrics.get(*name).copied().flatten())?;
     }
     same("totals", &own.totals, &told.totals)?;
+    // The digest comes last: the comparisons before it name the difference.
     same("digest", &own.digest.to_string(), &told.digest)?;
     Ok(rows.len())
 }

@@ -1,70 +1,70 @@
 //! The progress bar of a sweep.
 //!
-//! The time that is left is estimated from what each cell's runs have taken so far; for cells of which none has
-//! finished, from their device-TTIs at the mean rate of the others.
+//! The remaining time is estimated from the finished runs of each cell. A cell without finished runs counts with its
+//! device-TTIs at the mean rate of the others.
 
 use std::collections::BTreeSet;
-use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
 use std::thread::ThreadId;
 use std::time::{Duration, Instant};
 
 use indicatif::{HumanDuration, ProgressBar};
-use reveille_lab::sweep::{Grid, Shard, SweepProgress};
+use reveille_lab::sweep::{Shard, SweepGrid, SweepProgress};
 
 use crate::display;
+use crate::signals::Signals;
 
-/// Least time between two drawings.
+/// Least time between two redraws.
 const REDRAW: Duration = Duration::from_millis(100);
 
-/// Follows a sweep and shows where it is.
-pub struct Progress {
+/// Follows a sweep and shows its progress.
+pub(super) struct SweepDisplay {
     bar: ProgressBar,
-    stop: Arc<AtomicBool>,
+    signals: Signals,
     threads: usize,
     labels: Vec<String>,
-    cells: Vec<Tally>,
+    cells: Vec<CellTimes>,
     current: AtomicUsize,
     began: Instant,
     under_way: Mutex<Vec<(ThreadId, Instant)>>,
     drawn: Mutex<Instant>,
-    /// The cells that were warned of.
+    /// The warnings already printed, by cell.
     warned: Mutex<BTreeSet<(usize, String)>>,
 }
 
-/// How far the runs of one cell are.
-struct Tally {
-    /// Device-TTIs of a run.
+/// The progress of one cell.
+struct CellTimes {
+    /// Device-TTIs of one run.
     cost: u64,
     planned: AtomicU64,
     done: AtomicU64,
-    /// Time of all finished runs.
+    /// Total time of all finished runs, nanoseconds.
     nanos: AtomicU64,
 }
 
-impl Progress {
-    /// Shows a sweep of `grid`, of whose runs `found` are there already, unless `hidden` or standard error is no
-    /// terminal.
-    pub fn start(
-        grid: &Grid,
+impl SweepDisplay {
+    /// Shows a sweep of `grid` with `found` finished runs, unless `hidden` or standard error is not a terminal.
+    pub(super) fn start(
+        grid: &SweepGrid,
         shard: Shard,
         threads: usize,
         found: usize,
-        stop: &Arc<AtomicBool>,
+        signals: &Signals,
         hidden: bool,
     ) -> Self {
         let template = "{bar:24} {pos}/{len} runs  {msg}";
         let bar = display::bar(grid.share(shard).saturating_sub(found as u64), template, hidden);
-        let tally = |cost| Tally {
+        let tally = |cost| CellTimes {
             cost,
             planned: AtomicU64::new(0),
             done: AtomicU64::new(0),
             nanos: AtomicU64::new(0),
         };
-        let now = crate::wall::now();
+        let now = crate::runtime::now();
         Self {
             bar,
-            stop: Arc::clone(stop),
+            signals: signals.clone(),
             threads,
             labels: grid.cells.iter().map(|cell| cell.label.clone()).collect(),
             cells: grid.cells.iter().map(|cell| tally(cell.device_ttis())).collect(),
@@ -76,8 +76,8 @@ impl Progress {
         }
     }
 
-    /// Takes the bar away, and gives the device-TTIs that were run.
-    pub fn finish(&self) -> u64 {
+    /// Removes the bar and returns the device-TTIs that were run.
+    pub(super) fn finish(&self) -> u64 {
         self.bar.finish_and_clear();
         self.cells
             .iter()
@@ -85,14 +85,15 @@ impl Progress {
             .fold(0, u64::saturating_add)
     }
 
-    /// Runs that were made.
-    pub fn runs(&self) -> usize {
+    /// The number of finished runs of this call.
+    pub(super) fn runs(&self) -> usize {
         let done: u64 = self.cells.iter().map(|cell| cell.done.load(Ordering::Relaxed)).sum();
         usize::try_from(done).unwrap_or(usize::MAX)
     }
 
     fn draw(&self) {
-        let now = crate::wall::now();
+        let now = crate::runtime::now();
+        // A thread that finds another one drawing continues with its runs.
         let Ok(mut drawn) = self.drawn.try_lock() else { return };
         if now.duration_since(*drawn) < REDRAW {
             return;
@@ -118,7 +119,7 @@ impl Progress {
         ));
     }
 
-    /// The time that is left.
+    /// Estimates the remaining time.
     fn left(&self) -> Duration {
         let known = self.cells.iter().map(|cell| {
             let (done, nanos) = (cell.done.load(Ordering::Relaxed), cell.nanos.load(Ordering::Relaxed));
@@ -128,6 +129,7 @@ impl Progress {
         let (work, time) = known.iter().fold((0.0, 0.0), |(work, time), (cell, done, nanos)| {
             (work + cell.cost as f64 * *done as f64, time + *nanos as f64)
         });
+        // Without a finished run this is 0, not NaN.
         let mean = time / work.max(1.0);
         let left: f64 = known
             .iter()
@@ -141,11 +143,12 @@ impl Progress {
                 left * each
             })
             .sum();
+        // Clamped, since `from_secs_f64` panics on a value that does not fit.
         Duration::from_secs_f64((left / 1e9 / self.threads as f64).min(1e9))
     }
 }
 
-impl SweepProgress for Progress {
+impl SweepProgress for SweepDisplay {
     fn planned(&self, cell: usize, runs: u64) {
         self.cells[cell].planned.fetch_add(runs, Ordering::Relaxed);
     }
@@ -153,14 +156,16 @@ impl SweepProgress for Progress {
     fn started(&self, cell: usize) {
         self.current.store(cell, Ordering::Relaxed);
         let mut under_way = self.under_way.lock().unwrap_or_else(PoisonError::into_inner);
-        under_way.push((std::thread::current().id(), crate::wall::now()));
+        under_way.push((std::thread::current().id(), crate::runtime::now()));
     }
 
     fn finished(&self, cell: usize) {
         let own = std::thread::current().id();
         let mut under_way = self.under_way.lock().unwrap_or_else(PoisonError::into_inner);
+        // A thread makes one run at a time, so its id finds the start.
         let at = under_way.iter().position(|(thread, _)| *thread == own);
         let taken = at.map_or(Duration::ZERO, |at| under_way.swap_remove(at).1.elapsed());
+        // Released before `draw`, which writes to the terminal.
         drop(under_way);
         let nanos = u64::try_from(taken.as_nanos()).unwrap_or(u64::MAX);
         self.cells[cell].nanos.fetch_add(nanos, Ordering::Relaxed);
@@ -168,7 +173,7 @@ impl SweepProgress for Progress {
         self.draw();
     }
 
-    /// Says it once for a cell, however many of its runs it is true of.
+    /// Prints a warning once per cell, even if several of its runs cause it.
     fn warned(&self, cell: usize, warning: &str) {
         let mut warned = self.warned.lock().unwrap_or_else(PoisonError::into_inner);
         if warned.insert((cell, warning.to_owned())) {
@@ -177,6 +182,6 @@ impl SweepProgress for Progress {
     }
 
     fn stop(&self) -> bool {
-        self.stop.load(Ordering::Relaxed)
+        self.signals.have_come()
     }
 }

@@ -1,21 +1,21 @@
-//! What a sweep came to, for people and for machines.
+//! The results of a sweep, as text and as JSON.
 
 use std::path::Path;
 
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};
 use reveille_common::score::Metrics;
-use reveille_lab::reading::Reading;
-use reveille_lab::series::Names;
+use reveille_lab::metric_estimate::MetricEstimate;
+use reveille_lab::series::SeriesNames;
 use reveille_lab::stats::{self, Estimate};
-use reveille_lab::sweep::{CellEnd, Finished, Grid, Shard};
-use reveille_lab::table::Value;
+use reveille_lab::sweep::{CellSummary, Shard, SweepGrid, SweepResult};
+use reveille_lab::table::SweptValue;
 use serde_json::{Map, Value as Json, json};
 
 use crate::cli::SweepArgs;
 use crate::display::count;
 
-/// The metrics of the closing table, with shorter heads.
+/// The metrics of the closing table and their short headings.
 const SHOWN: [(&str, &str); 6] = [
     ("info_p1", "info (P1)"),
     ("detection_delay_ttis", "delay TTIs"),
@@ -26,28 +26,28 @@ const SHOWN: [(&str, &str); 6] = [
 ];
 
 /// A finished sweep.
-pub struct Report<'r> {
-    /// What was run.
-    pub grid: &'r Grid,
-    /// What came out.
-    pub finished: &'r Finished,
+pub(super) struct SweepSummary<'r> {
+    /// The grid of the sweep.
+    pub grid: &'r SweepGrid,
+    /// Its results.
+    pub finished: &'r SweepResult,
     /// The folder of the sweep.
     pub folder: &'r Path,
-    /// Runs that were there before.
+    /// Number of runs taken from earlier calls.
     pub found: usize,
-    /// How long the other runs took.
+    /// Duration of the other runs, seconds.
     pub seconds: f64,
-    /// The device-TTIs of the other runs.
+    /// Device-TTIs of the other runs.
     pub device_ttis: u64,
-    /// The number of threads.
+    /// Number of threads.
     pub threads: usize,
 }
 
-impl Report<'_> {
-    /// A row per cell, and where the table of all runs is.
-    pub fn to_text(&self) -> String {
-        let names = Names::of(&self.finished.table);
-        let is_shown = |place: usize| names.told() != Some(place);
+impl SweepSummary<'_> {
+    /// Formats a row per cell, and the path of the table of all runs.
+    pub(super) fn to_text(&self) -> String {
+        let names = SeriesNames::of(&self.finished.table);
+        let is_shown = |place: usize| names.name_column() != Some(place);
         let swept = self.finished.table.schema.swept.iter().enumerate();
         let swept = swept.filter(|(place, _)| is_shown(*place));
         let mut table = Table::new();
@@ -93,13 +93,14 @@ impl Report<'_> {
         lines.join("\n")
     }
 
-    /// Runs in this sitting, and how fast they were.
+    /// Formats the number of runs of this call and their speed.
     fn speed(&self) -> String {
         let rows = self.finished.table.rows.len();
         let found = match self.found {
             0 => String::new(),
             found => format!(", {found} of them found"),
         };
+        // A sweep that found all of its runs takes no measurable time.
         let rate = self.device_ttis as f64 / self.seconds.max(1e-9) / 1e6;
         format!(
             "{}{found} in {:.1} s on {}: {rate:.0} million device-TTIs/s",
@@ -109,13 +110,13 @@ impl Report<'_> {
         )
     }
 
-    /// The cells whose intervals are wider than `until_ci` asks for although all seeds were run: label, metric, width.
+    /// The cells whose intervals are wider than `until_ci` after all seeds: label, metric, width.
     fn wide(&self) -> Vec<(&str, &str, f64)> {
         let Some(until) = &self.grid.experiment.until_ci else {
             return Vec::new();
         };
         let cells = self.grid.cells.iter().zip(&self.finished.cells);
-        let wide = cells.filter_map(|(cell, CellEnd { widest, .. })| {
+        let wide = cells.filter_map(|(cell, CellSummary { widest, .. })| {
             let (metric, width) = widest.as_ref().filter(|(_, width)| *width > until.target)?;
             Some((cell.label.as_str(), metric.as_str(), *width))
         });
@@ -135,13 +136,13 @@ impl Report<'_> {
         self.wide().into_iter().map(line).collect()
     }
 
-    /// The report as JSON.
+    /// Returns the report as JSON.
     ///
     /// # Errors
     /// Never in practice.
-    pub fn to_json(&self) -> anyhow::Result<String> {
+    pub(super) fn to_json(&self) -> anyhow::Result<String> {
         let schema = &self.finished.table.schema;
-        let names = Names::of(&self.finished.table);
+        let names = SeriesNames::of(&self.finished.table);
         let cells: Vec<Json> = stats::cells(&self.finished.table)
             .iter()
             .map(|cell| {
@@ -174,15 +175,15 @@ impl Report<'_> {
     }
 }
 
-fn plain(value: &Value) -> Json {
+fn plain(value: &SweptValue) -> Json {
     match value {
-        Value::Int(value) => json!(value),
-        Value::Float(value) => json!(value),
-        Value::Text(value) => json!(value),
+        SweptValue::Int(value) => json!(value),
+        SweptValue::Float(value) => json!(value),
+        SweptValue::Text(value) => json!(value),
     }
 }
 
-fn reading(reading: Reading) -> Json {
+fn reading(reading: MetricEstimate) -> Json {
     let Estimate {
         mean,
         deviation,
@@ -195,13 +196,14 @@ fn reading(reading: Reading) -> Json {
     })
 }
 
-/// `0.1473 ± 0.0012`, to as many digits as the interval is worth; `0.013, < 0.040` where there is a bound alone.
-fn shown(reading: Option<Reading>) -> String {
+/// Formats a reading as `0.1473 ± 0.0012`, with the digits that the interval justifies; `0.013, < 0.040` if there is
+/// only a bound.
+fn shown(reading: Option<MetricEstimate>) -> String {
     let Some(reading) = reading else {
         return "–".to_owned();
     };
     let Estimate { mean, half_width, .. } = reading.estimate;
-    // Two digits of what is unsure.
+    // Two significant digits of the uncertainty.
     let digits = |unsure: f64| (1.0 - unsure.log10().floor()).clamp(0.0, 6.0) as usize;
     match reading.upper {
         Some(upper) if mean == 0.0 => format!("0, < {upper:.*}", digits(upper)),
@@ -212,6 +214,7 @@ fn shown(reading: Option<Reading>) -> String {
         }
         None if half_width == 0.0 && mean == 0.0 => "0".to_owned(),
         None if half_width == 0.0 => format!("{mean:.4}"),
+        // A single run has no interval.
         None if half_width.is_nan() => format!("{mean:.4}"),
         None => {
             let digits = if half_width > 0.0 { digits(half_width) } else { 4 };
@@ -220,10 +223,11 @@ fn shown(reading: Option<Reading>) -> String {
     }
 }
 
-/// The grid and what it would cost.
-pub fn dry_run(args: &SweepArgs, grid: &Grid, shard: Shard, folder: &Path) -> anyhow::Result<String> {
+/// Formats the grid and its cost.
+pub(super) fn dry_run(args: &SweepArgs, grid: &SweepGrid, shard: Shard, folder: &Path) -> anyhow::Result<String> {
     let seeds = grid.experiment.seeds;
     let runs = grid.share(shard);
+    // In 128 bits: seeds × TTIs × devices of a large grid can exceed 64.
     let device_ttis: u128 = grid
         .cells
         .iter()

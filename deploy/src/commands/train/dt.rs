@@ -1,4 +1,4 @@
-//! `reveille train dt`: a decision transformer from recorded trajectories.
+//! `reveille train dt`: trains a decision transformer on recorded trajectories.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -6,38 +6,37 @@ use std::io::ErrorKind;
 use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Command, ExitCode};
-use std::sync::atomic::Ordering;
 
 use anyhow::bail;
-use reveille_bs::policy::dt::model::shape::Shape;
+use reveille_bs::policy::dt::model::ModelShape;
 use reveille_bs::policy::dt::settings::DtSettings;
 use reveille_lab::io::replace;
 use reveille_lab::training::checkpoint;
-use reveille_lab::trajectories::{Trajectories, read};
-use reveille_lab::transformer::{Progress, Training, TransformerError, train};
+use reveille_lab::trajectories::Trajectories;
+use reveille_lab::transformer::{DtTrainingConfig, DtTrainingStatus, Trained, TransformerError, train};
 
-use super::q_learning::Interrupted;
+use super::q_learning::interrupted;
 use crate::cli::DtArgs;
-use crate::commands::resolution::resolve;
+use crate::commands::resolve_scenario::resolve;
 use crate::display::{self, note};
 use crate::paths::check_place;
+use crate::signals::{Manner, Signals};
 
-/// Steps between two looks at what is held out.
+/// Steps between two evaluations on the held-out data.
 const EVERY: u64 = 200;
 
-/// What the environment has to say for a training to be fast, where it does not say otherwise.
+/// Environment variables for a fast training; a variable that is already set keeps its value.
 ///
-/// A training makes many tensors of a few megabytes and drops them again: to ask the kernel for each takes half of the
-/// time. And it computes the parts of a batch on threads of its own, which the framework's pool would only keep waiting
-/// for each other.
+/// A training allocates many tensors of a few megabytes. Requesting each from the kernel takes half of the time. A
+/// batch is computed on the training's own threads, which the framework's thread pool would only delay.
 const ENVIRONMENT: [(&str, &str); 3] = [
     ("MALLOC_MMAP_MAX_", "0"),
     ("MALLOC_TRIM_THRESHOLD_", "4000000000"),
     ("CANDLE_NUM_THREADS", "1"),
 ];
 
-/// Becomes the same command in an environment that suits it, once: allocator and framework look at theirs when they
-/// start. Where that cannot be done the training is slow.
+/// Restarts the command once with [`ENVIRONMENT`], since allocator and framework read it when they start. If that
+/// fails, the training is slow.
 fn settle_in() {
     let unset = || {
         ENVIRONMENT
@@ -54,8 +53,8 @@ fn settle_in() {
     }
 }
 
-/// Trains the model that is asked for.
-pub fn run(args: &DtArgs) -> anyhow::Result<ExitCode> {
+/// Trains the requested model.
+pub(super) fn run(args: &DtArgs) -> anyhow::Result<ExitCode> {
     settle_in();
     let training = training(args)?;
     if args.out.exists() && !args.force {
@@ -65,12 +64,11 @@ pub fn run(args: &DtArgs) -> anyhow::Result<ExitCode> {
     let (trajectories, about) = trajectories(args, &training)?;
     let kept = checkpoint(&args.out);
     let from = kept_bytes(&kept)?;
-    let runtime = crate::wall::runtime(1)?;
-    let stop = runtime.block_on(async { crate::interrupt::watch() })?;
-    let started = crate::wall::now();
+    let signals = Signals::install(Manner::Keeps)?;
+    let started = crate::runtime::now();
     let (mut unwritten, mut complete) = (None, true);
     let mut goes_on = from.is_some();
-    let mut show = |now: Progress, bytes: &[u8]| {
+    let mut show = |now: DtTrainingStatus, bytes: &[u8]| {
         if !args.quiet {
             if std::mem::take(&mut goes_on) {
                 note!("going on from {}", kept.display());
@@ -78,35 +76,41 @@ pub fn run(args: &DtArgs) -> anyhow::Result<ExitCode> {
             show(&now);
         }
         unwritten = replace(&kept, bytes).err();
-        complete = unwritten.is_none() && !stop.load(Ordering::Relaxed);
+        complete = unwritten.is_none() && !signals.have_come();
         complete
     };
-    let bytes = match train(trajectories, &training, &about, from.as_deref(), &mut show) {
+    let stop = || signals.have_come();
+    let trained = match train(trajectories, &training, &about, from.as_deref(), &mut show, &stop) {
         Err(error @ TransformerError::Checkpoint(_)) => bail!(
             "{}: {error}; finish that, remove the file, or use another --out",
             kept.display()
         ),
         trained => trained?,
     };
+    // Stopped between two checkpoints: the steps since the last one are saved as well.
+    if let Trained::Stopped(bytes) = &trained {
+        unwritten = replace(&kept, bytes).err();
+    }
     if let Some(error) = unwritten {
         bail!("{}: cannot be written: {error}", kept.display());
     }
-    if !complete {
-        bail!(Interrupted(kept));
-    }
+    let bytes = match trained {
+        Trained::Model(bytes) if complete => bytes,
+        Trained::Model(_) | Trained::Stopped(_) => bail!(interrupted(&kept)),
+    };
     if let Err(error) = replace(&args.out, &bytes) {
         bail!("{}: cannot be written: {error}", args.out.display());
     }
-    // What is in the file is in the checkpoint's place now.
+    // The finished model replaces the checkpoint.
     let _ = std::fs::remove_file(&kept);
     if !args.quiet {
         note!("trained in {:.1} s", started.elapsed().as_secs_f64());
     }
-    display::out(&format!("{}\n", args.out.display()))?;
+    display::print(&format!("{}\n", args.out.display()))?;
     Ok(ExitCode::SUCCESS)
 }
 
-/// The bytes of the checkpoint, if there is one.
+/// The bytes of the checkpoint, if it exists.
 fn kept_bytes(kept: &Path) -> anyhow::Result<Option<Vec<u8>>> {
     match std::fs::read(kept) {
         Ok(bytes) => Ok(Some(bytes)),
@@ -115,7 +119,7 @@ fn kept_bytes(kept: &Path) -> anyhow::Result<Option<Vec<u8>>> {
     }
 }
 
-fn show(now: &Progress) {
+fn show(now: &DtTrainingStatus) {
     let best = if now.is_best { "  best" } else { "" };
     let score = &now.score;
     note!(
@@ -131,14 +135,19 @@ fn show(now: &Progress) {
     );
 }
 
-fn training(args: &DtArgs) -> anyhow::Result<Training> {
+fn training(args: &DtArgs) -> anyhow::Result<DtTrainingConfig> {
     if !(args.rate > 0.0 && args.rate <= 1.0) {
         bail!("--rate {}: must be above 0 and at most 1", args.rate);
     }
     let scenario = resolve(&args.scenario())?;
-    let settings: &DtSettings = scenario.policy.settings().expect("a scenario of the policy dt");
-    Ok(Training {
-        shape: Shape {
+    // `DtArgs::scenario` sets the policy.
+    let settings: &DtSettings = scenario
+        .policy
+        .settings()
+        .downcast_ref()
+        .expect("a scenario of the policy dt");
+    Ok(DtTrainingConfig {
+        shape: ModelShape {
             has_space: !args.no_space,
             objective: args.objective(),
             ..settings.weights.shape()
@@ -152,12 +161,15 @@ fn training(args: &DtArgs) -> anyhow::Result<Training> {
     })
 }
 
-/// The trajectories, and what the model's file is to say of them.
-fn trajectories(args: &DtArgs, training: &Training) -> anyhow::Result<(Vec<Trajectories>, BTreeMap<String, String>)> {
+/// Reads the trajectories and returns them with the metadata for the model's file.
+fn trajectories(
+    args: &DtArgs,
+    training: &DtTrainingConfig,
+) -> anyhow::Result<(Vec<Trajectories>, BTreeMap<String, String>)> {
     let (mut all, mut about) = (Vec::new(), BTreeMap::new());
     let mut data = String::new();
     for path in &args.trajectories {
-        let (trajectories, hash) = match read(path) {
+        let (trajectories, hash) = match Trajectories::read(path) {
             Ok(read) => read,
             Err(error) => bail!("{}: {error}", path.display()),
         };

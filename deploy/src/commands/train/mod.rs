@@ -1,9 +1,6 @@
-//! `reveille train`: learning in memory, and recording what is learned from.
+//! `reveille train`: training in memory, and the recording of training data.
 
 #[cfg(feature = "train-dt")]
-mod dt;
-#[cfg(not(feature = "train-dt"))]
-#[path = "without_dt.rs"]
 mod dt;
 mod q_learning;
 mod record;
@@ -12,13 +9,24 @@ use std::process::ExitCode;
 
 use crate::cli::TrainCommand;
 
-pub use q_learning::Interrupted;
-
-/// Trains or records what is asked for.
-pub fn run(command: &TrainCommand) -> anyhow::Result<ExitCode> {
+/// Runs the requested training or recording.
+pub(crate) fn run(command: &TrainCommand) -> anyhow::Result<ExitCode> {
     match command {
         TrainCommand::QLearning(args) => q_learning::run(args),
+        #[cfg(feature = "train-dt")]
         TrainCommand::Dt(args) => dt::run(args),
+        #[cfg(not(feature = "train-dt"))]
+        TrainCommand::Dt(_) => Ok(needs_the_feature()),
         TrainCommand::Record(args) => record::run(args),
     }
+}
+
+/// Explains how to build with `reveille train dt`; exit code 2.
+#[cfg(not(feature = "train-dt"))]
+fn needs_the_feature() -> ExitCode {
+    crate::display::note!(
+        "reveille: train dt needs the cargo feature train-dt, which brings a training framework of some 150 crates: \
+         cargo run --release --features train-dt -- train dt …"
+    );
+    ExitCode::from(2)
 }

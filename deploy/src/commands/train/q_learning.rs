@@ -1,36 +1,33 @@
-//! `reveille train q-learning`: tables, learned in memory.
+//! `reveille train q-learning`: trains tables in memory.
 
-use std::path::PathBuf;
+use std::path::Path;
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::bail;
 use indicatif::ProgressBar;
-use reveille_bs::policy::q_learning::learned::{CurvePoint, Entry};
-use reveille_bs::scenario::Scenario;
+use reveille_bs::policy::q_learning::learned::{CurvePoint, TableSet};
 use reveille_lab::io::replace;
 use reveille_lab::training::{Trainer, TrainingError, TrainingProgress, checkpoint};
 
 use crate::cli::TrainArgs;
-use crate::commands::resolution::resolve;
+use crate::commands::resolve_scenario::resolve;
 use crate::display::{self, note};
+use crate::exit::Interrupted;
 use crate::paths::check_place;
+use crate::signals::{Manner, Signals};
 
-/// Trains the tables that are asked for.
-pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
+/// Trains the requested tables.
+pub(super) fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
     let scenario = resolve(&args.scenario()?)?;
     let training = args.episodes.training()?;
-    let largest = Scenario {
-        devices: args.devices.iter().copied().max().unwrap_or(1).max(1),
-        ..scenario.clone()
-    };
+    let mut largest = scenario.clone();
+    largest.run.devices = args.devices.iter().copied().max().unwrap_or(1).max(1);
     if training.ttis > largest.longest() {
         bail!(
             "--episode-ttis {}: must be at most {} with {} devices and their energies, or sums of energy overflow",
             training.ttis,
             largest.longest(),
-            largest.devices
+            largest.run.devices
         );
     }
     let mut trainer = Trainer::new(&scenario, &args.devices, &args.windows, &training)?;
@@ -47,22 +44,22 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
         );
     }
     let threads = args.episodes.threads()?;
-    let runtime = crate::wall::runtime(1)?;
-    let stop = runtime.block_on(async { crate::interrupt::watch() })?;
-    let shown = Shown {
+    let signals = Signals::install(Manner::Keeps)?;
+    let shown = TrainingDisplay {
         bar: display::bar(
             trainer.episodes_left(),
             "{bar:24} {pos}/{len} episodes  {msg}",
             args.quiet,
         ),
-        stop,
+        signals,
     };
-    let started = crate::wall::now();
+    let started = crate::runtime::now();
     let complete = trainer.train_keeping(threads, &kept, &shown)?;
     shown.bar.finish_and_clear();
     if !complete {
-        bail!(Interrupted(kept));
+        bail!(interrupted(&kept));
     }
+    // Checked again: another process can have written the file during the training.
     if args.out.exists() && !args.force {
         note!("what was learned is kept in {}", kept.display());
         bail!(TrainingError::Taken(args.out.clone()));
@@ -72,7 +69,7 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
         path: args.out.clone(),
         error,
     })?;
-    // What is in the file is in the checkpoint's place now.
+    // The finished tables replace the checkpoint.
     let _ = std::fs::remove_file(&kept);
     if !args.quiet {
         for entry in &learned.entries {
@@ -83,7 +80,7 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
                 ..
             }) = entry.curve.last()
             {
-                display::out(&format!(
+                display::print(&format!(
                     "{:<12} N = {:<5} reward {reward:.4}  info (P1) {information:.4}  energy {energy:.4}\n",
                     entry.lookback.label(),
                     entry.devices
@@ -92,38 +89,28 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
         }
         note!("trained in {:.1} s", started.elapsed().as_secs_f64());
     }
-    display::out(&format!("{}\n", args.out.display()))?;
+    display::print(&format!("{}\n", args.out.display()))?;
     Ok(ExitCode::SUCCESS)
 }
 
-/// Ctrl-C has ended a training; the file is its checkpoint.
-#[derive(Debug)]
-pub struct Interrupted(pub PathBuf);
-
-impl std::fmt::Display for Interrupted {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        if self.0.exists() {
-            let kept = self.0.display();
-            write!(
-                f,
-                "interrupted; what was learned is kept in {kept}: give the same command again to go on"
-            )
-        } else {
-            f.write_str("interrupted before there was anything to keep")
-        }
-    }
+/// The error of a training ended by a signal, whose checkpoint would be `kept`.
+pub(super) fn interrupted(kept: &Path) -> Interrupted {
+    Interrupted(if kept.exists() {
+        let kept = kept.display();
+        format!("interrupted; the training so far is kept in {kept}: give the same command again to resume").into()
+    } else {
+        "interrupted before there was anything to keep".into()
+    })
 }
 
-impl std::error::Error for Interrupted {}
-
-/// Shows the progress.
-struct Shown {
+/// The progress display.
+struct TrainingDisplay {
     bar: ProgressBar,
-    stop: Arc<AtomicBool>,
+    signals: Signals,
 }
 
-impl TrainingProgress for Shown {
-    fn episode(&self, entry: &Entry, point: &CurvePoint) {
+impl TrainingProgress for TrainingDisplay {
+    fn episode(&self, entry: &TableSet, point: &CurvePoint) {
         let CurvePoint {
             reward, information, ..
         } = point;
@@ -136,6 +123,6 @@ impl TrainingProgress for Shown {
     }
 
     fn stop(&self) -> bool {
-        self.stop.load(Ordering::Relaxed)
+        self.signals.have_come()
     }
 }

@@ -3,41 +3,45 @@
 use std::fmt::Write as _;
 use std::path::Path;
 use std::process::ExitCode;
-use std::sync::atomic::Ordering;
 
 use anyhow::bail;
 use reveille_bs::scenario::load;
 use reveille_common::io::Disk;
-use reveille_lab::sweep::{Grid, Shard};
+use reveille_lab::sweep::{Shard, SweepGrid};
 use reveille_lab::training::checkpoint;
-use reveille_lab::trajectories::{Chunk, HORIZON, Recording, Trajectories, record, record_again, write};
+use reveille_lab::trajectories::{Chunk, HORIZON, RecordingConfig, Trajectories, record, record_from_scenario};
 
-use super::q_learning::Interrupted;
-use crate::claim::{Standing, standing};
+use super::q_learning::interrupted;
 use crate::cli::RecordArgs;
 use crate::commands::experiment::experiment;
 use crate::display::{self, note};
+use crate::folder_lock::{FolderStatus, status};
 use crate::paths::check_place;
-use crate::results::{SCENARIO, SUMMARY};
+use crate::run_folder::{SCENARIO, SUMMARY};
+use crate::signals::{Manner, Signals};
 
-/// Records the runs that are asked for.
-pub fn run(args: &RecordArgs) -> anyhow::Result<ExitCode> {
+/// Records the requested runs.
+pub(super) fn run(args: &RecordArgs) -> anyhow::Result<ExitCode> {
     let recording = recording(args)?;
     if args.out.exists() && !args.force {
         bail!("{}: is there already; --force replaces it", args.out.display());
     }
     check_place(&args.out, "the trajectories")?;
-    let runtime = crate::wall::runtime(1)?;
-    let stop = runtime.block_on(async { crate::interrupt::watch() })?;
-    let stop = || stop.load(Ordering::Relaxed);
+    let signals = Signals::install(Manner::Keeps)?;
+    // Recordings have no checkpoints: an interrupted one starts from the beginning.
+    let ended = interrupted(&checkpoint(&args.out));
+    // A run in set-up does not check for signals, and a search before it may take hours.
+    let insistence = signals.insist(move || ended.to_string())?;
+    let stop = || signals.have_come();
     let trajectories = if args.from.is_empty() {
         of_grid(args, &recording, &stop)?
     } else {
         of_folders(args, &recording, &stop)?
     };
+    // From here on the file is written, and must not be cut short.
+    drop(insistence);
     let Some(trajectories) = trajectories else {
-        // There is no checkpoint: a recording is begun anew.
-        bail!(Interrupted(checkpoint(&args.out)));
+        bail!(interrupted(&checkpoint(&args.out)));
     };
     if trajectories.chunks.is_empty() {
         bail!(
@@ -46,7 +50,7 @@ pub fn run(args: &RecordArgs) -> anyhow::Result<ExitCode> {
             args.chunk
         );
     }
-    if let Err(error) = write(&args.out, &trajectories) {
+    if let Err(error) = trajectories.write(&args.out) {
         bail!("{}: {error}", args.out.display());
     }
     if !args.quiet {
@@ -56,17 +60,17 @@ pub fn run(args: &RecordArgs) -> anyhow::Result<ExitCode> {
             display::count(trajectories.chunks.len(), "chunk")
         );
     }
-    display::out(&format!("{}\n", args.out.display()))?;
+    display::print(&format!("{}\n", args.out.display()))?;
     Ok(ExitCode::SUCCESS)
 }
 
-/// The runs of a grid.
+/// Records the runs of a grid.
 fn of_grid(
     args: &RecordArgs,
-    recording: &Recording,
+    recording: &RecordingConfig,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> anyhow::Result<Option<Trajectories>> {
-    let grid = Grid::new(experiment(args.experiment.as_deref(), &args.grid)?, &Disk)?;
+    let grid = SweepGrid::new(experiment(args.experiment.as_deref(), &args.grid)?, &Disk)?;
     if grid.experiment.until_ci.is_some() {
         bail!("--until-ci: a recording makes all of its runs; leave it out");
     }
@@ -76,10 +80,10 @@ fn of_grid(
     Ok(trajectories)
 }
 
-/// Runs that were made before, from their folders.
+/// Records earlier runs from their folders.
 fn of_folders(
     args: &RecordArgs,
-    recording: &Recording,
+    recording: &RecordingConfig,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> anyhow::Result<Option<Trajectories>> {
     let (mut chunks, mut runs) = (Vec::new(), String::new());
@@ -88,9 +92,9 @@ fn of_folders(
         if !path.exists() {
             bail!("{}: is no run folder: it has no {SCENARIO}", folder.display());
         }
-        let scenario = load(&path.to_string_lossy(), &[])?;
+        let scenario = load(&path.to_string_lossy(), &[])?.scenario;
         let digest = digest(folder)?;
-        let Some((found, of_run)) = record_again(&scenario, run, recording, stop) else {
+        let Some((found, of_run)) = record_from_scenario(&scenario, run, recording, stop) else {
             return Ok(None);
         };
         let Some(found) = found else {
@@ -116,17 +120,17 @@ fn of_folders(
     Ok(Some(Trajectories { about, chunks }))
 }
 
-/// The digest in the summary of the run folder.
+/// Reads the digest from the summary of the run folder.
 fn digest(folder: &Path) -> anyhow::Result<String> {
     let path = folder.join(SUMMARY);
     let refuse = |why: String| anyhow::anyhow!("{}: {why}", path.display());
-    match standing(folder) {
-        Standing::Ended => {}
-        Standing::Alive(_) => bail!(
+    match status(folder) {
+        FolderStatus::Ended => {}
+        FolderStatus::Alive(_) => bail!(
             "{}: its run is still going on; wait until it has ended",
             folder.display()
         ),
-        Standing::Killed => bail!("{}: its run was killed, so it has no digest", folder.display()),
+        FolderStatus::Killed => bail!("{}: its run was killed, so it has no digest", folder.display()),
     }
     let text = std::fs::read_to_string(&path).map_err(|error| refuse(error.to_string()))?;
     let summary: serde_json::Value = serde_json::from_str(&text).map_err(|error| refuse(error.to_string()))?;
@@ -134,7 +138,7 @@ fn digest(folder: &Path) -> anyhow::Result<String> {
     digest.ok_or_else(|| refuse("has no digest".to_owned()))
 }
 
-fn recording(args: &RecordArgs) -> anyhow::Result<Recording> {
+fn recording(args: &RecordArgs) -> anyhow::Result<RecordingConfig> {
     if args.every <= args.chunk {
         bail!(
             "--every {}: must be more than --chunk, {}, or one chunk would run into the next",
@@ -148,7 +152,7 @@ fn recording(args: &RecordArgs) -> anyhow::Result<Recording> {
     if let Some(bad) = args.explore.iter().find(|share| !(0.0..1.0).contains(*share)) {
         bail!("--explore {bad}: must be at least 0 and less than 1");
     }
-    Ok(Recording {
+    Ok(RecordingConfig {
         length: args.chunk as usize,
         stride: args.every as usize,
         explore: args.explore.clone(),

@@ -1,4 +1,4 @@
-// What the page asks the program for.
+// Requests from the page to the program.
 
 const token = location.hash.slice(1);
 const headers = token ? { "x-reveille-token": token } : {};
@@ -13,7 +13,7 @@ export async function get(path, method = "GET") {
 
 export const post = (path) => get(path, "POST");
 
-// Calls `see` with what the program tells, again and again, and `lost` when it tells nothing more.
+// Calls `see` with each update, and `lost` when the connection ends. Connects again unless `lost` returns true.
 export async function live(see, lost) {
   for (;;) {
     try {
@@ -25,9 +25,10 @@ export async function live(see, lost) {
         const { value, done } = await reader.read();
         if (done) break;
         held += value;
+        // The last part may still be incomplete.
         const parts = held.split("\n\n");
         held = parts.pop();
-        // Of several that have come at once the last is enough.
+        // Of several events in one read the last is enough.
         if (parts.length) see(JSON.parse(parts.at(-1).slice("data: ".length)));
       }
       throw new Error("the program has ended");

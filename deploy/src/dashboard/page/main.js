@@ -1,4 +1,4 @@
-// The page: what is shown, and what the reader does.
+// The page: its contents, and the actions of its reader.
 
 import { get, live, post } from "./api.js";
 import { Charts, history, ramp } from "./charts.js";
@@ -6,7 +6,7 @@ import { Map } from "./map.js";
 
 const by = (id) => document.getElementById(id);
 const page = { run: null, now: null, tti: 0, follows: true, moment: null, device: -1, points: [], marks: [], updates: 0, other: null };
-// For tests, and for whoever looks at the console.
+// For tests, and for a look from the console.
 window.reveille = page;
 let map, otherMap, charts, asked = 0, besideIsAsked = false;
 
@@ -50,6 +50,7 @@ async function show(tti) {
   const { first, next } = page.now;
   page.tti = Math.max(first, Math.min(tti, next - 1));
   if (next <= first) return;
+  // Answers can arrive out of order: only the newest request is shown.
   const own = ++asked;
   const [moment, beside] = await Promise.all([get(`api/tti/${page.tti}`), besides(page.tti)]);
   if (own !== asked) return;
@@ -60,7 +61,7 @@ async function show(tti) {
   if (by("filters").here.checked) showMessages();
 }
 
-// That TTI of the other run, where there is one that has come as far.
+// The same TTI of the other run, or null if that run has no such TTI.
 async function besides(tti) {
   return page.other ? get(`api/other/tti/${tti}`).catch(() => null) : null;
 }
@@ -100,7 +101,7 @@ function see(now) {
   by("scrubber").max = Math.max(now.next - 1, now.first);
   const end = now.over ? "ended" : page.run.live ? "live" : "recording";
   tell(`${end} · TTI ${now.next} of ${page.run.ttis} · ${now.events} events counted, ${now.missed} missed · ${now.messages} messages`);
-  // What has not changed stays: it may be under a finger.
+  // Unchanged entries stay in place: a click could miss an entry that is being replaced.
   const told = JSON.stringify(now.ticker);
   if (told !== by("ticker").dataset.told) {
     by("ticker").dataset.told = told;
@@ -110,6 +111,7 @@ function see(now) {
   if (page.follows && now.next > now.first) {
     page.tti = now.next - 1;
     page.moment = now;
+    // One request at a time, since updates can come faster than answers.
     if (page.other && !besideIsAsked && page.tti < page.other.run.ttis) {
       besideIsAsked = true;
       besides(page.tti).then((moment) => {
@@ -131,13 +133,14 @@ function showTicker(now) {
   }));
 }
 
-// Shows something again; why it cannot be shown is told.
+// Shows something again, or the reason why that fails.
 const refresh = (show) => show().catch((error) => tell(error.message, true));
 
 async function showDevice() {
   const device = page.device;
   const from = Math.max(page.now.first, page.tti - 300), end = Math.min(page.now.next, page.tti + 100);
   const told = await get(`api/device/${device}?from=${from}&end=${end}&at=${page.tti}`);
+  // Another device was chosen during the request.
   if (device !== page.device) return;
   by("device").value = device;
   by("one").hidden = false;
@@ -195,9 +198,10 @@ function stands({ status, text }) {
   return status.paused || status.until >= status.ttis;
 }
 
-// Gives the clock a command, and looks until it is carried out.
+// Sends the clock a command, and polls its status until the command is carried out.
 let driven = 0;
 async function drive(command) {
+  // A newer command ends the polling of an older one.
   const own = ++driven;
   try {
     let done = stands(await post(`api/clock/${command}`));

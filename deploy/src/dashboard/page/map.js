@@ -58,6 +58,7 @@ export class Map {
       corners.map((p) => this.place(p, width, height)).forEach((at, i) => (i ? draw.lineTo(...at) : draw.moveTo(...at)));
       draw.closePath();
       if (this.run.groups) {
+        // Steps of the golden angle keep the hues of neighbouring groups apart.
         draw.fillStyle = `hsl(${(this.run.groups[j] * 137.5) % 360} 40% 50% / .13)`;
         draw.fill();
       }

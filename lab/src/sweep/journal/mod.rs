@@ -1,17 +1,179 @@
 //! The journal of a sweep: an append-only file with a line for every finished run.
 //!
-//! Each line ends with a checksum of itself. A line is handed to the operating system as soon as its run has finished,
-//! so that a killed process loses the runs under way and no other; it reaches the disk now and then, so that a power
-//! cut loses little. Lines that are torn or garbled are taken out when the journal is opened; runs that are missing are
-//! done again.
+//! Each line ends with a checksum of itself. A line is written as soon as its run has finished, so that a killed
+//! process only loses the runs in progress. It is synced to the disk at intervals, so that a power cut loses little.
+//! Torn and garbled lines are removed when the journal is opened; missing runs are repeated.
 //!
-//! The first line names the sweep and the seeds of each cell. When there shall be more, a copy with another first line
-//! takes the journal's place at one stroke, and all runs with it.
+//! The first line names the sweep and the seeds of each cell. To raise the seeds, a copy with another first line and
+//! all runs replaces the journal atomically.
 
 mod io;
-mod keeper;
-mod lines;
+
+use std::collections::BTreeMap;
+
+use reveille_common::score::Metrics;
+
+use crate::sweep::error::SweepError;
+use crate::table::{Hash, ResultRow};
 
 pub use io::Journal;
-pub use keeper::Keeper;
-pub use lines::{Entry, Job};
+
+/// The first word of a journal.
+const MAGIC: &str = "reveille-journal ";
+/// The version of the journal format.
+const FORM: &str = "2";
+/// Limit of the first line, bytes.
+pub(super) const LONGEST_HEAD: u64 = 1024;
+/// The place of a run: its cell and the index of its seed, both from 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct RunIndex {
+    /// The cell.
+    pub cell: u32,
+    /// The index of the seed.
+    pub seed: u32,
+}
+
+/// The part of a run's row that does not follow from its place.
+#[derive(Clone, Debug)]
+pub struct JournalEntry {
+    /// The hash of its scenario.
+    pub scenario_hash: Hash,
+    /// The metrics, NaN where not defined.
+    pub metrics: [f64; Metrics::COUNT],
+    /// The number of events that count.
+    pub events: u64,
+    /// The run's fingerprint.
+    pub digest: Hash,
+}
+
+impl From<&ResultRow> for JournalEntry {
+    fn from(row: &ResultRow) -> Self {
+        Self {
+            scenario_hash: row.scenario_hash,
+            metrics: row.metrics,
+            events: row.events,
+            digest: row.digest,
+        }
+    }
+}
+
+/// First line of a journal.
+pub(super) enum JournalHeader {
+    /// The line was cut off while it was written: there are no runs yet.
+    Torn,
+    /// The number of seeds of each cell.
+    Seeds(u64),
+}
+
+impl JournalHeader {
+    /// Parses `line` as the header of the sweep called `name`.
+    pub(super) fn of(line: &[u8], name: &str) -> Option<Self> {
+        let text = std::str::from_utf8(line).ok()?;
+        let Some(text) = text.strip_suffix('\n') else {
+            let seeds = text.strip_prefix(name).and_then(|rest| rest.strip_prefix(' '));
+            let is_number = |seeds: &str| seeds.bytes().all(|byte| byte.is_ascii_digit());
+            // A first line cut off anywhere, in the name or in the number, belongs to this sweep.
+            let is_torn = name.starts_with(text) || seeds.is_some_and(is_number);
+            return is_torn.then_some(Self::Torn);
+        };
+        let seeds = text.strip_prefix(name)?.strip_prefix(' ')?;
+        seeds.parse().ok().map(Self::Seeds)
+    }
+}
+
+/// Explains why a journal of `held` seeds a cell cannot become one of `seeds`.
+pub(super) fn fewer(held: u64, seeds: u64) -> String {
+    format!(
+        "holds the runs of {held} seeds a cell, more than the {seeds} asked for: they can be raised, not lowered; \
+         give --seeds {held} or more, or choose another folder by --out"
+    )
+}
+
+/// Returns the start of the first line; the number of seeds follows.
+pub(super) fn name_of(identity: &str) -> String {
+    format!("{MAGIC}{FORM} {identity}")
+}
+
+/// Explains why a journal that begins with `line` does not belong to this sweep.
+pub(super) fn foreign(line: &[u8]) -> String {
+    let line = String::from_utf8_lossy(line);
+    let form = line.strip_prefix(MAGIC).and_then(|rest| rest.split_whitespace().next());
+    match form {
+        Some(FORM) => {
+            "holds the runs of another experiment, shard or version of reveille (see experiment.toml there); \
+             repeat its command to resume it, with the same first seed and at least as many seeds, or choose another \
+             folder"
+                .to_owned()
+        }
+        Some(form) if form.bytes().all(|byte| byte.is_ascii_digit()) => format!(
+            "holds a runs.journal of format {form}, but this version of reveille resumes format {FORM} only; use the \
+             version that began the sweep, or choose another folder"
+        ),
+        Some(_) | None => "holds a runs.journal with a damaged first line; choose another folder".to_owned(),
+    }
+}
+
+/// Returns the line of a run, including its line break.
+pub(super) fn line(job: RunIndex, entry: &JournalEntry) -> String {
+    let RunIndex { cell, seed } = job;
+    let metrics = entry.metrics.map(|value| {
+        if value.is_nan() {
+            "-".to_owned()
+        } else {
+            value.to_string()
+        }
+    });
+    let (hash, events, digest) = (entry.scenario_hash, entry.events, entry.digest);
+    let text = format!("{cell} {seed} {hash} {} {events} {digest}", metrics.join(" "));
+    format!("{text} {:08x}\n", crc32fast::hash(text.as_bytes()))
+}
+
+/// Parses the run of a line, if the line is complete.
+pub(super) fn parse(line: &[u8], cells: u64, seeds: u64) -> Option<(RunIndex, JournalEntry)> {
+    let (text, sum) = std::str::from_utf8(line).ok()?.strip_suffix('\n')?.rsplit_once(' ')?;
+    // `from_str_radix` also accepts a sign and fewer digits, which the format excludes.
+    if sum.len() != 8 || u32::from_str_radix(sum, 16).ok()? != crc32fast::hash(text.as_bytes()) {
+        return None;
+    }
+    let mut fields = text.split(' ');
+    let job = RunIndex {
+        cell: fields.next()?.parse().ok()?,
+        seed: fields.next()?.parse().ok()?,
+    };
+    if u64::from(job.cell) >= cells || u64::from(job.seed) >= seeds {
+        return None;
+    }
+    let scenario_hash = fields.next()?.parse().ok()?;
+    let mut metrics = [f64::NAN; Metrics::COUNT];
+    for slot in &mut metrics {
+        match fields.next()? {
+            "-" => {}
+            number => *slot = number.parse().ok()?,
+        }
+    }
+    let entry = JournalEntry {
+        scenario_hash,
+        metrics,
+        events: fields.next()?.parse().ok()?,
+        digest: fields.next()?.parse().ok()?,
+    };
+    fields.next().is_none().then_some((job, entry))
+}
+
+/// A store of finished runs.
+pub trait RunStore: Send {
+    /// The finished runs.
+    fn runs(&self) -> &BTreeMap<RunIndex, JournalEntry>;
+
+    /// Adds a finished run that took `device_ttis`.
+    ///
+    /// # Errors
+    /// If the run cannot be stored; earlier runs are kept.
+    fn add(&mut self, job: RunIndex, entry: JournalEntry, device_ttis: u64) -> Result<(), SweepError>;
+
+    /// Syncs everything, so that it survives a power cut.
+    ///
+    /// # Errors
+    /// If the sync fails.
+    fn sync(&mut self) -> Result<(), SweepError>;
+}

@@ -1,9 +1,9 @@
-//! The Markov chain of the battery level (Sec. III-B) under a fixed duty cycle, and its steady state.
+//! Markov chain of the battery level (Sec. III-B) under a fixed duty cycle, and its steady state.
 //!
-//! A state is a level on the [`Lattice`] at a phase of the duty cycle. A TTI goes as in the emulator: the device
-//! harvests up to E_max, pays for δ, and, if it is made active (a detection in S1, a wake-up in S4), pays for the
-//! transmission; what it cannot pay empties the battery. There are two transition matrices, for δ = 1 and δ = 0, and
-//! the distribution at the start of a cycle is the one that t_DRX steps leave unchanged.
+//! A state is a level on the [`Lattice`] at a phase of the duty cycle. A TTI follows the emulator: the device harvests
+//! up to E_max and pays for δ. If it becomes active (a detection in S1, a wake-up in S4), it pays for the transmission.
+//! A cost that it cannot pay empties the battery. There are two transition matrices, for δ = 1 and δ = 0. The steady
+//! distribution at the start of a cycle is unchanged by t_DRX steps.
 
 use nalgebra::DVector;
 use nalgebra_sparse::ops::Op;
@@ -13,29 +13,29 @@ use nalgebra_sparse::{CooMatrix, CsrMatrix};
 use super::lattice::Lattice;
 use crate::analysis::AnalysisError;
 
-/// The residual at which a distribution counts as steady.
+/// Residual below which a distribution counts as steady.
 const STEADY: f64 = 1e-11;
-/// Transitions after which it is given up.
+/// Maximum number of transitions before the solver gives up.
 const MOST_TTIS: u64 = 4_000_000;
 
-/// What drives a battery.
+/// Input of the chain for one device.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Drive {
+pub struct ChainInput {
     /// TTIs in S1 per cycle, `0 ..= t_drx`.
     pub t_on: u32,
     /// TTIs in a cycle, ≥ 1.
     pub t_drx: u32,
     /// Probability of an arrival in a TTI, `(0, 1)`.
     pub arrival: f64,
-    /// Probability that the device is made active in a TTI, whatever its state, `[0, 1]`: the paper's P_1,2 + P_4,2.
+    /// Probability that the device becomes active in a TTI, in any state, `[0, 1]`: the paper's P_1,2 + P_4,2.
     pub activation: f64,
 }
 
-impl Drive {
-    /// Whether all is in its range.
+impl ChainInput {
+    /// Checks the ranges of all fields.
     ///
     /// # Errors
-    /// If not.
+    /// If a field is out of its range.
     pub fn check(&self) -> Result<(), AnalysisError> {
         const LONGEST: u32 = 1 << 20;
         let Self { t_on, t_drx, .. } = *self;
@@ -59,29 +59,29 @@ impl Drive {
     }
 }
 
-/// The steady state of a chain.
+/// Steady state of a chain.
 #[derive(Clone, Debug)]
 pub struct SteadyState {
     /// Probability of each level at the end of a TTI, over all phases of the cycle, from empty to full.
     pub levels: Vec<f64>,
-    /// Transitions that it took.
+    /// Number of transitions until the steady state.
     pub ttis: u64,
     /// Σ |π P − π| over one cycle.
     pub residual: f64,
 }
 
 impl SteadyState {
-    /// The probability of a level of at least `level`.
-    pub fn at_least(&self, level: usize) -> f64 {
+    /// Probability of a level of at least `level`.
+    pub(crate) fn at_least(&self, level: usize) -> f64 {
         self.levels.iter().skip(level).sum()
     }
 }
 
-/// The steady state of a battery on `lattice` under `drive`, by power iteration.
+/// Computes the steady state of a battery on `lattice` under `drive`, by power iteration.
 ///
 /// # Errors
 /// If `drive` is out of range, or the chain mixes too slowly to be solved.
-pub fn steady_state(lattice: &Lattice, drive: &Drive) -> Result<SteadyState, AnalysisError> {
+pub(crate) fn steady_state(lattice: &Lattice, drive: &ChainInput) -> Result<SteadyState, AnalysisError> {
     drive.check()?;
     let steps = Steps {
         on: transitions(lattice, drive, lattice.e_idle),
@@ -96,8 +96,11 @@ pub fn steady_state(lattice: &Lattice, drive: &Drive) -> Result<SteadyState, Ana
         let before = now.clone();
         steps.cycle(&mut now, &mut spare, |_| {});
         ttis += u64::from(drive.t_drx);
+        // Only whole cycles compare: within a cycle the distribution changes with the phase.
         let residual = (&now - &before).lp_norm(1);
         if residual <= STEADY {
+            // Averages over the phases of another cycle, since the levels of devices are counted at the end of every
+            // TTI.
             let mut sum = DVector::zeros(n);
             steps.cycle(&mut now, &mut spare, |end| sum += end);
             let levels = sum / f64::from(drive.t_drx);
@@ -115,15 +118,15 @@ pub fn steady_state(lattice: &Lattice, drive: &Drive) -> Result<SteadyState, Ana
     }
 }
 
-/// The matrices of one cycle.
+/// Transition matrices of one cycle.
 struct Steps {
     on: CsrMatrix<f64>,
     off: CsrMatrix<f64>,
-    drive: Drive,
+    drive: ChainInput,
 }
 
 impl Steps {
-    /// Moves the distribution `now` on by one cycle, and shows it at the end of each TTI.
+    /// Advances the distribution `now` by one cycle, and passes it to `show` at the end of each TTI.
     fn cycle(&self, now: &mut DVector<f64>, spare: &mut DVector<f64>, mut show: impl FnMut(&DVector<f64>)) {
         for phase in 0..self.drive.t_drx {
             let matrix = if phase < self.drive.t_on { &self.on } else { &self.off };
@@ -134,19 +137,21 @@ impl Steps {
     }
 }
 
-/// The transposed transition matrix of a TTI that costs `cost` quanta: entry (l, k) is the probability of level l after
-/// k.
-pub(super) fn transitions(lattice: &Lattice, drive: &Drive, cost: usize) -> CsrMatrix<f64> {
+/// Builds the transposed transition matrix of a TTI that costs `cost` quanta: entry (l, k) is the probability of level
+/// l after k.
+pub(super) fn transitions(lattice: &Lattice, drive: &ChainInput, cost: usize) -> CsrMatrix<f64> {
     let n = lattice.levels();
     let mut matrix = CooMatrix::new(n, n);
     for level in 0..n {
         let filled = (level + lattice.e_b).min(lattice.e_max);
         for (level_now, probability) in [(filled, drive.arrival), (level, 1.0 - drive.arrival)] {
-            // A device that could not pay for δ is deaf: it is not made active.
+            // A device that cannot pay for δ ends empty, and no detection or wake-up makes it active.
             let Some(left) = level_now.checked_sub(cost) else {
                 matrix.push(0, level, probability);
                 continue;
             };
+            // A transmission that the device cannot pay for empties the battery. Entries at the same place are summed
+            // in the conversion below.
             matrix.push(left.saturating_sub(lattice.e_tx), level, probability * drive.activation);
             matrix.push(left, level, probability * (1.0 - drive.activation));
         }
@@ -173,8 +178,8 @@ mod tests {
         }
     }
 
-    fn drive(t_on: u32, t_drx: u32, activation: f64) -> Drive {
-        Drive {
+    fn drive(t_on: u32, t_drx: u32, activation: f64) -> ChainInput {
+        ChainInput {
             t_on,
             t_drx,
             arrival: P,
@@ -182,7 +187,7 @@ mod tests {
         }
     }
 
-    fn assert_steady(lattice: &Lattice, drive: &Drive, expected: &[f64]) {
+    fn assert_steady(lattice: &Lattice, drive: &ChainInput, expected: &[f64]) {
         let found = steady_state(lattice, drive).expect("a steady state");
         assert_eq!(found.levels.len(), expected.len());
         for (level, (a, b)) in found.levels.iter().zip(expected).enumerate() {
@@ -195,7 +200,7 @@ mod tests {
 
     #[test]
     fn two_levels_by_hand() {
-        // S1 takes whatever is there; in S4, free of cost, an arrival fills the battery until the next S1.
+        // S1 takes any charge; in S4, free of cost, an arrival fills the battery until the next S1.
         assert_steady(&lattice(1, 1, 0, 9, 1), &drive(1, 2, 0.0), &[1.0 - P / 2.0, P / 2.0]);
         // One S1 in three: full after one S4 with P, after two with 1 − (1 − P)².
         let full = (P + 1.0 - (1.0 - P) * (1.0 - P)) / 3.0;
@@ -204,7 +209,7 @@ mod tests {
 
     #[test]
     fn three_levels_by_hand() {
-        // Always in S1: an arrival of 2 pays for this TTI and the next, unless that has one of its own.
+        // Always in S1: an arrival of 2 pays for this TTI and the next, unless the next has its own arrival.
         assert_steady(&lattice(2, 1, 0, 9, 2), &drive(1, 1, 0.0), &[1.0 - P, P, 0.0]);
         // Never in S1, no cost but E_Tx = 1: births with P (1 − a), deaths with (1 − P) a, from the full battery with
         // a.
@@ -217,7 +222,7 @@ mod tests {
 
     #[test]
     fn a_failed_transmission_empties_the_battery() {
-        // From 3 at most, E_Tx = 5 is never paid: the run of arrivals since the last activation decides the level.
+        // With at most 3 quanta, E_Tx = 5 is never paid: the arrivals since the last activation decide the level.
         let a = 0.4;
         let lattice = lattice(3, 1, 0, 5, 1);
         let matrix = DMatrix::from(&transitions(&lattice, &drive(0, 1, a), 0));
@@ -237,7 +242,7 @@ mod tests {
         }
     }
 
-    /// The steady state found by solving (P − 1) π = 0, Σ π = 1 for the chain of levels at the start of a cycle.
+    /// Compares with the solution of (P − 1) π = 0, Σ π = 1 for the chain of levels at the start of a cycle.
     #[test]
     fn a_dense_solver_agrees() {
         let lattice = lattice(84, 14, 1, 40, 35);
@@ -268,8 +273,8 @@ mod tests {
         assert!(found.residual <= STEADY && (found.at_least(0) - 1.0).abs() < 1e-9);
     }
 
-    /// The paper's system: R b = c with c all ones and R row-stochastic, and Σ b = 1 below it. Its first rows already
-    /// say b = (1, …, 1), whose sum is the number of states.
+    /// The paper's system is R b = c with c all ones and R row-stochastic, followed by Σ b = 1. Its first rows already
+    /// give b = (1, …, 1), whose sum is the number of states.
     #[test]
     fn the_printed_system_has_no_solution() {
         let r = DMatrix::<f64>::from_row_slice(3, 2, &[0.7, 0.3, 0.4, 0.6, 1.0, 1.0]);
@@ -287,14 +292,14 @@ mod tests {
             (drive(0, 0, 0.0), "t_DRX = 0"),
             (drive(1, 2, 1.5), "activation = 1.5"),
             (
-                Drive {
+                ChainInput {
                     arrival: 0.0,
                     ..drive(1, 2, 0.0)
                 },
                 "Pr(arrival) = 0",
             ),
             (
-                Drive {
+                ChainInput {
                     arrival: 1.0,
                     ..drive(1, 2, 0.0)
                 },

@@ -1,33 +1,33 @@
-//! Eq. (8), the paper's Pr(B ≥ E): as printed, by the incomplete beta function that it names, and by the one that its
-//! sum is.
+//! Eq. (8), the paper's Pr(B ≥ E), in three forms: as printed, by the incomplete beta function that the paper names,
+//! and by the one that equals its sum.
 //!
 //! With P = P_1,2 + P_4,2 and M = ⌈E_max/E_λ⌉, E_λ = E_B exp(-λ), Eq. (8) prints Σ_{B=E}^{M} C(B, E) P^E (1 − P)^{B−E}.
-//! Each term is the probability of E successes in B trials, so a term of one distribution for each B: they are no
-//! disjoint events and their sum is no probability. It is Pr(the (E+1)-th success comes within M + 1 trials) / P, which
-//! tends to 1/P. It rises with P, the chance to *spend*; and a larger harvest makes M, hence the sum, smaller. The text
-//! then names the regularized β_{1−P}(E + 1, E_max + 1), which lies in [0, 1] but is not that sum, and does not know
-//! the harvest.
+//! Each term is the probability of E successes in B trials. The terms belong to a different distribution for each B, so
+//! their events are not disjoint and the sum is not a probability. The sum is Pr(the (E+1)-th success comes within M +
+//! 1 trials) / P, which tends to 1/P. It rises with P, the chance to *spend*. A larger harvest makes M, and hence the
+//! sum, smaller. The text names the regularized β_{1−P}(E + 1, E_max + 1). That value lies in [0, 1], but it is not the
+//! sum and does not depend on the harvest.
 
 use statrs::function::beta::beta_reg;
 use statrs::function::gamma::ln_gamma;
 
-/// The largest M for which Eq. (8) is evaluated.
+/// Largest M for which Eq. (8) is evaluated.
 const MOST_STATES: u64 = 1_000_000;
 
-/// Eq. (8) for one threshold and one P. All of it is NaN where P is no probability, as P_1,2 + P_4,2 need not be.
+/// Eq. (8) for one threshold and one P. All values are NaN if P is not a probability, which P_1,2 + P_4,2 need not be.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Eq8 {
-    /// The sum as printed; NaN where E is not a whole number of units, for which it is not defined, and with more than
-    /// 10⁶ states.
+    /// Sum as printed. NaN with more than 10⁶ states, and if E is not a whole number of units, for which the sum is
+    /// undefined.
     pub sum: f64,
-    /// The sum as I_P(E + 1, M − E + 1) / P, which it equals.
+    /// The equal value I_P(E + 1, M − E + 1) / P.
     pub sum_by_beta: f64,
-    /// β_{1−P}(E + 1, E_max + 1), which the paper says it is.
+    /// β_{1−P}(E + 1, E_max + 1), which the paper equates with the sum.
     pub printed_beta: f64,
 }
 
 impl Eq8 {
-    /// For the threshold `e` and the battery `e_max` (units), with M = `states` and P = `activation`.
+    /// Evaluates Eq. (8) for the threshold `e` and the battery `e_max` (units), with M = `states` and P = `activation`.
     pub fn new(e: f64, e_max: f64, states: u64, activation: f64) -> Self {
         if !(0.0..=1.0).contains(&activation) {
             return Self {
@@ -42,14 +42,10 @@ impl Eq8 {
             printed_beta: beta_reg(e + 1.0, e_max + 1.0, 1.0 - activation),
         }
     }
-
-    /// Whether the sum could be a probability at all.
-    pub fn is_probability(&self) -> bool {
-        (0.0..=1.0).contains(&self.sum)
-    }
 }
 
-/// The number of the highest battery state, M = ⌈E_max/E_λ⌉ with E_λ = E_B exp(-λ); energies in units, `e_max` > 0.
+/// Computes the number of the highest battery state, M = ⌈E_max/E_λ⌉ with E_λ = E_B exp(-λ); energies in units, `e_max`
+/// > 0.
 pub fn states(e_max: f64, e_b: f64, lambda: f64) -> u64 {
     (e_max / (e_b * libm::exp(-lambda))).ceil() as u64
 }
@@ -62,11 +58,12 @@ fn sum(e: f64, states: u64, p: f64) -> f64 {
     (e..=states).map(|b| binomial_term(b, e, p)).sum()
 }
 
-/// C(b, e) p^e (1 − p)^{b−e}.
+/// Computes C(b, e) p^e (1 − p)^{b−e}.
 fn binomial_term(b: u64, e: u64, p: f64) -> f64 {
     let ln_factorial = |n: u64| ln_gamma(n as f64 + 1.0);
-    // 0⁰ is 1, as in the printed formula with P = 0 or 1.
+    // 0⁰ is 1, as in the printed formula with P = 0 or 1; 0 · ln 0 would be NaN.
     let power = |base: f64, n: u64| if n == 0 { 0.0 } else { n as f64 * libm::log(base) };
+    // Uses logarithms, since the factorials overflow from 171! on.
     let ln_choose = ln_factorial(b) - ln_factorial(e) - ln_factorial(b - e);
     libm::exp(ln_choose + power(p, e) + power(1.0 - p, b - e))
 }
@@ -78,6 +75,7 @@ fn sum_by_beta(e: f64, states: u64, p: f64) -> f64 {
     } else if b <= 0.0 {
         0.0
     } else if p <= 0.0 {
+        // Limit of the quotient for P → 0: with E = 0 each of the M + 1 terms is 1.
         if e > 0.0 { 0.0 } else { states as f64 + 1.0 }
     } else {
         beta_reg(e + 1.0, b, p) / p
@@ -88,7 +86,7 @@ fn sum_by_beta(e: f64, states: u64, p: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// The sum in integers and powers, without logarithms.
+    /// Computes the sum in integers and powers, without logarithms.
     fn plain(e: u64, states: u64, p: f64) -> f64 {
         let mut total = 0.0;
         for b in e..=states {
@@ -116,14 +114,14 @@ mod tests {
 
     #[test]
     fn it_is_not_a_probability() {
-        // Towards 1/P, here 5 and 2.
+        // The sum tends to 1/P, here 5 and 2.
         assert!((Eq8::new(10.0, 100.0, 1000, 0.2).sum - 5.0).abs() < 1e-9);
         let half = Eq8::new(10.0, 100.0, states(100.0, 1.0, 0.1), 0.5);
-        assert!((half.sum - 2.0).abs() < 1e-9 && !half.is_probability());
-        // More energy in an arrival, less of it.
+        assert!((half.sum - 2.0).abs() < 1e-9, "{half:?}");
+        // A larger arrival makes the sum smaller.
         let by_e_b = [1.0, 5.0, 10.0].map(|e_b| Eq8::new(10.0, 100.0, states(100.0, e_b, 0.1), 0.3).sum);
         assert!(by_e_b[0] > by_e_b[1] && by_e_b[1] > by_e_b[2], "{by_e_b:?}");
-        // And it is not the function that the text names.
+        // The function that the text names has another value.
         assert!((half.printed_beta - half.sum).abs() > 0.9);
     }
 
@@ -140,7 +138,7 @@ mod tests {
         for p in [-0.1, 1.1, f64::NAN] {
             assert!(Eq8::new(10.0, 100.0, 111, p).sum.is_nan());
         }
-        // A source that all but never gives anything: E_λ next to nothing, or nothing.
+        // A source that almost never yields anything: E_λ is nearly or exactly 0.
         for endless in [states(100.0, 5.0, 40.0), states(100.0, 0.0, 0.1)] {
             assert!(Eq8::new(10.0, 100.0, endless, 0.1).sum.is_nan());
         }

@@ -1,15 +1,15 @@
-//! A common quantum of all energies of a device, so that its battery has finitely many levels.
+//! Lattice with a common quantum for all energies of a device, so that its battery has finitely many levels.
 
 use reveille_common::scenario::EnergyModel;
 use reveille_common::units::{Energy, MICRO_PER_UNIT};
 
 use crate::analysis::AnalysisError;
 
-/// The finest lattice that is tried, quanta a unit.
+/// Resolution of the finest lattice tried, quanta a unit.
 const FINEST: u64 = 1000;
-/// How far an energy may be from a whole number of quanta. E_WuR, 71 429 micro-units, is 6·10⁻⁶ off one fourteenth.
+/// Maximum distance of an energy from whole quanta, quanta. E_WuR, 71 429 micro-units, is 6·10⁻⁶ off one fourteenth.
 const TOLERANCE: f64 = 1e-5;
-/// The most battery levels of a chain.
+/// Maximum number of battery levels of a chain.
 const MOST_LEVELS: u64 = 200_000;
 
 /// The energies of a device in whole quanta.
@@ -30,13 +30,14 @@ pub struct Lattice {
 }
 
 impl Lattice {
-    /// The coarsest lattice that holds all energies of `model` and `e_b`, to within 10⁻⁵ of a quantum.
+    /// Finds the coarsest lattice that represents all energies of `model` and `e_b` to within 10⁻⁵ of a quantum.
     ///
     /// # Errors
-    /// If there is none with at most 1000 quanta a unit, or the battery has too many levels on it.
+    /// If that needs more than 1000 quanta a unit, or the battery would have too many levels.
     pub fn new(model: &EnergyModel, e_b: Energy) -> Result<Self, AnalysisError> {
         let energies = [model.e_max, model.e_idle, model.e_wur, model.e_tx, e_b];
         let fits = |per_unit: &u64| energies.iter().all(|&e| distance(e, *per_unit) <= TOLERANCE);
+        // Tries the coarsest first, since the work of the chain grows with the number of levels.
         let Some(per_unit) = (1..=FINEST).find(fits) else {
             let value = energies.map(|e| e.units().to_string()).join(", ");
             let allowed = format!(
@@ -64,23 +65,23 @@ impl Lattice {
         })
     }
 
-    /// Battery levels, the empty one included.
+    /// Number of battery levels, the empty one included.
     pub const fn levels(&self) -> usize {
         self.e_max + 1
     }
 
-    /// The level nearest to `energy`.
+    /// Level nearest to `energy`.
     pub fn level(&self, energy: Energy) -> usize {
         (quanta(energy, self.per_unit) as usize).min(self.e_max)
     }
 }
 
-/// `energy` in quanta, to the nearest.
+/// Converts `energy` to quanta, rounded to the nearest.
 fn quanta(energy: Energy, per_unit: u64) -> u64 {
     (energy.micro() * per_unit + MICRO_PER_UNIT / 2) / MICRO_PER_UNIT
 }
 
-/// How far `energy` is from a whole number of quanta, in quanta.
+/// Distance of `energy` from a whole number of quanta, in quanta.
 fn distance(energy: Energy, per_unit: u64) -> f64 {
     let whole = quanta(energy, per_unit) * MICRO_PER_UNIT;
     (energy.micro() * per_unit).abs_diff(whole) as f64 / MICRO_PER_UNIT as f64

@@ -1,4 +1,4 @@
-//! The battery of device machines under a fixed duty cycle, counted at the end of every TTI.
+//! Battery levels of device machines under a fixed duty cycle, counted at the end of every TTI.
 
 use rayon::prelude::*;
 use reveille_common::event::Stimulus;
@@ -7,31 +7,37 @@ use reveille_common::harvest::{ArrivalsSetup, HarvestSetup};
 use reveille_common::ids::{DeviceId, EventId, Tti};
 use reveille_common::message::DeviceSetup;
 use reveille_common::plan::DutyCycle;
-use reveille_common::radio::Radio;
+use reveille_common::radio::RadioSettings;
 use reveille_common::rng::{Geometric, Purpose, Stream};
 use reveille_common::scenario::EnergyModel;
 use reveille_common::sensing::{DetectionKind, Fusion, Sensing};
 use reveille_common::units::Energy;
 use reveille_device::machine::{Machine, Physics};
 
-use super::chain::Drive;
+use super::chain::ChainInput;
 use super::lattice::Lattice;
 
-/// What to count.
+/// Sample of devices and TTIs to count.
 #[derive(Clone, Copy, Debug)]
-pub struct Sample {
+pub struct SampleConfig {
     /// Seed of the devices' streams.
     pub seed: u64,
-    /// Devices, each with an arrival stream of its own and its duty cycle shifted by one TTI more.
+    /// Number of devices, each with its own arrival stream. The duty cycle of each is shifted by one more TTI.
     pub devices: u32,
-    /// TTIs of each device that are counted.
+    /// Counted TTIs of each device.
     pub ttis: u64,
-    /// TTIs before those.
+    /// TTIs before the counted ones.
     pub warm_up: u64,
 }
 
-/// TTIs by battery level at their end, one vector for each device.
-pub fn levels(model: &EnergyModel, e_b: Energy, lattice: &Lattice, drive: &Drive, sample: &Sample) -> Vec<Vec<u64>> {
+/// Counts the TTIs by battery level at their end, one vector for each device.
+pub(super) fn levels(
+    model: &EnergyModel,
+    e_b: Energy,
+    lattice: &Lattice,
+    drive: &ChainInput,
+    sample: &SampleConfig,
+) -> Vec<Vec<u64>> {
     let setups: Vec<DeviceSetup> = (0..sample.devices)
         .map(|id| DeviceSetup {
             id: DeviceId(id),
@@ -44,7 +50,7 @@ pub fn levels(model: &EnergyModel, e_b: Energy, lattice: &Lattice, drive: &Drive
         sample.seed,
         Tti::ZERO,
         always_detects(),
-        Radio::default(),
+        RadioSettings::default(),
         &setups,
         Vec::new(),
     );
@@ -52,8 +58,14 @@ pub fn levels(model: &EnergyModel, e_b: Energy, lattice: &Lattice, drive: &Drive
     setups.par_iter().map(count).collect()
 }
 
-/// One device. It is made active by an event on top of it in S1, by a wake-up in S4.
-fn levels_of(setup: &DeviceSetup, world: &Physics, lattice: &Lattice, drive: &Drive, sample: &Sample) -> Vec<u64> {
+/// Counts one device. An event at its position makes it active in S1, a wake-up in S4.
+fn levels_of(
+    setup: &DeviceSetup,
+    world: &Physics,
+    lattice: &Lattice,
+    drive: &ChainInput,
+    sample: &SampleConfig,
+) -> Vec<u64> {
     let mut counts = vec![0; lattice.levels()];
     let mut machine = Machine::new(setup, world);
     let duty = DutyCycle {
@@ -64,6 +76,7 @@ fn levels_of(setup: &DeviceSetup, world: &Physics, lattice: &Lattice, drive: &Dr
     machine.set_duty(Tti::ZERO, duty);
     let gaps = Geometric::new(drive.activation);
     let mut stream = Stream::new(sample.seed, Purpose::EventGap, u64::from(setup.id.0));
+    // Gaps start at 1, and the first activation may be due in TTI 0.
     let mut active = gaps.draw(&mut stream).saturating_sub(1);
     let stimulus = Stimulus {
         event: EventId(0),
@@ -73,6 +86,7 @@ fn levels_of(setup: &DeviceSetup, world: &Physics, lattice: &Lattice, drive: &Dr
         let tti = Tti(k);
         machine.begin(tti);
         if k == active {
+            // The gap is `u64::MAX` if the device never becomes active.
             active = k.saturating_add(gaps.draw(&mut stream));
             if duty.is_on(tti) {
                 machine.sense(tti, &stimulus, world);

@@ -1,41 +1,42 @@
-//! The battery level under a fixed duty cycle (Sec. III-B): the Markov chain solved for its steady state, Eq. (8) in
-//! its forms, and device machines, side by side.
+//! Battery level under a fixed duty cycle (Sec. III-B): the steady state of the Markov chain, Eq. (8) in its forms, and
+//! device machines.
 //!
-//! The chain lives on a lattice of whole quanta, one fourteenth of a unit with the costs of Table II. The machines
-//! count in micro-units, where E_WuR is 71 429, that is 6/14 of a micro-unit more than a quantum. Levels of both go to
-//! the nearest quantum and then into bins of [`Study::bin`] units, `[0, bin)`, `[bin, 2 bin)`, …, so no border of a bin
-//! splits levels that the chain holds for one.
+//! The chain uses a lattice of whole quanta, one fourteenth of a unit with the costs of Table II. The machines count in
+//! micro-units, where E_WuR is 71 429, which is 6/14 of a micro-unit more than a quantum. Levels of both are rounded to
+//! the nearest quantum and then put into bins of [`BatteryStudy::bin`] units, `[0, bin)`, `[bin, 2 bin)`, …. So no bin
+//! border splits levels that are equal in the chain.
 
 mod chain;
 mod eq8;
 mod lattice;
 mod measured;
 
-pub use chain::{Drive, SteadyState, steady_state};
+pub(crate) use chain::steady_state;
+pub use chain::{ChainInput, SteadyState};
 pub use eq8::{Eq8, states};
 pub use lattice::Lattice;
-pub use measured::Sample;
+pub use measured::SampleConfig;
 
 use reveille_common::scenario::EnergyModel;
 use reveille_common::units::Energy;
 
 use super::AnalysisError;
-use super::harvest::Reading;
+use super::harvest::LambdaReading;
 use reveille_lab::stats::Estimate;
 
-/// The fewest devices that are measured: intervals are taken between devices.
+/// Minimum number of measured devices; intervals are taken between devices.
 const FEWEST_DEVICES: u32 = 2;
-/// The most device-TTIs that are measured.
+/// Maximum number of measured device-TTIs.
 const MOST_DEVICE_TTIS: u64 = 100_000_000_000;
 
 /// One battery under one duty cycle.
 #[derive(Clone, Copy, Debug)]
-pub struct Study {
+pub struct BatteryStudy {
     /// Battery and costs.
     pub model: EnergyModel,
-    /// How λ is read.
-    pub reading: Reading,
-    /// λ.
+    /// Reading of λ.
+    pub reading: LambdaReading,
+    /// Rate λ of arrivals, as the reading defines it.
     pub lambda: f64,
     /// Duration τ of a TTI.
     pub tau: f64,
@@ -45,39 +46,39 @@ pub struct Study {
     pub t_on: u32,
     /// t_DRX, TTIs, ≥ 1.
     pub t_drx: u32,
-    /// P_1,2 + P_4,2: the probability that the device is made active in a TTI.
+    /// Probability that the device becomes active in a TTI: P_1,2 + P_4,2.
     pub activation: f64,
-    /// What to measure; at least 2 devices and a TTI.
-    pub sample: Sample,
+    /// Sample to measure; at least 2 devices and one TTI.
+    pub sample: SampleConfig,
     /// Width of a bin of the distributions, units, at least a quantum.
     pub bin: f64,
 }
 
-/// Pr(B ≥ E) four ways. Levels are those at the end of a TTI.
+/// Pr(B ≥ E) by the chain, the machines and Eq. (8). Levels are taken at the end of a TTI.
 #[derive(Clone, Copy, Debug)]
 pub struct Availability {
     /// E, units.
     pub threshold: f64,
-    /// The value of the chain.
+    /// Probability by the chain.
     pub chain: f64,
-    /// The value that device machines show; the interval is between devices.
+    /// Share measured on device machines; the interval is between devices.
     pub measured: Estimate,
-    /// The values of Eq. (8).
+    /// Values of Eq. (8).
     pub eq8: Eq8,
 }
 
-/// A study's results.
+/// Results of a study.
 #[derive(Clone, Debug)]
-pub struct Comparison {
-    /// The lattice of the chain.
+pub struct BatteryComparison {
+    /// Lattice of the chain.
     pub lattice: Lattice,
     /// Probability of an arrival in a TTI.
     pub arrival: f64,
-    /// The steady state of the chain.
+    /// Steady state of the chain.
     pub steady: SteadyState,
     /// Bins: lower edge in units, probability by the chain, share of measured TTIs.
     pub bins: Vec<(f64, f64, f64)>,
-    /// Total variation distance of the two over these bins, `[0, 1]`.
+    /// Total variation distance between both distributions over these bins, `[0, 1]`.
     pub total_variation: f64,
     /// Mean battery by the chain, units.
     pub chain_mean: f64,
@@ -87,11 +88,11 @@ pub struct Comparison {
     pub availability: [Availability; 2],
 }
 
-/// Solves the chain, runs the devices and compares.
+/// Solves the chain, runs the devices and compares both.
 ///
 /// # Errors
-/// If something is out of its range, the energies have no common quantum, or the chain mixes too slowly.
-pub fn compare(study: &Study) -> Result<Comparison, AnalysisError> {
+/// If a value is out of its range, the energies have no common quantum, or the chain mixes too slowly.
+pub fn compare(study: &BatteryStudy) -> Result<BatteryComparison, AnalysisError> {
     study.check()?;
     let lattice = Lattice::new(&study.model, study.e_b)?;
     let drive = study.drive();
@@ -107,7 +108,7 @@ pub fn compare(study: &Study) -> Result<Comparison, AnalysisError> {
     let edges = (0..by_chain.len()).map(|bin| bin as f64 * study.bin);
     let availability = |threshold: Energy| study.availability(&lattice, threshold, &steady, &shares);
     let mean = |levels: &[f64]| mean_level(levels) / lattice.per_unit as f64;
-    Ok(Comparison {
+    Ok(BatteryComparison {
         lattice,
         arrival: drive.arrival,
         total_variation: distance / 2.0,
@@ -123,10 +124,10 @@ pub fn compare(study: &Study) -> Result<Comparison, AnalysisError> {
     })
 }
 
-impl Study {
-    /// Its drive.
-    pub fn drive(&self) -> Drive {
-        Drive {
+impl BatteryStudy {
+    /// Input of the chain for this study.
+    pub fn drive(&self) -> ChainInput {
+        ChainInput {
             t_on: self.t_on,
             t_drx: self.t_drx,
             arrival: self.reading.probability(self.lambda, self.tau),
@@ -143,7 +144,7 @@ impl Study {
                 "must be above 0 units, or nothing is ever harvested",
             ));
         }
-        let Sample {
+        let SampleConfig {
             devices, ttis, warm_up, ..
         } = self.sample;
         if devices < FEWEST_DEVICES {
@@ -178,9 +179,9 @@ impl Study {
     }
 }
 
-/// The bins of a distribution of levels.
+/// Bins of a distribution of levels.
 struct Bins {
-    /// The bin of each level.
+    /// Bin of each level.
     of_level: Vec<usize>,
 }
 
@@ -193,7 +194,7 @@ impl Bins {
                 format!("must be at least a quantum, {quantum:.6} units, and at most E_max, {capacity} units");
             return Err(AnalysisError::invalid("bin", &width, allowed));
         }
-        // A level that is a multiple of the width up to rounding begins a bin.
+        // Up to rounding, a level that is a multiple of the width begins a bin.
         let bin = |level: usize| (level as f64 * quantum / width + 1e-9).floor() as usize;
         Ok(Self {
             of_level: (0..lattice.levels()).map(bin).collect(),
@@ -201,6 +202,7 @@ impl Bins {
     }
 
     fn gather(&self, levels: &[f64]) -> Vec<f64> {
+        // Bins rise with levels, so the last level has the last bin.
         let last = self.of_level.last().copied().unwrap_or_default();
         let mut bins = vec![0.0; last + 1];
         for (bin, probability) in self.of_level.iter().zip(levels) {
@@ -226,18 +228,18 @@ mod tests {
 
     use super::*;
 
-    fn study(e_b: f64, t_on: u32, t_drx: u32, activation: f64) -> Study {
+    fn study(e_b: f64, t_on: u32, t_drx: u32, activation: f64) -> BatteryStudy {
         let scenario = load("paper", &[]).expect("the preset");
-        Study {
-            model: scenario.classes[0].energy,
-            reading: Reading::Eq5,
+        BatteryStudy {
+            model: scenario.scenario.classes[0].energy,
+            reading: LambdaReading::Eq5,
             lambda: 0.1,
             tau: 1.0,
             e_b: Energy::from_units(e_b).expect("in range"),
             t_on,
             t_drx,
             activation,
-            sample: Sample {
+            sample: SampleConfig {
                 seed: 3,
                 devices: 8,
                 ttis: 150_000,
@@ -281,7 +283,7 @@ mod tests {
     #[test]
     fn impossible_samples_are_refused() {
         let good = study(5.0, 1, 2, 0.0);
-        let with = |change: &dyn Fn(&mut Study)| {
+        let with = |change: &dyn Fn(&mut BatteryStudy)| {
             let mut bad = good;
             change(&mut bad);
             compare(&bad).expect_err("refused").to_string()

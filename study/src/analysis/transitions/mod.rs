@@ -1,57 +1,54 @@
-//! P_m,n of Sec. IV: the printed closed forms, what δ alone makes of them, and frequencies counted in runs.
+//! P_m,n of Sec. IV: the printed closed forms, the values for δ alone, and frequencies counted in runs.
 //!
-//! **Conditioning.** A frequency is the share of the visits of S_m whose next state is S_n, over all devices and all
-//! measured TTIs, with or without an event. A visit of S1 or S4 is one TTI, unless a detection or wake-up ends it
-//! within. The printed forms condition differently, and not all alike: P_4,1 = t_on/t_DRX is the share of *all* TTIs
-//! that are spent in S1, not of those in S4; P_1,2 = α p(d_ij) is for the TTI in which an event starts; P_4,2 takes for
-//! granted that some device has just reported.
+//! **Conditioning.** A frequency is the share of the visits of S_m whose next state is S_n, over all devices and
+//! measured TTIs, with or without events. A visit of S1 or S4 is one TTI, unless a detection or wake-up ends it
+//! earlier. The printed forms use other conditions. P_4,1 = t_on/t_DRX is the share of *all* TTIs spent in S1, not of
+//! the TTIs in S4. P_1,2 = α p(d_ij) holds for the TTI in which an event starts. P_4,2 assumes that a device has just
+//! reported.
 //!
-//! **Not probabilities.** P_1,1 and P_3,1 are sums of several conditional probabilities of the same event and leave [0,
-//! 1] once t_on is a large part of t_DRX (and are 0/0 where they are equal); P_1,4 and P_3,4, the complements, then
-//! turn negative; P_4,4 is negative where t_on/t_DRX + P_4,2 exceeds 1; P_2,3 is Eq. (8), see [`super::battery::Eq8`],
+//! **Not probabilities.** P_1,1 and P_3,1 are sums of several conditional probabilities of the same event. They leave
+//! [0, 1] once t_on is a large part of t_DRX, and are 0/0 if both are equal. Their complements P_1,4 and P_3,4 then
+//! turn negative. P_4,4 is negative if t_on/t_DRX + P_4,2 exceeds 1. P_2,3 is Eq. (8), see [`super::battery::Eq8`],
 //! with P_1,2 + P_4,2 for P, which may itself exceed 1.
 
-mod closed;
-mod counted;
-mod pairs;
+mod closed_form;
+mod measured;
 
-pub use closed::{Terms, printed};
-pub use counted::Counts;
-pub use pairs::PAIRS;
+pub use closed_form::{ClosedFormTerms, PAIRS, printed};
+pub use measured::TransitionCounts;
 
+use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
 use reveille_common::plan::DutyCycle;
-use reveille_common::scenario::Scenario;
 
-use super::AnalysisError;
-use super::runs::{check_seeds, over_seeds};
+use super::{AnalysisError, check_seeds, over_seeds};
 use reveille_lab::stats::Estimate;
 
-/// The quantile of the normal law for a 95 % interval.
+/// Quantile of the normal distribution for a 95 % interval.
 const Z: f64 = 1.959_963_984_540_054;
 
 /// One transition probability P_m,n.
 #[derive(Clone, Copy, Debug)]
 pub struct Transition {
-    /// m.
+    /// State before, m.
     pub from: usize,
-    /// n.
+    /// State after, n.
     pub to: usize,
-    /// The printed form: mean over devices and deployments, leaving out those for which it is 0/0.
+    /// Printed form: the mean over devices and deployments, except those for which it is 0/0.
     pub printed: f64,
-    /// Its least and largest value.
+    /// Minimum and maximum of the printed form.
     pub printed_range: (f64, f64),
-    /// Devices, of all deployments, for which it is no probability: below 0, above 1, or 0/0.
+    /// Number of devices, over all deployments, for which the form is not a probability: below 0, above 1, or 0/0.
     pub improper: usize,
-    /// Where δ alone decides (no events, no failures): the share of the same visits, over all devices.
+    /// Share of the visits if δ alone decides (no events, no failures), over all devices.
     pub by_duty: Option<f64>,
-    /// Counted transitions S_m → S_n.
+    /// Number of transitions S_m → S_n.
     pub count: u64,
-    /// Counted visits of S_m.
+    /// Number of visits of S_m.
     pub visits: u64,
-    /// The counted share; the interval is between runs.
+    /// Counted share; its interval is between runs.
     pub measured: Estimate,
-    /// The share's 95 % interval by Wilson's score, as if visits were independent, which they are not.
+    /// 95 % interval of the share by Wilson's score, as if visits were independent, which they are not.
     pub wilson: (f64, f64),
 }
 
@@ -60,12 +57,12 @@ pub struct Transition {
 pub struct Transitions {
     /// The transitions in the order of [`PAIRS`].
     pub transitions: Vec<Transition>,
-    /// Devices of all deployments together.
+    /// Number of devices over all deployments.
     pub devices: usize,
 }
 
-/// Counts the transitions of `scenario` under each of `seeds` seeds from its own on, beside the printed forms for the
-/// same deployments. Forms are evaluated for the duty cycles of the first TTI.
+/// Counts the transitions of `scenario` under `seeds` consecutive seeds from its own, and evaluates the printed forms
+/// for the same deployments. The forms use the duty cycles of the first TTI.
 ///
 /// # Errors
 /// If `seeds` is 0.
@@ -73,12 +70,12 @@ pub fn measure(scenario: &Scenario, seeds: u64) -> Result<Transitions, AnalysisE
     check_seeds(seeds)?;
     let runs = over_seeds(scenario, seeds, |one| {
         let deployment = Deployment::new(one);
-        let (counts, duties) = counted::count(one, &deployment);
-        let terms = closed::terms(one, &deployment.positions(), &duties, &closed::classes(one));
+        let (counts, duties) = measured::count(one, &deployment);
+        let terms = closed_form::terms(one, &deployment.positions(), &duties, &closed_form::classes(one));
         let printed: Vec<_> = terms.iter().map(|t| printed(t, one.events.alpha)).collect();
         (counts, duties, printed)
     });
-    let mut pooled = Counts::default();
+    let mut pooled = TransitionCounts::default();
     for (counts, ..) in &runs {
         pooled.add(counts);
     }
@@ -94,6 +91,7 @@ pub fn measure(scenario: &Scenario, seeds: u64) -> Result<Transitions, AnalysisE
             from,
             to,
             printed: Estimate::over(proper.clone()).mean,
+            // `min` and `max` ignore NaN, so NaN remains only if the form is 0/0 for all devices.
             printed_range: (proper.clone().fold(f64::NAN, f64::min), proper.fold(f64::NAN, f64::max)),
             improper: values.iter().filter(|v| !is_probability(**v)).count(),
             by_duty: by_duty(&duties, from, to),
@@ -117,9 +115,10 @@ fn is_probability(value: f64) -> bool {
     (-1e-12..=1.0 + 1e-12).contains(&value)
 }
 
-/// What share of the visits of S_from leads to S_to if δ alone decides; `None` for states that events lead to or from.
+/// Share of the visits of S_from that lead to S_to if δ alone decides; `None` for states with transitions due to
+/// events.
 fn by_duty(duties: &[DutyCycle], from: usize, to: usize) -> Option<f64> {
-    // A cycle of a device that is neither always on nor always off has one change each way.
+    // In each cycle, a device that is neither always on nor always off has one change each way.
     let (mut changes, mut on, mut off) = (0.0, 0.0, 0.0);
     for duty in duties {
         let (t_on, t_drx) = (f64::from(duty.t_on), f64::from(duty.t_drx));
@@ -157,7 +156,7 @@ mod tests {
     fn study(overrides: &[&str], seeds: u64) -> Transitions {
         let parse = |text: &&str| Override::parse(text).expect("an override");
         let overrides: Vec<Override> = overrides.iter().map(parse).collect();
-        measure(&load("paper", &overrides).expect("a scenario"), seeds).expect("a study")
+        measure(&load("paper", &overrides).expect("a scenario").scenario, seeds).expect("a study")
     }
 
     fn find(found: &Transitions, from: usize, to: usize) -> Transition {
@@ -202,7 +201,7 @@ mod tests {
 
     #[test]
     fn wilson_intervals_are_the_textbooks() {
-        // 8 of 10: 0.490 to 0.943.
+        // 8 of 10: interval 0.490 to 0.943.
         let (low, high) = wilson(8, 10);
         assert!(
             (low - 0.490_162).abs() < 1e-6 && (high - 0.943_318).abs() < 1e-6,
@@ -213,11 +212,11 @@ mod tests {
 
     #[test]
     fn improper_forms_are_counted() {
-        // Half of the time in S1: with a P_4,2 above one half P_4,4 is negative.
+        // Devices spend half of the time in S1. If P_4,2 is above one half, P_4,4 is negative.
         let dense = study(&["devices=250", "ttis=60", "policy.name=random"], 1);
         let p44 = find(&dense, 4, 4);
         assert!(p44.printed_range.0 <= p44.printed && p44.printed <= p44.printed_range.1);
-        // A device with t_on = t_DRX = 2.
+        // One device has t_on = t_DRX = 2.
         assert!(find(&dense, 1, 1).improper > 0 && find(&dense, 3, 1).improper > 0);
     }
 }

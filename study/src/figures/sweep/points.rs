@@ -1,50 +1,50 @@
-//! The cells of tables as points with named fields.
+//! Table cells as points with named fields.
 
-use reveille_lab::reading::Reading;
+use reveille_lab::metric_estimate::MetricEstimate;
 
-use super::super::results::{Condition, Results};
+use super::super::results::{Results, RunCondition};
 
-/// The field that every table has for N.
+/// Name of the field for N in every table.
 pub const DEVICES: &str = "devices";
-/// The field that every table has for the policy.
+/// Name of the field for the policy in every table.
 pub const POLICY: &str = "policy";
 
-/// One cell.
-pub struct Point<'r> {
-    condition: &'r Condition,
+/// One cell of a result table.
+pub(super) struct SweepPoint<'r> {
+    condition: &'r RunCondition,
     policy: &'r str,
     n: u32,
-    /// All that is known of it: fields with their values.
+    /// All fields of the cell with their values.
     pub fields: Vec<(String, String)>,
 }
 
-impl Point<'_> {
-    /// The value of `field`.
-    pub fn value(&self, field: &str) -> Option<&str> {
+impl SweepPoint<'_> {
+    /// Returns the value of `field`.
+    pub(super) fn value(&self, field: &str) -> Option<&str> {
         let known = self.fields.iter().find(|(path, _)| path == field);
         known.map(|(_, value)| value.as_str())
     }
 
-    /// The value of `field`, if it is a number.
-    pub fn number(&self, field: &str) -> Option<f64> {
+    /// Returns the value of `field`, if it is a finite number.
+    pub(super) fn number(&self, field: &str) -> Option<f64> {
         let number: f64 = self.value(field)?.parse().ok()?;
         number.is_finite().then_some(number)
     }
 
-    /// What its runs tell of `metric`.
-    pub fn reading(&self, metric: &str) -> Option<Reading> {
+    /// Returns the estimate of `metric` over the runs.
+    pub(super) fn reading(&self, metric: &str) -> Option<MetricEstimate> {
         self.condition.reading(self.policy, self.n, metric)
     }
 
-    /// How many runs it has.
-    pub fn runs(&self) -> usize {
+    /// Number of runs.
+    pub(super) fn runs(&self) -> usize {
         self.condition.runs(self.policy, self.n).count()
     }
 }
 
-/// The cells of `results`. Where policies have the lines, those with another ranking of wake-ups are lines of their
-/// own; otherwise the ranking is a field like others.
-pub fn points<'r>(results: &'r Results, by: &str) -> Vec<Point<'r>> {
+/// Returns the cells of `results` as points. If lines are policies, a policy with another ranking of wake-ups gets its
+/// own line. Otherwise the ranking is an ordinary field.
+pub(super) fn points<'r>(results: &'r Results, by: &str) -> Vec<SweepPoint<'r>> {
     let conditions = if by == POLICY {
         &results.conditions
     } else {
@@ -54,7 +54,7 @@ pub fn points<'r>(results: &'r Results, by: &str) -> Vec<Point<'r>> {
     for condition in conditions {
         for policy in condition.policies() {
             for n in condition.sizes(policy) {
-                points.push(Point {
+                points.push(SweepPoint {
                     condition,
                     policy,
                     n,
@@ -66,7 +66,7 @@ pub fn points<'r>(results: &'r Results, by: &str) -> Vec<Point<'r>> {
     points
 }
 
-fn fields(condition: &Condition, policy: &str, n: u32) -> Vec<(String, String)> {
+fn fields(condition: &RunCondition, policy: &str, n: u32) -> Vec<(String, String)> {
     let own = [
         ("preset", condition.preset.clone()),
         (POLICY, policy.to_owned()),

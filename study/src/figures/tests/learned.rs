@@ -1,18 +1,18 @@
-//! Pictures of learned tables, and information against energy.
+//! Tests of figures of learned tables, and of information against energy.
 
 use reveille_bs::policy::q_learning::learned::{
-    BATTERIES, CurvePoint, Entry, Learned, Lookback, Schedule, Setting, Training, Weights,
+    BATTERIES, CurvePoint, LearnedTables, Lookback, QTrainingConfig, QWeights, Schedule, TableSet, TrainingSite,
 };
 use reveille_common::declare::NoFiles;
 use reveille_common::scenario::WakeUpRanking;
 
-use super::super::heat::Known;
+use super::super::heat::VisitCount;
 use super::super::{learning, pareto, q_table};
 use super::{FigureError, Results, check, fixtures, scenario};
 
-/// The start of a training with `n` devices.
-fn untrained(n: u32, weights: &Weights) -> Entry {
-    Entry::optimistic(
+/// Creates untrained tables for `n` devices.
+fn untrained(n: u32, weights: &QWeights) -> TableSet {
+    TableSet::optimistic(
         &scenario(&[&format!("devices={n}")]).site(),
         weights,
         Lookback::Window(4),
@@ -20,9 +20,9 @@ fn untrained(n: u32, weights: &Weights) -> Entry {
     )
 }
 
-/// Tables for each of `sizes` with a curve of `episodes` points, of which some cells were learned.
-fn learned(sizes: &[u32], episodes: u64) -> Learned {
-    let weights = Weights {
+/// Creates tables for each of `sizes`, with some learned cells and a learning curve of `episodes` points.
+fn learned(sizes: &[u32], episodes: u64) -> LearnedTables {
+    let weights = QWeights {
         mu1: 14.0,
         mu2: 1.6,
         zeta: 0.95,
@@ -50,24 +50,24 @@ fn learned(sizes: &[u32], episodes: u64) -> Learned {
         entry.curve = (0..episodes).map(point).collect();
         entry
     };
-    Learned {
+    LearnedTables {
         made_by: "reveille 0.1.0".to_owned(),
         scenario: "00".to_owned(),
         weights,
         begun_from: None,
         schedule: Schedule::default(),
-        training: Training {
+        training: QTrainingConfig {
             episodes,
             ttis: 3000,
             epsilon: (0.1, 0.03),
             seed: 1,
         },
-        setting: Setting::of(&scenario(&[]).site()),
+        setting: TrainingSite::of(&scenario(&[]).site()),
         entries: sizes.iter().map(entry).collect(),
     }
 }
 
-fn source(name: &str, sizes: &[u32], episodes: u64) -> learning::Source {
+fn source(name: &str, sizes: &[u32], episodes: u64) -> learning::NamedTables {
     (name.to_owned(), learned(sizes, episodes))
 }
 
@@ -99,12 +99,12 @@ fn learning_curves_are_drawn_for_one_n_and_for_ten_of_several_files() {
                 scene
                     .items
                     .iter()
-                    .any(|item| matches!(item, super::Item::Text(t) if t.text == name)),
+                    .any(|item| matches!(item, super::SceneItem::Text(t) if t.text == name)),
                 "{name}"
             );
         }
     }
-    // Windows are told apart.
+    // Rows with different windows are labelled.
     let mut two = source("two.json", &[50], 2);
     let mut other = two.1.entries[0].clone();
     other.lookback = Lookback::Window(7);
@@ -116,7 +116,7 @@ fn learning_curves_are_drawn_for_one_n_and_for_ten_of_several_files() {
         scene.description
     );
     for name in ["window 4", "window 7"] {
-        let is_named = |item: &super::Item| matches!(item, super::Item::Text(t) if t.text.contains(name));
+        let is_named = |item: &super::SceneItem| matches!(item, super::SceneItem::Text(t) if t.text.contains(name));
         assert!(scene.items.iter().any(is_named), "{name}");
     }
     let csv = learning::csv(&[source("a,b.json", &[10, 50], 3)]);
@@ -126,7 +126,7 @@ fn learning_curves_are_drawn_for_one_n_and_for_ten_of_several_files() {
 
 #[test]
 fn files_without_curves_or_too_many_of_them_are_refused() {
-    let refused = |sources: &[learning::Source]| learning::scene(sources).expect_err("no picture").to_string();
+    let refused = |sources: &[learning::NamedTables]| learning::scene(sources).expect_err("no picture").to_string();
     let bare = refused(&[source("a.json", &[10], 2), source("bare.json", &[10], 0)]);
     assert!(
         bare.contains("bare.json") && bare.contains("no learning curve"),
@@ -172,8 +172,8 @@ fn a_cell_is_the_advantage_and_is_framed_where_the_policy_senses() {
         !map.cells[1][15].framed && map.cells[1][15].value > 0.0,
         "it cannot report"
     );
-    assert_eq!((map.count(Known::Well), map.count(Known::Half)), (16, 2));
-    assert_eq!(map.count(Known::Never), BATTERIES * 16 - 18);
+    assert_eq!((map.count(VisitCount::Well), map.count(VisitCount::Half)), (16, 2));
+    assert_eq!(map.count(VisitCount::Never), BATTERIES * 16 - 18);
     let csv = q_table::duty_csv(&learned, entry);
     assert_eq!(csv.lines().count(), 1 + BATTERIES * 16);
     let own = csv.lines().find(|line| line.starts_with("5,")).expect("the row");
@@ -241,7 +241,7 @@ fn information_is_drawn_against_energy_with_intervals_in_both_directions() {
     assert!(knn[1].across.abs() < 1e-12 && chart.series[1].samples[0].across.is_nan());
     let notes: Vec<&str> = chart.notes.iter().map(|note| note.text.as_str()).collect();
     assert_eq!(notes, ["250", "250", "10"], "ends of lines, the last first");
-    // What the paper states of both: knn 0.145 and 0.4, q-learning 0.24 and 0.72.
+    // Values that the paper states for both metrics: knn 0.145 and 0.4, q-learning 0.24 and 0.72.
     let marks: Vec<(f64, f64)> = chart.marks.iter().map(|m| (m.x, m.stated.values()[0])).collect();
     assert_eq!(marks, [(0.145, 0.4), (0.24, 0.72)]);
     assert!(

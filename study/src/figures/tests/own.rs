@@ -1,36 +1,36 @@
-//! Pictures of anybody's own sweep.
+//! Tests of figures of arbitrary sweeps.
 
 use reveille_common::declare::NoFiles;
-use reveille_lab::table::{Table, Value};
+use reveille_lab::table::{SweptValue, Table};
 
 use super::super::FigureError;
 use super::super::results::{Results, fixtures};
-use super::super::sweep::{Picture, Wish};
+use super::super::sweep::{SweepFigure, SweepFigureSpec};
 use super::check;
 
-/// λ of 0.05, 0.1 and 0.4 for knn and random at two N; the energy is 10 λ, and 1 more with each factor of 10 in N.
+/// Creates a table with three λ for knn and random at two N. The energy is 10 λ + N / 10, and 0.5 more for random.
 fn table() -> (String, Table) {
     let energy = |lambda: f64, n: u32| 10.0 * lambda + f64::from(n) / 10.0;
-    let mut runs: Vec<(&str, u32, Value, Vec<f64>)> = Vec::new();
-    // Not in order, as a sweep that was put together may be.
+    let mut runs: Vec<(&str, u32, SweptValue, Vec<f64>)> = Vec::new();
+    // Out of order, as in a merged sweep.
     for lambda in [0.4, 0.05, 0.1] {
         for policy in ["knn", "random"] {
             for n in [10, 100] {
                 let mean = energy(lambda, n) + if policy == "random" { 0.5 } else { 0.0 };
-                runs.push((policy, n, Value::Float(lambda), vec![mean - 0.1, mean + 0.1]));
+                runs.push((policy, n, SweptValue::Float(lambda), vec![mean - 0.1, mean + 0.1]));
             }
         }
     }
-    let runs: Vec<(&str, u32, Value, &[f64])> = runs
+    let runs: Vec<(&str, u32, SweptValue, &[f64])> = runs
         .iter()
         .map(|(policy, n, lambda, values)| (*policy, *n, lambda.clone(), values.as_slice()))
         .collect();
     fixtures::swept("paper", "energy_per_device_tti", "harvest.lambda", &runs)
 }
 
-fn wish(x: &str, by: &str, only: &[(&str, &str)]) -> Wish {
+fn wish(x: &str, by: &str, only: &[(&str, &str)]) -> SweepFigureSpec {
     let owned = |(field, value): &(&str, &str)| ((*field).to_owned(), (*value).to_owned());
-    Wish {
+    SweepFigureSpec {
         x: x.to_owned(),
         y: "energy_per_device_tti".to_owned(),
         by: by.to_owned(),
@@ -40,7 +40,7 @@ fn wish(x: &str, by: &str, only: &[(&str, &str)]) -> Wish {
     }
 }
 
-fn draw(wish: &Wish) -> Result<Vec<Picture>, FigureError> {
+fn draw(wish: &SweepFigureSpec) -> Result<Vec<SweepFigure>, FigureError> {
     wish.draw(&Results::new(&[table()], &NoFiles).expect("runs"))
 }
 
@@ -59,7 +59,7 @@ fn a_metric_is_drawn_against_any_field_with_its_interval() {
         assert_eq!(xs, [0.05, 0.1, 0.4], "rising");
         for sample in &line.samples {
             assert!((sample.y - (10.0 * sample.x + 10.0 + more)).abs() < 1e-12);
-            // Of two values 0.2 apart: t(1) · 0.1414 / √2.
+            // Two values 0.2 apart: t(1) · 0.1414 / √2.
             assert!((sample.half - 12.706_205 * 0.1).abs() < 1e-5, "{sample:?}");
         }
     }
@@ -99,7 +99,7 @@ fn other_fields_have_a_picture_for_each_of_their_values() {
 
 #[test]
 fn any_field_has_the_lines() {
-    let wish = Wish {
+    let wish = SweepFigureSpec {
         is_log_x: true,
         is_log_y: true,
         ..wish("devices", "harvest.lambda", &[("policy", "knn")])
@@ -122,7 +122,7 @@ fn any_field_has_the_lines() {
 
 #[test]
 fn wishes_that_cannot_be_drawn_say_what_there_is() {
-    let refused = |wish: Wish, parts: &[&str]| {
+    let refused = |wish: SweepFigureSpec, parts: &[&str]| {
         let error = draw(&wish).expect_err("nothing to draw").to_string();
         assert!(parts.iter().all(|part| error.contains(part)), "{error}");
     };
@@ -136,7 +136,7 @@ fn wishes_that_cannot_be_drawn_say_what_there_is() {
         wish("devices", "policy", &[("harvest.lambda", "0.2")]),
         &["harvest.lambda = 0.2", "0.4, 0.05, 0.1"],
     );
-    let speed = Wish {
+    let speed = SweepFigureSpec {
         y: "speed".to_owned(),
         ..wish("devices", "policy", &[])
     };
@@ -151,12 +151,19 @@ fn a_number_is_chosen_however_it_is_written() {
 
 #[test]
 fn too_many_lines_or_pictures_are_refused() {
-    let runs: Vec<(&str, u32, Value, &[f64])> = (1..=30)
-        .map(|i| ("knn", 10 + i % 2, Value::Float(f64::from(i) / 100.0), &[1.0, 2.0][..]))
+    let runs: Vec<(&str, u32, SweptValue, &[f64])> = (1..=30)
+        .map(|i| {
+            (
+                "knn",
+                10 + i % 2,
+                SweptValue::Float(f64::from(i) / 100.0),
+                &[1.0, 2.0][..],
+            )
+        })
         .collect();
     let table = fixtures::swept("paper", "energy_per_device_tti", "harvest.lambda", &runs);
     let results = Results::new(&[table], &NoFiles).expect("runs");
-    let error = |wish: Wish| wish.draw(&results).expect_err("too many").to_string();
+    let error = |wish: SweepFigureSpec| wish.draw(&results).expect_err("too many").to_string();
     let lines = error(wish("devices", "harvest.lambda", &[]));
     assert!(lines.contains("30 lines") && lines.contains("--where"), "{lines}");
     let pictures = error(wish("devices", "policy", &[]));
@@ -168,8 +175,8 @@ fn too_many_lines_or_pictures_are_refused() {
 
 #[test]
 fn rankings_are_lines_beside_each_other_or_a_field() {
-    let text = |value: &str| Value::Text(value.to_owned());
-    let runs: [(&str, u32, Value, &[f64]); 4] = [
+    let text = |value: &str| SweptValue::Text(value.to_owned());
+    let runs: [(&str, u32, SweptValue, &[f64]); 4] = [
         ("knn", 10, text("p42"), &[0.2, 0.22]),
         ("knn", 50, text("p42"), &[0.25, 0.27]),
         ("knn", 10, text("posterior"), &[0.3, 0.32]),

@@ -1,20 +1,20 @@
-//! Sweeps over a field, and over the ranking of wake-ups.
+//! Tests of sweeps over a field, and over the ranking of wake-ups.
 
 use reveille_common::declare::NoFiles;
 
 use super::super::results::{Results, fixtures};
 use super::super::{energy, pareto, study};
 use super::check;
-use reveille_lab::table::{Hash, Value};
+use reveille_lab::table::{Hash, SweptValue};
 
-fn text(value: &str) -> Value {
-    Value::Text(value.to_owned())
+fn text(value: &str) -> SweptValue {
+    SweptValue::Text(value.to_owned())
 }
 
 #[test]
 fn rankings_are_series_of_one_picture() {
     let figure = study::FIGURES[0];
-    let runs: [(&str, u32, Value, &[f64]); 6] = [
+    let runs: [(&str, u32, SweptValue, &[f64]); 6] = [
         ("knn", 10, text("posterior"), &[0.3, 0.32]),
         ("knn", 50, text("posterior"), &[0.4, 0.42]),
         ("random", 10, text("posterior"), &[0.1, 0.1]),
@@ -76,13 +76,13 @@ fn tables_of_different_rankings_stand_side_by_side() {
 
 #[test]
 fn settings_that_are_not_the_papers_have_neither_its_titles_nor_its_marks() {
-    let runs: [(&str, u32, Value, &[f64]); 6] = [
-        ("adjusted", 250, Value::Float(0.1), &[0.2, 0.3]),
-        ("adjusted", 250, Value::Float(0.2), &[0.2, 0.3]),
-        ("adjusted", 100, Value::Float(0.1), &[0.2, 0.3]),
-        ("random", 100, Value::Float(0.1), &[0.3, 0.3]),
-        ("adjusted", 100, Value::Float(0.2), &[0.2, 0.3]),
-        ("random", 100, Value::Float(0.2), &[0.3, 0.3]),
+    let runs: [(&str, u32, SweptValue, &[f64]); 6] = [
+        ("adjusted", 250, SweptValue::Float(0.1), &[0.2, 0.3]),
+        ("adjusted", 250, SweptValue::Float(0.2), &[0.2, 0.3]),
+        ("adjusted", 100, SweptValue::Float(0.1), &[0.2, 0.3]),
+        ("random", 100, SweptValue::Float(0.1), &[0.3, 0.3]),
+        ("adjusted", 100, SweptValue::Float(0.2), &[0.2, 0.3]),
+        ("random", 100, SweptValue::Float(0.2), &[0.3, 0.3]),
     ];
     let figure = study::FIGURES[4];
     let table = fixtures::swept("paper", "energy_per_device_tti", "harvest.lambda", &runs);

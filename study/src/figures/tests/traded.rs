@@ -1,9 +1,9 @@
-//! What is bought with energy: information and delay, through N and through the settings of a knob.
+//! Tests of trade-offs against energy: information and delay, along N and along the settings of a knob.
 
 use reveille_common::declare::NoFiles;
-use reveille_lab::table::{Hash, Value};
+use reveille_lab::table::{Hash, SweptValue};
 
-use super::super::results::Condition;
+use super::super::results::RunCondition;
 use super::super::{front, pareto};
 use super::{Results, check, fixtures};
 
@@ -53,7 +53,7 @@ fn the_energy_floor_stands_at_the_information_of_the_genie() {
         .find(|line| line.name == "energy floor")
         .expect("a floor");
     let ys: Vec<f64> = floor.samples.iter().map(|sample| sample.y).collect();
-    // Ten devices cannot harvest what it takes.
+    // Ten devices cannot harvest enough for the floor.
     assert!(
         ys.len() == 2 && (ys[0] - 0.41).abs() < 1e-12 && (ys[1] - 0.61).abs() < 1e-12,
         "{ys:?}"
@@ -71,8 +71,8 @@ fn the_energy_floor_stands_at_the_information_of_the_genie() {
 
 #[test]
 fn settings_of_a_knob_are_a_line_for_each_n() {
-    let text = |value: &str| Value::Text(value.to_owned());
-    let runs: [(&str, u32, Value, &[f64]); 6] = [
+    let text = |value: &str| SweptValue::Text(value.to_owned());
+    let runs: [(&str, u32, SweptValue, &[f64]); 6] = [
         ("random", 50, text("[8, 16]"), &[0.2, 0.22]),
         ("genie", 50, text("[8, 16]"), &[0.6, 0.62]),
         ("random", 50, text("[2, 4]"), &[0.4, 0.42]),
@@ -87,7 +87,7 @@ fn settings_of_a_knob_are_a_line_for_each_n() {
         }
     }
     let results = Results::new(&[(name, table)], &NoFiles).expect("runs");
-    let all: Vec<&Condition> = results.conditions.iter().collect();
+    let all: Vec<&RunCondition> = results.conditions.iter().collect();
     let fronts = front::fronts(&all);
     let [front] = &fronts[..] else {
         panic!("{:?}", fronts.iter().map(|f| f.n).collect::<Vec<_>>())

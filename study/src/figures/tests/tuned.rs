@@ -1,11 +1,11 @@
-//! The picture of a tuning.
+//! Tests of the figure of a tuning.
 
-use super::super::scene::Item;
+use super::super::scene::SceneItem;
 use super::super::tuning::scene;
 use super::check;
-use reveille_lab::tuning::{Evaluation, History, Pair, Point, Ranges, Surface};
+use reveille_lab::tuning::{Evaluation, History, Ranges, Surface, TuningPoint, WeightPair};
 
-fn history(pairs: &[Pair], of: impl Fn(Pair) -> f64) -> History {
+fn history(pairs: &[WeightPair], of: impl Fn(WeightPair) -> f64) -> History {
     let header = [
         ("objective", "balance: information (P1) − 1 × energy − 1 × share missed"),
         ("devices", "100"),
@@ -28,12 +28,12 @@ fn history(pairs: &[Pair], of: impl Fn(Pair) -> f64) -> History {
             energy: 0.2,
             wake_ups: 1.0,
         };
-        history.points.push(Point { weights, evaluation });
+        history.points.push(TuningPoint { weights, evaluation });
     }
     history
 }
 
-fn surface(ranges: &Ranges, of: impl Fn(Pair) -> f64) -> Surface {
+fn surface(ranges: &Ranges, of: impl Fn(WeightPair) -> f64) -> Surface {
     let middle = |i: u32| (f64::from(i) + 0.5) / 40.0;
     let row = |j: u32| (0..40).map(|i| of(ranges.at([middle(i), middle(j)]))).collect();
     Surface {
@@ -41,7 +41,7 @@ fn surface(ranges: &Ranges, of: impl Fn(Pair) -> f64) -> Surface {
     }
 }
 
-fn hill([mu1, mu2]: Pair) -> f64 {
+fn hill([mu1, mu2]: WeightPair) -> f64 {
     let (x, y) = (libm::log(mu1 / 6.0), libm::log(mu2 / 2.0));
     0.3 - 0.02 * x * x - 0.1 * y * y
 }
@@ -49,17 +49,17 @@ fn hill([mu1, mu2]: Pair) -> f64 {
 #[test]
 fn a_tuning_is_legible_even_where_pairs_crowd() {
     let ranges = Ranges::new((0.5, 20.0), (1.0, 5.0)).expect("ranges");
-    let spread: [Pair; 6] = [[14.0, 1.6], [0.5, 1.0], [20.0, 5.0], [2.0, 3.0], [1.0, 4.9], [9.0, 2.5]];
+    let spread: [WeightPair; 6] = [[14.0, 1.6], [0.5, 1.0], [20.0, 5.0], [2.0, 3.0], [1.0, 4.9], [9.0, 2.5]];
     let crowd = (0..14).map(|i| [6.0 + 0.03 * f64::from(i), 2.0 + 0.004 * f64::from(i % 3)]);
-    let pairs: Vec<Pair> = spread.into_iter().chain(crowd).collect();
+    let pairs: Vec<WeightPair> = spread.into_iter().chain(crowd).collect();
     let drawn = scene(&history(&pairs, hill), &ranges, &surface(&ranges, hill));
     check("tuning", &drawn);
     let texts: Vec<&str> = drawn
         .items
         .iter()
         .filter_map(|item| match item {
-            Item::Text(text) => Some(text.text.as_str()),
-            Item::Shape(_) => None,
+            SceneItem::Text(text) => Some(text.text.as_str()),
+            SceneItem::Shape(_) => None,
         })
         .collect();
     for number in 1..=20 {
@@ -76,7 +76,7 @@ fn a_tuning_is_legible_even_where_pairs_crowd() {
 #[test]
 fn a_flat_tuning_can_be_drawn() {
     let ranges = Ranges::new((1.0, 10.0), (1.0, 1000.0)).expect("ranges");
-    let flat = |_: Pair| 0.25;
+    let flat = |_: WeightPair| 0.25;
     let drawn = scene(
         &history(&[[1.0, 1.0], [2.0, 10.0], [9.0, 900.0]], flat),
         &ranges,

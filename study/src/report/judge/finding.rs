@@ -1,53 +1,53 @@
-//! Our figures for a claim: the quantity that it is about, at each N.
+//! Our figures for a claim: its quantity at each N.
 
-use reveille_lab::reading::Reading;
+use reveille_lab::metric_estimate::MetricEstimate;
 use reveille_lab::stats::{Moments, student_t};
 
-use crate::claims::{Claim, Quantity, Topic};
-use crate::figures::results::Condition;
+use crate::claims::{Claim, ClaimQuantity, ClaimTopic};
+use crate::figures::results::RunCondition;
 
-/// How much counts as 0, as a share of the largest of the other policies' means.
+/// Largest value that counts as 0, as a share of the largest of the other policies' means.
 const ZERO: f64 = 0.01;
 
-/// Our figure at one N, with what it was compared with.
+/// Our figure at one N, with the policy in its comparison.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Finding {
-    /// N.
+    /// Number of devices N.
     pub n: u32,
-    /// The policy that it was compared with.
+    /// The other policy of the comparison.
     pub other: Option<&'static str>,
-    /// The quantity, from means.
+    /// Quantity, computed from means.
     pub value: f64,
-    /// The lower end of its 95 % interval, 0 where it is not known.
+    /// Lower end of its 95 % interval; 0 if unknown.
     pub low: f64,
-    /// The upper end, infinite where it is not known.
+    /// Upper end of its 95 % interval; infinite if unknown.
     pub high: f64,
-    /// What counts as 0, at most.
+    /// Largest value that counts as 0.
     pub zero: f64,
-    /// What the runs tell of the metric, where the quantity is its mean.
-    pub reading: Option<Reading>,
+    /// Estimate of the metric, if the quantity is its mean.
+    pub reading: Option<MetricEstimate>,
 }
 
-/// The figures for `claim` of `topic`, by rising N.
-pub(super) fn findings(topic: &Topic, claim: &Claim, condition: &Condition) -> Vec<Finding> {
-    let runs = Runs { topic, condition };
+/// Computes the figures for `claim` of `topic`, in ascending order of N.
+pub(super) fn findings(topic: &ClaimTopic, claim: &Claim, condition: &RunCondition) -> Vec<Finding> {
+    let runs = TopicRuns { topic, condition };
     let sizes = condition.sizes(claim.policy).into_iter();
     let sizes = sizes.filter(|n| claim.sites.holds(*n));
     sizes.flat_map(|n| runs.at(claim, n)).collect()
 }
 
-/// What the runs of a condition tell of the metric of a topic.
-pub(super) struct Runs<'a> {
-    pub topic: &'a Topic,
-    pub condition: &'a Condition,
+/// Runs of a condition, evaluated on the metric of a topic.
+pub(super) struct TopicRuns<'a> {
+    pub topic: &'a ClaimTopic,
+    pub condition: &'a RunCondition,
 }
 
-impl Runs<'_> {
-    /// What the runs of `policy` with `n` devices tell.
-    pub(super) fn reading(&self, policy: &str, n: u32) -> Option<Reading> {
+impl TopicRuns<'_> {
+    /// Estimate of the metric over the runs of `policy` with `n` devices.
+    pub(super) fn reading(&self, policy: &str, n: u32) -> Option<MetricEstimate> {
         let reading = self.condition.reading(policy, n, self.topic.metric)?;
         Some(if self.topic.is_per_device {
-            reading.shared(f64::from(n))
+            reading.divided_by(f64::from(n))
         } else {
             reading
         })
@@ -67,11 +67,11 @@ impl Runs<'_> {
             reading: None,
         };
         match claim.quantity {
-            Quantity::Own => vec![Finding {
+            ClaimQuantity::Own => vec![Finding {
                 reading: Some(own),
                 ..base
             }],
-            Quantity::Ratio(others) => {
+            ClaimQuantity::Ratio(others) => {
                 let against = |other: &&'static str| {
                     let theirs = self.reading(other, n)?;
                     let pairs = self.pairs(claim.policy, other, n);
@@ -86,7 +86,7 @@ impl Runs<'_> {
                 };
                 others.iter().filter_map(against).collect()
             }
-            Quantity::Gap(other) => {
+            ClaimQuantity::Gap(other) => {
                 let gap = self.reading(other, n).map(|theirs| {
                     let [value, low, high] = gap(&own, &theirs, &self.pairs(claim.policy, other, n));
                     Finding {
@@ -99,8 +99,9 @@ impl Runs<'_> {
                 });
                 gap.into_iter().collect()
             }
-            Quantity::Growth(from) => {
+            ClaimQuantity::Growth(from) => {
                 let growth = self.reading(claim.policy, from).map(|start| {
+                    // Not paired: runs with another N have other deployments, whatever their seeds.
                     let [value, low, high] = ratio(&own, &start, &[]);
                     Finding {
                         value,
@@ -114,14 +115,14 @@ impl Runs<'_> {
         }
     }
 
-    /// What counts as 0 of `policy` with `n` devices.
+    /// Largest value that counts as 0 for `policy` with `n` devices.
     fn zero(&self, policy: &str, n: u32) -> f64 {
         let others = self.condition.policies().into_iter().filter(|other| *other != policy);
         let means = others.filter_map(|other| Some(self.reading(other, n)?.estimate.mean));
         ZERO * means.fold(0.0, f64::max)
     }
 
-    /// The values of both policies, run by run, if they were run with the same seeds.
+    /// Values of both policies, run by run, if both were run with the same seeds.
     fn pairs(&self, a: &str, b: &str, n: u32) -> Vec<(f64, f64)> {
         let parts = if self.topic.is_per_device { f64::from(n) } else { 1.0 };
         let values = |policy: &str| -> Vec<(u64, f64)> {
@@ -130,6 +131,7 @@ impl Runs<'_> {
             values.collect()
         };
         let (a, b) = (values(a), values(b));
+        // Runs are in the order of seeds, so two equal lists have equal seeds at each index.
         if a.len() != b.len() || a.iter().zip(&b).any(|(a, b)| a.0 != b.0) {
             return Vec::new();
         }
@@ -137,10 +139,10 @@ impl Runs<'_> {
     }
 }
 
-/// The ratio of two means with its interval. Runs with the same seeds meet the same deployments, epicentres and
-/// harvests: the spread is that of their differences from the common ratio. Other means are taken at the worst of both
-/// intervals, as are those of which only a bound is known.
-fn ratio(own: &Reading, theirs: &Reading, pairs: &[(f64, f64)]) -> [f64; 3] {
+/// Computes the ratio of two means with its interval. Runs with the same seeds have the same deployments, epicentres
+/// and harvests, so the spread is taken over their differences from the common ratio. Other means, and metrics with
+/// only a bound, use the worst case of both intervals.
+fn ratio(own: &MetricEstimate, theirs: &MetricEstimate, pairs: &[(f64, f64)]) -> [f64; 3] {
     let (a, b) = (own.estimate.mean, theirs.estimate.mean);
     let value = match (a == 0.0, b == 0.0) {
         (true, true) => 1.0,
@@ -156,8 +158,8 @@ fn ratio(own: &Reading, theirs: &Reading, pairs: &[(f64, f64)]) -> [f64; 3] {
     [value, low, high]
 }
 
-/// How far two means are apart, with the interval, as of [`ratio`].
-fn gap(own: &Reading, theirs: &Reading, pairs: &[(f64, f64)]) -> [f64; 3] {
+/// Computes the distance between two means with its interval, as in [`ratio`].
+fn gap(own: &MetricEstimate, theirs: &MetricEstimate, pairs: &[(f64, f64)]) -> [f64; 3] {
     let value = (own.estimate.mean - theirs.estimate.mean).abs();
     let half = half_of(own, theirs, pairs, 1.0).unwrap_or(own.half_width() + theirs.half_width());
     if half.is_nan() {
@@ -166,11 +168,11 @@ fn gap(own: &Reading, theirs: &Reading, pairs: &[(f64, f64)]) -> [f64; 3] {
     [value, (value - half).max(0.0), value + half]
 }
 
-/// Half the interval of the mean of a − `factor` · b over `pairs`; `None` where the intervals say nothing or there are
-/// no two pairs.
-fn half_of(own: &Reading, theirs: &Reading, pairs: &[(f64, f64)], factor: f64) -> Option<f64> {
-    // Runs that all have next to no case do not tell how often there is one.
-    let is_rare = |reading: &Reading| reading.upper.is_some() && reading.counted.is_some();
+/// Half the interval of the mean of a − `factor` · b over `pairs`; `None` if the cases are too few or there are fewer
+/// than two pairs.
+fn half_of(own: &MetricEstimate, theirs: &MetricEstimate, pairs: &[(f64, f64)], factor: f64) -> Option<f64> {
+    // With too few cases for an interval, the spread of the differences does not show their frequency.
+    let is_rare = |reading: &MetricEstimate| reading.upper.is_some() && reading.counted.is_some();
     if pairs.len() < 2 || is_rare(own) || is_rare(theirs) {
         return None;
     }
@@ -184,13 +186,13 @@ fn half_of(own: &Reading, theirs: &Reading, pairs: &[(f64, f64)], factor: f64) -
 
 #[cfg(test)]
 mod tests {
-    use reveille_lab::reading::Counted;
+    use reveille_lab::metric_estimate::CaseCounts;
     use reveille_lab::stats::Estimate;
 
     use super::*;
 
-    fn reading(values: &[f64]) -> Reading {
-        Reading {
+    fn reading(values: &[f64]) -> MetricEstimate {
+        MetricEstimate {
             estimate: Estimate::over(values.iter().copied()),
             counted: None,
             upper: None,
@@ -200,7 +202,7 @@ mod tests {
 
     #[test]
     fn the_interval_of_a_ratio_of_pairs_is_that_of_their_residuals() {
-        // b is half of a but for ±0.1: residuals a − 2b of 0.2, −0.4, 0.2, whose deviation is √0.12.
+        // b is half of a, except for ±0.1: residuals a − 2b of 0.2, −0.4, 0.2, whose deviation is √0.12.
         let (a, b) = ([2.0, 4.0, 6.0], [0.9, 2.2, 2.9]);
         let pairs: Vec<(f64, f64)> = a.into_iter().zip(b).collect();
         let [value, low, high] = ratio(&reading(&a), &reading(&b), &pairs);
@@ -228,8 +230,8 @@ mod tests {
 
     #[test]
     fn a_ratio_to_nothing_is_what_people_mean() {
-        let none = Reading {
-            counted: Some(Counted { cases: 0, events: 30 }),
+        let none = MetricEstimate {
+            counted: Some(CaseCounts { cases: 0, events: 30 }),
             upper: Some(0.1),
             ..reading(&[0.0, 0.0])
         };

@@ -1,42 +1,42 @@
-//! How well figures fit a statement, and whether all of their intervals say the same.
+//! Fit of figures to a statement, and its certainty under their intervals.
 
 use super::finding::Finding;
 use crate::claims::Statement;
 
-/// How far from a stated value is still that value, as a share of it.
+/// Maximum deviation from a stated value that still counts as equal, as a share of the value.
 const CLOSE: f64 = 0.05;
-/// How far from a stated value or range is still near it, as a share of it; and how far from the middle what stays
-/// level may go.
+/// Maximum deviation from a stated value or range that counts as near, as a share of it. Also the maximum deviation
+/// from the middle for a constant level.
 const TOLERANCE: f64 = 0.2;
-/// How far against it what falls or rises may go, as a share of the range of all means.
+/// Maximum step against a trend, as a share of the range of all means.
 const AGAINST: f64 = 0.1;
-/// For what binary fractions do to the last digit of 20 %.
+/// Allowance for binary rounding at the limit of 20 %.
 const ROUNDING: f64 = 1e-9;
 
-/// How well.
+/// Level of a fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Tier {
-    /// Not.
+pub enum FitLevel {
+    /// No fit.
     No,
-    /// Within 20 % of it.
+    /// Within 20 % of the statement.
     Near,
     /// As stated.
     Yes,
 }
 
-/// How well figures fit, and what their intervals leave open.
+/// Fit of the means, and the range of fits within their intervals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Fit {
-    /// The means.
-    pub tier: Tier,
-    /// The worst that the intervals leave open.
-    pub worst: Tier,
-    /// The best that they leave open.
-    pub best: Tier,
+    /// Fit of the means.
+    pub tier: FitLevel,
+    /// Worst fit within the intervals.
+    pub worst: FitLevel,
+    /// Best fit within the intervals.
+    pub best: FitLevel,
 }
 
 impl Fit {
-    /// How well `findings` fit `statement`; `None` where there are too few of them to say.
+    /// Computes the fit of `findings` to `statement`; `None` if there are too few findings.
     pub fn of(statement: Statement, findings: &[Finding]) -> Option<Self> {
         if statement.range().is_some() {
             return findings.iter().map(|one| Self::at(statement, one)).reduce(Self::and);
@@ -56,8 +56,8 @@ impl Fit {
             .reduce(Self::and)
     }
 
-    /// Whether the intervals leave nothing open.
-    pub fn is_firm(self) -> bool {
+    /// Whether the fit is the same throughout the intervals.
+    pub(crate) fn is_firm(self) -> bool {
         self.worst == self.best
     }
 
@@ -69,12 +69,12 @@ impl Fit {
         }
     }
 
-    /// For a statement on each N.
+    /// Computes the fit to a statement on each N.
     fn at(statement: Statement, finding: &Finding) -> Self {
         let Finding { value, low, high, .. } = *finding;
         let of = |x: f64| tier(statement, x, finding.zero);
-        // Whatever is stated is a range: no point of an interval fits better than that next to it, and none worse than
-        // an end.
+        // Each statement here is a range: the point of the interval nearest to the range fits best, and an end fits
+        // worst.
         let (from, to) = statement.range().unwrap_or((f64::NEG_INFINITY, f64::INFINITY));
         let nearest = if low > to { low } else { from.max(low).min(high) };
         Self {
@@ -84,7 +84,7 @@ impl Fit {
         }
     }
 
-    /// For a statement on the figures of a row of N together.
+    /// Computes the fit to a statement on several N together.
     fn over(statement: Statement, row: &[Finding]) -> Self {
         match statement {
             Statement::Largest(v) => Self::at(Statement::About(v), &extreme(row, f64::max)),
@@ -93,9 +93,9 @@ impl Fit {
             Statement::Falls => Self::trend(row, |x| x),
             Statement::Rises => Self::trend(row, |x| -x),
             Statement::About(_) | Statement::Between(..) | Statement::Below(_) | Statement::Above(_) => Self {
-                tier: Tier::No,
-                worst: Tier::No,
-                best: Tier::No,
+                tier: FitLevel::No,
+                worst: FitLevel::No,
+                best: FitLevel::No,
             },
         }
     }
@@ -107,10 +107,11 @@ impl Fit {
         let smallest = |of| over(of, f64::min, f64::INFINITY);
         let zero = smallest(|f| f.zero);
         let is_level = |least: f64, most: f64| {
+            // Half the range over the middle; multiplied out, since the middle may be 0.
             let is_near = most.is_finite() && most - least <= (TOLERANCE + ROUNDING) * (most + least);
             most <= least || most <= zero || is_near
         };
-        let fits = |yes| if yes { Tier::Yes } else { Tier::No };
+        let fits = |yes| if yes { FitLevel::Yes } else { FitLevel::No };
         Self {
             tier: fits(is_level(smallest(|f| f.value), largest(|f| f.value))),
             worst: fits(is_level(smallest(|f| f.low), largest(|f| f.high))),
@@ -118,7 +119,7 @@ impl Fit {
         }
     }
 
-    /// For what falls, seen through `sign`, from the first to the last.
+    /// Computes the fit to a falling trend from the first to the last, after `sign` is applied to the values.
     fn trend(row: &[Finding], sign: fn(f64) -> f64) -> Self {
         let ends = |f: &Finding| {
             let (a, b) = (sign(f.low), sign(f.high));
@@ -127,7 +128,7 @@ impl Fit {
         let values = || row.iter().map(|f| f.value);
         let range = values().fold(f64::NEG_INFINITY, f64::max) - values().fold(f64::INFINITY, f64::min);
         let allowed = AGAINST * range + ROUNDING * range.abs();
-        // The largest rise from an earlier to a later one, by what of each counts.
+        // The largest rise from an earlier to a later finding, with `of` and `before` as their values.
         let rise = |of: &dyn Fn(&Finding) -> f64, before: &dyn Fn(&Finding) -> f64| {
             let pairs = row
                 .iter()
@@ -139,24 +140,25 @@ impl Fit {
         };
         let (Some(first), Some(last)) = (row.first(), row.last()) else {
             return Self {
-                tier: Tier::No,
-                worst: Tier::No,
-                best: Tier::No,
+                tier: FitLevel::No,
+                worst: FitLevel::No,
+                best: FitLevel::No,
             };
         };
-        let fits = |yes| if yes { Tier::Yes } else { Tier::No };
+        let fits = |yes| if yes { FitLevel::Yes } else { FitLevel::No };
         let mean = |f: &Finding| sign(f.value);
         let tier = fits(mean(last) < mean(first) && rise(&mean, &mean) <= allowed);
         let (low, high) = (|f: &Finding| ends(f).0, |f: &Finding| ends(f).1);
         Self {
             tier,
+            // `allowed` follows from the means alone, so `worst` and `best` are clamped to their sides of `tier`.
             worst: fits(high(last) < low(first) && rise(&high, &low) <= allowed).min(tier),
             best: fits(low(last) < high(first) && rise(&low, &high) <= allowed).max(tier),
         }
     }
 }
 
-/// The largest or smallest of `row`, with the ends that it may have.
+/// Largest or smallest of `row`, with the range of values that it can have.
 fn extreme(row: &[Finding], pick: fn(f64, f64) -> f64) -> Finding {
     let of = |part: fn(&Finding) -> f64| row.iter().map(part).reduce(pick).unwrap_or(f64::NAN);
     let value = of(|f| f.value);
@@ -169,8 +171,8 @@ fn extreme(row: &[Finding], pick: fn(f64, f64) -> f64) -> Finding {
     }
 }
 
-/// How well `x` fits. `zero` is what counts as 0.
-fn tier(statement: Statement, x: f64, zero: f64) -> Tier {
+/// Computes the level of fit of `x`. Values up to `zero` count as 0.
+fn tier(statement: Statement, x: f64, zero: f64) -> FitLevel {
     match statement {
         Statement::About(0.0) => meets(x <= zero),
         Statement::About(v) => near(x, v, v, CLOSE),
@@ -178,31 +180,31 @@ fn tier(statement: Statement, x: f64, zero: f64) -> Tier {
         Statement::Below(v) => meets(x < v),
         Statement::Above(v) => meets(x > v),
         Statement::Largest(_) | Statement::Smallest(_) | Statement::Level | Statement::Falls | Statement::Rises => {
-            Tier::No
+            FitLevel::No
         }
     }
 }
 
-/// How well `x` fits the single stated value `stated`.
-pub fn about(x: f64, stated: f64) -> Tier {
+/// Computes the level of fit of `x` to the single stated value `stated`.
+pub fn about(x: f64, stated: f64) -> FitLevel {
     near(x, stated, stated, CLOSE)
 }
 
-fn meets(yes: bool) -> Tier {
-    if yes { Tier::Yes } else { Tier::No }
+fn meets(yes: bool) -> FitLevel {
+    if yes { FitLevel::Yes } else { FitLevel::No }
 }
 
-/// Whether `x` is between `low` and `high`, widened by `close` or by [`TOLERANCE`] as a share of each.
-fn near(x: f64, low: f64, high: f64, close: f64) -> Tier {
+/// Checks `x` against `low` to `high`, widened by `close` or by [`TOLERANCE`] as a share of each end.
+fn near(x: f64, low: f64, high: f64, close: f64) -> FitLevel {
     let within = |room: f64| {
         let room = room + ROUNDING;
         (low - room * low.abs()..=high + room * high.abs()).contains(&x)
     };
     if within(close) {
-        Tier::Yes
+        FitLevel::Yes
     } else if within(TOLERANCE) {
-        Tier::Near
+        FitLevel::Near
     } else {
-        Tier::No
+        FitLevel::No
     }
 }

@@ -1,24 +1,29 @@
-//! How policies stand to each other, in the paper and in our runs.
+//! Order of the policies, in the paper and in our runs.
 
-use super::finding::{Finding, Runs};
-use crate::claims::{Claim, Quantity, Sites, Statement, Topic};
-use crate::figures::results::Condition;
+use super::finding::{Finding, TopicRuns};
+use crate::claims::{Claim, ClaimQuantity, ClaimTopic, DeviceCounts, Statement};
+use crate::figures::results::RunCondition;
 
-/// Two policies at one N.
-pub(super) struct Pair {
-    /// N.
+/// Comparison of a policy with another at one N.
+pub(super) struct PolicyPair {
+    /// Number of devices N.
     pub n: u32,
     /// The other policy.
     pub other: &'static str,
-    /// Whether the means stand to each other as in the paper.
+    /// Whether the means have the order that the paper states.
     pub as_stated: bool,
-    /// Whether their intervals leave no doubt.
+    /// Whether the order holds for all values within both intervals.
     pub firm: bool,
 }
 
-/// The policies whose order to that of `claim` the paper states, at each N that was run; for what is said of the
-/// largest or smallest over N, at the N of `findings` where it is. Nothing of claims on how one thing changes with N.
-pub(super) fn compared(topic: &Topic, claim: &Claim, condition: &Condition, findings: &[Finding]) -> Vec<Pair> {
+/// Compares the policy of `claim` with the policies whose order to it the paper states, at each N that was run. A claim
+/// on the largest or smallest over N is compared only at that N in `findings`. Empty for claims on a change with N.
+pub(super) fn compared(
+    topic: &ClaimTopic,
+    claim: &Claim,
+    condition: &RunCondition,
+    findings: &[Finding],
+) -> Vec<PolicyPair> {
     if is_of_one_alone(claim) {
         return Vec::new();
     }
@@ -34,7 +39,7 @@ pub(super) fn compared(topic: &Topic, claim: &Claim, condition: &Condition, find
         | Statement::Falls
         | Statement::Rises => None,
     };
-    let runs = Runs { topic, condition };
+    let runs = TopicRuns { topic, condition };
     let mut pairs = Vec::new();
     let sizes = condition.sizes(claim.policy).into_iter();
     for n in sizes.filter(|n| claim.sites.holds(*n) && at.is_none_or(|at| at.n == *n)) {
@@ -43,7 +48,7 @@ pub(super) fn compared(topic: &Topic, claim: &Claim, condition: &Condition, find
                 continue;
             };
             let difference = own.estimate.mean - theirs.estimate.mean;
-            pairs.push(Pair {
+            pairs.push(PolicyPair {
                 n,
                 other,
                 as_stated: if is_lower { difference < 0.0 } else { difference > 0.0 },
@@ -54,15 +59,16 @@ pub(super) fn compared(topic: &Topic, claim: &Claim, condition: &Condition, find
     pairs
 }
 
-/// Whether a claim, if it is not met, has no part in which it could be.
+/// Whether the claim has no order to judge apart from its own statement: a pure order, a change or a trend.
 fn is_of_one_alone(claim: &Claim) -> bool {
-    let is_order = matches!(claim.quantity, Quantity::Ratio(_)) && side(claim.statement).is_none_or(|(_, own)| own);
-    let is_change = matches!(claim.quantity, Quantity::Growth(_) | Quantity::Gap(_));
+    let is_order =
+        matches!(claim.quantity, ClaimQuantity::Ratio(_)) && side(claim.statement).is_none_or(|(_, own)| own);
+    let is_change = matches!(claim.quantity, ClaimQuantity::Growth(_) | ClaimQuantity::Gap(_));
     let is_trend = matches!(claim.statement, Statement::Level | Statement::Falls | Statement::Rises);
     is_order || is_change || is_trend
 }
 
-/// On which side of 1 a stated ratio is, whether below, and whether it says nothing else than that.
+/// Whether a stated ratio is below 1, and whether the statement is only about that side; `None` for neither side.
 fn side(statement: Statement) -> Option<(bool, bool)> {
     match statement {
         Statement::Below(v) => (v <= 1.0).then_some((true, v >= 1.0)),
@@ -75,10 +81,11 @@ fn side(statement: Statement) -> Option<(bool, bool)> {
     }
 }
 
-/// The policies to which the paper states the order or the ratio of that of `claim` at `n`, or all of whose figures
-/// there exclude all of its own, and whether `claim` is the lower. A claim on a ratio is about its own policies alone.
-fn rivals(topic: &Topic, claim: &Claim, n: u32) -> Vec<(&'static str, bool)> {
-    if let (Quantity::Ratio(others), Some((is_lower, _))) = (claim.quantity, side(claim.statement)) {
+/// Lists the policies with a stated order to `claim`'s policy at `n`, and whether `claim`'s policy is the lower. The
+/// order follows from a stated order or ratio, or from ranges that all exclude each other. A claim on a ratio concerns
+/// only its own policies.
+fn rivals(topic: &ClaimTopic, claim: &Claim, n: u32) -> Vec<(&'static str, bool)> {
+    if let (ClaimQuantity::Ratio(others), Some((is_lower, _))) = (claim.quantity, side(claim.statement)) {
         return others.iter().map(|other| (*other, is_lower)).collect();
     }
     let mut rivals: Vec<(&'static str, bool)> = Vec::new();
@@ -88,9 +95,9 @@ fn rivals(topic: &Topic, claim: &Claim, n: u32) -> Vec<(&'static str, bool)> {
         }
     };
     for other in topic.claims.iter().filter(|other| other.sites.holds(n)) {
-        // "Up to" is said of one N, which is not known.
+        // "Up to" refers to one N, which the paper does not name.
         let is_here = other.statement.range().is_some();
-        let (Quantity::Ratio(bases), Some((is_lower, _)), true) = (other.quantity, side(other.statement), is_here)
+        let (ClaimQuantity::Ratio(bases), Some((is_lower, _)), true) = (other.quantity, side(other.statement), is_here)
         else {
             continue;
         };
@@ -114,35 +121,35 @@ fn rivals(topic: &Topic, claim: &Claim, n: u32) -> Vec<(&'static str, bool)> {
     rivals
 }
 
-/// What the paper states of `policy` at `n`, from and to. What is said of this N counts before what is said of many.
-fn ranges(topic: &Topic, policy: &str, n: u32) -> Vec<(f64, f64)> {
+/// Ranges that the paper states for `policy` at `n`. Claims on exactly this N take precedence over claims on several N.
+fn ranges(topic: &ClaimTopic, policy: &str, n: u32) -> Vec<(f64, f64)> {
     let own = || topic.claims.iter().filter(|c| c.policy == policy && c.sites.holds(n));
     let stated = |claims: &mut dyn Iterator<Item = &'static Claim>| -> Vec<(f64, f64)> {
         claims.flat_map(|claim| stated(topic, claim, n)).collect()
     };
-    let here = stated(&mut own().filter(|c| c.sites == Sites::At(n)));
+    let here = stated(&mut own().filter(|c| c.sites == DeviceCounts::At(n)));
     if here.is_empty() { stated(&mut own()) } else { here }
 }
 
-/// What `claim` states of its policy at `n`; a ratio stands for its multiple of what is stated of the other policy.
-fn stated(topic: &Topic, claim: &Claim, n: u32) -> Vec<(f64, f64)> {
+/// Ranges that `claim` states for its policy at `n`; a ratio multiplies the ranges stated for the other policy.
+fn stated(topic: &ClaimTopic, claim: &Claim, n: u32) -> Vec<(f64, f64)> {
     let Some((from, to)) = claim.statement.range() else {
         return Vec::new();
     };
     match claim.quantity {
-        Quantity::Own => vec![(from, to)],
-        // Who is below another has no figure for that.
-        Quantity::Ratio(_) if !from.is_finite() || !to.is_finite() => Vec::new(),
-        Quantity::Ratio(others) => {
+        ClaimQuantity::Own => vec![(from, to)],
+        // A bound on a ratio gives no figure for the policy itself.
+        ClaimQuantity::Ratio(_) if !from.is_finite() || !to.is_finite() => Vec::new(),
+        ClaimQuantity::Ratio(others) => {
             let bases = topic
                 .claims
                 .iter()
-                .filter(|c| c.quantity == Quantity::Own && c.sites.holds(n));
+                .filter(|c| c.quantity == ClaimQuantity::Own && c.sites.holds(n));
             let bases = bases.filter(|c| others.contains(&c.policy));
             let ranges = bases.filter_map(|c| c.statement.range());
             let multiples = ranges.filter(|(low, high)| low.is_finite() && high.is_finite());
             multiples.map(|(low, high)| (from * low, to * high)).collect()
         }
-        Quantity::Gap(_) | Quantity::Growth(_) => Vec::new(),
+        ClaimQuantity::Gap(_) | ClaimQuantity::Growth(_) => Vec::new(),
     }
 }

@@ -1,15 +1,17 @@
+//! Verdicts at the limits of each tier.
+
 use reveille_common::declare::NoFiles;
 
 use super::*;
-use crate::claims::Quantity::{Gap, Growth, Own, Ratio};
-use crate::claims::Sites::{At, Everywhere, Under};
-use crate::claims::{FIG_8, Quantity, Sites, Statement};
+use crate::claims::ClaimQuantity::{Gap, Growth, Own, Ratio};
+use crate::claims::DeviceCounts::{At, Everywhere, Under};
+use crate::claims::{ClaimQuantity, DeviceCounts, FIG_8, Statement};
 use crate::figures::results::{Results, fixtures};
 
 const METRIC: &str = "mean_battery";
 
-const fn topic(claims: &'static [Claim]) -> Topic {
-    Topic {
+const fn topic(claims: &'static [Claim]) -> ClaimTopic {
+    ClaimTopic {
         metric: METRIC,
         is_per_device: false,
         about: "",
@@ -19,11 +21,11 @@ const fn topic(claims: &'static [Claim]) -> Topic {
     }
 }
 
-const fn claim(policy: &'static str, sites: Sites, quantity: Quantity, statement: Statement) -> Claim {
+const fn claim(policy: &'static str, sites: DeviceCounts, quantity: ClaimQuantity, statement: Statement) -> Claim {
     Claim::new(policy, sites, quantity, statement, FIG_8)
 }
 
-/// Of knn at N = 250.
+/// Creates a claim on knn at N = 250.
 const fn one(statement: Statement) -> Claim {
     claim("knn", At(250), Own, statement)
 }
@@ -32,12 +34,12 @@ const fn about(v: f64) -> Claim {
     one(Statement::About(v))
 }
 
-fn judged(topic: &Topic, runs: &[(&str, u32, &[f64])]) -> Judgement {
+fn judged(topic: &ClaimTopic, runs: &[(&str, u32, &[f64])]) -> Judgement {
     let results = Results::new(&[fixtures::table("paper", METRIC, runs)], &NoFiles).expect("runs");
     judge(topic, &topic.claims[0], &results.conditions[0])
 }
 
-/// The verdict on the first of `claims`, for runs with these values of the metric.
+/// Judges the first of `claims` for runs with these values of the metric.
 fn verdict(claims: &'static [Claim], runs: &[(&str, u32, &[f64])]) -> (Verdict, bool) {
     let judgement = judged(&topic(claims), runs);
     (judgement.verdict, judgement.firm)
@@ -105,7 +107,7 @@ fn a_verdict_is_firm_if_the_interval_stays_on_its_side() {
         ([11.8, 11.9], (Verdict::Near, false)),
         ([12.1, 12.2], (Verdict::NotReproduced, false)),
         ([14.0, 14.1], (Verdict::NotReproduced, true)),
-        // All of the stated value lies inside.
+        // The interval includes the whole accepted range around the stated value.
         ([8.0, 14.0], (Verdict::Near, false)),
     ] {
         assert_eq!(verdict(ONE, &[("knn", 250, &values)]), expected, "{values:?}");
@@ -152,7 +154,7 @@ fn order_counts_where_the_value_does_not_fit() {
 
 #[test]
 fn an_order_that_the_paper_states_counts_for_the_figures_beside_it() {
-    // No figure of random: only that it is above knn.
+    // The paper gives no figure for random, only that it is above knn.
     const STATED: &[Claim] = &[
         about(10.0),
         claim("random", Everywhere, Ratio(&["knn"]), Statement::Above(1.0)),
@@ -364,7 +366,7 @@ fn a_gap_closes_and_growth_is_against_its_own_start() {
 #[test]
 fn a_metric_can_be_shared_out_among_the_devices() {
     const BELOW: &[Claim] = &[one(Statement::Below(0.04))];
-    let topic = Topic {
+    let topic = ClaimTopic {
         is_per_device: true,
         ..topic(BELOW)
     };

@@ -4,20 +4,21 @@ use std::fmt::Write as _;
 
 use super::super::judge::Verdict;
 use super::super::markdown::{cell, folded, lower, made};
-use super::super::parts::{Part, wrapped};
-use super::super::remarks::{absent, verdict};
-use super::super::words::number;
-use super::{Half, Search, Setting};
+use super::super::notes::{absent, verdict};
+use super::super::page_sections::{PageSection, wrapped};
+use super::super::phrasing::number;
+use super::{ClaimSplit, RankedSetting, SettingSearch};
 
-/// How settings are ranked, and what that can tell.
-pub const RULE: &str = "Every claim has a number, in the order of the report. Settings are ranked by the claims with \
-    even numbers alone: by how many are reproduced, then by how many are within 20 %. The claims with odd numbers have \
-    no part in that; how many of those a setting meets tells whether its rank is more than luck. Claims that were not \
-    run count for nobody. Neither verdict looks at another claim. Both halves come from the same runs, and sentences \
-    about several policies are several claims, so that the halves are not independent of each other.";
+/// Explanation of the ranking and of its limits.
+pub(crate) const RULE: &str = "Every claim has a number, in the order of the report. Settings are ranked by the \
+    claims with even numbers alone: by how many are reproduced, then by how many are within 20 %. The claims with \
+    odd numbers have no part in that; how many of those a setting meets tells whether its rank is more than luck. \
+    Claims that were not run count for nobody. Neither verdict looks at another claim. Both halves come from the \
+    same runs, and sentences about several policies are several claims, so that the halves are not independent of \
+    each other.";
 
-/// The whole page, with the first `count` settings and the presets.
-pub fn markdown(search: &Search<'_>, count: usize, command: &str) -> String {
+/// Renders the whole page, with the first `count` settings and the presets.
+pub fn markdown(search: &SettingSearch<'_>, count: usize, command: &str) -> String {
     let mut out = String::from("# Which settings meet most of the paper's claims\n\n");
     for line in summary(search).into_iter().chain(absent(&search.report)) {
         let _ = writeln!(out, "- {line}");
@@ -31,8 +32,8 @@ pub fn markdown(search: &Search<'_>, count: usize, command: &str) -> String {
     out
 }
 
-/// The search as parts of a page, with the first `count` settings and the presets.
-pub fn parts(search: &Search<'_>, count: usize, command: &str) -> Vec<Part> {
+/// Renders the search as sections of a page, with the first `count` settings and the presets.
+pub fn parts(search: &SettingSearch<'_>, count: usize, command: &str) -> Vec<PageSection> {
     let untitled = |text: String| {
         lower(
             text.split_once("## ")
@@ -41,23 +42,23 @@ pub fn parts(search: &Search<'_>, count: usize, command: &str) -> Vec<Part> {
         )
     };
     vec![
-        Part::list("search", summary(search).into_iter().chain(absent(&search.report))),
-        Part::new("search-rule", wrapped(RULE, "")),
-        Part::new("search-settings", ranking(search, count)),
-        Part::new("search-effects", untitled(effects(search))),
-        Part::new("search-unmet", untitled(unmet(search))),
-        Part::new("search-claims", untitled(verdicts(search))),
-        Part::new("search-made", folded(&made(&search.report, command))),
+        PageSection::list("search", summary(search).into_iter().chain(absent(&search.report))),
+        PageSection::new("search-rule", wrapped(RULE, "")),
+        PageSection::new("search-settings", ranking(search, count)),
+        PageSection::new("search-effects", untitled(effects(search))),
+        PageSection::new("search-unmet", untitled(unmet(search))),
+        PageSection::new("search-claims", untitled(verdicts(search))),
+        PageSection::new("search-made", folded(&made(&search.report, command))),
     ]
 }
 
-/// What was searched and what came of it, a sentence each.
-pub fn summary(search: &Search<'_>) -> Vec<String> {
+/// Summarises the search and its result, one sentence an item.
+pub fn summary(search: &SettingSearch<'_>) -> Vec<String> {
     let [met, unmet, absent] = search.counts();
     let runs: usize = search.report.columns.iter().map(|c| c.condition.run_count()).sum();
     let lines = &search.report.lines;
-    let halves = [Half::Search, Half::HeldOut].map(|half| {
-        let numbered = (1..).zip(lines).filter(|(number, _)| Half::of(*number) == half);
+    let halves = [ClaimSplit::Search, ClaimSplit::HeldOut].map(|half| {
+        let numbered = (1..).zip(lines).filter(|(number, _)| ClaimSplit::of(*number) == half);
         numbered.filter(|(_, line)| line.is_run()).count()
     });
     let mut sentences = vec![
@@ -91,8 +92,8 @@ pub fn summary(search: &Search<'_>) -> Vec<String> {
     sentences
 }
 
-/// The heads of the ranking: its own columns, then the fields in which settings differ.
-pub fn heads(search: &Search<'_>) -> Vec<String> {
+/// Headings of the ranking: its own columns, then the fields in which settings differ.
+pub fn heads(search: &SettingSearch<'_>) -> Vec<String> {
     let own = [
         "place",
         "met",
@@ -108,8 +109,8 @@ pub fn heads(search: &Search<'_>) -> Vec<String> {
     own.chain(["setting".to_owned()]).chain(fields).collect()
 }
 
-/// A row of the ranking, in the order of [`heads`].
-pub fn row(search: &Search<'_>, setting: &Setting) -> Vec<String> {
+/// Formats a row of the ranking, in the order of [`heads`].
+pub fn row(search: &SettingSearch<'_>, setting: &RankedSetting) -> Vec<String> {
     let (chosen, checked) = (setting.search, setting.held_out);
     let numbers = [
         setting.place,
@@ -144,8 +145,8 @@ fn table(heads: &[String], rows: impl Iterator<Item = Vec<String>>) -> String {
     out
 }
 
-fn ranking(search: &Search<'_>, count: usize) -> String {
-    let shown: Vec<&Setting> = search.shown(count).collect();
+fn ranking(search: &SettingSearch<'_>, count: usize) -> String {
+    let shown: Vec<&RankedSetting> = search.shown(count).collect();
     let mut out = table(&heads(search), shown.iter().map(|setting| row(search, setting)));
     match search.settings.len() - shown.len() {
         0 => {}
@@ -157,7 +158,7 @@ fn ranking(search: &Search<'_>, count: usize) -> String {
     out
 }
 
-fn effects(search: &Search<'_>) -> String {
+fn effects(search: &SettingSearch<'_>) -> String {
     let effects = search.effects();
     if effects.is_empty() {
         return String::new();
@@ -187,7 +188,7 @@ fn effects(search: &Search<'_>) -> String {
     )
 }
 
-fn unmet(search: &Search<'_>) -> String {
+fn unmet(search: &SettingSearch<'_>) -> String {
     let unmet = search.unmet();
     if unmet.is_empty() {
         return String::new();
@@ -215,9 +216,10 @@ fn unmet(search: &Search<'_>) -> String {
     format!("\n## What no setting meets\n\n{}", table(&heads, rows))
 }
 
-/// Every claim with its half and how many settings meet it, and its verdicts under the presets and the best setting.
-fn verdicts(search: &Search<'_>) -> String {
+/// Lists every claim, its half, the number of settings that meet it, and its verdicts under presets and best setting.
+fn verdicts(search: &SettingSearch<'_>) -> String {
     let best = search.settings.first().map(|setting| setting.column);
+    // With a count of 0, `shown` yields only the presets.
     let presets = search.shown(0).map(|setting| setting.column);
     let mut columns: Vec<usize> = presets.collect();
     columns.sort_unstable();
@@ -243,7 +245,7 @@ fn verdicts(search: &Search<'_>) -> String {
             .count();
         let mut row = vec![
             at.to_string(),
-            Half::of(at).words().to_owned(),
+            ClaimSplit::of(at).words().to_owned(),
             line.source.to_owned(),
             line.policy.clone(),
             line.sites.clone(),

@@ -1,15 +1,15 @@
-//! Rankings that are known by construction.
+//! Tests with rankings known by construction.
 
 use reveille_common::declare::NoFiles;
-use reveille_lab::table::{Table, Value};
+use reveille_lab::table::{SweptValue, Table};
 
 use super::*;
 use crate::figures::results::{Results, fixtures};
 use crate::report::search::markdown::markdown;
 
-/// A sweep of α with the energy of knn and random, for N = 10 and 250.
+/// Creates a sweep of α with the energy of knn and random, for N = 10 and 250.
 fn swept(settings: &[(f64, [f64; 4])]) -> (String, Table) {
-    let mut runs: Vec<(&str, u32, Value, Vec<f64>)> = Vec::new();
+    let mut runs: Vec<(&str, u32, SweptValue, Vec<f64>)> = Vec::new();
     for (alpha, [knn_few, knn_many, random_few, random_many]) in settings {
         for (policy, n, energy) in [
             ("knn", 10, knn_few),
@@ -17,17 +17,17 @@ fn swept(settings: &[(f64, [f64; 4])]) -> (String, Table) {
             ("random", 10, random_few),
             ("random", 250, random_many),
         ] {
-            runs.push((policy, n, Value::Float(*alpha), vec![*energy, *energy * 1.001]));
+            runs.push((policy, n, SweptValue::Float(*alpha), vec![*energy, *energy * 1.001]));
         }
     }
-    let runs: Vec<(&str, u32, Value, &[f64])> = runs
+    let runs: Vec<(&str, u32, SweptValue, &[f64])> = runs
         .iter()
         .map(|(policy, n, alpha, values)| (*policy, *n, alpha.clone(), values.as_slice()))
         .collect();
     fixtures::swept("paper", "energy_per_device_tti", "events.alpha", &runs)
 }
 
-/// As the paper has the energy of both policies; next to that; and nowhere near.
+/// Energies of both policies: as in the paper, close to it, and far from it.
 const AS_STATED: [f64; 4] = [0.5, 0.145, 0.34, 0.19];
 const NEXT_TO_IT: [f64; 4] = [0.5, 0.165, 0.39, 0.25];
 const ELSEWHERE: [f64; 4] = [0.9, 0.95, 0.9, 0.1];
@@ -36,7 +36,7 @@ fn results(settings: &[(f64, [f64; 4])]) -> Results {
     Results::new(&[swept(settings)], &NoFiles).expect("runs")
 }
 
-fn alphas(search: &Search<'_>) -> Vec<String> {
+fn alphas(search: &SettingSearch<'_>) -> Vec<String> {
     let values = search
         .settings
         .iter()
@@ -47,7 +47,7 @@ fn alphas(search: &Search<'_>) -> Vec<String> {
 #[test]
 fn settings_that_meet_more_claims_stand_first() {
     let results = results(&[(0.3, ELSEWHERE), (0.1, NEXT_TO_IT), (0.4, AS_STATED)]);
-    let search = Search::new(Report::new(&results));
+    let search = SettingSearch::new(ClaimReport::new(&results));
     assert_eq!(alphas(&search), ["0.4", "0.1", "0.3"]);
     let places: Vec<usize> = search.settings.iter().map(|setting| setting.place).collect();
     assert_eq!(places, [1, 2, 3]);
@@ -58,7 +58,7 @@ fn settings_that_meet_more_claims_stand_first() {
 #[test]
 fn a_score_counts_the_verdicts_of_its_half_by_number() {
     let results = results(&[(0.3, ELSEWHERE), (0.4, AS_STATED)]);
-    let search = Search::new(Report::new(&results));
+    let search = SettingSearch::new(ClaimReport::new(&results));
     for setting in &search.settings {
         let (mut even, mut odd) = ([0; 3], [0; 3]);
         for (index, line) in search.report.lines.iter().enumerate() {
@@ -71,45 +71,49 @@ fn a_score_counts_the_verdicts_of_its_half_by_number() {
                 Verdict::NotRun => {}
             }
         }
-        let Score { met, near, judged } = setting.search;
+        let SplitScore { met, near, judged } = setting.search;
         assert_eq!([met, near, judged], even);
-        let Score { met, near, judged } = setting.held_out;
+        let SplitScore { met, near, judged } = setting.held_out;
         assert_eq!([met, near, judged], odd);
         assert!(even[2] > 5 && odd[2] > 5, "both halves were run");
     }
 }
 
-/// What the ranking says when the verdicts of one half are set to the worst.
-fn ranked_without(search: &Search<'_>, half: Half) -> Vec<usize> {
+/// Returns the ranking after the verdicts of one half are set to the worst.
+fn ranked_without(search: &SettingSearch<'_>, half: ClaimSplit) -> Vec<usize> {
     let mut report = search.report.clone();
     for (number, line) in (1..).zip(&mut report.lines) {
-        if Half::of(number) == half {
+        if ClaimSplit::of(number) == half {
             for ours in &mut line.ours {
                 ours.verdict = Verdict::NotReproduced;
                 ours.off = f64::INFINITY;
             }
         }
     }
-    let settings = Search::new(report).settings;
+    let settings = SettingSearch::new(report).settings;
     settings.into_iter().map(|setting| setting.column).collect()
 }
 
 #[test]
 fn the_held_out_half_has_no_part_in_the_ranking() {
     let results = results(&[(0.3, ELSEWHERE), (0.1, NEXT_TO_IT), (0.4, AS_STATED)]);
-    let search = Search::new(Report::new(&results));
+    let search = SettingSearch::new(ClaimReport::new(&results));
     let ranked: Vec<usize> = search.settings.iter().map(|setting| setting.column).collect();
-    assert_eq!(ranked_without(&search, Half::HeldOut), ranked);
+    assert_eq!(ranked_without(&search, ClaimSplit::HeldOut), ranked);
     let unranked: Vec<usize> = (0..search.settings.len()).collect();
-    assert_eq!(ranked_without(&search, Half::Search), unranked, "nothing else ranks");
+    assert_eq!(
+        ranked_without(&search, ClaimSplit::Search),
+        unranked,
+        "nothing else ranks"
+    );
     assert_ne!(ranked, unranked);
 }
 
 #[test]
 fn equal_scores_share_a_place_and_presets_are_always_shown() {
-    // λ = 0.1 is the preset's; two settings before it are better, and equal.
+    // λ = 0.1 is the preset's; the two settings before it are better and equal.
     let results = results(&[(0.3, AS_STATED), (0.4, AS_STATED), (0.2, ELSEWHERE)]);
-    let search = Search::new(Report::new(&results));
+    let search = SettingSearch::new(ClaimReport::new(&results));
     let places: Vec<usize> = search.settings.iter().map(|setting| setting.place).collect();
     assert_eq!(places, [1, 1, 3]);
     assert_eq!(search.label(search.settings[2].column), "paper");
@@ -124,7 +128,7 @@ fn what_none_meets_has_the_figure_that_comes_closest() {
     let far = [0.5, 0.145, 0.34, 0.10];
     let near = [0.5, 0.145, 0.34, 0.17];
     let results = results(&[(0.3, far), (0.4, near)]);
-    let search = Search::new(Report::new(&results));
+    let search = SettingSearch::new(ClaimReport::new(&results));
     let unmet = search.unmet();
     let own = unmet
         .iter()
@@ -151,7 +155,7 @@ fn what_none_meets_has_the_figure_that_comes_closest() {
 #[test]
 fn a_value_is_told_by_the_mean_of_its_settings() {
     let results = results(&[(0.3, ELSEWHERE), (0.4, AS_STATED)]);
-    let search = Search::new(Report::new(&results));
+    let search = SettingSearch::new(ClaimReport::new(&results));
     let effects = search.effects();
     let [first, second] = &effects[..] else {
         panic!("{effects:?}")
@@ -169,7 +173,7 @@ fn a_value_is_told_by_the_mean_of_its_settings() {
 #[test]
 fn halves_that_rise_together_correlate() {
     let results = results(&[(0.3, ELSEWHERE), (0.1, NEXT_TO_IT), (0.4, AS_STATED)]);
-    let mut search = Search::new(Report::new(&results));
+    let mut search = SettingSearch::new(ClaimReport::new(&results));
     let met = [(1, 2), (2, 4), (3, 9)];
     for (setting, (chosen, checked)) in search.settings.iter_mut().zip(met) {
         (setting.search.met, setting.held_out.met) = (chosen, checked);
@@ -186,7 +190,7 @@ fn halves_that_rise_together_correlate() {
 #[test]
 fn the_parts_of_a_page_hold_what_the_page_of_the_search_holds() {
     let results = results(&[(0.3, ELSEWHERE), (0.4, AS_STATED)]);
-    let search = Search::new(Report::new(&results));
+    let search = SettingSearch::new(ClaimReport::new(&results));
     let whole = markdown(&search, 5, "command");
     for part in super::markdown::parts(&search, 5, "command") {
         let rows = part.body.lines().filter(|line| line.starts_with("| "));

@@ -1,8 +1,8 @@
-//! A model at work: the forward pass of one TTI.
+//! Forward pass of the model for one TTI.
 //!
 //! A token attends to the last Z TTIs of its own device (paper, Eqs. (δ(k)2) and (δ(k)3)), whose keys and values are
-//! kept, and then the devices attend to each other. For the latter the weight of a pair is a product of two features
-//! and not an exponential of one, so that its time grows with N and not with N². Nothing is allocated in a TTI.
+//! kept. Then the devices attend to each other. There the weight of a pair is a product of two features, not an
+//! exponential of one. The time thus grows with N and not with N². A TTI needs no allocation.
 
 #![expect(
     clippy::inline_always,
@@ -11,27 +11,27 @@
 
 use std::sync::Arc;
 
-use super::kernel::{Part, Summary, Width, add, dot, mean, norm, relu, softmax};
-use super::shape::{EXPANSION, HEADS, PRICE_WIDTH};
-use super::weights::{Attention, Mix, Weights};
+use super::kernel::{HeadSlice, KeyValueSum, Width, add, dot, mean, norm, relu, softmax};
+use super::weights::{AttentionLayer, FeedForward, ModelWeights};
+use super::{EXPANSION, HEADS, PRICE_WIDTH};
 
-/// The least that a device attends to another.
+/// Least feature of a key or query, so that every device attends to every other.
 pub const LEAST_FEATURE: f32 = 0.01;
-/// The largest logarithm that a head gives: nothing is expected e³ times as often as without history.
+/// Largest absolute logarithm of an output: no expectation exceeds e³ times the expectation without history.
 pub const LIMIT: f32 = 3.0;
-/// The most by which the logarithm of a target's price may differ from 0: targets beyond those that were learned from
-/// would else give any price.
-pub const PRICE_LIMIT: f32 = 5.0;
+/// Largest absolute logarithm of the price for a target. Without it, a target outside the training range could give any
+/// price.
+pub(crate) const PRICE_LIMIT: f32 = 5.0;
 
-/// What a model makes of one TTI after another, for N devices.
+/// State of a model that processes one TTI after another, for N devices.
 #[derive(Clone, Debug)]
 pub struct Forward {
-    weights: Arc<Weights>,
+    weights: Arc<ModelWeights>,
     width: Width,
     devices: usize,
-    /// TTIs seen so far.
+    /// Number of TTIs processed so far.
     passed: usize,
-    /// By TTI modulo Z, `[Z, N, d]`.
+    /// Keys by TTI modulo Z, `[Z, N, d]`.
     keys: Vec<f32>,
     values: Vec<f32>,
     /// `[N, d]` each.
@@ -44,17 +44,17 @@ pub struct Forward {
     wide: Vec<f32>,
     /// `[N, HEADS]`.
     out: Vec<f32>,
-    /// The weights of the last temporal attention, `[N, heads, Z]` by lag.
+    /// Weights of the last temporal attention, `[N, heads, Z]` by lag.
     attended: Vec<f32>,
-    /// By head.
-    summaries: Vec<Summary>,
-    /// The mean over devices, and a target: `[d + 1]`.
+    /// Key-value sums by head.
+    summaries: Vec<KeyValueSum>,
+    /// Mean over devices, followed by a target: `[d + 1]`.
     pooled: Vec<f32>,
 }
 
 impl Forward {
-    /// For `devices` devices, before the first TTI.
-    pub fn new(weights: Arc<Weights>, devices: usize) -> Self {
+    /// Creates the state for `devices` devices, before the first TTI.
+    pub fn new(weights: Arc<ModelWeights>, devices: usize) -> Self {
         let shape = weights.shape;
         let (d, z) = (shape.width, shape.memory);
         let tokens = || vec![0.0; devices * d];
@@ -73,18 +73,18 @@ impl Forward {
             out: vec![0.0; devices * HEADS],
             attended: vec![0.0; devices * shape.heads * z],
             pooled: vec![0.0; d + 1],
-            summaries: vec![Summary::new(shape.head_width()); shape.heads],
+            summaries: vec![KeyValueSum::new(shape.head_width()); shape.heads],
             weights,
         }
     }
 
-    /// As before, by instructions of another width.
+    /// Sets the width of the vector instructions, which does not change the result.
     #[must_use]
     pub fn with_width(self, width: Width) -> Self {
         Self { width, ..self }
     }
 
-    /// One more TTI, with these tokens, `[N, F]`. Gives what is expected of each device, `[N, HEADS]`: logarithms
+    /// Processes the next TTI with these tokens, `[N, F]`. Returns the outputs of each device, `[N, HEADS]`: logarithms
     /// within ± [`LIMIT`].
     pub fn step(&mut self, tokens: &[f32]) -> &[f32] {
         let width = self.width;
@@ -112,7 +112,7 @@ impl Forward {
         }
     }
 
-    /// The logarithm of the price that goes with a target in the TTI of the last step, within ± [`PRICE_LIMIT`].
+    /// Returns the logarithm of the price for a target in the TTI of the last step, within ± `PRICE_LIMIT`.
     pub fn price(&mut self, target: f32) -> f32 {
         let d = self.weights.shape.width;
         self.pooled.fill(0.0);
@@ -122,6 +122,7 @@ impl Forward {
         for sum in &mut self.pooled {
             *sum /= self.devices as f32;
         }
+        // Set after the division: unlike the other inputs, the target is not a mean over devices.
         self.pooled[d] = target;
         let mut inner = [0.0; PRICE_WIDTH];
         self.weights.price_inner.apply(&self.pooled, &mut inner);
@@ -131,13 +132,13 @@ impl Forward {
         price[0].clamp(-PRICE_LIMIT, PRICE_LIMIT)
     }
 
-    /// What each device attended to in the last step, `[N, heads, Z]` by lag; each sums to 1.
+    /// Returns the attention of each device in the last step, `[N, heads, Z]` by lag; each row sums to 1.
     pub fn attended(&self) -> &[f32] {
         &self.attended
     }
 
     #[inline(always)]
-    fn attend_in_time(&mut self, weights: &Weights) {
+    fn attend_in_time(&mut self, weights: &ModelWeights) {
         let shape = weights.shape;
         let (d, z, width) = (shape.width, shape.memory, shape.head_width());
         let time = &weights.time;
@@ -150,10 +151,11 @@ impl Forward {
             .apply(&self.normed, &mut self.values[slot * size..(slot + 1) * size]);
         let known = (self.passed + 1).min(z);
         let scale = 1.0 / (width as f32).sqrt();
-        // Of each lag, the TTI's place among those that are kept.
+        // Keys and values are a ring of Z TTIs: the start of the entry for each lag.
         let place = |lag: usize| ((self.passed - lag) % z) * size;
         for lag in 0..known {
             let keys = &self.keys[place(lag)..][..size];
+            // Scores are stored by head and then by lag, so the scores of one lag are Z apart.
             let scores = self.attended[lag..].iter_mut().step_by(z);
             let pairs = self.query.chunks_exact(width).zip(keys.chunks_exact(width));
             for ((score, (query, key)), head) in scores.zip(pairs).zip((0..shape.heads).cycle()) {
@@ -173,15 +175,16 @@ impl Forward {
     }
 
     #[inline(always)]
-    fn attend_in_space(&mut self, space: &Attention) {
+    fn attend_in_space(&mut self, space: &AttentionLayer) {
         let shape = self.weights.shape;
         let (d, width) = (shape.width, shape.head_width());
         norm(&self.state, &space.norm, &mut self.normed);
         space.query.apply(&self.normed, &mut self.query);
-        // Keys and values of this TTI alone.
+        // Keys and values of this TTI alone, in buffers that the temporal attention no longer needs.
         let (keys, values) = (&mut self.gathered, &mut self.added);
         space.key.apply(&self.normed, keys);
         space.value.apply(&self.normed, values);
+        // All features are above 0, and so is the sum by which `KeyValueSum::gather` divides.
         for feature in keys.iter_mut().chain(&mut self.query) {
             *feature = feature.max(0.0) + LEAST_FEATURE;
         }
@@ -189,7 +192,7 @@ impl Forward {
             summary.fill(
                 keys,
                 values,
-                Part {
+                HeadSlice {
                     at: head * width,
                     width,
                     of: d,
@@ -200,7 +203,7 @@ impl Forward {
             summary.gather(
                 &self.query,
                 &mut self.gathered,
-                Part {
+                HeadSlice {
                     at: head * width,
                     width,
                     of: d,
@@ -213,7 +216,7 @@ impl Forward {
     }
 
     #[inline(always)]
-    fn mix(&mut self, mix: &Mix) {
+    fn mix(&mut self, mix: &FeedForward) {
         norm(&self.state, &mix.norm, &mut self.normed);
         mix.inner.apply(&self.normed, &mut self.wide);
         relu(&mut self.wide);

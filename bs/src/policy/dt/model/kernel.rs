@@ -1,9 +1,9 @@
 //! Sums in a fixed order.
 //!
-//! Every output of a product is summed by rising index of the inner dimension, by separate multiplications and
-//! additions, so that its bits are the same on every machine. Outputs are computed side by side, which the compiler
-//! turns into vector instructions of whatever [`Width`] it is told: whatever runs inside of [`Width::run`] is inlined
-//! there, which is why everything here is marked so.
+//! Every output of a product is summed in the order of the inner dimension, with separate multiplications and
+//! additions. Its bits are therefore the same on every machine. Outputs are computed side by side, which the compiler
+//! turns into vector instructions of the chosen [`Width`]. Code must be inlined into [`Width::run`] to use them, so
+//! every function here is marked for inlining.
 
 #![expect(
     clippy::inline_always,
@@ -15,26 +15,26 @@ use pulp::Simd as _;
 #[cfg(target_arch = "x86_64")]
 use pulp::x86::{V3, V4};
 
-/// Columns of the output that are computed side by side.
+/// Number of output columns that are computed side by side.
 const TILE: usize = 16;
-/// Rows of the output that share a load of the weights.
+/// Number of output rows that share a load of the weights.
 const ROWS: usize = 6;
 
-/// The vector instructions that are used. They change how long a sum takes and not one bit of it.
+/// Set of vector instructions. It changes the time of a sum but not its bits.
 #[derive(Clone, Copy, Debug)]
 pub enum Width {
-    /// Those that every CPU of the kind has.
+    /// Baseline instructions of the architecture.
     Least(Scalar),
-    /// x86-64-v3: eight numbers at once.
+    /// x86-64-v3: eight numbers per instruction.
     #[cfg(target_arch = "x86_64")]
     V3(V3),
-    /// x86-64-v4: sixteen.
+    /// x86-64-v4: sixteen numbers per instruction.
     #[cfg(target_arch = "x86_64")]
     V4(V4),
 }
 
 impl Width {
-    /// Those that this CPU has.
+    /// Returns the sets that this CPU supports.
     pub fn here() -> Vec<Self> {
         let mut here = vec![Self::Least(Scalar)];
         #[cfg(target_arch = "x86_64")]
@@ -45,8 +45,8 @@ impl Width {
         here
     }
 
-    /// Those that are taken. Of v4 none are: they are a few hundredths faster on some CPUs, and half as fast again
-    /// where they lower the clock.
+    /// Returns the set that is used, never v4. On some CPUs v4 is a few hundredths faster; where it lowers the clock,
+    /// it takes half as long again.
     pub fn fastest() -> Self {
         #[cfg(target_arch = "x86_64")]
         if let Some(v3) = V3::try_new() {
@@ -55,7 +55,7 @@ impl Width {
         Self::Least(Scalar)
     }
 
-    /// What `work` gives, compiled for these instructions where it is inlined.
+    /// Returns the result of `work`, which is compiled for these instructions where it is inlined.
     #[inline(always)]
     pub fn run<R>(self, work: impl FnOnce() -> R) -> R {
         match self {
@@ -70,21 +70,21 @@ impl Width {
 
 /// A linear map: `out = x · weight + bias`.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Linear {
+pub(super) struct Linear {
     inputs: usize,
     outputs: usize,
-    /// By tile of outputs, `[tiles, inputs]`; the last tile is filled up with zeros.
+    /// Weights by tile of outputs, `[tiles, inputs]`; the last tile is padded with zeros.
     weight: Vec<[f32; TILE]>,
-    /// `[tiles]`, filled up as well.
+    /// Bias by tile, `[tiles]`, padded with zeros.
     bias: Vec<[f32; TILE]>,
 }
 
 impl Linear {
-    /// `weight` is `[inputs, bias.len()]`, row by row.
+    /// Creates the map from `weight`, `[inputs, bias.len()]`, row by row.
     ///
     /// # Panics
-    /// If there are more or fewer weights.
-    pub fn new(inputs: usize, weight: &[f32], bias: &[f32]) -> Self {
+    /// If `weight` has another length.
+    pub(super) fn new(inputs: usize, weight: &[f32], bias: &[f32]) -> Self {
         let outputs = bias.len();
         assert_eq!(weight.len(), inputs * outputs, "a weight for each input and output");
         let column = |start: usize| {
@@ -99,33 +99,33 @@ impl Linear {
         }
     }
 
-    /// Without a bias.
-    pub fn plain(inputs: usize, outputs: usize, weight: &[f32]) -> Self {
+    /// Creates a map without a bias.
+    pub(super) fn plain(inputs: usize, outputs: usize, weight: &[f32]) -> Self {
         Self::new(inputs, weight, &vec![0.0; outputs])
     }
 
-    /// `out = x · weight + bias` for each row of `x`, `[rows, inputs]`; `out` is `[rows, outputs]`.
+    /// Computes `out = x · weight + bias` for each row of `x`, `[rows, inputs]`; `out` is `[rows, outputs]`.
     #[inline(always)]
-    pub fn apply(&self, x: &[f32], out: &mut [f32]) {
-        let part = |of| Part { at: 0, width: of, of };
+    pub(super) fn apply(&self, x: &[f32], out: &mut [f32]) {
+        let part = |of| HeadSlice { at: 0, width: of, of };
         product(&self.weight, &self.bias, x, part(self.inputs), out, part(self.outputs));
     }
 }
 
-/// The columns of a matrix that a head has.
+/// Columns of a matrix that belong to a head.
 #[derive(Clone, Copy, Debug)]
-pub struct Part {
-    /// The first.
+pub(super) struct HeadSlice {
+    /// First column.
     pub at: usize,
-    /// How many.
+    /// Number of columns of the head.
     pub width: usize,
-    /// Columns of the matrix.
+    /// Number of columns of the matrix.
     pub of: usize,
 }
 
-/// `out = x · weight + bias`, tile by tile, row by row of a part of `x` and of `out`.
+/// Computes `out = x · weight + bias` tile by tile, for each row of a part of `x` and `out`.
 #[inline(always)]
-fn product(weight: &[[f32; TILE]], bias: &[[f32; TILE]], x: &[f32], from: Part, out: &mut [f32], to: Part) {
+fn product(weight: &[[f32; TILE]], bias: &[[f32; TILE]], x: &[f32], from: HeadSlice, out: &mut [f32], to: HeadSlice) {
     let mut xs = x.chunks_exact(ROWS * from.of);
     let mut outs = out.chunks_exact_mut(ROWS * to.of);
     for (x, out) in xs.by_ref().zip(outs.by_ref()) {
@@ -142,13 +142,14 @@ fn block<const R: usize>(
     weight: &[[f32; TILE]],
     bias: &[[f32; TILE]],
     x: &[f32],
-    from: Part,
+    from: HeadSlice,
     out: &mut [f32],
-    to: Part,
+    to: HeadSlice,
 ) {
     let inputs = from.width;
     let rows: [&[f32]; R] = std::array::from_fn(|row| &x[row * from.of + from.at..][..inputs]);
     for (at, (weights, bias)) in weight.chunks_exact(inputs).zip(bias).enumerate() {
+        // Each output is summed in the order of `i` for any R, so the rows of a remainder have the same bits.
         let mut sums = [*bias; R];
         for (i, weights) in weights.iter().enumerate() {
             for (row, sums) in rows.iter().zip(&mut sums) {
@@ -161,6 +162,7 @@ fn block<const R: usize>(
         let start = at * TILE;
         for (sums, out) in sums.iter().zip(out.chunks_exact_mut(to.of)) {
             let out = &mut out[to.at..][..to.width][start..];
+            // The last tile is wider than the remaining outputs.
             if let Some(whole) = out.first_chunk_mut() {
                 *whole = *sums;
             } else {
@@ -170,20 +172,20 @@ fn block<const R: usize>(
     }
 }
 
-/// For one head, the sums over devices of keys times values, so that what a device gathers from all others is one
-/// product with its query.
+/// Sums over devices of keys times values for one head. A single product with the query of a device then gathers the
+/// values of all others.
 #[derive(Clone, Debug)]
-pub struct Summary {
-    /// By tile of values, `[tiles, d / heads]`.
+pub(super) struct KeyValueSum {
+    /// Sums by tile of values, `[tiles, d / heads]`.
     sums: Vec<[f32; TILE]>,
     zeros: Vec<[f32; TILE]>,
     /// Sums of keys, `[d / heads]`.
     keys: Vec<f32>,
 }
 
-impl Summary {
-    /// For heads of this width.
-    pub fn new(width: usize) -> Self {
+impl KeyValueSum {
+    /// Creates the sums for heads of this width.
+    pub(super) fn new(width: usize) -> Self {
         let tiles = width.div_ceil(TILE);
         Self {
             sums: vec![[0.0; TILE]; tiles * width],
@@ -192,9 +194,9 @@ impl Summary {
         }
     }
 
-    /// Sums up the part `of` of `keys` and `values`, `[N, d]`.
+    /// Computes the sums over the columns `of` of `keys` and `values`, `[N, d]`.
     #[inline(always)]
-    pub fn fill(&mut self, keys: &[f32], values: &[f32], of: Part) {
+    pub(super) fn fill(&mut self, keys: &[f32], values: &[f32], of: HeadSlice) {
         const AT_ONCE: usize = 4;
         self.keys.fill(0.0);
         for keys in keys.chunks_exact(of.of) {
@@ -205,6 +207,7 @@ impl Summary {
             for (four, sums) in sums.as_chunks_mut::<AT_ONCE>().0.iter_mut().enumerate() {
                 let mut held = [[0.0; TILE]; AT_ONCE];
                 for (keys, values) in keys.chunks_exact(of.of).zip(values.chunks_exact(of.of)) {
+                    // The width of a head is a multiple of 4, see `ModelShape::is_valid`.
                     let keys: &[f32; AT_ONCE] = keys[of.at + four * AT_ONCE..].first_chunk().expect("four features");
                     let values = &values[of.at..][..of.width][start..];
                     let values: [f32; TILE] = values.first_chunk().copied().unwrap_or_else(|| filled(values));
@@ -219,9 +222,9 @@ impl Summary {
         }
     }
 
-    /// What each of `queries` gathers: a mean of the values, weighted by the products of query and key.
+    /// Computes for each of `queries` the mean of the values, weighted by the products of query and key.
     #[inline(always)]
-    pub fn gather(&self, queries: &[f32], gathered: &mut [f32], of: Part) {
+    pub(super) fn gather(&self, queries: &[f32], gathered: &mut [f32], of: HeadSlice) {
         product(&self.sums, &self.zeros, queries, of, gathered, of);
         for (query, gathered) in queries.chunks_exact(of.of).zip(gathered.chunks_exact_mut(of.of)) {
             let inverse = 1.0 / dot(&query[of.at..][..of.width], &self.keys);
@@ -234,16 +237,16 @@ impl Summary {
     }
 }
 
-/// `row` with zeros after it.
+/// Returns `row` padded with zeros.
 fn filled(row: &[f32]) -> [f32; TILE] {
     let mut tile = [0.0; TILE];
     tile[..row.len()].copy_from_slice(row);
     tile
 }
 
-/// `out = x · scale / rms(x)`, row by row of as many values as `scale` has, a multiple of four.
+/// Computes `out = x · scale / rms(x)` for each row. The row length is the length of `scale`, a multiple of four.
 #[inline(always)]
-pub fn norm(x: &[f32], scale: &[f32], out: &mut [f32]) {
+pub(super) fn norm(x: &[f32], scale: &[f32], out: &mut [f32]) {
     let width = scale.len();
     for (x, out) in x.chunks_exact(width).zip(out.chunks_exact_mut(width)) {
         let (x, _) = x.as_chunks::<4>();
@@ -253,6 +256,7 @@ pub fn norm(x: &[f32], scale: &[f32], out: &mut [f32]) {
                 *lane += x * x;
             }
         }
+        // A fixed order of lanes keeps the bits independent of the vector instructions.
         let mean = ((lanes[0] + lanes[1]) + (lanes[2] + lanes[3])) / width as f32;
         let inverse = 1.0 / (mean + NORM_EPSILON).sqrt();
         let (out, _) = out.as_chunks_mut::<4>();
@@ -264,9 +268,9 @@ pub fn norm(x: &[f32], scale: &[f32], out: &mut [f32]) {
     }
 }
 
-/// `out` is the sum of `shares · rows`, for rows of a multiple of four.
+/// Computes `out` as the sum of `shares · rows`; the row length is a multiple of four.
 #[inline(always)]
-pub fn mean<'r>(out: &mut [f32], shares: &[f32], row: impl Fn(usize) -> &'r [f32]) {
+pub(super) fn mean<'r>(out: &mut [f32], shares: &[f32], row: impl Fn(usize) -> &'r [f32]) {
     let (out, _) = out.as_chunks_mut::<4>();
     out.fill([0.0; 4]);
     for (i, share) in shares.iter().enumerate() {
@@ -278,12 +282,12 @@ pub fn mean<'r>(out: &mut [f32], shares: &[f32], row: impl Fn(usize) -> &'r [f32
     }
 }
 
-/// What keeps the norms of tokens finite.
+/// Offset that keeps the norms of tokens finite.
 pub const NORM_EPSILON: f32 = 1e-5;
 
 /// `x += y`.
 #[inline(always)]
-pub fn add(x: &mut [f32], y: &[f32]) {
+pub(super) fn add(x: &mut [f32], y: &[f32]) {
     for (x, y) in x.iter_mut().zip(y) {
         *x += y;
     }
@@ -291,30 +295,31 @@ pub fn add(x: &mut [f32], y: &[f32]) {
 
 /// `x = max(x, 0)`.
 #[inline(always)]
-pub fn relu(x: &mut [f32]) {
+pub(super) fn relu(x: &mut [f32]) {
     for x in x {
         *x = x.max(0.0);
     }
 }
 
-/// The sum of `a · b`, by rising index within each of four lanes.
+/// Returns the sum of `a · b`, in index order within each of four lanes.
 #[inline(always)]
-pub fn dot(a: &[f32], b: &[f32]) -> f32 {
+pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
     let mut lanes = [0.0_f32; 4];
     for (a, b) in a.as_chunks::<4>().0.iter().zip(b.as_chunks::<4>().0) {
         for lane in 0..4 {
             lanes[lane] += a[lane] * b[lane];
         }
     }
+    // A fixed order of lanes, as in `norm`.
     (lanes[0] + lanes[1]) + (lanes[2] + lanes[3])
 }
 
-/// e^x within two units in the last place; 0 below [`LEAST_EXPONENT`], and not for x above 88. A polynomial, so that
-/// many can be computed side by side.
+/// Returns e^x within two units in the last place, for x up to 88; 0 below [`LEAST_EXPONENT`]. A polynomial allows many
+/// values to be computed side by side.
 #[inline(always)]
-pub fn exp(x: f32) -> f32 {
+pub(super) fn exp(x: f32) -> f32 {
     let held = x.max(LEAST_EXPONENT);
-    // Adding 3·2²² rounds to a whole number, which then stands in the lowest bits.
+    // Adding 3·2²² rounds to a whole number, which is then in the lowest bits.
     let rounded = held * std::f32::consts::LOG2_E + 12_582_912.0;
     let whole = rounded - 12_582_912.0;
     // ln 2 in two parts, the first with so few bits that its products are exact.
@@ -324,17 +329,19 @@ pub fn exp(x: f32) -> f32 {
     for term in &series[1..] {
         sum = sum * rest + term;
     }
+    // The whole number moves into the exponent bits, which are offset by 127.
     let power = f32::from_bits(rounded.to_bits().wrapping_add(127) << 23);
     let value = (sum * rest + 1.0) * power;
     if x < LEAST_EXPONENT { 0.0 } else { value }
 }
 
-/// Shares that sum to 1, row by row of `scores`, in proportion to the exponentials of the first `known` of each, which
-/// is of length `width`; the others get none.
+/// Replaces each row of `scores`, of length `width`, by shares that sum to 1. The shares are proportional to the
+/// exponentials of the first `known` scores; the others are 0.
 #[inline(always)]
-pub fn softmax(scores: &mut [f32], width: usize, known: usize) {
+pub(super) fn softmax(scores: &mut [f32], width: usize, known: usize) {
     for row in scores.chunks_exact_mut(width) {
         let (known, rest) = row.split_at_mut(known);
+        // Exponents relative to the largest score stay within the range of `exp`.
         let mut most = f32::NEG_INFINITY;
         for score in known.iter() {
             most = most.max(*score);
@@ -342,6 +349,7 @@ pub fn softmax(scores: &mut [f32], width: usize, known: usize) {
         for score in known {
             *score -= most;
         }
+        // `exp` turns these into 0 in the same vector loop.
         rest.fill(f32::NEG_INFINITY);
     }
     for score in scores.iter_mut() {
@@ -355,7 +363,7 @@ pub fn softmax(scores: &mut [f32], width: usize, known: usize) {
     }
 }
 
-/// Where e^x is as good as 0.
+/// Exponent below which e^x is treated as 0.
 const LEAST_EXPONENT: f32 = -87.0;
 
 #[cfg(test)]

@@ -1,11 +1,132 @@
-//! The transformer: its shape, its weights, and how it is run.
+//! Shape, weights and inference of the transformer.
 
 pub mod infer;
 mod kernel;
-pub mod shape;
 pub mod weights;
 
+use super::tokens;
+
 pub use kernel::{NORM_EPSILON, Width};
+
+/// Largest number of TTIs that a model can look back.
+pub(crate) const LONGEST_MEMORY: u64 = 64;
+/// Largest width of a model.
+pub(crate) const WIDEST: u64 = 256;
+/// Largest number of heads of a model.
+pub(crate) const MOST_HEADS: u64 = 16;
+/// Width of the layers between attentions, in widths of the model.
+pub(crate) const EXPANSION: usize = 2;
+/// Width of the layer that turns a target into a price.
+pub(crate) const PRICE_WIDTH: usize = 16;
+/// Outputs per device. [`ModelObjective`] defines the first. The second is the logarithm of a ratio: the expected
+/// information of a wake-up of the device to the expectation without history.
+pub const HEADS: usize = 2;
+
+/// Meaning of the first output of a device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ModelObjective {
+    /// Logarithm of the ratio of expected events to the expectation without history.
+    Events,
+    /// Log-odds that the teacher lets the device sense: behaviour cloning, Algorithm 2 as in the paper.
+    Actions,
+}
+
+impl ModelObjective {
+    /// All objectives.
+    pub const ALL: [Self; 2] = [Self::Events, Self::Actions];
+
+    /// Returns the name in files and options.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Events => "events",
+            Self::Actions => "actions",
+        }
+    }
+}
+
+/// Shape of a model, independent of N.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ModelShape {
+    /// Number Z of TTIs that a decision attends to, including its own.
+    pub memory: usize,
+    /// Width d of a token's embedding, a multiple of `heads` and of 4.
+    pub width: usize,
+    /// Number of heads in each attention layer.
+    pub heads: usize,
+    /// Whether devices attend to each other.
+    pub has_space: bool,
+    /// Meaning of the outputs, fixed by the training.
+    pub objective: ModelObjective,
+}
+
+impl ModelShape {
+    /// The shape of the model that comes with the program.
+    pub const USUAL: Self = Self {
+        memory: 8,
+        width: 32,
+        heads: 2,
+        has_space: true,
+        objective: ModelObjective::Events,
+    };
+
+    /// Returns whether a model can have this shape.
+    pub fn is_valid(&self) -> bool {
+        let within = |value: usize, most: u64| value > 0 && value as u64 <= most;
+        within(self.memory, LONGEST_MEMORY)
+            && within(self.heads, MOST_HEADS)
+            && within(self.width, WIDEST)
+            && self.width.is_multiple_of(4 * self.heads)
+    }
+
+    /// Width of a head.
+    pub const fn head_width(&self) -> usize {
+        self.width / self.heads
+    }
+
+    /// Returns the names and sizes of all tensors, in order.
+    pub fn tensors(&self) -> Vec<(&'static str, Vec<usize>)> {
+        let (d, wide) = (self.width, EXPANSION * self.width);
+        let mut tensors = vec![
+            ("embed.weight", vec![tokens::COUNT, d]),
+            ("embed.bias", vec![d]),
+            ("time.norm", vec![d]),
+            ("time.query", vec![d, d]),
+            ("time.key", vec![d, d]),
+            ("time.value", vec![d, d]),
+            ("time.out", vec![d, d]),
+            ("time.bias", vec![self.heads, self.memory]),
+            ("time.mix.norm", vec![d]),
+            ("time.mix.in.weight", vec![d, wide]),
+            ("time.mix.in.bias", vec![wide]),
+            ("time.mix.out.weight", vec![wide, d]),
+            ("time.mix.out.bias", vec![d]),
+        ];
+        if self.has_space {
+            tensors.extend([
+                ("space.norm", vec![d]),
+                ("space.query", vec![d, d]),
+                ("space.key", vec![d, d]),
+                ("space.value", vec![d, d]),
+                ("space.out", vec![d, d]),
+                ("space.mix.norm", vec![d]),
+                ("space.mix.in.weight", vec![d, wide]),
+                ("space.mix.in.bias", vec![wide]),
+                ("space.mix.out.weight", vec![wide, d]),
+                ("space.mix.out.bias", vec![d]),
+            ]);
+        }
+        tensors.extend([
+            ("head.norm", vec![d]),
+            ("head.weight", vec![d, HEADS]),
+            ("head.bias", vec![HEADS]),
+            ("price.in.weight", vec![d + 1, PRICE_WIDTH]),
+            ("price.in.bias", vec![PRICE_WIDTH]),
+            ("price.out.weight", vec![PRICE_WIDTH, 1]),
+            ("price.out.bias", vec![1]),
+        ]);
+        tensors
+    }
+}
 
 #[cfg(test)]
 mod tests;

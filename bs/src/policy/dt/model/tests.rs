@@ -1,4 +1,5 @@
-//! Against a second calculation in double precision that keeps nothing between TTIs, and against bad files.
+//! Tests of the model against a second calculation in double precision that keeps nothing between TTIs, and with
+//! invalid files.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -7,15 +8,15 @@ use reveille_common::rng::{Purpose, Stream};
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
 
-use super::super::senses::COUNT;
+use super::super::tokens::COUNT;
 use super::infer::{Forward, LEAST_FEATURE, LIMIT};
 use super::kernel::{NORM_EPSILON, Width};
-use super::shape::{HEADS, Objective, Shape};
-use super::weights::{KEY, ModelError, Weights, metadata};
+use super::weights::{KEY, ModelError, ModelWeights, metadata};
+use super::{HEADS, ModelObjective, ModelShape};
 
 type Tensors = BTreeMap<&'static str, (Vec<usize>, Vec<f32>)>;
 
-fn random(shape: Shape) -> Tensors {
+fn random(shape: ModelShape) -> Tensors {
     let tensor = |(id, (name, size)): (u64, (&'static str, Vec<usize>))| {
         let mut stream = Stream::new(11, Purpose::Training, id);
         let count = size.iter().product();
@@ -25,7 +26,7 @@ fn random(shape: Shape) -> Tensors {
     (0..).zip(shape.tensors()).map(tensor).collect()
 }
 
-fn bytes(shape: Shape, tensors: &Tensors) -> Vec<u8> {
+fn bytes(shape: ModelShape, tensors: &Tensors) -> Vec<u8> {
     let data: Vec<(&str, Vec<usize>, Vec<u8>)> = tensors
         .iter()
         .map(|(name, (size, values))| {
@@ -50,8 +51,8 @@ fn tokens(n: usize, ttis: usize) -> Vec<Vec<f32>> {
         .collect()
 }
 
-/// The model in double precision, from all tokens at once.
-struct Reference<'t>(&'t Tensors, Shape);
+/// Reference model in double precision, computed from all tokens.
+struct Reference<'t>(&'t Tensors, ModelShape);
 
 impl Reference<'_> {
     fn linear(&self, x: &[f64], weight: &str, bias: Option<&str>) -> Vec<f64> {
@@ -95,9 +96,9 @@ impl Reference<'_> {
         embedded.into_iter().map(|x| x.max(0.0)).collect()
     }
 
-    /// The state of device `j` in the last of `ttis`, after it has attended to those before.
+    /// Returns the state of device `j` in the last of `ttis`, after it has attended to earlier TTIs.
     fn in_time(&self, ttis: &[Vec<f32>], j: usize) -> Vec<f64> {
-        let Shape {
+        let ModelShape {
             memory, width, heads, ..
         } = self.1;
         let states: Vec<Vec<f64>> = ttis
@@ -130,9 +131,9 @@ impl Reference<'_> {
         self.mix(&attended, "time")
     }
 
-    /// Its states after devices have attended to each other, by the weight of every pair.
+    /// Returns the states after devices have attended to each other, by the weight of every pair.
     fn in_space(&self, states: &[Vec<f64>]) -> Vec<Vec<f64>> {
-        let Shape { width, heads, .. } = self.1;
+        let ModelShape { width, heads, .. } = self.1;
         let own = width / heads;
         let normed: Vec<Vec<f64>> = states.iter().map(|state| self.norm(state, "space.norm")).collect();
         let feature = |x: Vec<f64>| {
@@ -165,7 +166,7 @@ impl Reference<'_> {
         states.iter().zip(&queries).map(one).collect()
     }
 
-    /// The heads of all devices and the price for `target` in the last of `ttis`.
+    /// Returns the outputs of all devices and the price for `target` in the last of `ttis`.
     fn step(&self, ttis: &[Vec<f32>], n: usize, target: f64) -> (Vec<f64>, f64) {
         let mut states: Vec<Vec<f64>> = (0..n).map(|j| self.in_time(ttis, j)).collect();
         if self.1.has_space {
@@ -191,7 +192,7 @@ impl Reference<'_> {
 #[test]
 fn every_width_of_instructions_gives_the_same_bits() {
     let n = 53;
-    let weights = Arc::new(Weights::read(&bytes(Shape::USUAL, &random(Shape::USUAL))).expect("a model"));
+    let weights = Arc::new(ModelWeights::read(&bytes(ModelShape::USUAL, &random(ModelShape::USUAL))).expect("a model"));
     let run = |width: Width| -> Vec<u32> {
         let mut forward = Forward::new(Arc::clone(&weights), n).with_width(width);
         let step = |tokens: &Vec<f32>| {
@@ -212,26 +213,26 @@ fn every_width_of_instructions_gives_the_same_bits() {
 
 #[test]
 fn a_step_is_the_sum_that_it_stands_for() {
-    let usual = Shape::USUAL;
+    let usual = ModelShape::USUAL;
     let shapes = [
         (4, 16, 2, true, 7),
         (1, 8, 1, true, 1),
         (8, 32, 4, false, 5),
         (usual.memory, usual.width, usual.heads, usual.has_space, 9),
-        // Heads wider than a vector, and not a multiple of one.
+        // Heads wider than a vector, and of a width that is not a multiple of one.
         (3, 40, 2, true, 6),
         (2, 72, 2, true, 3),
     ];
     for (memory, width, heads, has_space, n) in shapes {
-        let shape = Shape {
+        let shape = ModelShape {
             memory,
             width,
             heads,
             has_space,
-            objective: Objective::Events,
+            objective: ModelObjective::Events,
         };
         let tensors = random(shape);
-        let weights = Arc::new(Weights::read(&bytes(shape, &tensors)).expect("a model"));
+        let weights = Arc::new(ModelWeights::read(&bytes(shape, &tensors)).expect("a model"));
         let mut forward = Forward::new(weights, n);
         let ttis = tokens(n, 11);
         for k in 0..ttis.len() {
@@ -268,8 +269,8 @@ fn the_model_of_the_program_names_no_place_of_a_machine() {
 
 #[test]
 fn devices_may_come_in_any_order() {
-    let shape = Shape::USUAL;
-    let weights = Arc::new(Weights::read(&bytes(shape, &random(shape))).expect("a model"));
+    let shape = ModelShape::USUAL;
+    let weights = Arc::new(ModelWeights::read(&bytes(shape, &random(shape))).expect("a model"));
     let (mut one, mut other) = (Forward::new(Arc::clone(&weights), 6), Forward::new(weights, 6));
     for tokens in tokens(6, 5) {
         let turned: Vec<f32> = tokens.chunks(COUNT).rev().flatten().copied().collect();
@@ -282,19 +283,21 @@ fn devices_may_come_in_any_order() {
 
 #[test]
 fn files_that_are_no_model_are_refused() {
-    let shape = Shape::USUAL;
+    let shape = ModelShape::USUAL;
     let whole = bytes(shape, &random(shape));
-    assert!(Weights::read(&whole).is_ok());
+    assert!(ModelWeights::read(&whole).is_ok());
     for cut in [0, 7, 100, whole.len() / 2, whole.len() - 1] {
         assert!(
-            matches!(Weights::read(&whole[..cut]), Err(ModelError::Format(_))),
+            matches!(ModelWeights::read(&whole[..cut]), Err(ModelError::Format(_))),
             "{cut} bytes"
         );
     }
     let changed = |change: &dyn Fn(&mut Tensors)| {
         let mut tensors = random(shape);
         change(&mut tensors);
-        Weights::read(&bytes(shape, &tensors)).expect_err("refused").to_string()
+        ModelWeights::read(&bytes(shape, &tensors))
+            .expect_err("refused")
+            .to_string()
     };
     let missing = changed(&|tensors| drop(tensors.remove("time.key")));
     assert!(
@@ -310,17 +313,17 @@ fn files_that_are_no_model_are_refused() {
         infinite.contains("embed.bias") && infinite.contains("not finite"),
         "{infinite}"
     );
-    // The tensors of one shape under the name of another, and a file of another program.
-    let other = Shape { memory: 4, ..shape };
-    assert!(Weights::read(&bytes(other, &random(shape))).is_err());
+    // Tensors of one shape under the name of another, and a file of another program.
+    let other = ModelShape { memory: 4, ..shape };
+    assert!(ModelWeights::read(&bytes(other, &random(shape))).is_err());
     for width in [0, 6, 260] {
-        let unsound = Shape { width, ..shape };
-        let error = Weights::read(&bytes(unsound, &random(shape))).expect_err("refused");
+        let unsound = ModelShape { width, ..shape };
+        let error = ModelWeights::read(&bytes(unsound, &random(shape))).expect_err("refused");
         assert!(matches!(error, ModelError::Foreign { key: "shape", .. }), "{error}");
     }
     let data = [0_u8; 4];
     let foreign = [("x", TensorView::new(Dtype::F32, vec![1], &data).expect("a tensor"))];
     let foreign = safetensors::serialize(foreign, None).expect("a file");
     assert!(SafeTensors::deserialize(&foreign).is_ok());
-    assert!(matches!(Weights::read(&foreign), Err(ModelError::Foreign { .. })));
+    assert!(matches!(ModelWeights::read(&foreign), Err(ModelError::Foreign { .. })));
 }

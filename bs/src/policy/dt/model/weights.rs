@@ -1,102 +1,101 @@
 //! The weights of a model, and the file that holds them.
 //!
-//! A file is in the format safetensors: tensors of 32-bit floating-point numbers by name, and in its metadata what they
-//! were learned from.
+//! A file has the safetensors format: named tensors of 32-bit floats, with a description of the training as metadata.
 
 use std::collections::BTreeMap;
 
 use safetensors::{Dtype, SafeTensors};
 use sha2::{Digest, Sha256};
 
-use super::super::senses::FEATURES;
+use super::super::tokens::FEATURES;
 use super::kernel::Linear;
-use super::shape::{EXPANSION, LONGEST_MEMORY, MOST_HEADS, Objective, PRICE_WIDTH, Shape, WIDEST};
+use super::{EXPANSION, LONGEST_MEMORY, MOST_HEADS, ModelObjective, ModelShape, PRICE_WIDTH, WIDEST};
 
-/// The version of the file format, raised when what features or tensors mean changes.
+/// Version of the file format, raised when the meaning of features or tensors changes.
 pub const VERSION: &str = "1";
 
-/// The only key of the metadata: a JSON object of texts, in the order of their keys, so that the bytes of a file follow
-/// from what is in it.
+/// Only key of the metadata. Its value is a JSON object of strings, sorted by key, so that the contents determine the
+/// bytes of a file.
 pub const KEY: &str = "reveille.dt";
 
-/// The keys of that object, beside those of what a model was learned from.
+/// Keys of that object, in addition to the description of the training.
 mod keys {
     /// See [`super::VERSION`].
-    pub const VERSION: &str = "version";
+    pub(super) const VERSION: &str = "version";
     /// The features of a token, joined by commas.
-    pub const FEATURES: &str = "features";
+    pub(super) const FEATURES: &str = "features";
     /// Z, d, heads, and whether devices attend to each other, joined by commas.
-    pub const SHAPE: &str = "shape";
-    /// What the outputs say.
-    pub const OBJECTIVE: &str = "objective";
+    pub(super) const SHAPE: &str = "shape";
+    /// Name of the [`super::ModelObjective`].
+    pub(super) const OBJECTIVE: &str = "objective";
 }
 
-/// Why a file is no model.
+/// Reason why a file is not a model.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub enum ModelError {
-    /// Not the format, or cut short.
+    /// The file has another format or is truncated.
     #[error("is not a readable safetensors file ({0}); train one: reveille train dt")]
     Format(String),
-    /// Made by another program, or version.
+    /// The file was written by another program or version.
     #[error(
         "is not a model of this program: its metadata has {key} = {found}, not {wanted}; train one: reveille train dt"
     )]
     Foreign {
         /// The key of the metadata.
         key: &'static str,
-        /// What stands there.
+        /// The value found.
         found: String,
-        /// What should.
+        /// The value expected.
         wanted: String,
     },
-    /// A tensor is missing, too many, or of another shape or type.
+    /// A tensor is missing or unexpected, or has another shape or type.
     #[error("its tensor {name} is {found}, not {wanted}; the file is damaged or of another program")]
     Tensor {
-        /// The tensor.
+        /// Name of the tensor.
         name: String,
-        /// What it is.
+        /// The shape or type found.
         found: String,
-        /// What it should be.
+        /// The shape or type expected.
         wanted: String,
     },
-    /// A weight is not a number, or infinite.
+    /// A weight is NaN or infinite.
     #[error("its tensor {0} holds a value that is not finite: the training has failed")]
     NotFinite(String),
 }
 
-/// The layer after an attention.
+/// Feed-forward layer after an attention.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Mix {
+pub(crate) struct FeedForward {
     pub(super) norm: Vec<f32>,
     pub(super) inner: Linear,
     pub(super) outer: Linear,
 }
 
-/// An attention: queries, keys and values.
+/// Attention layer: queries, keys and values.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Attention {
+pub struct AttentionLayer {
     pub(super) norm: Vec<f32>,
     pub(super) query: Linear,
     pub(super) key: Linear,
     pub(super) value: Linear,
     pub(super) out: Linear,
-    pub(super) mix: Mix,
+    pub(super) mix: FeedForward,
 }
 
-/// The weights of a model.
+/// Weights of a model.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Weights {
-    pub(super) shape: Shape,
+pub struct ModelWeights {
+    pub(super) shape: ModelShape,
     pub(super) embed: Linear,
-    pub(super) time: Attention,
+    pub(super) time: AttentionLayer,
     /// By head and lag, `[heads, Z]`.
     pub(super) lags: Vec<f32>,
-    pub(super) space: Option<Attention>,
+    pub(super) space: Option<AttentionLayer>,
     pub(super) head_norm: Vec<f32>,
     pub(super) head: Linear,
     pub(super) price_inner: Linear,
     pub(super) price_outer: Linear,
-    /// What the file says of itself.
+    /// Metadata of the file.
     pub about: BTreeMap<String, String>,
     /// SHA-256 of the file.
     pub hash: [u8; 32],
@@ -105,16 +104,17 @@ pub struct Weights {
 /// Tensors by name.
 type Tensors = BTreeMap<&'static str, Vec<f32>>;
 
-impl Weights {
-    /// The weights in the bytes of a file.
+impl ModelWeights {
+    /// Reads the weights from the bytes of a file.
     ///
     /// # Errors
-    /// It is not a model of this program, damaged, or holds values that are not finite.
+    /// The file is not a model of this program, is damaged, or holds values that are not finite.
     pub fn read(bytes: &[u8]) -> Result<Self, ModelError> {
         let format = |error: safetensors::SafeTensorError| ModelError::Format(error.to_string());
         let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(format)?;
         let file = SafeTensors::deserialize(bytes).map_err(format)?;
         let texts = metadata.metadata().as_ref().and_then(|pairs| pairs.get(KEY));
+        // Metadata that is missing or unreadable becomes empty; `shape` then reports the missing version.
         let about: BTreeMap<String, String> = texts
             .and_then(|texts| serde_json::from_str(texts).ok())
             .unwrap_or_default();
@@ -138,15 +138,16 @@ impl Weights {
         Ok(Self::assemble(shape, tensors, about, Sha256::digest(bytes).into()))
     }
 
-    /// Those of a model of `shape` that has learned nothing: all are 0, and it expects what age and α say.
-    pub fn untrained(shape: Shape) -> Self {
+    /// Creates an untrained model of `shape`. All weights are 0, so it expects events by age and α alone.
+    pub fn untrained(shape: ModelShape) -> Self {
         let zeros = |(name, size): (&'static str, Vec<usize>)| (name, vec![0.0; size.iter().product()]);
         let tensors = shape.tensors().into_iter().map(zeros).collect();
+        // An untrained model has no file, so its hash covers the metadata, which names the shape.
         let text = metadata(shape, &BTreeMap::new());
         Self::assemble(shape, tensors, BTreeMap::new(), Sha256::digest(text).into())
     }
 
-    fn assemble(shape: Shape, mut tensors: Tensors, about: BTreeMap<String, String>, hash: [u8; 32]) -> Self {
+    fn assemble(shape: ModelShape, mut tensors: Tensors, about: BTreeMap<String, String>, hash: [u8; 32]) -> Self {
         let (d, wide) = (shape.width, EXPANSION * shape.width);
         let mut take = |name: &str| tensors.remove(name).expect("all tensors were read");
         let mut attention = |names: [&str; 10]| {
@@ -162,13 +163,13 @@ impl Weights {
                 out_weight,
                 out_bias,
             ] = names;
-            Attention {
+            AttentionLayer {
                 norm: take(norm),
                 query: Linear::plain(d, d, &take(query)),
                 key: Linear::plain(d, d, &take(key)),
                 value: Linear::plain(d, d, &take(value)),
                 out: Linear::plain(d, d, &take(out)),
-                mix: Mix {
+                mix: FeedForward {
                     norm: take(mix),
                     inner: Linear::new(d, &take(in_weight), &take(in_bias)),
                     outer: Linear::new(wide, &take(out_weight), &take(out_bias)),
@@ -221,14 +222,14 @@ impl Weights {
     }
 
     /// The shape of the model.
-    pub const fn shape(&self) -> Shape {
+    pub const fn shape(&self) -> ModelShape {
         self.shape
     }
 }
 
-/// What stands under [`KEY`] in the file of a model of this shape that was learned from `about`.
-pub fn metadata(shape: Shape, about: &BTreeMap<String, String>) -> String {
-    let Shape {
+/// Returns the value of [`KEY`] for a model of this shape, where `about` describes the training.
+pub fn metadata(shape: ModelShape, about: &BTreeMap<String, String>) -> String {
+    let ModelShape {
         memory,
         width,
         heads,
@@ -242,12 +243,14 @@ pub fn metadata(shape: Shape, about: &BTreeMap<String, String>) -> String {
         (keys::OBJECTIVE, objective.name().to_owned()),
     ];
     let own = own.map(|(key, value)| (key.to_owned(), value));
+    // Own keys last, so that no key of `about` replaces them.
     let all: BTreeMap<String, String> = about.clone().into_iter().chain(own).collect();
     serde_json::to_string(&all).expect("texts can be written")
 }
 
-fn shape(about: &BTreeMap<String, String>) -> Result<Shape, ModelError> {
+fn shape(about: &BTreeMap<String, String>) -> Result<ModelShape, ModelError> {
     let found = |key: &'static str| about.get(key).map_or("nothing", String::as_str);
+    // Weights of the embedding belong to features by position, so the list must be the same.
     for (key, wanted) in [
         (keys::VERSION, VERSION.to_owned()),
         (keys::FEATURES, FEATURES.join(",")),
@@ -260,12 +263,12 @@ fn shape(about: &BTreeMap<String, String>) -> Result<Shape, ModelError> {
             });
         }
     }
-    let named = |objective: &Objective| objective.name() == found(keys::OBJECTIVE);
-    let Some(objective) = Objective::ALL.into_iter().find(named) else {
+    let named = |objective: &ModelObjective| objective.name() == found(keys::OBJECTIVE);
+    let Some(objective) = ModelObjective::ALL.into_iter().find(named) else {
         return Err(ModelError::Foreign {
             key: keys::OBJECTIVE,
             found: found(keys::OBJECTIVE).to_owned(),
-            wanted: Objective::ALL.map(Objective::name).join(" or "),
+            wanted: ModelObjective::ALL.map(ModelObjective::name).join(" or "),
         });
     };
     let foreign = || ModelError::Foreign {
@@ -283,14 +286,14 @@ fn shape(about: &BTreeMap<String, String>) -> Result<Shape, ModelError> {
     let &[memory, width, heads, has_space @ 0..=1] = &numbers[..] else {
         return Err(foreign());
     };
-    let shape = Shape {
+    let shape = ModelShape {
         memory,
         width,
         heads,
         has_space: has_space == 1,
         objective,
     };
-    if shape.is_sound() { Ok(shape) } else { Err(foreign()) }
+    if shape.is_valid() { Ok(shape) } else { Err(foreign()) }
 }
 
 fn tensor(file: &SafeTensors<'_>, name: &str, size: &[usize]) -> Result<Vec<f32>, ModelError> {
@@ -303,6 +306,7 @@ fn tensor(file: &SafeTensors<'_>, name: &str, size: &[usize]) -> Result<Vec<f32>
     if view.dtype() != Dtype::F32 || view.shape() != size {
         return Err(wrong(format!("{:?} {:?}", view.dtype(), view.shape())));
     }
+    // The format is little-endian on every machine.
     let values: Vec<f32> = view
         .data()
         .as_chunks::<4>()

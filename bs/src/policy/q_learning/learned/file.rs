@@ -1,4 +1,4 @@
-//! The file of learned tables: JSON that says what it is, with a checksum over its body.
+//! File of learned tables: JSON with a format header and a checksum over its body.
 
 use std::fmt::Write as _;
 use std::io;
@@ -9,17 +9,19 @@ use reveille_common::declare::{FileError, Files};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use super::{DutyTable, Entry, LONGEST_WINDOW, Learned, Lookback, Schedule, Setting, Training, WakeTable, Weights};
+use super::{
+    DutyTable, LONGEST_WINDOW, LearnedTables, Lookback, QTrainingConfig, QWeights, Schedule, TableSet, TrainingSite,
+    WakeTable,
+};
 
-/// What the file says that it is.
+/// Name of the file format.
 pub const FORMAT: &str = "reveille-q-table";
-/// The version of its form that this program reads and writes.
+/// Version of the file format that this program reads and writes.
 pub const VERSION: u32 = 3;
-/// The longest file that is read, bytes.
+/// Size of the longest file that is read, bytes.
 const LONGEST: u64 = 64 << 20;
 
-/// The tables that come with the program, by their names: learned under the presets `paper` and `paper-literal`, for
-/// windows and for ages.
+/// Tables that come with the program, learned under the presets `paper` and `paper-literal`, for windows and ages.
 const SHIPPED: [(&str, &str); 4] = [
     ("shipped-paper", include_str!("shipped-paper.json")),
     ("shipped-paper-literal", include_str!("shipped-paper-literal.json")),
@@ -29,26 +31,26 @@ const SHIPPED: [(&str, &str); 4] = [
         include_str!("shipped-paper-literal-ages.json"),
     ),
 ];
-/// How names of tables for ages end.
+/// Suffix of the names of tables for ages.
 const AGES: &str = "-ages";
 
-fn shipped(text: &str) -> Learned {
-    Learned::parse(text).expect("a test reads the shipped tables")
+fn shipped(text: &str) -> LearnedTables {
+    LearnedTables::parse(text).expect("a test reads the shipped tables")
 }
 
-/// What the tables in the file's `text` were learned on, without reading the tables themselves.
-fn setting_of(text: &str) -> Setting {
+/// Reads the training site from the `text` of a file, without the tables themselves.
+fn setting_of(text: &str) -> TrainingSite {
     #[derive(Deserialize)]
-    struct Front {
-        setting: Setting,
+    struct SettingRepr {
+        setting: TrainingSite,
     }
     let body = text.split_once(BODY).map_or("", |(_, body)| body);
     let front = body.split_once(ENTRIES).map_or("", |(front, _)| front);
-    let front: Front = serde_json::from_str(&format!("{front}}}")).expect("a test reads the shipped tables");
+    let front: SettingRepr = serde_json::from_str(&format!("{front}}}")).expect("a test reads the shipped tables");
     front.setting
 }
 
-/// Learned tables that cannot be used, and why.
+/// Reason why learned tables cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum LearnedError {
     /// The file cannot be read.
@@ -57,56 +59,56 @@ pub enum LearnedError {
     /// The file does not hold learned tables of Reveille.
     #[error("is not a file of learned tables: {0}; name one that reveille train q-learning wrote")]
     Foreign(String),
-    /// The file has another version of the form.
+    /// The file has another format version.
     #[error(
         "has version {0} of the form of learned tables, this program reads {VERSION}; train again: \
          reveille train q-learning"
     )]
     Version(u64),
-    /// The file was changed or cut short.
+    /// The file was modified or truncated.
     #[error("is damaged: {0}; take a copy or train again: reveille train q-learning")]
     Damaged(String),
 }
 
-/// What stands in front of the body.
+/// Header before the body.
 #[derive(Deserialize)]
-struct Head {
+struct FileHeader {
     format: String,
     version: u64,
-    // A later version may have something else.
+    // Optional, so that a file of a later version is refused by its version and not as damaged.
     #[serde(default)]
     sha256: String,
 }
 
-/// Where the body begins.
+/// Text at which the body begins.
 const BODY: &str = ",\"body\":";
-/// What comes last in it.
+/// Text at which the entries, the last field of the body, begin.
 const ENTRIES: &str = ",\"entries\":[";
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Body {
+struct FileBody {
     made_by: String,
     scenario: String,
-    weights: Weights,
+    weights: QWeights,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     begun_from: Option<String>,
     schedule: Schedule,
-    training: Training,
-    setting: Setting,
-    entries: Vec<Entry>,
+    training: QTrainingConfig,
+    setting: TrainingSite,
+    entries: Vec<TableSet>,
 }
 
-impl Learned {
-    /// The shipped tables, with ages or for windows, that were learned on what is most like `setting`.
-    pub fn shipped(setting: &Setting, ages: bool) -> Self {
+impl LearnedTables {
+    /// Returns the shipped tables, for ages or for windows, that were learned on the site most similar to `setting`.
+    pub fn shipped(setting: &TrainingSite, ages: bool) -> Self {
         let of_kind = SHIPPED.into_iter().filter(|(name, _)| name.ends_with(AGES) == ages);
         let differences = |(_, text): &(&str, &str)| setting_of(text).differences(setting).len();
         shipped(of_kind.min_by_key(differences).unwrap_or(SHIPPED[0]).1)
     }
 
-    /// The shipped tables called `name`: `shipped` or `shipped-paper`, those of the preset `paper`, or
-    /// `shipped-paper-literal`; with `-ages` at the end those for ages.
+    /// Returns the shipped tables called `name`: `shipped` or `shipped-paper` for the preset `paper`, or
+    /// `shipped-paper-literal`. With the suffix `-ages` they are for ages.
     pub fn shipped_as(name: &str) -> Option<Self> {
         let name = if name == "shipped" { SHIPPED[0].0 } else { name };
         let found = SHIPPED.into_iter().find(|(own, _)| *own == name)?;
@@ -116,7 +118,7 @@ impl Learned {
     /// Reads the file at `path`.
     ///
     /// # Errors
-    /// It cannot be read, is of another kind or version, or is damaged.
+    /// The file cannot be read, has another format or version, or is damaged.
     pub fn read(files: &dyn Files, path: &Path) -> Result<Self, LearnedError> {
         let bytes = files.read(path, LONGEST).map_err(|error| match error {
             FileError::Io(error) => LearnedError::Read(error),
@@ -128,7 +130,7 @@ impl Learned {
         Self::parse(&text)
     }
 
-    /// The tables of a file's text.
+    /// Parses the text of a file.
     ///
     /// # Errors
     /// As [`Self::read`].
@@ -139,7 +141,7 @@ impl Learned {
             return Err(foreign());
         }
         let (head, body) = text.split_once(BODY).unwrap_or((text.trim_end(), ""));
-        let head: Head = serde_json::from_str(&format!("{}}}", head.trim_end_matches('}'))).map_err(damaged)?;
+        let head: FileHeader = serde_json::from_str(&format!("{}}}", head.trim_end_matches('}'))).map_err(damaged)?;
         if head.format != FORMAT {
             return Err(foreign());
         }
@@ -147,14 +149,15 @@ impl Learned {
             return Err(LearnedError::Version(head.version));
         }
         let body = body.trim_end().strip_suffix('}').unwrap_or(body);
+        // Checked before parsing, since a damaged body can still be valid JSON.
         if sha256(body) != head.sha256 {
             return Err(LearnedError::Damaged(
                 "its checksum is that of another content".to_owned(),
             ));
         }
-        let mut body: Body = serde_json::from_str(body).map_err(damaged)?;
-        // Parsers may differ in the last bit.
-        body.entries.iter_mut().for_each(Entry::round);
+        let mut body: FileBody = serde_json::from_str(body).map_err(damaged)?;
+        // Rounded as in the file, since parsers may differ in the last bit.
+        body.entries.iter_mut().for_each(TableSet::round);
         let learned = Self {
             made_by: body.made_by,
             scenario: body.scenario,
@@ -169,17 +172,17 @@ impl Learned {
         Ok(learned)
     }
 
-    /// The file's text: one line for each entry, values to 10⁻⁴.
+    /// Returns the text of the file: one line for each entry, values rounded to 10⁻⁴.
     ///
     /// # Panics
-    /// If a value is not a number.
+    /// If a value is not finite or the tables are otherwise invalid.
     pub fn to_json(&self) -> String {
         if let Err(what) = self.check() {
             panic!("{what}");
         }
         let mut entries = self.entries.clone();
-        entries.iter_mut().for_each(Entry::round);
-        let body = Body {
+        entries.iter_mut().for_each(TableSet::round);
+        let body = FileBody {
             made_by: self.made_by.clone(),
             scenario: self.scenario.clone(),
             weights: self.weights,
@@ -197,9 +200,9 @@ impl Learned {
         format!("{{\"format\":\"{FORMAT}\",\"version\":{VERSION},\"sha256\":\"{sum}\"{BODY}{body}}}\n")
     }
 
-    /// What a policy that uses the tables relies on.
+    /// Checks the conditions that a policy relies on.
     fn check(&self) -> Result<(), String> {
-        let Weights { mu1, mu2, zeta } = self.weights;
+        let QWeights { mu1, mu2, zeta } = self.weights;
         if ![mu1, mu2].iter().all(|mu| mu.is_finite() && *mu >= 0.0) || !(0.0..1.0).contains(&zeta) {
             return Err(format!("its weights are mu1 {mu1}, mu2 {mu2}, zeta {zeta}"));
         }
@@ -218,7 +221,7 @@ impl Learned {
             return Err("it holds no entry".to_owned());
         }
         for entry in &self.entries {
-            let Entry {
+            let TableSet {
                 devices,
                 surface,
                 lookback,
@@ -243,8 +246,10 @@ impl Learned {
                 ));
             }
         }
-        let is_before =
-            |a: &Entry, b: &Entry| a.lookback < b.lookback || a.lookback == b.lookback && a.density() < b.density();
+        // `LearnedTables::lookbacks` and `LearnedTables::range` rely on this order.
+        let is_before = |a: &TableSet, b: &TableSet| {
+            a.lookback < b.lookback || a.lookback == b.lookback && a.density() < b.density()
+        };
         if !self.entries.is_sorted_by(is_before) {
             return Err("its entries are not in the order of their windows and densities".to_owned());
         }
@@ -252,8 +257,8 @@ impl Learned {
     }
 }
 
-impl Entry {
-    /// Values to 10⁻⁴, as a file holds them.
+impl TableSet {
+    /// Rounds all values to 10⁻⁴, the precision of a file.
     pub fn round(&mut self) {
         self.duty.round();
         self.wake_p42.round();
@@ -265,7 +270,7 @@ impl Entry {
         }
     }
 
-    /// SHA-256 of all values, for the fingerprint of a scenario.
+    /// Returns the SHA-256 of all values, for the fingerprint of a scenario.
     pub fn fingerprint(&self) -> [u8; 32] {
         let Self {
             devices,
@@ -274,6 +279,7 @@ impl Entry {
             duty: DutyTable { q, outcomes, value },
             wake_p42,
             wake_posterior,
+            // The learning curve does not affect decisions.
             curve: _,
         } = self;
         let mut sum = Sha256::new();
@@ -281,6 +287,7 @@ impl Entry {
         sum.update(surface.to_bits().to_le_bytes());
         let window = match lookback {
             Lookback::Window(window) => *window,
+            // No window has length 0.
             Lookback::Ages => 0,
         };
         sum.update(window.to_le_bytes());
@@ -312,37 +319,37 @@ mod tests {
     use super::*;
     use crate::scenario::{Override, load};
 
-    fn learned() -> Learned {
-        let weights = Weights {
+    fn learned() -> LearnedTables {
+        let weights = QWeights {
             mu1: 14.0,
             mu2: 1.6,
             zeta: 0.95,
         };
-        let setting = Setting {
+        let setting = TrainingSite {
             words: vec![("layout.kind".to_owned(), "uniform".to_owned())],
             numbers: vec![("events.alpha".to_owned(), 0.1)],
         };
         let entry = |(window, n): (u32, u32)| {
             let devices = Override::parse(&format!("devices={n}")).expect("an override");
-            Entry::optimistic(
-                &load("paper", &[devices]).expect("a scenario").site(),
+            TableSet::optimistic(
+                &load("paper", &[devices]).expect("a scenario").scenario.site(),
                 &weights,
                 Lookback::Window(window),
                 1.0,
             )
         };
-        let mut entries: Vec<Entry> = [(1, 10), (1, 50), (4, 20)].map(entry).to_vec();
+        let mut entries: Vec<TableSet> = [(1, 10), (1, 50), (4, 20)].map(entry).to_vec();
         entries[0]
             .duty
             .at_mut(3, 4, true)
             .learn(1.0 / 3.0, Schedule::default().rates());
-        Learned {
+        LearnedTables {
             made_by: "reveille 0.1.0".to_owned(),
             scenario: "00".to_owned(),
             weights,
             begun_from: None,
             schedule: Schedule::default(),
-            training: Training {
+            training: QTrainingConfig {
                 episodes: 1,
                 ttis: 100,
                 epsilon: (0.1, 0.03),
@@ -354,14 +361,14 @@ mod tests {
     }
 
     fn refused(text: &str, part: &str) {
-        let message = Learned::parse(text).expect_err(part).to_string();
+        let message = LearnedTables::parse(text).expect_err(part).to_string();
         assert!(message.contains(part), "{message}");
     }
 
     #[test]
     fn a_file_comes_back_and_is_written_the_same_again() {
         let text = learned().to_json();
-        let read = Learned::parse(&text).expect("a file");
+        let read = LearnedTables::parse(&text).expect("a file");
         assert_eq!(read.to_json(), text);
         let [kept, exact] = [&read, &learned()].map(|tables| tables.entries[0].duty.at(3, 4, true).value);
         assert!(
@@ -401,7 +408,7 @@ mod tests {
         let text = learned().to_json();
         let (_, body) = text.split_once(BODY).expect("a file");
         let body = body.trim_end().strip_suffix('}').expect("a file");
-        assert!(Learned::parse(&sealed(body)).is_ok());
+        assert!(LearnedTables::parse(&sealed(body)).is_ok());
         refused(&sealed(&body.replacen("[20.0,0]", "[null,0]", 1)), "damaged");
         refused(&sealed(&body.replacen("[20.0,0]", "[1e999,0]", 1)), "damaged");
         refused(&sealed(&body.replacen("[20.0,0],", "", 1)), "another size");
@@ -465,7 +472,7 @@ mod tests {
                 let advantages = entry.duty.advantages();
                 let begins = advantages[2..].iter().map(|row| Lookback::Ages.begin(row));
                 let begins: Vec<Option<f64>> = begins.collect();
-                // A quarter of a disc whose places are as old as counts; devices in corners see no more.
+                // A quarter of a disc with places of the greatest age that counts; devices in corners cover no more.
                 let is_met = |begin: &&f64| **begin < 0.25 * Lookback::Ages.most();
                 let met = begins.iter().flatten().filter(is_met).count();
                 assert!(met >= 3, "N = {}: {begins:?}", entry.devices);
@@ -494,12 +501,14 @@ mod tests {
                 .map(|set| Override::parse(&format!("policy.{set}")).expect("an override"))
                 .collect();
             let preset = name.trim_start_matches("shipped-").trim_end_matches(AGES);
-            let mut scenario = load(preset, &set).expect("a preset");
+            let mut scenario = load(preset, &set).expect("a preset").scenario;
             assert!(
-                Setting::of(&scenario.site()).differences(&tables.setting).is_empty(),
+                TrainingSite::of(&scenario.site())
+                    .differences(&tables.setting)
+                    .is_empty(),
                 "{preset}"
             );
-            scenario.devices = tables.entries[0].devices;
+            scenario.run.devices = tables.entries[0].devices;
             assert_eq!(
                 scenario.hash_hex(),
                 tables.scenario,

@@ -1,4 +1,4 @@
-//! What tables were learned for: how long a look at a place counts.
+//! Lookback of learned tables.
 
 use std::fmt;
 use std::fmt::Display;
@@ -9,39 +9,39 @@ use serde::{Deserialize, Serialize};
 use super::tables::{AREAS, area_edge, worth_edge};
 use crate::beliefs::ages;
 
-/// The longest time within which the area can be asked to be covered once, TTIs.
+/// Longest window for covering the area once, TTIs.
 pub const LONGEST_WINDOW: u32 = 1000;
 
-/// What a look at a place counts for later.
+/// Duration for which a covered place counts as covered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(try_from = "Written", into = "Written")]
+#[serde(try_from = "LookbackRepr", into = "LookbackRepr")]
 pub enum Lookback {
-    /// The place counts as covered for so many TTIs, `1 ..= `[`LONGEST_WINDOW`], the look's own included.
+    /// The place counts as covered for this many TTIs, `1 ..= `[`LONGEST_WINDOW`], the TTI of the sensing included.
     Window(u32),
-    /// The place is of age 1 again, and gets older.
+    /// The place returns to age 1 and grows older.
     Ages,
 }
 
-/// How files write what a look counts for later.
+/// Representation of a [`Lookback`] in files.
 #[derive(Serialize, Deserialize)]
 #[serde(untagged)]
-enum Written {
+enum LookbackRepr {
     Window(u32),
     Word(String),
 }
 
-impl TryFrom<Written> for Lookback {
+impl TryFrom<LookbackRepr> for Lookback {
     type Error = String;
 
-    fn try_from(written: Written) -> Result<Self, String> {
+    fn try_from(written: LookbackRepr) -> Result<Self, String> {
         match written {
-            Written::Window(window) => Ok(Self::Window(window)),
-            Written::Word(word) => word.parse(),
+            LookbackRepr::Window(window) => Ok(Self::Window(window)),
+            LookbackRepr::Word(word) => word.parse(),
         }
     }
 }
 
-impl From<Lookback> for Written {
+impl From<Lookback> for LookbackRepr {
     fn from(lookback: Lookback) -> Self {
         match lookback {
             Lookback::Window(window) => Self::Window(window),
@@ -50,7 +50,7 @@ impl From<Lookback> for Written {
     }
 }
 
-/// `ages`, or a window by its TTIs.
+/// Parses `ages`, or a window as a number of TTIs.
 impl FromStr for Lookback {
     type Err = String;
 
@@ -68,7 +68,7 @@ impl FromStr for Lookback {
 }
 
 impl Lookback {
-    /// As a phrase: "a window of 4 TTIs".
+    /// Returns a phrase: "a window of 4 TTIs".
     pub fn in_words(self) -> String {
         match self {
             Self::Window(window) => format!("a window of {window} TTIs"),
@@ -76,13 +76,13 @@ impl Lookback {
         }
     }
 
-    /// The bucket of what a device would newly look at: an area, or with ages the sum over its places of what their
-    /// ages are worth; a share of its sensing disc with places of age 1. `0 .. AREAS`; 0 is as good as nothing.
+    /// Returns the bucket of the newly covered part, `0 .. AREAS`; 0 is negligible. `share` is an area, or with ages
+    /// the sum of the worths of its places, as a share of a sensing disc of places of age 1.
     pub fn bucket(self, share: f64) -> usize {
         (0..AREAS - 1).take_while(|&bucket| share >= self.edge(bucket)).count()
     }
 
-    /// The end of the `bucket`-th of these buckets.
+    /// Returns the end of the `bucket`-th of these buckets.
     pub fn edge(self, bucket: usize) -> f64 {
         match self {
             Self::Window(_) => area_edge(bucket),
@@ -90,7 +90,7 @@ impl Lookback {
         }
     }
 
-    /// The most that a device can look at, in that unit, if it is sure to detect what is within d_max.
+    /// Returns the most that a device can cover, in that unit, if it detects every event within d_max.
     pub const fn most(self) -> f64 {
         match self {
             Self::Window(_) => 1.0,
@@ -98,13 +98,13 @@ impl Lookback {
         }
     }
 
-    /// Where the first bucket begins in which sensing has an advantage, by the advantages of one battery.
+    /// Returns where the first bucket with an advantage of sensing starts, from the advantages of one battery bucket.
     pub fn begin(self, advantages: &[f64; AREAS]) -> Option<f64> {
         let first = advantages.iter().position(|&advantage| advantage > 0.0)?;
         Some(first.checked_sub(1).map_or(0.0, |before| self.edge(before)))
     }
 
-    /// As a table of them names it: "window 4".
+    /// Returns the label in a table: "window 4".
     pub fn label(self) -> String {
         match self {
             Self::Window(window) => format!("window {window}"),
@@ -112,7 +112,7 @@ impl Lookback {
         }
     }
 
-    /// TTIs for which a place counts as covered altogether.
+    /// Returns the total number of TTIs for which a place counts as covered.
     pub const fn window(self) -> u32 {
         match self {
             Self::Window(window) => window,

@@ -1,9 +1,9 @@
-//! What the `q-learning` policy has learned: its tables, and the file that they are kept in.
+//! Learned tables of the `q-learning` policy, and their file.
 //!
-//! The joint action of N devices is factorised (docs/q-learning.md): one table for duty cycling and one for each
-//! wake-up ranking serve all devices of a deployment. They depend on how dense the devices stand and on
-//! the window within which the area is to be covered, so a file holds an [`Entry`] for each window, or for
-//! ages, and each N that was trained.
+//! The joint action of N devices is factorised (docs/q-learning.md). One table for duty cycling and one for each
+//! wake-up ranking serve all devices of a deployment. They depend on the density of devices and on the window within
+//! which the area must be covered. A file therefore holds a [`TableSet`] for each trained pair of N and window, or of N
+//! and ages.
 
 mod file;
 mod lookback;
@@ -11,9 +11,10 @@ mod tables;
 
 pub use file::{FORMAT, LearnedError, VERSION};
 pub use lookback::{LONGEST_WINDOW, Lookback};
+pub(crate) use tables::area_bucket;
 pub use tables::{
-    ABLE, AREAS, BATTERIES, Cell, DutyTable, INFORMATIONS, NODES, REPORTS, Rates, SCORES, Schedule, WakeTable,
-    area_bucket, area_edge, battery_bucket, information_bucket, score_bucket, score_edge,
+    ABLE, AREAS, BATTERIES, DutyTable, INFORMATIONS, NODES, QValue, REPORTS, Rates, SCORES, Schedule, WakeTable,
+    battery_bucket, information_bucket, score_bucket, score_edge,
 };
 
 use std::fmt::Display;
@@ -22,13 +23,13 @@ use serde::{Deserialize, Serialize};
 
 use reveille_common::scenario::Site;
 
-/// How far N per area may lie from that of the nearest entry, as a factor.
+/// Largest allowed ratio between the density of devices and the density of the nearest entry.
 const REACH: f64 = 2.0;
 
-/// The weights that the tables were learned for.
+/// Weights for which tables are learned.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Weights {
+pub struct QWeights {
     /// μ1, weight of misdetections in r(k), ≥ 0 (Sec. V-B; the paper tunes it within 0.5 and 20).
     pub mu1: f64,
     /// μ2, weight of information in r*(k), ≥ 0 (the paper tunes it within 1 and 5).
@@ -37,27 +38,27 @@ pub struct Weights {
     pub zeta: f64,
 }
 
-impl Weights {
-    /// What covering the whole area once is worth in N r(k), where it then counts as covered for `window` TTIs and an
-    /// event starts with probability `alpha`: N α μ1 Σ ζ^i, i = 0 .. `window`.
+impl QWeights {
+    /// Returns the worth of covering the whole area once, in units of N r(k): N α μ1 Σ ζ^i, i = 0 .. `window`. The area
+    /// then counts as covered for `window` TTIs, and an event starts with probability `alpha`.
     pub fn covering(&self, devices: u32, alpha: f64, window: u32) -> f64 {
         let lasting = (0..window).fold(0.0, |sum, _| sum * self.zeta + 1.0);
         f64::from(devices) * alpha * self.mu1 * lasting
     }
 }
 
-/// What the tables were learned on: fields of the scenario that change what is worth doing. Energies are in units.
+/// Site on which tables were learned: the scenario fields that change the worth of actions. Energies are in units.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Setting {
+pub struct TrainingSite {
     /// Layout, detection and battery knowledge by their names in scenario files.
     pub words: Vec<(String, String)>,
     /// Numbers by the paths of their fields.
     pub numbers: Vec<(String, f64)>,
 }
 
-impl Setting {
-    /// The setting of `site`.
+impl TrainingSite {
+    /// Extracts the training fields of `site`.
     pub fn of(site: &Site<'_>) -> Self {
         let word = |name: &str, value: &str| (name.to_owned(), value.to_owned());
         let number = |name: &str, value: f64| (name.to_owned(), value);
@@ -100,7 +101,7 @@ impl Setting {
         }
     }
 
-    /// Where `here` differs, a phrase each: "events.alpha 0.2, here 0.3".
+    /// Describes each difference from `here` in a phrase: "events.alpha 0.2, here 0.3".
     pub fn differences(&self, here: &Self) -> Vec<String> {
         let words = differences(&self.words, &here.words, |own, here| own == here);
         let is_close = |own: &f64, here: &f64| (own - here).abs() <= 1e-6 * own.abs().max(here.abs());
@@ -111,7 +112,7 @@ impl Setting {
     }
 }
 
-/// The fields in which `own` and `here` are not the same, a phrase each.
+/// Describes each field that differs between `own` and `here` in a phrase.
 fn differences<T: Display>(own: &[(String, T)], here: &[(String, T)], is_same: impl Fn(&T, &T) -> bool) -> Vec<String> {
     let in_other = |fields: &'_ [(String, T)], name: &str| fields.iter().position(|(other, _)| other == name);
     let mut found = Vec::new();
@@ -132,11 +133,11 @@ fn differences<T: Display>(own: &[(String, T)], here: &[(String, T)], is_same: i
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CurvePoint {
-    /// TTIs of training so far.
+    /// Training length so far, TTIs.
     pub ttis: u64,
     /// Mean r(k) of the episode, per TTI.
     pub reward: f64,
-    /// Information of the episode by the objective of P1, `info_p1`, `[0, Ψ]` or a little above; 0 without events.
+    /// Information of the episode by the objective of P1, `info_p1`: `[0, Ψ]` or slightly above, 0 without events.
     pub information: f64,
     /// Units spent per device and TTI.
     pub energy: f64,
@@ -145,28 +146,28 @@ pub struct CurvePoint {
 /// The tables for one window and one density of devices.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Entry {
+pub struct TableSet {
     /// N of the training.
     pub devices: u32,
     /// The area ξ of the training, m².
     pub surface: f64,
-    /// What a look counted for later.
+    /// Duration for which a covered place counted as covered.
     #[serde(rename = "window")]
     pub lookback: Lookback,
-    /// The table of who senses.
+    /// Table of the duty cycling.
     pub duty: DutyTable,
-    /// The table of whom to wake, for candidates ranked by `P_4,2`.
+    /// Table of the wake-ups, for candidates ranked by `P_4,2`.
     pub wake_p42: WakeTable,
-    /// Whom to wake, candidates by the belief over the epicentre.
+    /// Table of the wake-ups, for candidates ranked by the belief over the epicentre.
     pub wake_posterior: WakeTable,
-    /// How the training went.
+    /// Learning curve of the training.
     pub curve: Vec<CurvePoint>,
 }
 
-impl Entry {
-    /// The optimistic start for the devices of `site`: what an action brings at once is known,
-    /// `optimism` times that for sensing; what it costs later is not. Every wake-up is worth a try.
-    pub fn optimistic(site: &Site<'_>, weights: &Weights, lookback: Lookback, optimism: f64) -> Self {
+impl TableSet {
+    /// Creates the optimistic start for the devices of `site`. It knows the immediate reward of an action, multiplied
+    /// by `optimism` for sensing, but no later costs. Every wake-up is worth trying.
+    pub fn optimistic(site: &Site<'_>, weights: &QWeights, lookback: Lookback, optimism: f64) -> Self {
         let (devices, surface) = (site.devices, site.area.surface());
         let disc = std::f64::consts::PI * site.sensing.d_max * site.sensing.d_max;
         let whole = optimism * weights.covering(devices, site.alpha, lookback.window()) * disc / surface;
@@ -187,45 +188,45 @@ impl Entry {
     }
 }
 
-/// How tables were trained.
+/// Training configuration of tables.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Training {
-    /// Episodes for each N, each on a deployment of its own, ≥ 1.
+pub struct QTrainingConfig {
+    /// Episodes for each N, each on its own deployment, ≥ 1.
     pub episodes: u64,
     /// Length of an episode, TTIs, ≥ 10.
     pub ttis: u64,
-    /// Probability that a decision is made at random, in the first episode and in the last, `[0, 1)`.
+    /// Exploration probability in the first and in the last episode, `[0, 1)`.
     pub epsilon: (f64, f64),
-    /// The seed of the scenario, from which those of the episodes come.
+    /// Seed of the scenario, from which the seeds of the episodes derive.
     pub seed: u64,
 }
 
-/// Everything in a file of learned tables.
+/// Contents of a file of learned tables.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Learned {
-    /// The version of Reveille that learned it.
+pub struct LearnedTables {
+    /// Version of Reveille that learned the tables.
     pub made_by: String,
     /// SHA-256 of the training's scenario at its first N, hexadecimal.
     pub scenario: String,
-    /// What it was learned for.
-    pub weights: Weights,
-    /// What it went on from, in words; nothing for a training from the start.
+    /// Weights for which the tables were learned.
+    pub weights: QWeights,
+    /// Description of the tables from which the training started; `None` for a training from scratch.
     pub begun_from: Option<String>,
-    /// How values were learned.
+    /// Learning schedule.
     pub schedule: Schedule,
-    /// How it was trained.
-    pub training: Training,
-    /// What it was learned on.
-    pub setting: Setting,
-    /// At least one, by rising window, those with ages last, and for each by rising density.
-    pub entries: Vec<Entry>,
+    /// Training configuration.
+    pub training: QTrainingConfig,
+    /// Site of the training.
+    pub setting: TrainingSite,
+    /// Entries, at least one, sorted by window (ages last), then by density.
+    pub entries: Vec<TableSet>,
 }
 
-impl Learned {
-    /// What was learned, in a few words, for those who go on from it.
-    pub fn in_words(&self, entry: &Entry) -> String {
-        let Weights { mu1, mu2, zeta } = self.weights;
+impl LearnedTables {
+    /// Describes the learned `entry`, for trainings and runs that start from it.
+    pub fn in_words(&self, entry: &TableSet) -> String {
+        let QWeights { mu1, mu2, zeta } = self.weights;
         let ttis = entry.curve.last().map_or(0, |point| point.ttis);
         let before = self
             .begun_from
@@ -238,21 +239,21 @@ impl Learned {
         )
     }
 
-    /// Whether it is the checkpoint of a training that has not come to its end.
-    pub fn is_cut_short(&self) -> bool {
-        let is_short = |entry: &Entry| (entry.curve.len() as u64) < self.training.episodes;
+    /// Whether the tables are a checkpoint of an unfinished training.
+    pub(crate) fn is_cut_short(&self) -> bool {
+        let is_short = |entry: &TableSet| (entry.curve.len() as u64) < self.training.episodes;
         self.entries.iter().any(is_short)
     }
 
-    /// What there are tables for, by rising window, ages last.
+    /// Returns the lookbacks with tables, sorted by window, ages last.
     pub fn lookbacks(&self) -> Vec<Lookback> {
         let mut lookbacks: Vec<Lookback> = self.entries.iter().map(|entry| entry.lookback).collect();
         lookbacks.dedup();
         lookbacks
     }
 
-    /// Of the windows that there are tables for, the one that is nearest to `window` in ratio.
-    pub fn nearest_window(&self, window: u32) -> Option<u32> {
+    /// Returns the window with tables that is nearest to `window` in ratio.
+    pub(crate) fn nearest_window(&self, window: u32) -> Option<u32> {
         let apart = |own: &u32| libm::log(f64::from(*own) / f64::from(window)).abs();
         let windows = self
             .lookbacks()
@@ -263,21 +264,22 @@ impl Learned {
             .min_by(|a, b| apart(a).total_cmp(&apart(b)))
     }
 
-    fn of(&self, lookback: Lookback) -> impl Iterator<Item = &Entry> {
+    fn of(&self, lookback: Lookback) -> impl Iterator<Item = &TableSet> {
         self.entries.iter().filter(move |entry| entry.lookback == lookback)
     }
 
-    /// The entry for `lookback` and `devices` on `surface` m²: the nearest density, if it is within a factor of 2.
-    pub fn closest(&self, lookback: Lookback, devices: u32, surface: f64) -> Option<&Entry> {
+    /// Returns the entry for `lookback` nearest in density to `devices` on `surface` m², at most a factor of 2 away.
+    pub fn closest(&self, lookback: Lookback, devices: u32, surface: f64) -> Option<&TableSet> {
         let density = f64::from(devices) / surface;
-        let apart = |entry: &Entry| libm::log(entry.density() / density).abs();
+        let apart = |entry: &TableSet| libm::log(entry.density() / density).abs();
         let nearest = self.of(lookback).min_by(|a, b| apart(a).total_cmp(&apart(b)))?;
+        // The slack accepts a density at exactly the limit despite rounding.
         (apart(nearest) <= libm::log(REACH) + 1e-9).then_some(nearest)
     }
 
-    /// The least and the largest N on `surface` m² that some entry for `lookback` serves.
+    /// Returns the least and the largest N on `surface` m² that the entries for `lookback` serve.
     pub fn range(&self, lookback: Lookback, surface: f64) -> (u32, u32) {
-        let at = |entry: Option<&Entry>| entry.map_or(0.0, Entry::density) * surface;
+        let at = |entry: Option<&TableSet>| entry.map_or(0.0, TableSet::density) * surface;
         let (least, most) = (at(self.of(lookback).next()), at(self.of(lookback).last()));
         ((least / REACH).ceil().max(1.0) as u32, (most * REACH).floor() as u32)
     }
@@ -289,25 +291,25 @@ mod tests {
 
     use super::*;
 
-    fn setting(set: &[&str]) -> Setting {
+    fn setting(set: &[&str]) -> TrainingSite {
         let set: Vec<Override> = set
             .iter()
             .map(|set| Override::parse(set).expect("an override"))
             .collect();
-        Setting::of(&load("paper", &set).expect("a scenario").site())
+        TrainingSite::of(&load("paper", &set).expect("a scenario").scenario.site())
     }
 
     #[test]
     fn what_is_covered_is_worth_its_discounted_sum_and_the_start_a_disc_of_it() {
         for (mu1, zeta, window) in [(14.0, 0.95, 4), (2.0, 0.5, 1), (3.0, 0.0, 7), (1.0, 0.999, 1000)] {
-            let weights = Weights { mu1, mu2: 1.0, zeta };
+            let weights = QWeights { mu1, mu2: 1.0, zeta };
             let expected = 250.0 * 0.2 * mu1 * (1.0 - libm::pow(zeta, f64::from(window))) / (1.0 - zeta);
             let found = weights.covering(250, 0.2, window);
             assert!((found - expected).abs() < 1e-9 * expected, "{found} is not {expected}");
             let set = Override::parse("devices=250").expect("an override");
-            let scenario = load("paper", &[set]).expect("a scenario");
+            let scenario = load("paper", &[set]).expect("a scenario").scenario;
             for optimism in [0.0, 0.5, 2.0] {
-                let entry = Entry::optimistic(&scenario.site(), &weights, Lookback::Window(window), optimism);
+                let entry = TableSet::optimistic(&scenario.site(), &weights, Lookback::Window(window), optimism);
                 // A whole disc of 4 m radius on 20 m × 20 m, with α = 0.2.
                 let most = optimism * expected * std::f64::consts::PI * 16.0 / 400.0;
                 for battery in 0..BATTERIES {
@@ -337,7 +339,7 @@ mod tests {
         ] {
             assert_eq!(own.differences(&setting(&[set])), [phrase]);
         }
-        // A field that only one of them has differs too.
+        // A field that only one of the two sites has also counts as a difference.
         let mut fewer = own.clone();
         let lost = fewer.numbers.remove(0);
         assert_eq!(

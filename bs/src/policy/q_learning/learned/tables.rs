@@ -1,4 +1,4 @@
-//! Tables over a few buckets of what a decision depends on.
+//! Tables over buckets of the state in which a decision is made.
 
 use std::f64::consts::FRAC_1_SQRT_2;
 
@@ -9,63 +9,63 @@ use reveille_common::units::Energy;
 
 use crate::beliefs::ages;
 
-/// Buckets of the battery: too low to sense, too low to report, and six equal parts of the rest.
+/// Number of battery buckets: too low to sense, too low to report, and six equal parts of the rest.
 pub const BATTERIES: usize = 8;
-/// The first bucket of the battery with which a device can sense and report.
+/// First battery bucket in which a device can sense and report.
 pub const ABLE: u8 = 2;
-/// Buckets of the area that a device would newly cover.
+/// Number of buckets of the newly covered area.
 pub const AREAS: usize = 16;
-/// Nodes of the value as a function of the battery, evenly over `0 ..= E_max`.
+/// Number of nodes of the value as a function of the battery, evenly spaced over `0 ..= E_max`.
 pub const NODES: usize = 9;
-/// Buckets of a wake-up candidate's score.
+/// Number of buckets of a wake-up candidate's score.
 pub const SCORES: usize = 20;
-/// Buckets of the information gathered.
+/// Number of buckets of the gathered information.
 pub const INFORMATIONS: usize = 8;
-/// Buckets of the reports so far: 1, 2, 3, more.
+/// Number of buckets of the reports so far: 1, 2, 3, more.
 pub const REPORTS: usize = 4;
 
-/// The smallest area that counts, as a share of the sensing disc π·d_max².
+/// Smallest area that counts, as a share of the sensing disc π·d_max².
 const LEAST_AREA: f64 = 0.0002;
-/// The end of the first bucket of areas that count, and the ratio of the ends after it.
+/// End of the first bucket of areas that count, and ratio between successive ends after it.
 const FIRST_AREA: f64 = 0.005;
 const AREA_RATIO: f64 = 1.45;
-/// The bucket up to the whole disc.
+/// Bucket that ends at the whole disc.
 const LAST_AREA: usize = AREAS - 1;
 
 /// One learned value.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(from = "(f64, u32)", into = "(f64, u32)")]
-pub struct Cell {
-    /// The action's value.
+pub struct QValue {
+    /// Value of the action.
     pub value: f64,
-    /// How often it was learned from.
+    /// Number of updates.
     pub visits: u32,
 }
 
-impl From<(f64, u32)> for Cell {
+impl From<(f64, u32)> for QValue {
     fn from((value, visits): (f64, u32)) -> Self {
         Self { value, visits }
     }
 }
 
-impl From<Cell> for (f64, u32) {
-    fn from(cell: Cell) -> Self {
+impl From<QValue> for (f64, u32) {
+    fn from(cell: QValue) -> Self {
         (cell.value, cell.visits)
     }
 }
 
-impl Cell {
+impl QValue {
     const fn new(value: f64) -> Self {
         Self { value, visits: 0 }
     }
 
-    /// Moves the value towards `target`; the more often that has happened, the less.
+    /// Moves the value towards `target`, by less with each visit.
     pub fn learn(&mut self, target: f64, rates: Rates) {
         self.learn_a_share(target, 1.0, rates);
     }
 
-    /// The same, with a share `weight` of the visit, `[0, 1]`.
-    pub fn learn_a_share(&mut self, target: f64, weight: f64, rates: Rates) {
+    /// Moves the value towards `target`, with the learning rate scaled by `weight`, `[0, 1]`.
+    pub(crate) fn learn_a_share(&mut self, target: f64, weight: f64, rates: Rates) {
         self.visits = self.visits.saturating_add(1);
         self.value += weight * rates.at(self.visits) * (target - self.value);
     }
@@ -75,19 +75,19 @@ impl Cell {
     }
 }
 
-/// Visits that the start counts for.
+/// Number of visits for which the initial value counts.
 const PRIOR: f64 = 4.0;
 
-/// How values are learned.
+/// Learning schedule.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Schedule {
-    /// Exponent ω of the learning rate, `(0, 1]`: it is max((n + 4)^−ω, floor) at a value's n-th visit, so that the
-    /// start outlives the first few.
+    /// Exponent ω of the learning rate, `(0, 1]`. The rate is max((n + 4)^−ω, floor) at the n-th visit of a value, so
+    /// that the initial value persists over the first visits.
     pub rate_decay: f64,
-    /// The least learning rate, `(0, 1]`.
+    /// Least learning rate, `(0, 1]`.
     pub rate_floor: f64,
-    /// How optimistic the start is, ≥ 0: 1 for what an action brings at the most.
+    /// Initial values, ≥ 0, as a multiple of the largest immediate reward of an action.
     pub optimism: f64,
 }
 
@@ -98,20 +98,21 @@ impl Default for Schedule {
 }
 
 impl Schedule {
-    /// The schedule where nobody asks for another.
+    /// Default schedule.
     pub const USUAL: Self = Self {
         rate_decay: 0.7,
         rate_floor: 0.002,
         optimism: 1.0,
     };
 
-    /// The learning rates.
+    /// Returns the learning rates.
     pub fn rates(&self) -> Rates {
+        // The visits n at which (n + 4)^−ω falls to the floor.
         let flat = libm::pow(self.rate_floor, -1.0 / self.rate_decay) - PRIOR;
         Rates {
             decay: self.rate_decay,
             floor: self.rate_floor,
-            // What does not fit is never reached.
+            // The cast saturates; no run makes as many visits.
             flat: flat.ceil() as u32,
         }
     }
@@ -122,7 +123,7 @@ impl Schedule {
 pub struct Rates {
     decay: f64,
     floor: f64,
-    /// From so many visits on the rate is at its floor.
+    /// Number of visits from which the rate is at its floor.
     flat: u32,
 }
 
@@ -136,51 +137,51 @@ impl Rates {
     }
 }
 
-/// The table of the duty cycling: Q of δ = 0 and δ = 1 by battery and newly covered area, and V by battery. Q is kept
-/// less ζV(battery), which is the same for both actions, for the choice; and whole, for V to be learned from.
+/// Table of the duty cycling: Q of δ = 0 and δ = 1 by battery and newly covered area, and V by battery. Q is stored
+/// twice. The choice uses Q less ζV(battery), which is the same for both actions. V is learned from the whole Q.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DutyTable {
     /// Q(battery, area, δ) − ζV(battery), [`BATTERIES`] × [`AREAS`] × 2, in this order.
-    pub q: Vec<Cell>,
+    pub q: Vec<QValue>,
     /// Q(battery, area, δ), in the same order.
-    pub outcomes: Vec<Cell>,
+    pub outcomes: Vec<QValue>,
     /// V at the [`NODES`] battery levels.
-    pub value: Vec<Cell>,
+    pub value: Vec<QValue>,
 }
 
 impl DutyTable {
-    /// The start at `value` = 1/(1 − ζ), that of being asleep for ever: δ = 0 brings its 1, and δ = 1 what `most` says
-    /// for a bucket of areas, with nothing charged for the energy that it takes.
+    /// Creates the start, with V = `value` = 1/(1 − ζ), the value of sleeping forever. The reward of δ = 0 is 1. The
+    /// reward of δ = 1 is `most(bucket)` by area bucket, with no charge for the energy.
     pub fn optimistic(value: f64, most: impl Fn(usize) -> f64) -> Self {
         let rewards: [[f64; 2]; AREAS] = std::array::from_fn(|area| [1.0, most(area)]);
-        let of = |later: f64| -> Vec<Cell> {
-            let by_area = rewards.as_flattened().iter().map(|reward| Cell::new(reward + later));
+        let of = |later: f64| -> Vec<QValue> {
+            let by_area = rewards.as_flattened().iter().map(|reward| QValue::new(reward + later));
             by_area.collect::<Vec<_>>().repeat(BATTERIES)
         };
         Self {
             q: of(0.0),
             outcomes: of(value - 1.0),
-            value: vec![Cell::new(value); NODES],
+            value: vec![QValue::new(value); NODES],
         }
     }
 
-    /// Q − ζV of the action δ in a state.
-    pub fn at(&self, battery: usize, area: usize, delta: bool) -> &Cell {
+    /// Returns Q − ζV of the action δ in a state.
+    pub fn at(&self, battery: usize, area: usize, delta: bool) -> &QValue {
         &self.q[(battery * AREAS + area) * 2 + usize::from(delta)]
     }
 
-    /// As [`Self::at`], for writing.
-    pub fn at_mut(&mut self, battery: usize, area: usize, delta: bool) -> &mut Cell {
+    /// Returns a mutable reference to Q − ζV of the action δ in a state.
+    pub fn at_mut(&mut self, battery: usize, area: usize, delta: bool) -> &mut QValue {
         &mut self.q[(battery * AREAS + area) * 2 + usize::from(delta)]
     }
 
-    /// Q of the action δ in a state, whole.
-    pub fn outcome_mut(&mut self, battery: usize, area: usize, delta: bool) -> &mut Cell {
+    /// Returns a mutable reference to the whole Q of the action δ in a state.
+    pub(crate) fn outcome_mut(&mut self, battery: usize, area: usize, delta: bool) -> &mut QValue {
         &mut self.outcomes[(battery * AREAS + area) * 2 + usize::from(delta)]
     }
 
-    /// Q(s, 1) − Q(s, 0) by battery and area, made never to fall with the area: what is learned there is noisy, and a
+    /// Returns Q(s, 1) − Q(s, 0) by battery and area, made monotone in the area. The learned values are noisy, and a
     /// device that newly covers more is never worth less.
     pub fn advantages(&self) -> [[f64; AREAS]; BATTERIES] {
         std::array::from_fn(|battery| {
@@ -188,6 +189,7 @@ impl DutyTable {
                 std::array::from_fn(|area| self.at(battery, area, true).value - self.at(battery, area, false).value);
             let weights: [f64; AREAS] = std::array::from_fn(|area| {
                 let [on, off] = [true, false].map(|delta| f64::from(self.at(battery, area, delta).visits));
+                // A difference is only as certain as its rarer action.
                 1.0 + on.min(off)
             });
             rise(&mut advantages, &weights);
@@ -195,7 +197,7 @@ impl DutyTable {
         })
     }
 
-    /// V at the nodes, made never to fall with the battery.
+    /// Returns V at the nodes, made monotone in the battery.
     pub fn values(&self) -> [f64; NODES] {
         let mut values: [f64; NODES] = std::array::from_fn(|node| self.value[node].value);
         let weights: [f64; NODES] = std::array::from_fn(|node| 1.0 + f64::from(self.value[node].visits));
@@ -203,7 +205,7 @@ impl DutyTable {
         values
     }
 
-    pub(super) fn cells(&self) -> impl Iterator<Item = &Cell> {
+    pub(super) fn cells(&self) -> impl Iterator<Item = &QValue> {
         self.q.iter().chain(&self.outcomes).chain(&self.value)
     }
 
@@ -214,11 +216,11 @@ impl DutyTable {
 
     pub(super) fn round(&mut self) {
         let cells = self.q.iter_mut().chain(&mut self.outcomes);
-        cells.chain(&mut self.value).for_each(Cell::round);
+        cells.chain(&mut self.value).for_each(QValue::round);
     }
 }
 
-/// The nearest never-falling sequence in the sense of weighted least squares (pool adjacent violators).
+/// Replaces the values by the non-decreasing least-squares fit with these weights (pool adjacent violators).
 fn rise(values: &mut [f64], weights: &[f64]) {
     // Blocks of equal value: (mean, weight, length).
     let mut blocks: Vec<(f64, f64, usize)> = Vec::with_capacity(values.len());
@@ -239,36 +241,36 @@ fn rise(values: &mut [f64], weights: &[f64]) {
     }
 }
 
-/// The table of the wake-ups: the worth of waking the best candidate, where stopping is worth 0.
+/// Table of the wake-ups: the value of waking the best candidate, where stopping is worth 0.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WakeTable {
     /// Q(score, information, reports), [`SCORES`] × [`INFORMATIONS`] × [`REPORTS`], in this order.
-    pub q: Vec<Cell>,
+    pub q: Vec<QValue>,
 }
 
 impl WakeTable {
-    /// A table in which every value is `value`.
+    /// Creates a table in which every value is `value`.
     pub fn optimistic(value: f64) -> Self {
         Self {
-            q: vec![Cell::new(value); SCORES * INFORMATIONS * REPORTS],
+            q: vec![QValue::new(value); SCORES * INFORMATIONS * REPORTS],
         }
     }
 
-    /// Q of waking in a state.
-    pub fn at(&self, [score, information, reports]: [usize; 3]) -> &Cell {
+    /// Returns Q of waking in a state.
+    pub fn at(&self, [score, information, reports]: [usize; 3]) -> &QValue {
         &self.q[(score * INFORMATIONS + information) * REPORTS + reports]
     }
 
-    /// As [`Self::at`], for writing.
-    pub fn at_mut(&mut self, [score, information, reports]: [usize; 3]) -> &mut Cell {
+    /// Returns a mutable reference to Q of waking in a state.
+    pub fn at_mut(&mut self, [score, information, reports]: [usize; 3]) -> &mut QValue {
         &mut self.q[(score * INFORMATIONS + information) * REPORTS + reports]
     }
 
-    /// Q by score with Î and reports in these buckets, made never to fall with the score: cells that are hardly ever
-    /// visited are noise, and waking a better candidate is never worth less.
+    /// Returns Q by score for these buckets of Î and reports, made monotone in the score. Rarely visited values are
+    /// noise, and a better candidate is never worth less.
     pub fn worths(&self, information: usize, reports: usize) -> [f64; SCORES] {
-        let cells: [&Cell; SCORES] = std::array::from_fn(|score| self.at([score, information, reports]));
+        let cells: [&QValue; SCORES] = std::array::from_fn(|score| self.at([score, information, reports]));
         let mut worths = cells.map(|cell| cell.value);
         rise(&mut worths, &cells.map(|cell| 1.0 + f64::from(cell.visits)));
         worths
@@ -279,11 +281,11 @@ impl WakeTable {
     }
 
     pub(super) fn round(&mut self) {
-        self.q.iter_mut().for_each(Cell::round);
+        self.q.iter_mut().for_each(QValue::round);
     }
 }
 
-/// The bucket of a battery level, `0 .. BATTERIES`: 0 cannot pay E_idle, 1 could sense and not report.
+/// Returns the bucket of a battery level, `0 .. BATTERIES`: 0 cannot pay E_idle, 1 can sense but not report.
 pub fn battery_bucket(level: Energy, energy: &EnergyModel) -> usize {
     let needed = energy.e_idle + energy.e_tx;
     if level < energy.e_idle {
@@ -291,6 +293,7 @@ pub fn battery_bucket(level: Energy, energy: &EnergyModel) -> usize {
     } else if level < needed {
         1
     } else {
+        // E_max can be exactly the energy that is needed.
         let span = energy.e_max.saturating_sub(needed).micro().max(1);
         let parts = BATTERIES as u64 - 2;
         let part = (level.saturating_sub(needed).micro() * parts / span).min(parts - 1);
@@ -298,13 +301,13 @@ pub fn battery_bucket(level: Energy, energy: &EnergyModel) -> usize {
     }
 }
 
-/// The bucket of a newly covered area, as a share of the sensing disc, `0 .. AREAS`; 0 is as good as nothing.
-pub fn area_bucket(share: f64) -> usize {
+/// Returns the bucket of a newly covered area, a share of the sensing disc, `0 .. AREAS`; 0 is negligible.
+pub(crate) fn area_bucket(share: f64) -> usize {
     (0..AREAS - 1).take_while(|&bucket| share >= area_edge(bucket)).count()
 }
 
-/// The end of the `bucket`-th bucket of areas, a share of the sensing disc.
-pub fn area_edge(bucket: usize) -> f64 {
+/// Returns the end of the `bucket`-th bucket of areas, a share of the sensing disc.
+pub(crate) fn area_edge(bucket: usize) -> f64 {
     match bucket {
         0 => LEAST_AREA,
         LAST_AREA.. => 1.0,
@@ -312,14 +315,14 @@ pub fn area_edge(bucket: usize) -> f64 {
     }
 }
 
-/// Where places have ages, the end of the first bucket that is more than as good as nothing, and the ratio of the ends
-/// after it; the last goes up to all places being as old as counts.
+/// End of the first bucket of worth that is not negligible, and ratio between successive ends after it, for places with
+/// ages. The last bucket ends where all places have the greatest age that counts.
 const FIRST_WORTH: f64 = 0.2;
 const WORTH_RATIO: f64 = 1.6;
 
-/// The end of the `bucket`-th bucket of what a device would look at where places have ages: the sum of their worths, as
-/// a share of a sensing disc of places of age 1.
-pub fn worth_edge(bucket: usize) -> f64 {
+/// Returns the end of the `bucket`-th bucket of worth with ages: the sum of the worths of places, as a share of a
+/// sensing disc of places of age 1.
+pub(super) fn worth_edge(bucket: usize) -> f64 {
     match bucket {
         0 => LEAST_AREA,
         LAST_AREA.. => ages::MOST,
@@ -327,13 +330,13 @@ pub fn worth_edge(bucket: usize) -> f64 {
     }
 }
 
-/// The bucket of a candidate's score, a share of Ψ, `0 .. SCORES`.
+/// Returns the bucket of a candidate's score, a share of Ψ, `0 .. SCORES`.
 pub fn score_bucket(share: f64) -> usize {
     (1..SCORES).take_while(|&bucket| share >= score_edge(bucket)).count()
 }
 
-/// Where the `bucket`-th bucket of scores begins, a share of Ψ: the first at 0, each of the others at 1/√2 of where the
-/// next begins; the last ends at 1.
+/// Returns the start of the `bucket`-th bucket of scores, a share of Ψ. The first starts at 0, each other at 1/√2 of
+/// the start of the next; the last ends at 1.
 pub fn score_edge(bucket: usize) -> f64 {
     if bucket == 0 {
         return 0.0;
@@ -347,7 +350,7 @@ pub fn score_edge(bucket: usize) -> f64 {
     }
 }
 
-/// The bucket of Î, a share of Ψ, `0 .. INFORMATIONS`.
+/// Returns the bucket of Î, a share of Ψ, `0 .. INFORMATIONS`.
 pub fn information_bucket(share: f64) -> usize {
     const EDGES: [f64; INFORMATIONS - 1] = [0.03, 0.08, 0.15, 0.25, 0.4, 0.55, 0.75];
     EDGES.iter().filter(|&&edge| share >= edge).count()
@@ -388,7 +391,7 @@ mod tests {
     fn the_learning_rate_falls_to_its_floor() {
         let schedule = Schedule::default();
         let rates = schedule.rates();
-        let mut cell = Cell::new(20.0);
+        let mut cell = QValue::new(20.0);
         cell.learn(0.0, rates);
         assert!(
             (cell.value - 20.0 * (1.0 - libm::pow(5.0, -0.7))).abs() < 1e-12,

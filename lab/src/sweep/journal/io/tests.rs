@@ -1,4 +1,6 @@
-//! Journals that are cut off, garbled, foreign or of fewer seeds.
+//! Journals that are cut off, garbled, of another sweep, or of fewer seeds.
+
+use std::fs;
 
 use reveille_common::score::Metrics;
 
@@ -25,11 +27,11 @@ impl Drop for Place {
     }
 }
 
-fn entry(number: u8) -> Entry {
+fn entry(number: u8) -> JournalEntry {
     let mut metrics = [f64::NAN; Metrics::COUNT];
     metrics[1] = f64::from(number) / 3.0;
     metrics[2] = 1e-300;
-    Entry {
+    JournalEntry {
         scenario_hash: Hash([number; 32]),
         metrics,
         events: u64::from(number),
@@ -37,10 +39,10 @@ fn entry(number: u8) -> Entry {
     }
 }
 
-const JOBS: [Job; 3] = [
-    Job { cell: 0, seed: 0 },
-    Job { cell: 2, seed: 4 },
-    Job { cell: 1, seed: 3 },
+const JOBS: [RunIndex; 3] = [
+    RunIndex { cell: 0, seed: 0 },
+    RunIndex { cell: 2, seed: 4 },
+    RunIndex { cell: 1, seed: 3 },
 ];
 
 fn filled(name: &str) -> (Place, Vec<u8>) {
@@ -54,7 +56,7 @@ fn filled(name: &str) -> (Place, Vec<u8>) {
     (place, bytes)
 }
 
-fn same(a: &Entry, b: &Entry) -> bool {
+fn same(a: &JournalEntry, b: &JournalEntry) -> bool {
     line(JOBS[0], a) == line(JOBS[0], b) && a.metrics[1].to_bits() == b.metrics[1].to_bits()
 }
 
@@ -113,8 +115,8 @@ fn a_garbled_line_is_dropped_and_no_other() {
 #[test]
 fn seeds_are_raised_with_all_runs_and_never_lowered() {
     let (place, bytes) = filled("raised");
-    // A copy that was cut off is no harm.
-    fs::write(place.0.with_extension("journal.part"), &bytes[..bytes.len() / 2]).expect("written");
+    // A truncated copy does no harm.
+    fs::write(place.0.with_extension("part"), &bytes[..bytes.len() / 2]).expect("written");
     let journal = Journal::open(&place.0, "me", 3, 20).expect("more seeds");
     assert_eq!((journal.runs().len(), journal.dropped()), (3, 0));
     let reason = Journal::open(&place.0, "me", 3, 20).expect_err("the new file is locked as well");
@@ -128,7 +130,9 @@ fn seeds_are_raised_with_all_runs_and_never_lowered() {
     );
     assert_eq!(fs::read(&place.0).expect("there"), raised, "untouched");
     let mut journal = Journal::open(&place.0, "me", 3, 20).expect("the same");
-    journal.add(Job { cell: 2, seed: 19 }, entry(1), 1).expect("written");
+    journal
+        .add(RunIndex { cell: 2, seed: 19 }, entry(1), 1)
+        .expect("written");
     drop(journal);
     assert_eq!(Journal::open(&place.0, "me", 3, 20).expect("the same").runs().len(), 4);
 }
@@ -156,8 +160,8 @@ fn another_sweep_and_a_second_process_are_refused() {
         let reason = Journal::open(&place.0, "me", 3, 5).expect_err("no journal");
         let part = match text.strip_prefix("reveille-journal ").map(|rest| &rest[..1]) {
             Some("2") => "another experiment",
-            Some(_) => "a runs.journal of form 1, but this version of reveille goes on with form 2",
-            None => "is none",
+            Some(_) => "a runs.journal of format 1, but this version of reveille resumes format 2",
+            None => "damaged first line",
         };
         assert!(reason.contains(part), "{text}: {reason}");
         assert_eq!(fs::read_to_string(&place.0).expect("there"), text, "untouched");

@@ -1,0 +1,93 @@
+//! Worths of ages.
+
+use std::f64::consts::PI;
+
+use reveille_common::sensing::{DetectionKind, Sensing};
+
+/// Largest age that is distinguished, TTIs.
+pub(crate) const OLDEST: usize = u8::MAX as usize;
+
+/// Worth of a look at a cell by age, from age 0 to `OLDEST`; at most 255, and non-decreasing.
+pub type AgeIndexTable = [u8; OLDEST + 1];
+
+/// Age from which on the worth is constant, TTIs: the last whose worth fits a byte. Few events last longer, and places
+/// that no device covers affect no choice.
+const LEVEL: u8 = 22;
+
+/// Worth of a sensing area whose places are all of age `LEVEL` or more: the largest worth of a look.
+pub const MOST: f64 = of(LEVEL) as f64;
+
+/// Stands for a price of 0, so that ratios to it are finite.
+pub const FREE: f64 = 1e-30;
+
+/// Returns the worth of each age a: a(a + 1)/2. This is Whittle's index of a place if an undetected event costs the
+/// same in each TTI.
+pub fn worths() -> AgeIndexTable {
+    std::array::from_fn(|age| of(age as u8))
+}
+
+/// Returns the worth of `age`, as in [`worths`].
+#[inline]
+pub(super) const fn of(age: u8) -> u8 {
+    let age = if age < LEVEL { age } else { LEVEL } as u16;
+    (age * (age + 1) / 2) as u8
+}
+
+/// Returns the effective sensing area of a device, m²: the integral of its detection probability over the places around
+/// it.
+pub fn reach(sensing: &Sensing) -> f64 {
+    let Sensing { d_max, eta, kind, .. } = *sensing;
+    match kind {
+        DetectionKind::Range => PI * d_max * d_max,
+        DetectionKind::Probabilistic => {
+            let x = eta * d_max;
+            2.0 * PI * (1.0 - libm::exp(-x) * (1.0 + x)) / (eta * eta)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use reveille_common::sensing::Fusion;
+
+    use super::*;
+
+    #[test]
+    fn ages_are_worth_the_triangular_numbers_up_to_a_byte() {
+        let worths = worths();
+        assert_eq!(worths[..5], [0, 1, 3, 6, 10]);
+        assert_eq!(
+            (worths[21], worths[22], worths[23], worths[OLDEST]),
+            (231, 253, 253, 253)
+        );
+    }
+
+    #[test]
+    fn the_reach_is_what_a_device_sees_of_the_places_around_it() {
+        for kind in [DetectionKind::Range, DetectionKind::Probabilistic] {
+            let sensing = Sensing {
+                kind,
+                d_max: 3.0,
+                eta: 0.7,
+                psi: 1.0,
+                g: Fusion::Max,
+            };
+            // Rings one thousandth of a metre wide.
+            let ring = |i: u32| {
+                let d = (f64::from(i) + 0.5) * 1e-3;
+                let p = if kind == DetectionKind::Range {
+                    1.0
+                } else {
+                    libm::exp(-0.7 * d)
+                };
+                p * 2.0 * PI * d * 1e-3
+            };
+            let sum: f64 = (0..3000).map(ring).sum();
+            assert!(
+                (reach(&sensing) - sum).abs() < 1e-4,
+                "{kind:?}: {}, not {sum}",
+                reach(&sensing)
+            );
+        }
+    }
+}

@@ -1,0 +1,151 @@
+//! Selection of the devices to put in S1, whose looks are worth more than they cost.
+
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
+use std::collections::binary_heap::PeekMut;
+
+use reveille_common::geometry::{Area, Buckets, Point};
+use reveille_common::ids::DeviceId;
+
+use super::Ages;
+
+/// Number of rounds of replacing chosen devices. The first round brings most of the improvement, rounds after the
+/// second hardly any.
+const ROUNDS: usize = 2;
+
+/// Selects the sensing devices of one TTI at a time.
+#[derive(Clone, Debug)]
+pub struct DeviceSelector {
+    positions: Vec<Point>,
+    buckets: Buckets,
+    d_max: f64,
+    /// Candidates by [`key`].
+    heap: BinaryHeap<u64>,
+    /// Gain by device if no device was chosen.
+    alone: Vec<f64>,
+    is_chosen: Vec<bool>,
+    /// Chosen devices in order; `None` for a device removed without a replacement.
+    chosen: Vec<Option<u32>>,
+}
+
+impl DeviceSelector {
+    /// Creates a selector for devices at `positions` of `area` with sensing range `d_max`.
+    pub fn new(positions: &[Point], area: Area, d_max: f64) -> Self {
+        Self {
+            buckets: Buckets::new(positions, area, d_max),
+            d_max,
+            positions: positions.to_vec(),
+            heap: BinaryHeap::new(),
+            alone: vec![0.0; positions.len()],
+            is_chosen: vec![false; positions.len()],
+            chosen: Vec::new(),
+        }
+    }
+
+    /// Adds devices to `ages` so that their total worth less their total price is large, and returns them in the order
+    /// of choice. Devices already chosen there stay. `prices` are in the unit of [`Ages::gain`], above 0, and infinite
+    /// for devices that may not be chosen.
+    ///
+    /// A greedy pass first adds the device with the highest ratio of worth to price, as long as its worth exceeds its
+    /// price. Then each chosen device is removed in turn, `ROUNDS` times. Of this device and the others within d_max,
+    /// the one with the largest positive worth less price takes the place. Otherwise it stays empty.
+    pub fn choose(&mut self, ages: &mut Ages, prices: &[f64]) -> Vec<DeviceId> {
+        self.is_chosen.fill(false);
+        self.chosen.clear();
+        self.greedily(ages, prices);
+        self.improve(ages, prices);
+        self.chosen.iter().flatten().map(|&j| DeviceId(j)).collect()
+    }
+
+    /// Chooses devices greedily. A worth never grows as others are chosen, so a candidate whose worth is unchanged is
+    /// the best, and few candidates are evaluated twice.
+    fn greedily(&mut self, ages: &mut Ages, prices: &[f64]) {
+        // Reuses the memory of the heap. Building it from all keys takes linear time; pushing them one by one does not.
+        let mut keys = std::mem::take(&mut self.heap).into_vec();
+        keys.clear();
+        for ((alone, &price), j) in self.alone.iter_mut().zip(prices).zip(0..) {
+            *alone = ages.gain(j as usize);
+            keys.extend(key(*alone, price, j));
+        }
+        self.heap = BinaryHeap::from(keys);
+        while let Some(mut best) = self.heap.peek_mut() {
+            // The low half of a key is the inverted device number.
+            let j = u32::MAX - *best as u32;
+            match key(ages.gain(j as usize), prices[j as usize], j) {
+                Some(now) if now == *best => {
+                    PeekMut::pop(best);
+                    ages.add(j as usize);
+                    self.is_chosen[j as usize] = true;
+                    self.chosen.push(Some(j));
+                }
+                Some(now) => *best = now,
+                None => {
+                    PeekMut::pop(best);
+                }
+            }
+        }
+    }
+
+    fn improve(&mut self, ages: &mut Ages, prices: &[f64]) {
+        let places = self.chosen.len();
+        let mut unchanged = 0;
+        for turn in 0..ROUNDS * places {
+            if unchanged == places {
+                // Each has been tried since the last change, so another round would change nothing.
+                break;
+            }
+            unchanged += 1;
+            let place = turn % places;
+            let Some(j) = self.chosen[place] else { continue };
+            ages.remove(j as usize);
+            self.is_chosen[j as usize] = false;
+            let best = self.best_around(ages, prices, j as usize);
+            if let Some(best) = best {
+                ages.add(best as usize);
+                self.is_chosen[best as usize] = true;
+            }
+            if best != Some(j) {
+                unchanged = 0;
+            }
+            self.chosen[place] = best;
+        }
+    }
+
+    /// Returns the device with the largest positive worth less price among device `j`, which was just removed, and the
+    /// others within d_max. Ties go to j, then to the lowest number.
+    fn best_around(&self, ages: &Ages, prices: &[f64], j: usize) -> Option<u32> {
+        let own = ages.gain(j) - prices[j];
+        let (mut most, mut best) = if own > 0.0 { (own, Some(j as u32)) } else { (0.0, None) };
+        let first = best;
+        self.buckets.within(self.positions[j], self.d_max, |i, _| {
+            // A device is never worth more than alone, so the bound spares most candidates an evaluation.
+            if i == j || self.is_chosen[i] || self.alone[i] - prices[i] < most {
+                return;
+            }
+            let net = ages.gain(i) - prices[i];
+            let is_better = match net.total_cmp(&most) {
+                Ordering::Greater => true,
+                Ordering::Equal => best != first && best.is_some_and(|best| (i as u32) < best),
+                Ordering::Less => false,
+            };
+            if is_better {
+                (most, best) = (net, Some(i as u32));
+            }
+        });
+        best
+    }
+}
+
+/// Returns a key from the ratio of worth to price, in single precision, and the inverted device number. The largest key
+/// has the highest ratio, and among equal ratios the lowest number. `None` if the worth does not exceed the price.
+#[inline]
+fn key(worth: f64, price: f64, j: u32) -> Option<u64> {
+    (worth > price).then(|| {
+        let ratio = (worth / price) as f32;
+        // The bits of non-negative floating-point numbers have the order of the numbers.
+        u64::from(ratio.to_bits()) << 32 | u64::from(u32::MAX - j)
+    })
+}
+
+#[cfg(test)]
+mod tests;

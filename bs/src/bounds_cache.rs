@@ -1,0 +1,52 @@
+//! Upper bounds of wake-up correlations on a grid of distances, cached per sensing model and shared between runs.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Upper bounds of `P_4,2` on a grid of distances, each valid for all pairs (d, γ) that are nearest to its grid point.
+#[derive(Debug, Default)]
+pub(crate) struct CorrelationBounds {
+    /// Grid points per metre.
+    pub(crate) scale: f64,
+    /// Grid points along γ, from 0 to twice the sensing range.
+    pub(crate) columns: usize,
+    /// Bands of γ with a bound of at least p(d_max), one list per row of d, in descending order of the bound.
+    pub(crate) bands: Vec<Vec<Band>>,
+}
+
+/// All γ nearest to one grid point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Band {
+    /// Index of the grid point along γ.
+    pub(crate) column: usize,
+    /// Upper bound of `P_4,2` over all pairs with this γ.
+    pub(crate) bound: f64,
+}
+
+/// Maximum number of cached grids.
+const KEPT: usize = 32;
+
+/// The bits of η and d_max, which determine the grid of a sensing model.
+type Key = (u64, u64);
+
+/// Cache of bounds by η and d_max, for several runs. Its contents do not change any result.
+#[derive(Debug, Default)]
+pub struct BoundsCache(Mutex<Vec<(Key, Arc<CorrelationBounds>)>>);
+
+impl BoundsCache {
+    /// Returns the grid of `key`, and calls `make` if it is not cached.
+    pub(crate) fn get_or_make(&self, key: Key, make: impl FnOnce() -> CorrelationBounds) -> Arc<CorrelationBounds> {
+        // A panic in another thread leaves the list whole, since entries change only by one `remove` and one `push`.
+        let lock = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, known)) = lock().iter().find(|(other, _)| *other == key) {
+            return Arc::clone(known);
+        }
+        // The lock is free while `make` runs. Two runs may make the same grid twice; both copies are equal.
+        let made = Arc::new(make());
+        let mut grids = lock();
+        if grids.len() >= KEPT {
+            grids.remove(0);
+        }
+        grids.push((key, Arc::clone(&made)));
+        made
+    }
+}

@@ -1,0 +1,157 @@
+//! The `age-index` policy: covers the places that have been uncovered for long, as long as that is worth the energy. It
+//! needs no learning, has no periodic duty cycle and a single parameter.
+//!
+//! Each place of the area has an age ([`crate::beliefs::ages`]): the TTIs in which an event may have started there
+//! unnoticed. The gain of a device is the sum of the index a(a + 1)/2 over its places, as far as no chosen device
+//! covers them already ([`ages::selector`]). A TTI in S1 has a price, the only parameter. The price is higher for a
+//! device whose battery is low ([`ages::price`]), or with foresight, will be low (`ages::foresight`).
+//!
+//! Wake-ups use the belief over the place of the event, regardless of `bs.ranking`. The prior of the belief is the age
+//! of a place. A newly found event can have started in any TTI of that age, so a place of twice the age is twice as
+//! likely. The best candidate is woken while its expected gain is large enough.
+
+use std::sync::Arc;
+
+use reveille_common::declare;
+use reveille_common::declare::{FieldReader, NOT_NEGATIVE, ScenarioError, number, whole};
+use reveille_common::ids::{DeviceId, MAX_TTIS, Tti};
+use reveille_common::message::Report;
+use reveille_common::plan::Plan;
+use reveille_common::scenario::{Site, WakeUpRanking};
+
+use super::SensingCount;
+use super::factory::{PolicyEntry, PolicyFactory};
+use super::interface::Policy;
+use crate::beliefs::ages;
+use crate::beliefs::ages::Ages;
+use crate::beliefs::ages::foresight::Foresight;
+use crate::beliefs::ages::price::Prices;
+use crate::beliefs::ages::selector::DeviceSelector;
+use crate::beliefs::candidates::{Candidates, LEAST_GAIN};
+use crate::beliefs::posterior::EpicentreBelief;
+use crate::knowledge::Knowledge;
+use crate::observation::Observation;
+
+/// The `age-index` policy.
+pub struct AgeIndex {
+    ages: Ages,
+    prices: Prices,
+    foresight: Option<Foresight>,
+    choice: DeviceSelector,
+    candidates: Candidates,
+    /// Whether an event was reported in the TTI of the last decision.
+    is_found: bool,
+    tally: SensingCount,
+}
+
+impl AgeIndex {
+    /// Creates the policy for the devices in `known`.
+    pub fn new(known: &Knowledge, settings: &AgeIndexSettings) -> Self {
+        let positions = known.positions();
+        let ages = Ages::with_loss(
+            known.radio.no_report_probability(),
+            &positions,
+            known.area,
+            &known.sensing,
+            ages::worths(),
+        );
+        // The worth of one device's places at age 1, in the unit of worths.
+        let reach = ages::reach(&known.sensing) / ages.cell_surface();
+        Self {
+            prices: Prices::new(known, settings.price * reach),
+            foresight: settings.foresight.map(|ttis| Foresight::new(known, ttis)),
+            choice: DeviceSelector::new(&positions, known.area, known.sensing.d_max),
+            candidates: Candidates::by(WakeUpRanking::Posterior, known),
+            ages,
+            is_found: false,
+            tally: SensingCount::default(),
+        }
+    }
+}
+
+impl Policy for AgeIndex {
+    fn decide(&mut self, seen: &Observation<'_>) -> Plan {
+        if seen.now > Tti::ZERO {
+            self.ages.advance(std::mem::take(&mut self.is_found));
+        }
+        let prices = match &mut self.foresight {
+            None => self.prices.at(seen.batteries),
+            Some(foresight) => self.prices.with_foresight(seen.batteries, foresight.of(seen)),
+        };
+        let mut chosen = self.choice.choose(&mut self.ages, prices);
+        chosen.sort_unstable();
+        self.tally.plan(seen.known.n(), &chosen)
+    }
+
+    fn needs_batteries(&self) -> bool {
+        true
+    }
+
+    fn reports_received(&mut self, seen: &Observation<'_>, reports: &[Report]) {
+        self.is_found = true;
+        let Self { ages, candidates, .. } = self;
+        candidates.start_with(seen, reports, |place| ages.age_at(place));
+    }
+
+    fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId> {
+        let (device, gain) = self.candidates.next(seen, |_| true)?;
+        (gain >= LEAST_GAIN * seen.known.sensing.psi).then_some(device)
+    }
+
+    fn belief(&self) -> Option<&EpicentreBelief> {
+        self.candidates.belief()
+    }
+
+    fn wake_up_answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
+        if let Some(report) = report {
+            let Self { ages, candidates, .. } = self;
+            candidates.add_with(seen, report, |place| ages.age_at(place));
+        }
+    }
+
+    fn summary_facts(&self) -> Vec<(&'static str, f64)> {
+        vec![self.tally.fact()]
+    }
+}
+
+/// The policy `age-index`.
+pub(crate) const AGE_INDEX: PolicyEntry = PolicyEntry {
+    about: "Covers the places left uncovered for longest, while the gain is worth the energy. Wakes by expected gain; \
+            needs no training.",
+    ..PolicyEntry::new(AgeIndexSettings::SECTION, |reader, site| {
+        Ok(Arc::new(AgeIndexSettings::from_fields(reader, site)?))
+    })
+};
+
+impl PolicyFactory for AgeIndexSettings {
+    fn build(&self, known: &Knowledge) -> Box<dyn Policy> {
+        Box::new(AgeIndex::new(known, self))
+    }
+}
+
+declare! {
+    /// Settings of the policy `age-index`.
+    #[derive(Clone, Debug, PartialEq)]
+    pub struct AgeIndexSettings in "policy.age-index" {
+        /// Price θ of a TTI in S1, in reaches (areas that one device alone covers). With 0, every place in reach is
+        /// covered in every TTI; a higher price leaves places uncovered for longer.
+        pub price: f64 = number(NOT_NEGATIVE, 0.35),
+        /// Time ahead for which the battery level is predicted, from the expected harvest and the cost of sleep. The
+        /// price follows the predicted level.
+        pub foresight: Option<u64> = whole(1, MAX_TTIS, 1)
+            .unit("TTIs")
+            .derived("none: the price follows the current level"),
+    }
+}
+
+impl AgeIndexSettings {
+    /// Reads the settings for a base station that knows `site`.
+    ///
+    /// # Errors
+    /// The price is out of range, or the area has too many cells.
+    pub fn from_fields(reader: &FieldReader<'_>, site: &Site<'_>) -> Result<Self, ScenarioError> {
+        let settings = Self::read(reader)?;
+        ages::check_price("age-index", Some(settings.price), reader, site)?;
+        Ok(settings)
+    }
+}

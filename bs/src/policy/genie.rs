@@ -1,0 +1,139 @@
+//! The genie-aided bound (Sec. VI): every device sleeps, and the device closest to an event is woken when it starts.
+
+use std::sync::Arc;
+
+use reveille_common::declare::{FieldSink, Visit};
+use reveille_common::event::Stimulus;
+use reveille_common::geometry::{Buckets, Point};
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::Report;
+use reveille_common::plan::Plan;
+use reveille_common::world::Oracle;
+
+use super::factory::{PolicyEntry, PolicyFactory};
+use super::interface::Policy;
+use crate::knowledge::Knowledge;
+use crate::observation::Observation;
+
+/// The policy `genie`.
+pub const GENIE: PolicyEntry = PolicyEntry {
+    is_bound: true,
+    ..PolicyEntry::without_settings(
+        "genie",
+        "Every device sleeps. Wakes the device closest to the epicentre, which only this policy receives (Sec. VI).",
+        |_, _| Ok(Arc::new(GenieFactory)),
+    )
+};
+
+/// Builds the genie.
+#[derive(Debug)]
+struct GenieFactory;
+
+impl Visit for GenieFactory {
+    fn visit(&self, _: &mut dyn FieldSink) {}
+}
+
+impl PolicyFactory for GenieFactory {
+    fn build(&self, known: &Knowledge) -> Box<dyn Policy> {
+        Box::new(Genie::new(known))
+    }
+}
+
+/// The `genie` policy, the only one that receives epicentres.
+pub struct Genie {
+    buckets: Buckets,
+    d_max: f64,
+    devices: usize,
+    /// Whether the radio can lose the answer of a working device.
+    is_lossy: bool,
+    /// Epicentre of the last event.
+    epicentre: Point,
+    /// Devices to wake for the new event, the next one at the end. Without radio losses it is the closest one, even if
+    /// it cannot pay, as the bound requires.
+    chosen: Vec<DeviceId>,
+}
+
+impl Genie {
+    /// Creates the genie for the deployment in `known`.
+    pub fn new(known: &Knowledge) -> Self {
+        let d_max = known.sensing.d_max;
+        Self {
+            buckets: Buckets::new(&known.positions(), known.area, d_max),
+            d_max,
+            devices: known.n(),
+            is_lossy: known.radio.no_answer_probability() > 0.0,
+            epicentre: Point::new(0.0, 0.0),
+            chosen: Vec::new(),
+        }
+    }
+
+    /// Returns the device closest to `epicentre` within d_max, if any. Ties go to the lower id.
+    fn closest(&self, epicentre: Point) -> Option<DeviceId> {
+        let mut best: Option<(f64, usize)> = None;
+        self.buckets.within(epicentre, self.d_max, |j, d| {
+            if best.is_none_or(|b| (d, j) < b) {
+                best = Some((d, j));
+            }
+        });
+        best.map(|(_, j)| DeviceId(j as u32))
+    }
+
+    /// Returns all devices within d_max of `epicentre`, the closest at the end.
+    fn around(&self, epicentre: Point) -> Vec<DeviceId> {
+        let mut around = Vec::new();
+        self.buckets.within(epicentre, self.d_max, |j, d| around.push((d, j)));
+        around.sort_by(|a, b| b.0.total_cmp(&a.0).then(b.1.cmp(&a.1)));
+        around.into_iter().map(|(_, j)| DeviceId(j as u32)).collect()
+    }
+}
+
+impl Policy for Genie {
+    /// Returns a plan in which all devices sleep.
+    fn decide(&mut self, _: &Observation<'_>) -> Plan {
+        Plan::from_bits((0..self.devices).map(|_| false))
+    }
+
+    fn next_decision(&self, _: Tti) -> Tti {
+        Tti::NEVER
+    }
+
+    fn next_wake_up(&mut self, _: &Observation<'_>) -> Option<DeviceId> {
+        self.chosen.pop()
+    }
+
+    /// Ends the wake-ups after one report of the event.
+    fn wake_up_answered(&mut self, _: &Observation<'_>, report: Option<&Report>) {
+        if report.is_some() {
+            self.chosen.clear();
+        }
+    }
+
+    /// Returns false: the genie knows which devices to wake.
+    fn needs_levels(&self) -> bool {
+        false
+    }
+
+    fn oracle(&mut self) -> Option<&mut dyn Oracle> {
+        Some(self)
+    }
+}
+
+impl Oracle for Genie {
+    fn told(&mut self, stimulus: &Stimulus) -> bool {
+        self.epicentre = stimulus.epicentre;
+        self.chosen = if self.is_lossy {
+            self.around(stimulus.epicentre)
+        } else {
+            self.closest(stimulus.epicentre).into_iter().collect()
+        };
+        !self.chosen.is_empty()
+    }
+
+    /// Wakes the devices again if the radio is lossy, since a later answer can succeed.
+    fn is_told_again(&mut self) -> bool {
+        if self.is_lossy {
+            self.chosen = self.around(self.epicentre);
+        }
+        !self.chosen.is_empty()
+    }
+}

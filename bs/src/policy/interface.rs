@@ -1,0 +1,109 @@
+//! The interface of a policy, and values that only the policy itself can read.
+
+use std::any::Any;
+use std::fmt::Debug;
+use std::sync::Arc;
+
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::Report;
+use reveille_common::plan::Plan;
+use reveille_common::world::Oracle;
+
+use crate::beliefs::posterior::EpicentreBelief;
+use crate::observation::Observation;
+
+/// A policy, which decides which devices sense and which to wake. It has the knowledge of a base station. Only
+/// [`Self::decide`] is required.
+pub trait Policy: Any + Send {
+    /// Decides δ from this TTI on. The base station calls it in TTI 0 and whenever [`Self::next_decision`] is reached.
+    fn decide(&mut self, seen: &Observation<'_>) -> Plan;
+
+    /// Returns the TTI of the next decision, after `now`; [`Tti::NEVER`] if the plan never changes. Until then the base
+    /// station can grant many TTIs together.
+    fn next_decision(&self, now: Tti) -> Tti {
+        now + 1
+    }
+
+    /// Receives the first `reports` of an event, at least one, in the order of device ids.
+    fn reports_received(&mut self, _seen: &Observation<'_>, _reports: &[Report]) {}
+
+    /// Returns the next device to wake in this TTI, or `None`. A run panics if a policy names a device twice in a TTI,
+    /// or a device that does not exist.
+    fn next_wake_up(&mut self, _seen: &Observation<'_>) -> Option<DeviceId> {
+        None
+    }
+
+    /// Receives the report of the last woken device, or `None`.
+    fn wake_up_answered(&mut self, _seen: &Observation<'_>, _report: Option<&Report>) {}
+
+    /// Returns figures about the deployment, by name, for the summary.
+    fn summary_facts(&self) -> Vec<(&'static str, f64)> {
+        Vec::new()
+    }
+
+    /// Whether the policy needs [`Observation::batteries`].
+    fn needs_batteries(&self) -> bool {
+        false
+    }
+
+    /// Whether the policy calls [`Observation::can_report`], which needs a battery estimate of each device.
+    fn needs_levels(&self) -> bool {
+        true
+    }
+
+    /// Returns the state that a learning policy has reached in the run.
+    fn learned(&self) -> Option<Opaque> {
+        None
+    }
+
+    /// Returns the group of each device, in the order of ids, if the policy groups devices by place.
+    fn groups(&self) -> Option<&[u32]> {
+        None
+    }
+
+    /// Returns the belief over the place of the last reported event, if the policy has one.
+    fn belief(&self) -> Option<&EpicentreBelief> {
+        None
+    }
+
+    /// Gives access to ground truth, which makes the policy an upper bound that no base station could run. The plans of
+    /// such a policy must let all devices sleep, because the world then simulates no detections.
+    fn oracle(&mut self) -> Option<&mut dyn Oracle> {
+        None
+    }
+}
+
+/// The state of a learning policy, which only the policy itself can read.
+#[derive(Clone, Debug)]
+pub struct Opaque(Arc<dyn Content>);
+
+/// Value that an [`Opaque`] can hold.
+trait Content: Any + Debug + Send + Sync {
+    /// Returns whether `other` is of the same type and equal.
+    fn is_same(&self, other: &dyn Any) -> bool;
+}
+
+impl<T: Any + Debug + PartialEq + Send + Sync> Content for T {
+    fn is_same(&self, other: &dyn Any) -> bool {
+        other.downcast_ref::<T>() == Some(self)
+    }
+}
+
+impl Opaque {
+    /// Wraps `value`, which can be read by its type.
+    pub fn new(value: impl Any + Debug + PartialEq + Send + Sync) -> Self {
+        Self(Arc::new(value))
+    }
+
+    /// Returns the value if it is a `T`.
+    pub fn get<T: Any>(&self) -> Option<&T> {
+        let any: &dyn Any = &*self.0;
+        any.downcast_ref()
+    }
+}
+
+impl PartialEq for Opaque {
+    fn eq(&self, other: &Self) -> bool {
+        self.0.is_same(&*other.0)
+    }
+}

@@ -1,0 +1,29 @@
+//! State of the area and choice of the sensing devices, for coverage within a window or for places with ages.
+
+mod ages;
+mod selector;
+mod traits;
+mod window;
+
+use reveille_common::geometry::{Area, Point};
+use reveille_common::sensing::Sensing;
+
+use self::ages::AgedArea;
+pub(super) use self::traits::{AreaState, Gain};
+use self::window::WindowedArea;
+use super::learned::Lookback;
+
+/// Creates the state for devices at `positions` of `area`. `lost` is the probability that no report arrives from a
+/// device that has detected an event.
+pub(super) fn new(
+    lookback: Lookback,
+    lost: f64,
+    positions: &[Point],
+    area: Area,
+    sensing: &Sensing,
+) -> Box<dyn AreaState> {
+    match lookback {
+        Lookback::Window(window) => Box::new(WindowedArea::new(window, positions, area, sensing)),
+        Lookback::Ages => Box::new(AgedArea::new(lost, positions, area, sensing)),
+    }
+}

@@ -1,0 +1,68 @@
+//! Interface between the duty cycling and the state of the area.
+
+use reveille_common::geometry::{Area, Point};
+use reveille_common::ids::DeviceId;
+use reveille_common::sensing::Sensing;
+
+use crate::policy::q_learning::learned::{ABLE, AREAS, BATTERIES};
+
+/// Least battery bucket of each pass of the choice: first at least half charged, then all able devices.
+pub(super) const CHARGES: [u8; 2] = [5, ABLE];
+
+/// State of the area and of the devices, carried from TTI to TTI.
+///
+/// Calls in each TTI: [`AreaState::begin`], optionally [`AreaState::add`], then [`AreaState::choose`]. While learning,
+/// [`AreaState::gains`], [`AreaState::gain`], [`AreaState::left`] and [`AreaState::credits`] follow, in this order.
+/// [`AreaState::remember`] comes last.
+pub(crate) trait AreaState: Send {
+    /// Sets the advantages for the choices that follow.
+    fn set_advantages(&mut self, advantages: &[[f64; AREAS]; BATTERIES]);
+
+    /// Begins a TTI with these battery buckets and no chosen device.
+    fn begin(&mut self, batteries: &[u8]);
+
+    /// Adds device `j` to the chosen devices.
+    fn add(&mut self, j: usize);
+
+    /// Chooses further devices among those that satisfy `is_free`. Returns them in the order of choice.
+    fn choose(&mut self, is_free: &dyn Fn(usize) -> bool) -> Vec<DeviceId>;
+
+    /// Returns the gain of each device in `chosen`, in this order. Afterwards exactly these devices are chosen.
+    fn gains(&mut self, chosen: &[DeviceId]) -> Vec<Gain>;
+
+    /// Returns the gain of device `j`, which is not chosen, in addition to the chosen devices.
+    fn gain(&self, j: usize) -> Gain;
+
+    /// Returns the uncovered part, in the unit of [`Gain::share`].
+    fn left(&self) -> f64;
+
+    /// Returns, by device, the coverage credited to it, for `chosen` devices with `gains` in this order. The credits
+    /// and [`AreaState::left`] add up to [`AreaState::all`].
+    fn credits(&mut self, chosen: &[DeviceId], gains: &[Gain]) -> Vec<f64>;
+
+    /// Returns everything that can be covered in this TTI, in the unit of [`Gain::share`].
+    fn all(&self) -> f64;
+
+    /// Ends the TTI, in which the `chosen` devices sense.
+    fn remember(&mut self, chosen: &[DeviceId]);
+
+    /// Records that an event was reported in the TTI of the last decision.
+    fn found(&mut self);
+
+    /// Returns the relative likelihood that a reported event is at a place.
+    fn prior(&self, at: Point) -> f64;
+}
+
+/// Part of the area that a device newly covers.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Gain {
+    /// Share of the area; with ages, times the worth of its places.
+    pub share: f64,
+    /// Bucket of the share.
+    pub bucket: u8,
+}
+
+/// Returns the surface of an area in sensing discs.
+pub(super) fn discs(area: Area, sensing: &Sensing) -> f64 {
+    area.surface() / (std::f64::consts::PI * sensing.d_max * sensing.d_max)
+}

@@ -1,0 +1,46 @@
+//! Scenarios with the policies of this program: [`reveille_common::scenario`] with the policy registry.
+
+use reveille_common::declare::Files;
+pub use reveille_common::scenario::*;
+
+use crate::policy::factory::PolicyEntry;
+use crate::policy::registry;
+
+mod disk;
+#[cfg(test)]
+mod tests;
+
+pub use disk::{load, load_with_external, parse};
+
+/// A policy of this program with its settings.
+pub type PolicyChoice = reveille_common::scenario::PolicyChoice<PolicyEntry>;
+
+/// A scenario with a policy of this program.
+pub type Scenario = reveille_common::scenario::Scenario<PolicyChoice>;
+
+/// A loaded scenario with a policy of this program.
+pub type Loaded = reveille_common::scenario::Loaded<PolicyChoice>;
+
+/// Loads the scenario `source` with `overrides` applied. `source` is a preset's name or the path of a scenario file;
+/// `files` opens the scenario files that it names.
+///
+/// # Errors
+/// See [`reveille_common::scenario::load`].
+pub fn load_with(source: &str, overrides: &[Override], files: &dyn Files) -> Result<Loaded, ScenarioError> {
+    reveille_common::scenario::load(source, overrides, &registry::kinds(), files)
+}
+
+/// Returns the declaration of all scenario fields, for the schema, the reference and the help.
+pub fn declaration() -> Declaration {
+    reveille_common::scenario::declaration(&registry::kinds())
+}
+
+/// Returns the JSON Schema of scenario files.
+pub fn schema() -> String {
+    reveille_common::declare::schema(&declaration())
+}
+
+/// Returns the reference page of all fields, docs/scenario.md.
+pub fn reference() -> String {
+    reveille_common::declare::reference(&declaration(), include_str!("head.md"))
+}

@@ -1,0 +1,108 @@
+//! The virtual clock, with its commands (pause, step, run to a TTI, resume) and its pace.
+
+use std::time::Duration;
+
+use reveille_common::ids::Tti;
+use reveille_common::message::{ClockCommand, Pace};
+
+/// Longest time between two TTIs, in microseconds: one day.
+const SLOWEST: u64 = 86_400_000_000;
+
+/// The virtual clock: the TTI at which it must stop, and its pace.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct VirtualClock {
+    until: Tti,
+    end: Tti,
+    pace: Pace,
+}
+
+impl VirtualClock {
+    /// Creates a clock that runs to `end` at `pace`.
+    pub const fn new(end: Tti, pace: Pace) -> Self {
+        Self {
+            until: Tti::NEVER,
+            end,
+            pace,
+        }
+    }
+
+    /// Applies `command`, with `next` as the next TTI to grant. A `RunTo` with a past TTI, or one after the end, has no
+    /// effect. A pace slower than one day per TTI becomes one day per TTI.
+    pub fn apply(&mut self, command: ClockCommand, next: Tti) {
+        match command {
+            ClockCommand::Pause => self.until = next,
+            // The number comes from an operator and may be any `u64`.
+            ClockCommand::Step(n) => self.until = next.saturating_add(n),
+            ClockCommand::RunTo(k) if k >= next && k <= self.end => self.until = k,
+            ClockCommand::Resume => self.until = Tti::NEVER,
+            // An operator may send any `u64`; an unbounded pace could overflow the `Instant` at which a TTI is due.
+            ClockCommand::Pace(Pace::RealTime(micros)) => self.pace = Pace::RealTime(micros.min(SLOWEST)),
+            ClockCommand::Pace(Pace::Max) => self.pace = Pace::Max,
+            ClockCommand::RunTo(_) | ClockCommand::Status => {}
+        }
+    }
+
+    /// The pace at which TTIs follow each other.
+    pub const fn pace(&self) -> Pace {
+        self.pace
+    }
+
+    /// The first TTI that must not be granted yet.
+    pub const fn until(&self) -> Tti {
+        self.until
+    }
+
+    /// The TTI before which the run ends.
+    pub const fn end(&self) -> Tti {
+        self.end
+    }
+}
+
+/// Delays of TTIs under a real-time pace.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Lateness {
+    /// TTIs that began later than they were due.
+    pub late: u64,
+    /// The largest delay.
+    pub max: Duration,
+    /// The sum of delays.
+    pub total: Duration,
+}
+
+impl Lateness {
+    /// Counts a TTI that began `by` after it was due.
+    pub fn count(&mut self, by: Duration) {
+        self.late += 1;
+        self.max = self.max.max(by);
+        self.total += by;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn commands_move_the_stop() {
+        let mut clock = VirtualClock::new(Tti(100), Pace::Max);
+        assert_eq!((clock.until(), clock.end()), (Tti::NEVER, Tti(100)));
+        clock.apply(ClockCommand::Pause, Tti(7));
+        assert_eq!(clock.until(), Tti(7));
+        clock.apply(ClockCommand::Step(3), Tti(7));
+        assert_eq!(clock.until(), Tti(10));
+        clock.apply(ClockCommand::RunTo(Tti(50)), Tti(10));
+        clock.apply(ClockCommand::Status, Tti(20));
+        assert_eq!(clock.until(), Tti(50));
+        for outside in [Tti(19), Tti(101)] {
+            clock.apply(ClockCommand::RunTo(outside), Tti(20));
+            assert_eq!(clock.until(), Tti(50), "{outside}");
+        }
+        clock.apply(ClockCommand::Resume, Tti(50));
+        assert_eq!((clock.until(), clock.pace()), (Tti::NEVER, Pace::Max));
+        for (micros, kept) in [(2, 2), (u64::MAX, SLOWEST)] {
+            clock.apply(ClockCommand::Pace(Pace::RealTime(micros)), Tti(50));
+            assert_eq!(clock.pace(), Pace::RealTime(kept));
+        }
+        assert_eq!(clock.until(), Tti::NEVER);
+    }
+}

@@ -1,0 +1,154 @@
+//! Settings, progress and outcome of a run over the bus.
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Mutex, OnceLock, PoisonError};
+use std::time::Duration;
+
+use reveille_common::ids::DeviceId;
+use reveille_common::message::Pace;
+use reveille_common::score::WindowRecord;
+use reveille_common::secret::Secret;
+
+use super::admission::Assignment;
+use super::clock::Lateness;
+use crate::cycle::Outcome;
+
+/// Action when a host is lost.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OnLoss {
+    /// End the run with an error.
+    End,
+    /// Continue without its devices, which are removed.
+    Continue,
+    /// Hold the clock until the host returns, or another host takes over its devices in their last state.
+    Wait,
+}
+
+/// Time limit for a decision, and the action after it.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct DecisionTimeout {
+    /// Time limit; `None` for no limit.
+    pub limit: Option<Duration>,
+    /// Action when the time is up.
+    pub then: OnUndecided,
+}
+
+/// Action when no valid decision arrives in time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum OnUndecided {
+    /// End the run with an error.
+    #[default]
+    End,
+    /// Keep the current plan, and wake no device.
+    Hold,
+}
+
+/// Counts of decision requests with and without a decision of a policy process.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DecisionCounts {
+    /// Decisions of policy processes.
+    pub decided: u64,
+    /// Answers that were invalid, or came after the one that counted.
+    pub refused: u64,
+    /// Requests without a decision: the current plan was kept, or no device was woken.
+    pub held: u64,
+}
+
+/// Settings of a base station on the bus. They do not change the outcome, except that [`OnLoss::Continue`] removes the
+/// devices of lost hosts.
+#[derive(Clone, Copy, Debug)]
+pub struct ServerConfig {
+    /// Grant as many TTIs at a time as possible, or one.
+    pub lookahead: bool,
+    /// The pace; a real-time pace grants one TTI at a time.
+    pub pace: Pace,
+    /// Action when a host is lost.
+    pub on_loss: OnLoss,
+    /// TTIs in a window of the per-window series.
+    pub window: u64,
+    /// Time to wait for all devices to join; `None` for no limit.
+    pub join_patience: Option<Duration>,
+    /// Start with the clock paused.
+    pub paused: bool,
+    /// TTIs between two frames with the states of all devices; 0 for none.
+    pub states_every: u64,
+    /// The run's key, which operators must show; `None` if any client may control the clock.
+    pub key: Option<Secret>,
+    /// Whether hosts must show the key as well.
+    pub members_only: bool,
+}
+
+/// Progress of a run, for a display in another thread.
+#[derive(Debug, Default)]
+pub struct RunProgress {
+    /// Devices that have joined.
+    pub joined: AtomicU64,
+    /// Whether all devices have joined, so that the run has begun.
+    pub has_begun: AtomicBool,
+    /// The next TTI to be granted.
+    pub tti: AtomicU64,
+    /// Counted events that have ended.
+    pub events: AtomicU64,
+    /// Counted events that have ended without a report.
+    pub misdetected: AtomicU64,
+    /// Mean battery over the last window, micro-units.
+    pub mean_battery: AtomicU64,
+    /// Whether the clock is paused.
+    pub paused: AtomicBool,
+    /// Hosts that run devices and are not lost.
+    pub hosts: AtomicU64,
+    /// TTIs that began late under a real-time pace.
+    pub late_ttis: AtomicU64,
+    /// The largest delay of a TTI, nanoseconds.
+    pub max_late: AtomicU64,
+    /// The hosts' assignments and names.
+    pub carriers: Mutex<Vec<(Assignment, String)>>,
+    /// Reason why the run cannot continue. Other parts of the program set it before `stop`.
+    pub cause: OnceLock<String>,
+    /// Request of other parts of the program to end the run at the next TTI.
+    pub stop: AtomicBool,
+}
+
+impl RunProgress {
+    /// Sets the mean battery from `window`, averaged over `devices` devices.
+    pub fn set_mean_battery(&self, devices: u32, window: &WindowRecord) {
+        let device_ttis = u128::from(window.end - window.first) * u128::from(devices);
+        let mean = window.energy.battery_sum / device_ttis.max(1);
+        self.mean_battery.store(mean as u64, Ordering::Relaxed);
+    }
+
+    /// Describes the owner of `device`.
+    pub fn owner_of(&self, device: DeviceId) -> Option<String> {
+        let carriers = self.carriers.lock().unwrap_or_else(PoisonError::into_inner);
+        let own = |places: &Assignment| (places.first..=places.last()).contains(&device);
+        let (places, name) = carriers.iter().find(|(places, _)| own(places))?;
+        Some(format!("Host {}, {name},", places.host))
+    }
+}
+
+/// Result of a run over the bus.
+#[derive(Clone, Debug)]
+pub struct ServerOutcome {
+    /// The outcome, whole or partial.
+    pub outcome: Outcome,
+    /// The time from the call until all devices had joined.
+    pub joining: Duration,
+    /// The time from the first grant to the last answer.
+    pub running: Duration,
+    /// Hosts that ran devices.
+    pub hosts: usize,
+    /// Grants made: barriers over all hosts.
+    pub grants: u64,
+    /// Delays under a real-time pace.
+    pub lateness: Lateness,
+    /// Payloads that were dropped because they were not messages.
+    pub malformed: u64,
+    /// Messages that were dropped because they were unexpected or impossible.
+    pub strays: u64,
+    /// Duration of each loss of a host.
+    pub losses: Vec<Duration>,
+    /// Decisions of policy processes.
+    pub decisions: DecisionCounts,
+    /// Queued decisions that the run did not need.
+    pub unused_decisions: usize,
+}

@@ -1,0 +1,94 @@
+//! Errors that end a run without an outcome.
+
+use reveille_common::bus::BusError;
+use reveille_common::ids::{HostId, Tti};
+
+/// Error that ends a run without an outcome.
+#[derive(Debug, thiserror::Error)]
+pub enum BsError {
+    /// The bus failed.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// Too few devices.
+    #[error("only {joined} of {devices} devices joined within {seconds} s")]
+    TooFew {
+        /// Devices that joined.
+        joined: u32,
+        /// Devices of the scenario.
+        devices: u32,
+        /// The time allowed.
+        seconds: u64,
+    },
+    /// A host is lost.
+    #[error(
+        "lost host {host} with devices {first} to {last} at TTI {tti}: its process ended, froze for longer than the \
+            lease, or the link broke. With --on-loss wait another process could have taken its devices over"
+    )]
+    HostLost {
+        /// The host.
+        host: HostId,
+        /// Its first device.
+        first: u32,
+        /// Its last device.
+        last: u32,
+        /// The TTI that was open.
+        tti: Tti,
+    },
+    /// The run was interrupted and hosts did not answer.
+    #[error("interrupted at TTI {tti}, and hosts {hosts:?} did not answer any more")]
+    NoAnswer {
+        /// The TTI that was open.
+        tti: Tti,
+        /// The hosts that did not answer.
+        hosts: Vec<HostId>,
+    },
+    /// No policy process has decided in time, under `OnUndecided::End`.
+    #[error(
+        "no decision for TTI {tti}: {why}. --decision-timeout says how long is waited, and --on-undecided what then; \
+            --resume goes on with the run"
+    )]
+    Undecided {
+        /// The TTI.
+        tti: Tti,
+        /// Reason why there is no decision.
+        why: String,
+    },
+    /// The run was interrupted during a decision request.
+    #[error("interrupted at TTI {0}, while a decision was waited for")]
+    InterruptedDeciding(Tti),
+    /// The run cannot continue, for the given reason.
+    #[error("{0}")]
+    CannotGoOn(String),
+    /// The run was interrupted before it had any result.
+    #[error("interrupted before all devices had joined")]
+    Interrupted,
+    /// The run was interrupted while the clock was held for a lost host.
+    #[error("interrupted at TTI {tti}, while the clock was held for lost host {host} with devices {first} to {last}")]
+    InterruptedWaiting {
+        /// The host.
+        host: HostId,
+        /// Its first device.
+        first: u32,
+        /// Its last device.
+        last: u32,
+        /// The TTI that was open.
+        tti: Tti,
+    },
+}
+
+impl BsError {
+    /// Whether the run was interrupted on request.
+    pub const fn is_interruption(&self) -> bool {
+        match self {
+            Self::Interrupted
+            | Self::InterruptedWaiting { .. }
+            | Self::InterruptedDeciding(_)
+            | Self::NoAnswer { .. } => true,
+            Self::Bus(_)
+            | Self::TooFew { .. }
+            | Self::HostLost { .. }
+            | Self::Undecided { .. }
+            | Self::CannotGoOn(_) => false,
+        }
+    }
+}

@@ -1,0 +1,314 @@
+//! The hosts and devices of a run, and plausibility checks of received values. Every number from the bus is checked
+//! here, since a host can send anything.
+
+use reveille_common::ids::{DeviceId, HostId};
+use reveille_common::message::{DeviceSetup, FailedTransmission, Report, WakeOutcome};
+use reveille_common::state::DeviceView;
+use reveille_common::totals::{DeviceTotals, Ledger};
+use reveille_common::units::Energy;
+
+use super::admission::Assignment;
+
+/// The devices of a run and the hosts that they are assigned to.
+#[derive(Clone, Debug)]
+pub struct Roster {
+    devices: Vec<DeviceSetup>,
+    /// Largest information Ψ of a report.
+    psi: f64,
+    hosts: Vec<Assignment>,
+    /// Whether the host at each position is removed, with its devices.
+    gone: Vec<bool>,
+    /// The position in `hosts` of each host, by its number.
+    positions: Vec<Option<usize>>,
+    /// The position in `hosts` of each device's owner; empty before the run begins.
+    carriers: Vec<usize>,
+}
+
+impl Roster {
+    /// Creates a roster of `devices`, in the order of ids, without hosts. A report carries at most `psi`.
+    pub const fn new(devices: Vec<DeviceSetup>, psi: f64) -> Self {
+        Self {
+            devices,
+            psi,
+            hosts: Vec::new(),
+            gone: Vec::new(),
+            positions: Vec::new(),
+            carriers: Vec::new(),
+        }
+    }
+
+    /// Sets the hosts with which the run begins.
+    pub fn set_hosts(&mut self, hosts: Vec<Assignment>) {
+        self.positions.clear();
+        self.carriers = vec![0; self.devices.len()];
+        for (position, places) in hosts.iter().enumerate() {
+            self.set_position(places.host, Some(position));
+            self.carriers[places.first.index()..][..places.count as usize].fill(position);
+        }
+        self.gone = vec![false; hosts.len()];
+        self.hosts = hosts;
+    }
+
+    /// Removes the host at `position` with its devices.
+    pub fn remove_host(&mut self, position: usize) {
+        self.set_position(self.hosts[position].host, None);
+        self.gone[position] = true;
+    }
+
+    /// Whether the host at `position` is removed.
+    pub fn is_removed(&self, position: usize) -> bool {
+        self.gone[position]
+    }
+
+    /// Assigns all devices of the host `lost` to `heir`.
+    ///
+    /// # Panics
+    /// If `lost` is not a host of the run, or `heir` has a different range of devices.
+    pub fn replace(&mut self, lost: HostId, heir: Assignment) {
+        let position = self.position(lost).expect("a host of this run");
+        let Assignment { first, count, .. } = self.hosts[position];
+        assert_eq!(
+            (first, count),
+            (heir.first, heir.count),
+            "an heir has all that was left"
+        );
+        self.set_position(lost, None);
+        self.set_position(heir.host, Some(position));
+        self.hosts[position] = heir;
+    }
+
+    /// The owner of `device`; `None` before the run begins and after its removal.
+    pub fn owner_of(&self, device: DeviceId) -> Option<HostId> {
+        let position = *self.carriers.get(device.index())?;
+        (!self.gone[position]).then(|| self.hosts[position].host)
+    }
+
+    /// Number of hosts that are not removed.
+    pub fn active_hosts(&self) -> usize {
+        self.gone.iter().filter(|is_gone| !**is_gone).count()
+    }
+
+    /// Number of devices N.
+    pub const fn devices(&self) -> usize {
+        self.devices.len()
+    }
+
+    fn set_position(&mut self, host: HostId, position: Option<usize>) {
+        let length = self.positions.len().max(host.index() + 1);
+        self.positions.resize(length, None);
+        self.positions[host.index()] = position;
+    }
+
+    /// Number of hosts, including removed ones.
+    pub const fn hosts(&self) -> usize {
+        self.hosts.len()
+    }
+
+    /// The position of `host`, `0 .. hosts()`, if it owns devices.
+    pub fn position(&self, host: HostId) -> Option<usize> {
+        self.positions.get(host.index()).copied().flatten()
+    }
+
+    /// The assignment of the host at `position`.
+    pub fn places(&self, position: usize) -> Assignment {
+        self.hosts[position]
+    }
+
+    /// Whether the host at `position` is the owner of `device`.
+    pub fn owns(&self, position: usize, device: DeviceId) -> bool {
+        let Assignment { first, count, .. } = self.hosts[position];
+        // A device before the range must not wrap into it.
+        device.0.checked_sub(first.0).is_some_and(|offset| offset < count)
+    }
+
+    /// Whether `report` is possible for a device of this run.
+    pub fn can_report(&self, report: &Report) -> bool {
+        let battery_fits = self
+            .setup(report.device)
+            .is_some_and(|setup| report.battery <= setup.energy.e_max);
+        // NaN lies in no range, so it is refused as well.
+        battery_fits && (0.0..=self.psi).contains(&report.information)
+    }
+
+    /// Whether `failure` is possible.
+    pub(crate) fn can_fail(&self, failure: &FailedTransmission) -> bool {
+        self.setup(failure.device)
+            // A device fails only when it holds less than E_Tx, and it loses its whole level.
+            .is_some_and(|setup| failure.drained < setup.energy.e_tx)
+    }
+
+    /// Whether `outcome` is possible for a wake-up of `device` that led to no report.
+    pub(crate) fn is_possible_outcome(&self, device: DeviceId, outcome: &WakeOutcome) -> bool {
+        match outcome {
+            WakeOutcome::Unheard => true,
+            WakeOutcome::Failed(failure) => failure.device == device && self.can_fail(failure),
+            WakeOutcome::Late { spent, powered } => self.setup(device).is_some_and(|setup| {
+                let e_idle = setup.energy.e_idle;
+                // With power, waking costs E_idle in full; without enough, the battery is emptied by less than that.
+                if *powered { *spent == e_idle } else { *spent < e_idle }
+            }),
+            WakeOutcome::Reported(_) | WakeOutcome::Lost(_) => false,
+        }
+    }
+
+    /// Whether the host at `position` can have had this number of reports and these failures in one TTI.
+    pub(crate) fn is_possible_answer(&self, position: usize, reports: u32, failures: &[FailedTransmission]) -> bool {
+        let places = self.hosts[position];
+        let is_own = failures
+            .iter()
+            .all(|f| self.owns(position, f.device) && self.can_fail(f));
+        // The length is checked before the subtraction, which could otherwise underflow.
+        is_own && failures.len() <= places.count as usize && reports <= places.count - failures.len() as u32
+    }
+
+    /// Whether `sums` are possible totals for the devices of the host at `position`.
+    pub(crate) fn are_possible_totals(&self, position: usize, sums: &DeviceTotals) -> bool {
+        let own = self.own(position);
+        let (mut initial, mut capacity) = (Energy::ZERO, Energy::ZERO);
+        for setup in own {
+            initial += setup.energy.initial;
+            capacity += setup.energy.e_max;
+        }
+        // `initial` is known from the scenario; a host could otherwise balance any false field with it.
+        sums.closes() && sums.initial == initial && sums.battery <= capacity
+    }
+
+    /// Whether `views` are possible for the devices of the host at `position`, in the order of ids.
+    pub(crate) fn are_possible_views(&self, position: usize, views: &[DeviceView]) -> bool {
+        let own = self.own(position);
+        // `zip` stops at the shorter side, so the lengths must agree first.
+        own.len() == views.len()
+            && own
+                .iter()
+                .zip(views)
+                .all(|(setup, view)| view.battery <= setup.energy.e_max)
+    }
+
+    /// Whether `ledgers` contains each device of the host at `position` once, with a balanced ledger.
+    pub(crate) fn are_possible_ledgers(&self, position: usize, ledgers: &[(DeviceId, Ledger)]) -> bool {
+        let mut devices: Vec<DeviceId> = ledgers.iter().map(|(device, _)| *device).collect();
+        // Sorted, the list equals the host's devices only if each occurs exactly once.
+        devices.sort_unstable();
+        let is_whole = devices
+            .iter()
+            .copied()
+            .eq(self.own(position).iter().map(|setup| setup.id));
+        let is_sound = |(device, ledger): &(DeviceId, Ledger)| {
+            self.setup(*device).is_some_and(|setup| {
+                let energy = setup.energy;
+                let whole = &ledger.whole;
+                ledger.is_valid() && whole.initial == energy.initial && whole.battery <= energy.e_max
+            })
+        };
+        is_whole && ledgers.iter().all(is_sound)
+    }
+
+    fn own(&self, position: usize) -> &[DeviceSetup] {
+        let Assignment { first, count, .. } = self.hosts[position];
+        &self.devices[first.index()..][..count as usize]
+    }
+
+    fn setup(&self, device: DeviceId) -> Option<&DeviceSetup> {
+        self.devices.get(device.index())
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use reveille_common::geometry::Point;
+    use reveille_common::harvest::{ArrivalsSetup, HarvestSetup};
+    use reveille_common::scenario::EnergyModel;
+
+    use super::*;
+
+    /// Ten devices with 50 of 100 units, five on each of the hosts 0 and 1.
+    pub(crate) fn roster() -> Roster {
+        let units = |n: u64| Energy::from_micro(n * 1_000_000);
+        let energy = EnergyModel {
+            e_max: units(100),
+            e_idle: units(1),
+            e_wur: units(0),
+            e_tx: units(10),
+            initial: units(50),
+        };
+        let harvest = HarvestSetup::Arrivals(ArrivalsSetup { p: 0.5, e_b: units(5) });
+        let device = |id| DeviceSetup {
+            id: DeviceId(id),
+            position: Point::new(1.0, 1.0),
+            energy,
+            harvest,
+        };
+        let mut roster = Roster::new((0..10).map(device).collect(), 1.0);
+        let places = |host, first| Assignment {
+            host: HostId(host),
+            first: DeviceId(first),
+            count: 5,
+        };
+        roster.set_hosts(vec![places(0, 0), places(1, 5)]);
+        roster
+    }
+
+    fn ledger() -> Ledger {
+        let initial = Energy::from_micro(50_000_000);
+        let whole = DeviceTotals {
+            initial,
+            battery: initial,
+            ..DeviceTotals::default()
+        };
+        Ledger {
+            whole,
+            ..Ledger::default()
+        }
+    }
+
+    #[test]
+    fn ledgers_are_whole_and_close() {
+        let roster = roster();
+        let own: Vec<_> = (5..10).rev().map(|id| (DeviceId(id), ledger())).collect();
+        assert!(roster.are_possible_ledgers(1, &own));
+        assert!(!roster.are_possible_ledgers(0, &own), "another host's");
+        assert!(!roster.are_possible_ledgers(1, &own[1..]), "one is missing");
+        let mut false_one = own.clone();
+        false_one[2].1.whole.spent.sleep = Energy::from_micro(1);
+        assert!(!roster.are_possible_ledgers(1, &false_one), "one does not close");
+        let sums: DeviceTotals = own.iter().map(|(_, ledger)| ledger.whole).sum();
+        assert!(roster.are_possible_totals(1, &sums) && !roster.are_possible_totals(1, &ledger().whole));
+    }
+
+    #[test]
+    fn impossible_reports_and_failures_are_known() {
+        let roster = roster();
+        let report = |device, information, battery| Report {
+            device: DeviceId(device),
+            tti: reveille_common::ids::Tti(1),
+            information,
+            battery: Energy::from_micro(battery),
+        };
+        assert!(roster.can_report(&report(9, 1.0, 100_000_000)));
+        let bad = [
+            (10, 0.5, 0),
+            (0, 1.5, 0),
+            (0, f64::NAN, 0),
+            (0, -0.1, 0),
+            (0, 0.5, 100_000_001),
+        ];
+        assert!(
+            bad.iter()
+                .all(|&(device, i, battery)| !roster.can_report(&report(device, i, battery)))
+        );
+        let failure = |device, drained| FailedTransmission {
+            device: DeviceId(device),
+            drained: Energy::from_micro(drained),
+        };
+        assert!(roster.is_possible_answer(0, 4, &[failure(4, 9_999_999)]));
+        assert!(
+            !roster.is_possible_answer(0, 5, &[failure(4, 0)]),
+            "more than it carries"
+        );
+        assert!(
+            !roster.is_possible_answer(0, 0, &[failure(5, 0)]),
+            "another host's device"
+        );
+        assert!(!roster.can_fail(&failure(0, 10_000_000)), "it could have paid");
+    }
+}

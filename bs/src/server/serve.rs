@@ -1,0 +1,132 @@
+//! A run over the bus, from the first join to the message that dismisses all hosts.
+
+use std::sync::Arc;
+
+use reveille_common::bus::Bus;
+use reveille_common::message::{ClockMessage, Frame, HostCheckpoint};
+use reveille_common::score::WindowRecord;
+
+use super::config::{DecisionTimeout, RunProgress, ServerConfig, ServerOutcome};
+use super::error::BsError;
+use super::failover::ReplaySource;
+use super::policy_port::Port;
+use super::run_loop::LoopContext;
+use super::state::{SharedState, now};
+use super::{join, run_loop, subscriptions};
+use crate::cycle::PreparedRun;
+use crate::observer::frames::FrameObserver;
+use crate::observer::{Notification, Observer};
+use crate::session::Session;
+
+/// A run to serve.
+pub struct RunSpec<'a> {
+    /// The scenario with its deployment and policy.
+    pub prepared: &'a PreparedRun,
+    /// The run, before TTI 0 or resumed.
+    pub session: Session,
+    /// Checkpoint of a resumed run, for its first hosts.
+    pub resumption: Option<Arc<HostCheckpoint>>,
+    /// Replay that restores the devices of lost hosts and stores external inputs. Without it a lost host ends the run.
+    pub replay: Option<Arc<dyn ReplaySource>>,
+    /// Time to wait for a decision at the policy port; `None` if no policy process decides.
+    pub patience: Option<DecisionTimeout>,
+}
+
+/// Runs `course` over `bus`: waits until every device has a host, runs every TTI and collects the ledgers.
+///
+/// # Errors
+/// If the bus fails, too few devices join, or a host is lost for good.
+pub async fn serve(
+    bus: &Bus,
+    course: RunSpec<'_>,
+    settings: &ServerConfig,
+    progress: &Arc<RunProgress>,
+    observer: &mut impl Observer,
+) -> Result<ServerOutcome, BsError> {
+    let RunSpec {
+        prepared,
+        session,
+        resumption,
+        replay,
+        patience,
+    } = course;
+    let PreparedRun {
+        scenario, deployment, ..
+    } = prepared;
+    let shared = SharedState::new(scenario, deployment, settings, session.next_tti());
+    // Kept until the end of the run: dropping a subscription undeclares it.
+    let _declared = subscriptions::declare(bus, scenario, deployment, settings, resumption, &shared)?;
+    let started = now();
+    join::wait_for_all(&shared, scenario, settings, progress).await?;
+    let joining = started.elapsed();
+    let gauge = BatteryGauge {
+        progress,
+        devices: scenario.run.devices,
+    };
+    let mut observers = (observer, (BusObserver::new(bus, settings.states_every), gauge));
+    let crew = LoopContext {
+        bus,
+        settings,
+        progress,
+        shared: &shared,
+        replay,
+        port: Port::new(bus, settings.key, patience),
+    };
+    run_loop::run(crew, session, &mut observers, joining).await
+}
+
+/// Sends frames to observers on the bus, while there are any.
+struct BusObserver<'a> {
+    bus: &'a Bus,
+    framed: FrameObserver<Box<dyn FnMut(Frame) + Send + 'a>>,
+}
+
+impl<'a> BusObserver<'a> {
+    /// Sends the states of all devices every `states_every` TTIs; 0 for never.
+    fn new(bus: &'a Bus, states_every: u64) -> Self {
+        Self {
+            bus,
+            framed: FrameObserver::new(states_every, Box::new(|frame| bus.publish_frame(frame))),
+        }
+    }
+}
+
+impl Observer for BusObserver<'_> {
+    fn notify(&mut self, happening: &Notification<'_>) {
+        // Frames are encoded copies, whose cost a run without observers should not pay.
+        if self.bus.is_observed() {
+            self.framed.notify(happening);
+        }
+    }
+
+    fn wants_states(&self) -> bool {
+        self.bus.is_observed() && self.framed.wants_states()
+    }
+
+    fn wants_beliefs(&self) -> bool {
+        self.bus.is_observed()
+    }
+}
+
+/// Writes the mean battery of each window to the progress.
+struct BatteryGauge<'a> {
+    progress: &'a RunProgress,
+    devices: u32,
+}
+
+impl Observer for BatteryGauge<'_> {
+    fn window_closed(&mut self, window: &WindowRecord) -> bool {
+        self.progress.set_mean_battery(self.devices, window);
+        true
+    }
+}
+
+/// Dismisses all hosts: the run has ended and its results are written, or it has failed for the given reason.
+///
+/// # Errors
+/// If the bus fails.
+pub fn dismiss_hosts(bus: &Bus, failure: Option<String>) -> Result<(), BsError> {
+    let message = failure.map_or(ClockMessage::Dismiss, ClockMessage::Fail);
+    bus.publisher::<ClockMessage>()?.publish(&message)?;
+    Ok(())
+}

@@ -1,0 +1,145 @@
+//! State that the bus callbacks of the base station share with its run loop.
+
+use std::collections::BTreeSet;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
+
+use reveille_common::deployment::Deployment;
+use reveille_common::ids::{HostId, Tti};
+use reveille_common::message::{ClockCommand, ClockStatus, LostHost};
+use tokio::sync::Notify;
+
+use super::admission::{Admission, Assignment};
+use super::barrier::Barrier;
+use super::clock::VirtualClock;
+use super::config::{OnLoss, RunProgress, ServerConfig};
+use super::failover::LostHosts;
+use super::roster::Roster;
+use crate::scenario::Scenario;
+
+/// State that callbacks change and the run loop reads.
+pub(super) struct ServerState {
+    pub(super) admission: Admission,
+    pub(super) barrier: Barrier,
+    pub(super) clock: VirtualClock,
+    /// The first TTI that is not granted yet.
+    pub(super) next: Tti,
+    /// Whether the loop is paused before `next`, with every earlier TTI closed.
+    pub(super) stands: bool,
+    /// Lost hosts and the takeovers of their devices.
+    pub(super) losses: LostHosts,
+    /// Assignments of lost hosts whose devices the run loop has yet to remove.
+    pub(super) leaving: Vec<Assignment>,
+    /// Lost hosts for which a warning was logged.
+    pub(super) reported: BTreeSet<HostId>,
+    /// Whether a host has returned or taken over, so that the last grant must be resent.
+    pub(super) returned: bool,
+    /// Whether the run has begun. From then on only devices of lost hosts are assigned.
+    pub(super) is_running: bool,
+    /// Reason why the run cannot continue, found outside the loop.
+    pub(super) failure: Option<String>,
+    /// Action when a host is lost.
+    pub(super) on_loss: OnLoss,
+}
+
+impl ServerState {
+    /// Notes that all TTIs before `next` are closed. Returns whether the loop must pause there.
+    pub(super) fn close_until(&mut self, next: Tti) -> bool {
+        self.next = next;
+        self.stands = next >= self.clock.until();
+        self.stands
+    }
+
+    /// Writes the assignments and names of all hosts to `progress`.
+    pub(super) fn publish_owners(&mut self, progress: &RunProgress) {
+        let roster = self.barrier.roster();
+        let all = (0..roster.hosts())
+            .filter(|position| !roster.is_removed(*position))
+            .map(|position| roster.places(position))
+            .collect::<Vec<_>>();
+        let named = all
+            .into_iter()
+            .map(|places| (places, self.admission.name(places.host).to_owned()));
+        *progress.carriers.lock().unwrap_or_else(PoisonError::into_inner) = named.collect();
+    }
+
+    /// The clock status for operators. After a pause command the clock runs until the open TTI is closed.
+    pub(super) fn status(&self) -> ClockStatus {
+        let end = self.clock.end();
+        ClockStatus {
+            tti: self.next,
+            ttis: end.0,
+            paused: self.stands && self.next >= self.clock.until(),
+            until: self.clock.until().min(end),
+            pace: self.clock.pace(),
+            begun: self.is_running,
+            devices: self.admission.devices(),
+            lost: self
+                .losses
+                .places()
+                .map(|places| LostHost {
+                    host: places.host,
+                    first: places.first,
+                    last: places.last(),
+                })
+                .collect(),
+        }
+    }
+}
+
+/// The server state, with a signal for the changes that the run loop waits for.
+pub(super) struct SharedState {
+    state: Mutex<ServerState>,
+    bell: Notify,
+}
+
+impl SharedState {
+    /// Creates the state of a run that begins with TTI `next`.
+    pub(super) fn new(scenario: &Scenario, deployment: &Deployment, settings: &ServerConfig, next: Tti) -> Arc<Self> {
+        let mut clock = VirtualClock::new(Tti(scenario.run.ttis), settings.pace);
+        if settings.paused {
+            clock.apply(ClockCommand::Pause, next);
+        }
+        let state = ServerState {
+            admission: Admission::new(scenario.run.devices),
+            barrier: Barrier::new(Roster::new(deployment.devices.clone(), scenario.sensing.psi)),
+            clock,
+            next,
+            stands: true,
+            losses: LostHosts::default(),
+            leaving: Vec::new(),
+            reported: BTreeSet::new(),
+            returned: false,
+            is_running: false,
+            failure: None,
+            on_loss: settings.on_loss,
+        };
+        Arc::new(Self {
+            state: Mutex::new(state),
+            bell: Notify::new(),
+        })
+    }
+
+    pub(super) fn lock(&self) -> MutexGuard<'_, ServerState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn notify(&self) {
+        // `notify_one` keeps a permit, so a signal between a check of the loop and its wait is not lost. Only the loop
+        // waits.
+        self.bell.notify_one();
+    }
+
+    pub(super) async fn wait(&self) {
+        self.bell.notified().await;
+    }
+}
+
+/// The wall clock, which paces a run and bounds waits. Results do not depend on it.
+#[expect(
+    clippy::disallowed_methods,
+    reason = "the shell keeps the pace and reports how long things took"
+)]
+pub(super) fn now() -> Instant {
+    Instant::now()
+}

@@ -1,0 +1,498 @@
+//! One run as a state machine without I/O. It defines the order of steps in a TTI, for runs in memory and on the bus.
+//!
+//! A shell asks for the next [`Action`], carries it out, and hands the result back as an [`Event`]:
+//!
+//! ```text
+//!   CollectTotals ──► RequestDecision ──► Grant ──► Remove* ──► Gather ──┬──► (next TTI)
+//!   at a window's     of a plan, by an    plans,    devices     reports  │
+//!   boundary          external policy     clock     that are             ▼
+//!                                                   lost       RequestDecision ──► Remove* ──► Wake ──┐
+//!                                                              of wake-ups         ▲                  │
+//!                                                                                  └──── outcome ◄────┘
+//! ```
+//! An action that has a result is repeated until the shell passes the result: a shell can stop at any of them and
+//! continue later. The devices belong to the shell, as state machines in memory or on hosts over the bus.
+
+mod queue;
+
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::{
+    DeviceRemoval, FailedTransmission, GrantMessage, PlanUpdate, Report, ResumePoint, WakeOutcome,
+};
+use reveille_common::score::WindowAccumulator;
+use reveille_common::state::{DeviceState, DeviceView};
+use reveille_common::totals::{DeviceTotals, EventTotals, Ledger};
+use reveille_common::units::Energy;
+
+pub use self::queue::InputQueue;
+use crate::boundaries::Boundaries;
+use crate::cycle::{Cycle, CycleStep, Outcome, PreparedRun, WakeOrder};
+use crate::observer::{Notification, Observer};
+use crate::policy::external::{Decision, DecisionContext, DecisionStage};
+
+/// The view of a removed device.
+pub(crate) const REMOVED: DeviceView = DeviceView {
+    state: DeviceState::Sleep { powered: false },
+    battery: Energy::ZERO,
+};
+
+/// The next action of the shell.
+#[derive(Debug)]
+pub enum Action {
+    /// Sum the energy of all devices before this TTI. Answer with [`Event::Totals`], or with [`Event::TotalsFollow`]
+    /// if the answers to the next grant can carry the sums.
+    CollectTotals(Tti),
+    /// Obtain the answer to [`Session::pending_decision`], and pass it on as [`Event::Decided`].
+    RequestDecision(DecisionStage),
+    /// Send these plans and then the clock's grant, [`Session::tick`]. [`Action::Gather`] follows.
+    Grant(Vec<PlanUpdate>),
+    /// Remove these devices from the run, then ask for the next action.
+    Remove(DeviceRemoval),
+    /// Wait until the devices have completed the grant, and pass on their answers as [`Event::Gathered`].
+    Gather,
+    /// Wake a device, and pass on the outcome as [`Event::Woken`].
+    Wake(WakeOrder),
+    /// Stop here, or ask for the next action: a queued decision has closed the TTI.
+    TtiClosed,
+    /// Collect the ledgers before this TTI and call [`Session::finish`].
+    Finish(Tti),
+}
+
+/// The result of an action.
+#[derive(Debug)]
+pub enum Event<'a> {
+    /// The sums over all devices.
+    Totals(DeviceTotals),
+    /// The answers to the next grant carry the sums: [`Event::Totals`] follows before [`Event::Gathered`].
+    TotalsFollow,
+    /// The decision that was requested.
+    Decided(Decision),
+    /// The answers of the devices that have completed the grant.
+    Gathered(Gathered<'a>),
+    /// The outcome of the wake-up.
+    Woken(WakeOutcome),
+}
+
+/// The answers of all devices to a grant.
+#[derive(Debug)]
+pub struct Gathered<'a> {
+    /// Reports, in any order; sorted by the call.
+    pub reports: &'a mut [Report],
+    /// Devices that detected the event and could not transmit, in any order; sorted by the call.
+    pub failures: &'a mut [FailedTransmission],
+    /// States and batteries of all devices at the end of the grant, in the order of ids, if the grant asks for them.
+    pub views: &'a [DeviceView],
+}
+
+/// The position of a run in the order of steps of a TTI.
+#[derive(Clone, Copy, Debug)]
+enum Phase {
+    /// Before the next TTI.
+    Between,
+    /// Before the next TTI, with the sums taken and the batteries known to the policy.
+    Ready,
+    /// A grant is out.
+    Granted,
+    /// A wake-up is out.
+    Waking(WakeOrder),
+    /// An external policy decides which devices to wake in this TTI.
+    Asking(Tti),
+}
+
+/// Sums of a window that travel with the answers to a grant.
+#[derive(Clone, Copy, Debug)]
+struct LateTotals {
+    /// The end of the window.
+    k: Tti,
+    /// Counted events up to there.
+    events: EventTotals,
+    /// The sums, once they have arrived.
+    energy: Option<DeviceTotals>,
+}
+
+/// A run with its world, base station, score and windows.
+pub struct Session {
+    cycle: Cycle,
+    boundaries: Boundaries,
+    accounts: WindowAccumulator,
+    queue: InputQueue,
+    phase: Phase,
+    /// The last grant.
+    tick: GrantMessage,
+    /// The TTI from which the current plan holds.
+    plan_from: Option<Tti>,
+    /// The position before the last grant, open or closed.
+    resume_point: ResumePoint,
+    /// The last boundary whose sums were taken or are on their way.
+    reached: Tti,
+    /// The boundary after it, which no grant crosses.
+    boundary: Tti,
+    late_totals: Option<LateTotals>,
+    /// The devices at the end of the last TTI, in the order of ids, if the policy or the observer needs them.
+    views: Vec<DeviceView>,
+    /// Whether the observer wants the states at the end of the open TTI.
+    wants_states: bool,
+    /// Decisions of an external policy so far.
+    decisions: u64,
+    /// Whether the observer has ended the run.
+    is_stopped: bool,
+}
+
+impl Session {
+    /// Creates the run `prepared`, before TTI 0, with windows of `window` TTIs; [`u64::MAX`] for none.
+    pub fn new(prepared: &PreparedRun, window: u64) -> Self {
+        Self::with_cycle(prepared, Cycle::new(prepared), window)
+    }
+
+    /// Creates a run with a given base station and world.
+    pub fn with_cycle(prepared: &PreparedRun, cycle: Cycle, window: u64) -> Self {
+        let boundaries = Boundaries::new(&prepared.scenario, window);
+        Self {
+            cycle,
+            boundary: boundaries.next_boundary(Tti::ZERO),
+            boundaries,
+            accounts: WindowAccumulator::new(&prepared.deployment),
+            queue: InputQueue::default(),
+            phase: Phase::Between,
+            tick: GrantMessage::default(),
+            plan_from: None,
+            resume_point: ResumePoint::default(),
+            reached: Tti::ZERO,
+            late_totals: None,
+            views: Vec::new(),
+            wants_states: false,
+            decisions: 0,
+            is_stopped: false,
+        }
+    }
+
+    /// World, base station and score.
+    pub const fn cycle(&self) -> &Cycle {
+        &self.cycle
+    }
+
+    /// The next TTI to be granted, or one of the open grant.
+    pub const fn next_tti(&self) -> Tti {
+        self.cycle.next_tti()
+    }
+
+    /// Whether a grant is out or its last TTI is not closed.
+    pub const fn is_open(&self) -> bool {
+        self.cycle.is_open()
+    }
+
+    /// The last grant.
+    pub const fn tick(&self) -> &GrantMessage {
+        &self.tick
+    }
+
+    /// The position before the last grant: hosts that take over devices repeat that grant.
+    pub const fn resume_point(&self) -> ResumePoint {
+        self.resume_point
+    }
+
+    /// External inputs that have not taken effect.
+    pub const fn queue(&self) -> &InputQueue {
+        &self.queue
+    }
+
+    /// External inputs that have not taken effect, to add to.
+    pub const fn queue_mut(&mut self) -> &mut InputQueue {
+        &mut self.queue
+    }
+
+    /// Decisions of an external policy that have taken effect, those from the queue included.
+    pub const fn decisions(&self) -> u64 {
+        self.decisions
+    }
+
+    /// The decision that the run waits for after [`Action::RequestDecision`].
+    pub fn pending_decision(&self) -> Option<DecisionContext<'_>> {
+        match self.phase {
+            Phase::Ready if self.cycle.needs_plan() => self.cycle.next_decision_context(),
+            Phase::Asking(tti) => Some(self.cycle.wake_question(tti)),
+            Phase::Between | Phase::Ready | Phase::Granted | Phase::Waking(_) => None,
+        }
+    }
+
+    /// The next action. A grant covers TTIs before `limit` alone, and at least one.
+    #[inline]
+    pub fn next_action(&mut self, limit: Tti, observer: &mut impl Observer) -> Action {
+        loop {
+            match self.phase {
+                Phase::Between => {
+                    let k = self.next_tti();
+                    if self.is_stopped || k >= self.boundaries.end() {
+                        // An environment shows its last observation with true batteries; no decision follows.
+                        self.update_batteries(&mut ());
+                        return Action::Finish(k);
+                    }
+                    // `CollectTotals` leaves the phase as it is. Its result moves the boundary, so the next call
+                    // continues past this check.
+                    if k == self.boundary {
+                        return Action::CollectTotals(k);
+                    }
+                    self.update_batteries(observer);
+                    self.phase = Phase::Ready;
+                }
+                Phase::Ready => {
+                    if self.cycle.needs_plan() {
+                        let Some(decision) = self.queue.take_plan(self.next_tti()) else {
+                            return Action::RequestDecision(DecisionStage::Plan);
+                        };
+                        self.handle(Event::Decided(Decision::Plan(decision)), observer);
+                    }
+                    return self.grant(limit, observer);
+                }
+                Phase::Granted => {
+                    // Removals come before the answers: the devices are removed before they sense in this TTI.
+                    return match self.queue.take_outage(self.tick.last, None) {
+                        Some(outage) => self.remove(outage, observer),
+                        None => Action::Gather,
+                    };
+                }
+                Phase::Waking(order) => {
+                    // The number tells where in the TTI the devices were lost; a replay must remove them before the
+                    // same wake-up.
+                    return match self.queue.take_outage(order.tti, Some(order.number)) {
+                        Some(outage) => self.remove(outage, observer),
+                        None => Action::Wake(order),
+                    };
+                }
+                Phase::Asking(tti) => {
+                    let Some(devices) = self.queue.take_wake_ups(tti) else {
+                        return Action::RequestDecision(DecisionStage::Wake);
+                    };
+                    self.handle(Event::Decided(Decision::Wake(devices)), observer);
+                    // Granting the next TTI in the same call would carry a shell past the TTI at which it wants to
+                    // stop.
+                    if matches!(self.phase, Phase::Between) {
+                        return Action::TtiClosed;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Takes in the result of the last action.
+    ///
+    /// # Panics
+    /// If the phase has no such result.
+    // Inlined, so that a shell that passes a known event pays for that event alone: in memory a grant costs 1 % more
+    // instructions without.
+    #[inline]
+    pub fn handle(&mut self, event: Event<'_>, observer: &mut impl Observer) {
+        match event {
+            Event::Totals(energy) => self.take_totals(energy, observer),
+            Event::TotalsFollow => self.await_totals(),
+            Event::Decided(answer) => self.take_decision(answer, observer),
+            Event::Gathered(answers) => self.take_answers(answers, observer),
+            Event::Woken(outcome) => self.take_outcome(outcome, observer),
+        }
+    }
+
+    fn take_totals(&mut self, energy: DeviceTotals, observer: &mut impl Observer) {
+        let is_due = self.next_tti() == self.boundary;
+        match (self.phase, &mut self.late_totals) {
+            (Phase::Between, None) if is_due => {
+                self.reach_boundary();
+                self.end_window(self.reached, energy, *self.cycle.event_totals(), observer);
+            }
+            (Phase::Granted, Some(late)) => late.energy = Some(energy),
+            _ => self.refuse("sums"),
+        }
+    }
+
+    fn await_totals(&mut self) {
+        if !matches!(self.phase, Phase::Between) || self.next_tti() != self.boundary {
+            self.refuse("sums");
+        }
+        self.reach_boundary();
+        // Copied here, because the next grant starts to score events of the next window before the sums arrive.
+        self.late_totals = Some(LateTotals {
+            k: self.reached,
+            events: *self.cycle.event_totals(),
+            energy: None,
+        });
+    }
+
+    fn reach_boundary(&mut self) {
+        self.reached = self.next_tti();
+        self.boundary = self.boundaries.next_boundary(self.reached);
+    }
+
+    fn take_decision(&mut self, answer: Decision, observer: &mut impl Observer) {
+        self.decisions += 1;
+        match (answer, self.phase) {
+            (Decision::Plan(decision), Phase::Ready) => self.cycle.decide(decision),
+            (Decision::Wake(devices), Phase::Asking(tti)) => {
+                let step = self.cycle.wake(tti, &devices, observer);
+                self.follow(step, observer);
+            }
+            (Decision::Plan(_), _) => self.refuse("a plan"),
+            (Decision::Wake(_), _) => self.refuse("devices to wake"),
+        }
+    }
+
+    #[inline]
+    fn take_answers(&mut self, answers: Gathered<'_>, observer: &mut impl Observer) {
+        if !matches!(self.phase, Phase::Granted) {
+            self.refuse("reports");
+        }
+        self.views.clear();
+        self.views.extend_from_slice(answers.views);
+        let (reports, failures) = (answers.reports, answers.failures);
+        let step = self.cycle.complete_grant(self.tick.last, reports, failures, observer);
+        self.follow(step, observer);
+    }
+
+    fn take_outcome(&mut self, outcome: WakeOutcome, observer: &mut impl Observer) {
+        let Phase::Waking(order) = self.phase else {
+            self.refuse("an outcome")
+        };
+        // The view was taken at the end of the grant, before this wake-up changed state and battery.
+        if let Some(view) = self.views.get_mut(order.device.index()) {
+            *view = outcome.apply(*view);
+        }
+        let step = self.cycle.complete_wake_up(&order, outcome, observer);
+        self.follow(step, observer);
+    }
+
+    #[cold]
+    fn refuse(&self, result: &str) -> ! {
+        panic!("no action of phase {:?} has {result} as its result", self.phase)
+    }
+
+    /// Removes the devices among `devices` that are still in the run, in the open TTI: their host was lost while its
+    /// answer was due. `keep` stores each removal before it takes effect.
+    ///
+    /// # Errors
+    /// If `keep` fails.
+    ///
+    /// # Panics
+    /// If no grant and no wake-up is out.
+    pub fn remove_devices<E>(
+        &mut self,
+        devices: impl IntoIterator<Item = DeviceId>,
+        observer: &mut impl Observer,
+        keep: impl Fn(&DeviceRemoval) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let (tti, wake_ups) = match self.phase {
+            Phase::Granted => (self.tick.last, None),
+            Phase::Waking(order) => (order.tti, Some(order.number)),
+            phase @ (Phase::Between | Phase::Ready | Phase::Asking(_)) => panic!("no answer is due in phase {phase:?}"),
+        };
+        // A resumed run replays earlier removals, so some devices of a lost host may be removed already.
+        let remaining = devices.into_iter().filter(|&device| !self.cycle.is_removed(device));
+        for outage in DeviceRemoval::of(remaining, tti, wake_ups) {
+            keep(&outage)?;
+            self.remove(outage, observer);
+        }
+        Ok(())
+    }
+
+    /// Prepares a run between two grants for another shell, to which its devices move with these `views`, in the order
+    /// of ids. Returns the position from which it continues.
+    pub fn hand_over(&mut self, views: Vec<DeviceView>) -> ResumePoint {
+        self.views = views;
+        self.resume_point = self.position();
+        self.resume_point
+    }
+
+    /// A copy that continues from here, under an external policy; `None` under any other.
+    pub fn fork(&self) -> Option<Self> {
+        Some(Self {
+            cycle: self.cycle.fork()?,
+            accounts: self.accounts.clone(),
+            queue: self.queue.clone(),
+            views: self.views.clone(),
+            ..*self
+        })
+    }
+
+    /// Closes the run before the next TTI, where its last window ends too. `ledgers` has the ledgers of all devices,
+    /// in the order of ids.
+    ///
+    /// # Panics
+    /// If a TTI is open.
+    pub fn finish(mut self, ledgers: &[Ledger], observer: &mut impl Observer) -> Outcome {
+        let k = self.next_tti();
+        // A window that ends here is closed already, unless its sums were to come with the next grant.
+        if k > self.reached || self.late_totals.is_some() {
+            let energy = ledgers.iter().map(|ledger| ledger.whole).sum();
+            self.end_window(k, energy, *self.cycle.event_totals(), observer);
+        }
+        self.cycle.finish(ledgers)
+    }
+
+    const fn position(&self) -> ResumePoint {
+        ResumePoint {
+            next: self.cycle.next_tti(),
+            plan_from: self.plan_from,
+        }
+    }
+
+    fn update_batteries(&mut self, observer: &mut impl Observer) {
+        if self.cycle.needs_batteries(self.next_tti()) {
+            let batteries = self.views.iter().map(|view| view.battery);
+            self.cycle.set_batteries(batteries, observer);
+        }
+    }
+
+    #[inline]
+    fn grant(&mut self, limit: Tti, observer: &mut impl Observer) -> Action {
+        let first = self.next_tti();
+        // A removal happens in the last TTI of a grant, the only one in which devices act.
+        let limit = limit.min(self.queue.next_outage().saturating_add(1)).max(first + 1);
+        // Taken before the cycle moves on, since a host that takes devices over repeats this grant.
+        self.resume_point = self.position();
+        self.wants_states = observer.wants_states();
+        let (grant, updates) = self.cycle.grant(limit.min(self.boundary), observer);
+        self.plan_from = updates.last().map(|update| update.from).or(self.plan_from);
+        self.tick = GrantMessage {
+            first,
+            last: grant.last,
+            stimulus: grant.stimulus,
+            until: grant.until,
+            account: self.late_totals.is_some(),
+            // A policy that decides for the next TTI by true batteries reads them from these views.
+            views: self.wants_states || self.cycle.needs_batteries(grant.last + 1),
+            plan: self.plan_from.unwrap_or_default(),
+            plans: updates.len() as u32,
+        };
+        self.phase = Phase::Granted;
+        Action::Grant(updates)
+    }
+
+    fn remove(&mut self, outage: DeviceRemoval, observer: &mut impl Observer) -> Action {
+        self.cycle.remove_devices(&outage, observer);
+        // No views are kept unless the policy or the observer needs them.
+        if let Some(views) = self.views.get_mut(outage.first.index()..=outage.last().index()) {
+            views.fill(REMOVED);
+        }
+        Action::Remove(outage)
+    }
+
+    #[inline]
+    fn follow(&mut self, step: CycleStep, observer: &mut impl Observer) {
+        self.phase = match step {
+            CycleStep::WakeUp(order) => Phase::Waking(order),
+            CycleStep::Asks(tti) => Phase::Asking(tti),
+            CycleStep::Closed => {
+                if self.wants_states {
+                    observer.notify(&Notification::States(&self.views));
+                }
+                if let Some(LateTotals { k, events, energy }) = self.late_totals.take() {
+                    let energy = energy.expect("the sums arrive with the answers to the grant");
+                    self.end_window(k, energy, events, observer);
+                }
+                Phase::Between
+            }
+        };
+    }
+
+    fn end_window(&mut self, k: Tti, energy: DeviceTotals, events: EventTotals, observer: &mut impl Observer) {
+        let window = self.accounts.close_window(k, energy, events);
+        self.is_stopped |= !observer.window_closed(&window);
+    }
+}

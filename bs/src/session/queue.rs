@@ -1,0 +1,71 @@
+//! External inputs that a run has not reached yet: device removals, and decisions of an external policy.
+
+use std::collections::VecDeque;
+
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::DeviceRemoval;
+
+use crate::policy::external::{Decision, PlanDecision, RecordedDecision};
+
+/// External inputs that are still to come, each kind in the order in which it takes effect.
+#[derive(Clone, Debug, Default)]
+pub struct InputQueue {
+    outages: VecDeque<DeviceRemoval>,
+    decisions: VecDeque<RecordedDecision>,
+}
+
+impl InputQueue {
+    /// Appends a removal.
+    pub fn push_outage(&mut self, outage: DeviceRemoval) {
+        self.outages.push_back(outage);
+    }
+
+    /// Appends a decision.
+    pub fn push_decision(&mut self, decision: RecordedDecision) {
+        self.decisions.push_back(decision);
+    }
+
+    /// Removals that have not taken effect.
+    pub fn outages(&self) -> usize {
+        self.outages.len()
+    }
+
+    /// Decisions that no request has used.
+    pub fn decisions(&self) -> usize {
+        self.decisions.len()
+    }
+
+    /// The TTI of the next decision.
+    pub fn next_decision(&self) -> Option<Tti> {
+        self.decisions.front().map(|next| next.tti)
+    }
+
+    /// The TTI of the next removal, [`Tti::NEVER`] after the last.
+    pub(super) fn next_outage(&self) -> Tti {
+        self.outages.front().map_or(Tti::NEVER, |outage| outage.tti)
+    }
+
+    /// Takes the next removal if it is due in TTI `k`: before sensing, or before the wake-up with this number.
+    pub(super) fn take_outage(&mut self, k: Tti, wake_up: Option<u32>) -> Option<DeviceRemoval> {
+        self.outages
+            .pop_front_if(|next| next.tti == k && next.wake_ups == wake_up)
+    }
+
+    /// Takes the next decision if it is the plan of TTI `k`.
+    pub(super) fn take_plan(&mut self, k: Tti) -> Option<PlanDecision> {
+        let is_due = |next: &mut RecordedDecision| next.tti == k && matches!(next.answer, Decision::Plan(_));
+        match self.decisions.pop_front_if(is_due)?.answer {
+            Decision::Plan(decision) => Some(decision),
+            Decision::Wake(_) => None,
+        }
+    }
+
+    /// Takes the next decision if it lists devices to wake in TTI `k`.
+    pub(super) fn take_wake_ups(&mut self, k: Tti) -> Option<Vec<DeviceId>> {
+        let is_due = |next: &mut RecordedDecision| next.tti == k && matches!(next.answer, Decision::Wake(_));
+        match self.decisions.pop_front_if(is_due)?.answer {
+            Decision::Wake(devices) => Some(devices),
+            Decision::Plan(_) => None,
+        }
+    }
+}

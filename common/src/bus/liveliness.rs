@@ -1,0 +1,107 @@
+//! Liveliness tokens of base stations and hosts.
+
+use std::pin::Pin;
+use std::time::Duration;
+
+use zenoh::Wait;
+use zenoh::liveliness::LivelinessToken;
+use zenoh::sample::{Sample, SampleKind};
+
+use super::{Bus, BusError, DeclarationGuard};
+use crate::keys::Keys;
+
+/// A callback that receives each token that appears or disappears.
+type Handle = dyn Fn(&str, bool) + Send + Sync;
+/// A future of the keys of liveliness tokens.
+type Tokens<'b> = Pin<Box<dyn Future<Output = Result<Vec<Option<String>>, BusError>> + Send + 'b>>;
+
+impl Bus {
+    /// Declares a liveliness token, which disappears when the guard is dropped or the session is lost.
+    ///
+    /// # Errors
+    /// If zenoh refuses.
+    pub fn declare_alive(&self, key: String) -> Result<DeclarationGuard, BusError> {
+        let token: LivelinessToken = self.session.liveliness().declare_token(key).wait()?;
+        Ok(DeclarationGuard::new(token))
+    }
+
+    /// Calls `handle` with the key of each token that matches `key`; the flag is true if the token appeared.
+    ///
+    /// # Errors
+    /// If zenoh refuses.
+    pub fn watch_alive<F>(&self, key: String, handle: F) -> Result<DeclarationGuard, BusError>
+    where
+        F: Fn(&str, bool) + Send + Sync + 'static,
+    {
+        self.watch_boxed(key, Box::new(handle))
+    }
+
+    /// Watches tokens with a boxed callback. Not generic, so zenoh's code is compiled only once, in this crate.
+    fn watch_boxed(&self, key: String, handle: Box<Handle>) -> Result<DeclarationGuard, BusError> {
+        let on_sample = move |sample: Sample| handle(sample.key_expr().as_str(), sample.kind() == SampleKind::Put);
+        Ok(DeclarationGuard::new(
+            self.session
+                .liveliness()
+                .declare_subscriber(key)
+                // Without the history, tokens that exist already would not be reported.
+                .history(true)
+                .callback(on_sample)
+                .wait()?,
+        ))
+    }
+
+    /// Returns the names of the runs whose BS is alive behind this session.
+    ///
+    /// # Errors
+    /// If zenoh refuses.
+    pub async fn list_runs(&self, patience: Duration) -> Result<Vec<String>, BusError> {
+        let tokens = self.tokens(Keys::any_bs().to_owned(), Some(patience)).await?;
+        // In `Keys::any_bs` the second segment is the name of the run.
+        let name = |key: &String| key.split('/').nth(1).map(str::to_owned);
+        let mut runs: Vec<String> = tokens.iter().flatten().filter_map(name).collect();
+        runs.sort();
+        Ok(runs)
+    }
+
+    /// Returns the number of this run's hosts that are alive behind this session.
+    ///
+    /// # Errors
+    /// If zenoh refuses.
+    pub async fn count_alive_hosts(&self) -> Result<u32, BusError> {
+        Ok(self.tokens(self.keys.all_alive(), None).await?.len() as u32)
+    }
+
+    /// Queries the tokens that match `key`; an error reply gives `None`. Boxed, so zenoh's code is compiled only here.
+    fn tokens(&self, key: String, patience: Option<Duration>) -> Tokens<'_> {
+        Box::pin(async move {
+            let question = self.session.liveliness().get(key);
+            let question = match patience {
+                Some(patience) => question.timeout(patience),
+                None => question,
+            };
+            let replies = question.await?;
+            let mut tokens = Vec::new();
+            while let Ok(reply) = replies.recv_async().await {
+                let sample = reply.result().ok();
+                tokens.push(sample.map(|sample| sample.key_expr().as_str().to_owned()));
+            }
+            Ok(tokens)
+        })
+    }
+
+    /// Returns the error for a run that is not served here, with the names of the runs that are.
+    pub async fn no_run_error(&self) -> BusError {
+        // The names are only a hint. The error remains correct without them.
+        let runs = self.list_runs(Duration::from_secs(1)).await.unwrap_or_default();
+        let hint = if runs.is_empty() {
+            "No base station of any run lives there".to_owned()
+        } else {
+            format!("Runs there: {}", runs.join(", "))
+        };
+        BusError::NoRun {
+            endpoint: self.endpoint.to_string(),
+            run: self.keys.run().clone(),
+            hint,
+        }
+    }
+}

@@ -1,0 +1,171 @@
+//! The policy port: the BS sends decision requests, and a program in any language answers. Payloads are not messages
+//! of this crate; they use an [`Encoding`] that other programs read, and zenoh's encoding field names it.
+
+use std::pin::Pin;
+use std::time::Duration;
+
+use tokio::sync::mpsc::{Receiver, channel};
+use zenoh::Wait;
+use zenoh::bytes::Encoding as ZenohEncoding;
+use zenoh::handlers::FifoChannelHandler;
+use zenoh::query::{ConsolidationMode, Query, QueryTarget, Queryable, Reply};
+
+use super::{Bus, BusError};
+use crate::encoding::Encoding;
+
+/// A reply to a decision request.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum PortReply {
+    /// An answer.
+    Answer(Vec<u8>, Encoding),
+    /// An error message of the policy process.
+    Refusal(String),
+}
+
+/// Replies to one request that are buffered until they are read. Further ones are dropped.
+const KEPT: usize = 64;
+/// Characters kept of an error message.
+const WORDS: usize = 300;
+
+/// The replies to a decision request.
+pub struct Replies(Receiver<PortReply>);
+
+impl Replies {
+    /// Returns the next reply, or `None` once no more replies can come or the time is up.
+    pub async fn next(&mut self) -> Option<PortReply> {
+        self.0.recv().await
+    }
+
+    /// Returns the buffered replies that were not read.
+    pub fn drain(mut self) -> impl Iterator<Item = PortReply> {
+        // Closed first, so that a peer that keeps answering cannot keep the caller busy.
+        self.0.close();
+        std::iter::from_fn(move || self.0.try_recv().ok())
+    }
+}
+
+/// Decodes `reply`, unless it is longer than `most` bytes.
+fn read(reply: &Reply, most: usize) -> Option<PortReply> {
+    match reply.result() {
+        Ok(sample) if sample.payload().len() > most => {
+            let length = sample.payload().len();
+            let why = format!("an answer of {length} bytes came, and {most} are the most that one can have");
+            Some(PortReply::Refusal(why))
+        }
+        Ok(sample) => Some(PortReply::Answer(
+            sample.payload().to_bytes().into_owned(),
+            form(sample.encoding()),
+        )),
+        // Errors of a policy process are plain text; zenoh's own errors, such as a timeout, have another encoding.
+        Err(error) if *error.encoding() == ZenohEncoding::TEXT_PLAIN && error.payload().len() <= most => {
+            let text = error.payload().try_to_string().unwrap_or_default();
+            Some(PortReply::Refusal(text.chars().take(WORDS).collect()))
+        }
+        Err(_) => None,
+    }
+}
+
+/// Maps zenoh's encoding. An unknown one counts as JSON, because most programs do not set it.
+fn form(encoding: &ZenohEncoding) -> Encoding {
+    if *encoding == ZenohEncoding::APPLICATION_CBOR {
+        Encoding::Cbor
+    } else {
+        Encoding::Json
+    }
+}
+
+const fn encoding(form: Encoding) -> ZenohEncoding {
+    match form {
+        Encoding::Json => ZenohEncoding::APPLICATION_JSON,
+        Encoding::Cbor => ZenohEncoding::APPLICATION_CBOR,
+    }
+}
+
+/// A decision request that a policy process received.
+pub struct PolicyQuestion {
+    /// The payload of the request.
+    pub payload: Vec<u8>,
+    /// The encoding of the payload.
+    pub form: Encoding,
+    query: Query,
+}
+
+impl PolicyQuestion {
+    /// Answers the request.
+    ///
+    /// # Errors
+    /// If zenoh refuses, for example because the session is closed.
+    pub fn answer(&self, payload: Vec<u8>, form: Encoding) -> Result<(), BusError> {
+        let reply = self.query.reply(self.query.key_expr().clone(), payload);
+        Ok(reply.encoding(encoding(form)).wait()?)
+    }
+
+    /// Answers the request with an error message.
+    ///
+    /// # Errors
+    /// As [`Self::answer`].
+    pub fn reply_error(&self, why: &str) -> Result<(), BusError> {
+        Ok(self.query.reply_err(why).encoding(ZenohEncoding::TEXT_PLAIN).wait()?)
+    }
+}
+
+/// The decision requests that a policy process receives, in order of arrival.
+pub struct PolicyQuestions(Queryable<FifoChannelHandler<Query>>);
+
+impl PolicyQuestions {
+    /// Returns the next request, or `None` once the session is closed.
+    pub async fn next(&self) -> Option<PolicyQuestion> {
+        let query = self.0.recv_async().await.ok()?;
+        Some(PolicyQuestion {
+            payload: query.payload().map(|p| p.to_bytes().into_owned()).unwrap_or_default(),
+            form: query.encoding().map_or(Encoding::Json, form),
+            query,
+        })
+    }
+}
+
+/// A future of the replies to a decision request.
+type PortQueryFuture<'b> = Pin<Box<dyn Future<Output = Result<Replies, BusError>> + Send + 'b>>;
+
+impl Bus {
+    /// Sends a decision request to the policy port. The replies that arrive within `patience`, of at most `most` bytes
+    /// each, follow in [`Replies`].
+    ///
+    /// # Errors
+    /// If zenoh refuses.
+    pub fn query_policy(
+        &self,
+        (payload, form): (Vec<u8>, Encoding),
+        most: usize,
+        patience: Duration,
+    ) -> PortQueryFuture<'_> {
+        // Boxed, so that zenoh's generic code is compiled only once, in this crate.
+        Box::pin(async move {
+            let (send, replies) = channel(KEPT);
+            let question = self.session.get(self.keys.policy()).payload(payload);
+            question
+                .encoding(encoding(form))
+                // Every reply is needed: any client may answer, and only an answer with the run's key counts.
+                .target(QueryTarget::All)
+                .consolidation(ConsolidationMode::None)
+                .timeout(patience)
+                // zenoh drops the callback, and with it the sender, when no more replies can come.
+                .callback(move |reply| {
+                    // Never blocks, because this is zenoh's thread: a peer that floods the port loses its replies.
+                    let _no_room = read(&reply, most).is_some_and(|heard| send.try_send(heard).is_err());
+                })
+                .await?;
+            Ok(Replies(replies))
+        })
+    }
+
+    /// Serves the policy port: decision requests of the BS arrive at this session.
+    ///
+    /// # Errors
+    /// If zenoh refuses.
+    pub fn serve_policy_port(&self) -> Result<PolicyQuestions, BusError> {
+        Ok(PolicyQuestions(
+            self.session.declare_queryable(self.keys.policy()).wait()?,
+        ))
+    }
+}

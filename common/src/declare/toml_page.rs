@@ -1,0 +1,182 @@
+//! A configuration as a TOML file.
+
+use std::fmt::Write as _;
+
+use super::declaration::{Declaration, Scope};
+use super::field::{Field, FieldCondition, FieldDefault, FieldSink, FieldType, Section};
+use super::value::FieldValue;
+use crate::units::{Energy, MICRO_PER_UNIT};
+
+/// All active fields with their values. Two pages are equal if their fields, values and file contents are equal.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TomlPage {
+    items: Vec<String>,
+    lines: Vec<Line>,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+struct Line {
+    /// The number of the item to which the line belongs, from 1; 0 for the top level.
+    item: usize,
+    /// The full path of the field.
+    path: String,
+    value: String,
+    contents: Vec<u8>,
+}
+
+impl FieldSink for TomlPage {
+    fn item(&mut self, name: &str) {
+        self.items.push(name.to_owned());
+    }
+
+    fn field(&mut self, section: &'static Section, field: &'static Field, value: FieldValue<'_>) {
+        self.lines.push(Line {
+            item: self.items.len(),
+            path: section.path_of(field.name),
+            value: in_toml(&value),
+            contents: Vec::new(),
+        });
+    }
+
+    fn content(&mut self, bytes: &[u8]) {
+        if let Some(last) = self.lines.last_mut() {
+            last.contents.extend_from_slice(bytes);
+        }
+    }
+}
+
+/// The fields that a page shows in addition to the active ones.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Detail {
+    /// No other field.
+    InForce,
+    /// Every other field, commented out.
+    Everything,
+}
+
+impl TomlPage {
+    /// Returns the active fields, as a file that can be loaded.
+    pub fn active_fields(&self, declaration: &Declaration) -> String {
+        self.write(declaration, Detail::InForce)
+    }
+
+    /// Returns the active fields and, commented out, every other field with its allowed values.
+    pub fn all_fields(&self, declaration: &Declaration) -> String {
+        self.write(declaration, Detail::Everything)
+    }
+
+    fn write(&self, declaration: &Declaration, detail: Detail) -> String {
+        let mut text = String::new();
+        for header in declaration.headers() {
+            if self.items.is_empty() || !declaration.list.takes(header) {
+                self.section(&mut text, declaration, (Scope::Top, 0), header, detail);
+            }
+        }
+        let list = declaration.list.name();
+        for item in 1..=self.items.len() {
+            let _ = writeln!(text, "\n[[{list}]]");
+            self.fields(&mut text, declaration, (Scope::Item, item), "", detail);
+            for header in declaration.headers() {
+                if declaration.list.takes(header) {
+                    // The unused fields are the same for every class, so only the first one shows them.
+                    let detail = if item == 1 { detail } else { Detail::InForce };
+                    self.section(&mut text, declaration, (Scope::Item, item), header, detail);
+                }
+            }
+        }
+        text
+    }
+
+    /// Writes the section below `header`, if it has a line to show.
+    fn section(&self, text: &mut String, all: &Declaration, at: (Scope, usize), header: &str, detail: Detail) {
+        let mut body = String::new();
+        let in_force = self.fields(&mut body, all, at, header, detail);
+        if body.is_empty() {
+            return;
+        }
+        if !header.is_empty() {
+            let list = all.list.name();
+            let header = if at.0 == Scope::Item {
+                format!("{list}.{header}")
+            } else {
+                header.to_owned()
+            };
+            let _ = writeln!(text, "\n{}[{header}]", if in_force == 0 { "# " } else { "" });
+        }
+        text.push_str(&body);
+    }
+
+    /// Writes the lines below `header` and returns the number of active fields.
+    fn fields(&self, text: &mut String, all: &Declaration, at: (Scope, usize), header: &str, detail: Detail) -> usize {
+        let mut in_force = 0;
+        for section in all.at(at.0, header) {
+            for field in section.fields {
+                let path = section.path_of(field.name);
+                let line = self.lines.iter().find(|line| line.item == at.1 && line.path == path);
+                let comment = comment(field, section.condition(field), all, line.is_some());
+                if let Some(line) = line {
+                    in_force += 1;
+                    let _ = writeln!(text, "{} = {} # {comment}", field.name, line.value);
+                } else if detail == Detail::Everything {
+                    let usual = match field.default {
+                        FieldDefault::Is(value) => in_toml(&value),
+                        FieldDefault::Derived(_) | FieldDefault::None => "…".to_owned(),
+                    };
+                    let _ = writeln!(text, "# {} = {usual} # {comment}", field.name);
+                }
+            }
+        }
+        in_force
+    }
+}
+
+/// Returns the comment of a field: meaning, unit, allowed values, condition.
+fn comment(field: &Field, condition: Option<FieldCondition>, all: &Declaration, is_in_force: bool) -> String {
+    let meaning = field.help.split_once(". ").map_or(field.help, |(first, _)| first);
+    let mut parts = vec![meaning.trim_end_matches('.').replace(['\n', '`'], "")];
+    if !field.unit.is_empty() {
+        parts.push(field.unit.to_owned());
+    }
+    let words = all.words(&field.form);
+    if !words.is_empty() {
+        let mut words: Vec<String> = words.iter().map(|word| format!("\"{}\"", word.name)).collect();
+        if matches!(field.form, FieldType::Source(_)) {
+            words.push("a file".to_owned());
+        }
+        parts.push(words.join(" or "));
+    }
+    if !is_in_force {
+        if let FieldDefault::Derived(rule) = field.default {
+            parts.push(format!("by default {}", rule.replace('`', "")));
+        }
+        if let Some(condition) = condition {
+            parts.push(format!("only with {condition}"));
+        }
+    }
+    parts.join("; ")
+}
+
+/// Formats a value as in a file.
+pub(super) fn in_toml(value: &FieldValue<'_>) -> String {
+    let text = |text: &str| toml::Value::String(text.to_owned()).to_string();
+    match *value {
+        FieldValue::Whole(whole) => whole.to_string(),
+        FieldValue::Number(number) => toml::Value::Float(number).to_string(),
+        FieldValue::Energy(energy) => units(energy),
+        FieldValue::Switch(is_on) => is_on.to_string(),
+        FieldValue::Text(word) | FieldValue::Path(word) => text(word),
+        FieldValue::Wholes(list) => format!("{list:?}"),
+        FieldValue::Texts(list) => {
+            let items: Vec<String> = list.iter().map(|item| text(item)).collect();
+            format!("[{}]", items.join(", "))
+        }
+    }
+}
+
+/// Formats the energy in units, as an exact decimal number.
+fn units(energy: Energy) -> String {
+    let (whole, rest) = (energy.micro() / MICRO_PER_UNIT, energy.micro() % MICRO_PER_UNIT);
+    let digits = format!("{rest:06}");
+    let decimals = digits.trim_end_matches('0');
+    format!("{whole}.{}", if decimals.is_empty() { "0" } else { decimals })
+}

@@ -1,0 +1,100 @@
+//! The settings of the event process, checked and complete.
+
+use super::aftershocks::Aftershocks;
+use super::bursts::EventBursts;
+use super::duration::{Duration, DurationKind};
+use super::hot_spots::HotSpots;
+use super::process::{ProcessFields, ProcessSettings};
+use super::uniform::Rate;
+use crate::declare::{FieldReader, FieldSink, ScenarioError, Section, Visit};
+use crate::ids::Tti;
+
+/// The event process (paper Sec. II).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EventSettings {
+    /// Probability α that an event starts in a TTI in which none is active, `(0, 1]`. If it changes with time, this is
+    /// its long-run mean, which is all that is known in advance.
+    pub alpha: f64,
+    /// Duration of an event in TTIs unless a report ends it, ≥ 1; the mean if it is random.
+    pub duration: u64,
+    /// Whether all events have the same duration.
+    pub duration_kind: DurationKind,
+    /// The times and places of events.
+    pub process: ProcessSettings,
+}
+
+impl EventSettings {
+    /// The fields of all kinds.
+    pub(crate) const SECTIONS: [&'static Section; 6] = [
+        ProcessFields::SECTION,
+        Rate::SECTION,
+        Duration::SECTION,
+        HotSpots::SECTION,
+        Aftershocks::SECTION,
+        EventBursts::SECTION,
+    ];
+
+    /// Builds the settings in `reader`.
+    ///
+    /// # Errors
+    /// If a value is out of range.
+    pub fn from_fields(reader: &FieldReader<'_>) -> Result<Self, ScenarioError> {
+        let process = ProcessSettings::from_fields(reader)?;
+        let alpha = match process.long_run_alpha() {
+            Some(alpha) => alpha,
+            None => Rate::read(reader)?.alpha,
+        };
+        let Duration {
+            duration,
+            duration_kind,
+        } = Duration::read(reader)?;
+        Ok(Self {
+            alpha,
+            duration,
+            duration_kind,
+            process,
+        })
+    }
+
+    /// Passes every field to `sink`.
+    pub fn visit(&self, sink: &mut dyn FieldSink) {
+        let Self {
+            alpha,
+            duration,
+            duration_kind,
+            process,
+        } = *self;
+        ProcessFields {
+            process: process.kind(),
+        }
+        .visit(sink);
+        if process.long_run_alpha().is_none() {
+            Rate { alpha }.visit(sink);
+        }
+        Duration {
+            duration,
+            duration_kind,
+        }
+        .visit(sink);
+        process.visit(sink);
+    }
+
+    /// The mean probability, from TTI `first` to before `end`, that an event starts in a TTI in which none is active.
+    /// It is [`Self::alpha`] if it is constant or the range is empty. Otherwise it follows from `seed` alone, whatever
+    /// a policy does.
+    pub fn mean_start_probability(&self, seed: u64, first: Tti, end: Tti) -> f64 {
+        let measured = self.process.mean_start_probability(seed, first, end);
+        measured.unwrap_or(self.alpha)
+    }
+
+    /// The share of events, `[0, 1]`, that end before a device senses them, if every place is sensed once in `every`
+    /// TTIs, ≥ 1.
+    pub(crate) fn missed_share(&self, every: u64) -> f64 {
+        self.duration_kind.missed_share(self.duration, every)
+    }
+
+    /// The longest duration of an event, TTIs; `None` without a limit.
+    pub const fn longest(&self) -> Option<u64> {
+        self.duration_kind.longest(self.duration)
+    }
+}

@@ -1,0 +1,97 @@
+//! The expected energy of a source that depends on the time of day.
+
+use crate::ids::Tti;
+use crate::units::Energy;
+
+/// The expected energy of a source between any two TTIs, with all days equal: physics without random draws.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DayProfile {
+    /// Expected micro-units from the start of a day up to each of its TTIs; the last entry is the whole day.
+    until: Vec<u64>,
+    /// The TTIs of the day at which day or night begins; empty if it is always day or always night.
+    turns: Vec<u64>,
+}
+
+impl DayProfile {
+    /// Creates the profile of a source with arrivals of `e_b`; `day` has the probability of an arrival in each TTI of a
+    /// day. A day has at least one TTI.
+    pub fn new(day: impl Iterator<Item = f64>, e_b: Energy) -> Self {
+        let (mut sum, mut until, mut is_lit) = (0.0, vec![0], Vec::new());
+        for p in day {
+            sum += p;
+            // The running sum is rounded, not each TTI, so that errors do not add up over the day.
+            until.push((sum * e_b.micro() as f64).round() as u64);
+            is_lit.push(p > 0.0);
+        }
+        let n = is_lit.len();
+        let turns = (0..n).filter(|&at| is_lit[at] != is_lit[(at + n - 1) % n]);
+        Self {
+            until,
+            turns: turns.map(|at| at as u64).collect(),
+        }
+    }
+
+    /// TTIs per day.
+    pub fn ttis(&self) -> u64 {
+        self.until.len() as u64 - 1
+    }
+
+    /// The mean harvest from TTI `from` to before `end`; 0 if `end` is not later.
+    pub fn between(&self, from: Tti, end: Tti) -> Energy {
+        Energy::from_micro(self.before(end).saturating_sub(self.before(from)))
+    }
+
+    /// The first TTI after `now` at which day or night begins; [`Tti::NEVER`] if that never happens.
+    pub fn turn_after(&self, now: Tti) -> Tti {
+        let (day, slot) = (now.0 / self.ttis(), now.0 % self.ttis());
+        let today = self.turns.iter().find(|&&turn| turn > slot);
+        let next = today.copied().or_else(|| Some(self.turns.first()? + self.ttis()));
+        next.map_or(Tti::NEVER, |turn| Tti(day * self.ttis()).saturating_add(turn))
+    }
+
+    /// Expected micro-units before `end`.
+    fn before(&self, end: Tti) -> u64 {
+        let whole = self.until[self.until.len() - 1];
+        let (days, slot) = (end.0 / self.ttis(), end.0 % self.ttis());
+        days.saturating_mul(whole).saturating_add(self.until[slot as usize])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const DAY: [f64; 5] = [0.0, 0.25, 0.5, 0.3, 0.0];
+
+    #[test]
+    fn what_is_expected_adds_up() {
+        let course = DayProfile::new(DAY.into_iter(), Energy::from_micro(1000));
+        let by_hand = |from: u64, end: u64| -> u64 {
+            let of = [0, 250, 500, 300, 0];
+            (from..end).map(|k| of[(k % 5) as usize]).sum()
+        };
+        for from in 0..13 {
+            for end in from..23 {
+                assert_eq!(
+                    course.between(Tti(from), Tti(end)).micro(),
+                    by_hand(from, end),
+                    "{from} to {end}"
+                );
+            }
+        }
+        assert_eq!(course.between(Tti(7), Tti(3)), Energy::ZERO);
+        // A third of a micro-unit per TTI is not lost.
+        let thirds = DayProfile::new([1.0 / 3.0; 3].into_iter(), Energy::from_micro(1));
+        let sum: u64 = (0..300).map(|k| thirds.between(Tti(k), Tti(k + 1)).micro()).sum();
+        assert_eq!(sum, 100);
+    }
+
+    #[test]
+    fn days_turn_with_the_first_and_after_the_last_light() {
+        let course = DayProfile::new(DAY.into_iter(), Energy::from_micro(1000));
+        let turns: Vec<u64> = (0..11).map(|k| course.turn_after(Tti(k)).0).collect();
+        assert_eq!(turns, [1, 4, 4, 4, 6, 6, 9, 9, 9, 11, 11]);
+        let always = DayProfile::new([0.5; 4].into_iter(), Energy::from_micro(1000));
+        assert_eq!(always.turn_after(Tti(2)), Tti::NEVER);
+    }
+}

@@ -1,0 +1,279 @@
+//! Solar energy with day and night.
+
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use super::arrivals::{Arrivals, ArrivalsSetup, eq5_probability};
+use super::day_profile::DayProfile;
+use super::shared_tables::{CumulativeHazard, Sources, expected};
+use super::sun::{Sky, Sun};
+use crate::declare::{FieldReader, FieldSink, Range, ScenarioError, Section, Visit, choice, choices, number, whole};
+use crate::ids::Tti;
+use crate::rng::Stream;
+use crate::units::Energy;
+
+/// Upper limit of an arrival's probability, exclusive: with a certain arrival, or one rounded to it, no gap can be
+/// drawn.
+const SURE: f64 = 1.0 - 1e-9;
+/// Most TTIs per day.
+pub(super) const MOST_TTIS: u32 = 100_000;
+
+choices! {
+    /// Reference of the intensity λ.
+    pub enum IrradianceReference {
+        /// The mean over a day: at any place and date, the mean harvest equals the `eq5` harvest with the same λ and
+        /// `E_B`.
+        DailyMean = "daily-mean",
+        /// The sun in the zenith: places far from the equator harvest less, and so do winter days.
+        Zenith = "zenith",
+    }
+}
+
+choices! {
+    /// The base station's knowledge of the day.
+    #[derive(Serialize, Deserialize)]
+    #[serde(rename_all = "kebab-case")]
+    pub enum DayKnowledge {
+        /// Place, date and time, and thus the mean harvest of each TTI.
+        Course = "course",
+        /// The daily mean only.
+        Mean = "mean",
+    }
+}
+
+crate::declare! {
+    /// Diurnal source: the probability of an arrival in a TTI follows the sun's irradiance.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    struct Settings in "harvest.diurnal" only with "harvest.kind" = &["diurnal"]; {
+        /// Latitude φ, positive north of the equator.
+        latitude: f64 = number(Range::closed(-90.0, 90.0), 36.1).unit("degrees"),
+        /// Day of the year, 1 for 1 January; it applies to every day of a run.
+        day_of_year: u32 = whole(1, 365, 81).unit("days"),
+        /// Solar time at the start of TTI 0.
+        start_hour: f64 = number(Range::below(0.0, 24.0), 0.0).unit("hours"),
+        /// Number of TTIs per day: 288 if a TTI represents five minutes.
+        ttis_per_day: u32 = whole(1, MOST_TTIS as u64, 288).unit("TTIs"),
+        /// Attenuation of sunlight by the atmosphere.
+        sky: Sky = choice::<Sky>("vacuum"),
+        /// Reference for which λτ·exp(-λτ) is the probability of an arrival in a TTI.
+        reference: IrradianceReference = choice::<IrradianceReference>("daily-mean"),
+        /// The base station's prior knowledge of the day, in addition to E_B.
+        known: DayKnowledge = choice::<DayKnowledge>("course"),
+    }
+}
+
+/// An arrival in a TTI with the probability λτ·exp(-λτ)·g, where g follows the irradiance in the middle of the TTI.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Diurnal {
+    /// λ and `E_B`.
+    pub arrivals: Arrivals,
+    /// Place and time.
+    pub sun: Sun,
+    /// Whether g is 1 in the daily mean, or with the sun at the zenith.
+    pub reference: IrradianceReference,
+    /// The base station's knowledge.
+    pub known: DayKnowledge,
+    /// The daily mean of irradiance, relative to a sun in the zenith.
+    mean: f64,
+}
+
+impl Diurnal {
+    /// The fields of this kind only.
+    pub const SECTION: &'static Section = Settings::SECTION;
+
+    /// Creates the source of these `arrivals` under `sun`.
+    pub fn new(arrivals: Arrivals, sun: Sun, reference: IrradianceReference, known: DayKnowledge) -> Self {
+        let mean = sun.mean();
+        Self {
+            arrivals,
+            sun,
+            reference,
+            known,
+            mean,
+        }
+    }
+
+    /// Builds the settings in `reader`, for TTIs of duration `tau`.
+    pub(super) fn from_fields(reader: &FieldReader<'_>, tau: f64) -> Result<Self, ScenarioError> {
+        let arrivals = Arrivals::read(reader)?;
+        let Settings {
+            latitude,
+            day_of_year,
+            start_hour,
+            ttis_per_day,
+            sky,
+            reference,
+            known,
+        } = Settings::read(reader)?;
+        let sun = Sun {
+            latitude,
+            day_of_year,
+            start_hour,
+            ttis_per_day,
+            sky,
+        };
+        let made = Self::new(arrivals, sun, reference, known);
+        let dark = format!("the sun does not rise in any TTI of day {day_of_year}");
+        match reference {
+            IrradianceReference::DailyMean if made.mean <= 0.0 => {
+                let allowed = format!(
+                    "must be such that there is daylight, and {dark}, so λ cannot be its daily mean; set another \
+                     harvest.diurnal.day_of_year, or harvest.diurnal.reference = \"zenith\""
+                );
+                return Err(reader.invalid_value("harvest.diurnal.latitude", latitude, allowed));
+            }
+            IrradianceReference::Zenith if made.mean <= 0.0 => reader.warn(format!("nothing is harvested: {dark}")),
+            IrradianceReference::DailyMean | IrradianceReference::Zenith => {}
+        }
+        // No TTI of the day is brighter than noon, so this bounds all of them.
+        let noon = made.zenith(tau) * sun.noon();
+        if noon >= SURE {
+            let allowed = format!(
+                "makes the probability of an arrival in a TTI {noon:.3} at noon, and it has to be below 1; set a \
+                 smaller harvest.lambda, and a larger harvest.e_b for the same harvest"
+            );
+            return Err(reader.invalid_value("harvest.lambda", arrivals.lambda, allowed));
+        }
+        Ok(made)
+    }
+
+    /// Passes every field to `sink`.
+    pub(super) fn visit(&self, sink: &mut dyn FieldSink) {
+        self.arrivals.visit(sink);
+        let Sun {
+            latitude,
+            day_of_year,
+            start_hour,
+            ttis_per_day,
+            sky,
+        } = self.sun;
+        Settings {
+            latitude,
+            day_of_year,
+            start_hour,
+            ttis_per_day,
+            sky,
+            reference: self.reference,
+            known: self.known,
+        }
+        .visit(sink);
+    }
+
+    /// The probability of an arrival with the sun at the zenith; can exceed 1 if λ refers to the daily mean.
+    fn zenith(&self, tau: f64) -> f64 {
+        let p = eq5_probability(self.arrivals.lambda, tau);
+        match self.reference {
+            IrradianceReference::DailyMean => p / self.mean,
+            IrradianceReference::Zenith => p,
+        }
+    }
+
+    /// The setup for TTIs of duration `tau`.
+    pub(super) fn setup(&self, tau: f64) -> DiurnalSetup {
+        let zenith = self.zenith(tau);
+        DiurnalSetup {
+            sun: self.sun,
+            zenith,
+            mean: zenith * self.mean,
+            e_b: self.arrivals.e_b,
+            known: self.known,
+        }
+    }
+}
+
+/// The setup of a diurnal source on a device.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct DiurnalSetup {
+    /// Place and time.
+    pub sun: Sun,
+    /// Probability of an arrival in a TTI for an irradiance of 1, ≥ 0.
+    pub zenith: f64,
+    /// Mean probability of an arrival in a TTI, `[0, 1)`.
+    pub mean: f64,
+    /// Energy E_B of an arrival.
+    pub e_b: Energy,
+    /// The base station's knowledge.
+    pub known: DayKnowledge,
+}
+
+impl DiurnalSetup {
+    /// Whether the setup is valid for a device.
+    pub(super) fn is_valid(&self) -> bool {
+        let Sun {
+            latitude,
+            day_of_year,
+            start_hour,
+            ttis_per_day,
+            sky: _,
+        } = self.sun;
+        let is_a_day = (-90.0..=90.0).contains(&latitude)
+            && (1..=365).contains(&day_of_year)
+            && (0.0..24.0).contains(&start_hour)
+            && (1..=MOST_TTIS).contains(&ttis_per_day);
+        let noon = self.zenith * self.sun.noon();
+        is_a_day && self.zenith >= 0.0 && (0.0..SURE).contains(&noon) && (0.0..1.0).contains(&self.mean)
+    }
+
+    /// The mean harvest per TTI.
+    pub(super) fn mean(&self) -> Energy {
+        expected(self.mean, self.e_b)
+    }
+
+    /// The setup known before a run if only the mean is known: arrivals that are equally likely in all TTIs.
+    pub(super) fn as_known(&self) -> Option<ArrivalsSetup> {
+        match self.known {
+            DayKnowledge::Course => None,
+            DayKnowledge::Mean => Some(ArrivalsSetup {
+                p: self.mean,
+                e_b: self.e_b,
+            }),
+        }
+    }
+
+    /// The expected energy by time of day, if it is known.
+    pub(super) fn course(&self) -> Option<DayProfile> {
+        match self.known {
+            DayKnowledge::Course => Some(DayProfile::new(self.sun.times(self.zenith), self.e_b)),
+            DayKnowledge::Mean => None,
+        }
+    }
+
+    /// Creates the source. Also returns the TTI of its first arrival.
+    pub(super) fn source(&self, shared: &Sources, stream: Stream) -> (DiurnalSource, Tti) {
+        let mut source = DiurnalSource {
+            hazards: shared.hazards(&self.sun, self.zenith),
+            stream,
+            e_b: self.e_b,
+        };
+        let next = source.next_from(Tti::ZERO);
+        (source, next)
+    }
+}
+
+/// The diurnal source of one device.
+#[derive(Clone, Debug)]
+pub(super) struct DiurnalSource {
+    hazards: Arc<CumulativeHazard>,
+    stream: Stream,
+    e_b: Energy,
+}
+
+impl DiurnalSource {
+    /// Returns the arrival in `now` and the TTI of the next one.
+    #[inline]
+    pub(super) fn take(&mut self, now: Tti) -> (Energy, Tti) {
+        (self.e_b, self.next_from(now + 1))
+    }
+
+    fn next_from(&mut self, from: Tti) -> Tti {
+        if self.e_b == Energy::ZERO {
+            return Tti::NEVER;
+        }
+        // An exponential draw of mean 1: the hazard up to the next arrival.
+        self.hazards.passed(from, -libm::log1p(-self.stream.unit()))
+    }
+}
+
+#[cfg(test)]
+mod tests;

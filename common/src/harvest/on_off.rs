@@ -1,0 +1,174 @@
+//! An on/off source.
+
+use serde::{Deserialize, Serialize};
+
+use super::arrivals::Arrivals;
+use super::shared_tables::expected;
+use crate::declare::{FieldReader, FieldSink, Range, ScenarioError, Section, Visit, number};
+use crate::ids::Tti;
+use crate::rng::{Geometric, Stream};
+use crate::units::Energy;
+
+/// Mean off-durations.
+const DURATION: Range = Range::above(0.0, 1e15);
+
+crate::declare! {
+    /// On/off source with exponential durations. It delivers `e_b` in each TTI that begins while it is on.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    struct OffTimeFields in "harvest" only with "harvest.kind" = &["mpp"]; {
+        /// Mean off-duration.
+        off_mean: Option<f64> = number(DURATION, 1.0)
+            .unit("units of model time")
+            .derived("such that the source is on for the share λτ·exp(-λτ) of the time")
+            .source("Eq. (5)"),
+    }
+}
+
+/// An on/off source with exponential durations and energy `E_B` in each TTI that begins while it is on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mpp {
+    /// λ, per unit of model time, > 0: on-durations have the mean 1/λ.
+    pub lambda: f64,
+    /// `E_B`.
+    pub e_b: Energy,
+    /// Mean off-duration in units of model time, > 0. By default the source is on for the share λτ·exp(-λτ) of the
+    /// time, as the paper reads Eq. (5).
+    pub off_mean: f64,
+}
+
+impl Mpp {
+    /// The fields of this kind only.
+    pub const SECTION: &'static Section = OffTimeFields::SECTION;
+
+    /// Builds the settings in `reader`, for TTIs of duration `tau`.
+    pub(super) fn from_fields(reader: &FieldReader<'_>, tau: f64) -> Result<Self, ScenarioError> {
+        let Arrivals { lambda, e_b } = Arrivals::read(reader)?;
+        if lambda == 0.0 {
+            let allowed = "must be greater than 0 for harvest.kind = \"mpp\" (on-durations have the mean 1/lambda)";
+            return Err(reader.invalid_value("harvest.lambda", lambda, allowed));
+        }
+        let off_mean = match OffTimeFields::read(reader)?.off_mean {
+            Some(off_mean) => off_mean,
+            None => default_off_mean(reader, lambda, tau)?,
+        };
+        Ok(Self { lambda, e_b, off_mean })
+    }
+
+    /// Passes every field to `sink`.
+    pub(super) fn visit(&self, sink: &mut dyn FieldSink) {
+        let Self { lambda, e_b, off_mean } = *self;
+        Arrivals { lambda, e_b }.visit(sink);
+        OffTimeFields {
+            off_mean: Some(off_mean),
+        }
+        .visit(sink);
+    }
+
+    /// The setup for TTIs of duration `tau`: the continuous-time chain on → off at rate λ, off → on at rate 1/off_mean,
+    /// sampled every τ.
+    pub(super) fn setup(&self, tau: f64) -> OnOffSetup {
+        let (leave_on, leave_off) = (self.lambda, 1.0 / self.off_mean);
+        let on_share = leave_off / (leave_on + leave_off);
+        // 1 − exp(−x) by `expm1`, which stays precise if τ is short against both means.
+        let forgotten = -libm::expm1(-(leave_on + leave_off) * tau);
+        OnOffSetup {
+            on_share,
+            p_off: (1.0 - on_share) * forgotten,
+            p_on: on_share * forgotten,
+            e_b: self.e_b,
+        }
+    }
+}
+
+/// The mean off-duration of a source with mean on-duration 1/λ that is on for the share λτ·exp(-λτ) of the time.
+fn default_off_mean(reader: &FieldReader<'_>, lambda: f64, tau: f64) -> Result<f64, ScenarioError> {
+    let on_share = lambda * tau * libm::exp(-lambda * tau);
+    // The share is at most 1/e. For a very large λ it underflows to 0; the result is then infinite, which is rejected
+    // below.
+    let off_mean = (1.0 - on_share) / (lambda * on_share);
+    if DURATION.contains(off_mean) {
+        return Ok(off_mean);
+    }
+    let allowed = "is on for so small a share of the time that harvest.off_mean has to be set";
+    Err(reader.invalid_value("harvest.lambda", lambda, allowed))
+}
+
+/// The setup of an on/off source on a device: an arrival in each TTI that begins while it is on.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct OnOffSetup {
+    /// Probability that it is on in TTI 0, `[0, 1]`.
+    pub on_share: f64,
+    /// Probability that it is off one TTI after it was on, `[0, 1]`.
+    pub p_off: f64,
+    /// Probability that it is on one TTI after it was off, `[0, 1]`.
+    pub p_on: f64,
+    /// Energy E_B of an arrival.
+    pub e_b: Energy,
+}
+
+impl OnOffSetup {
+    /// Whether the setup is valid for a device.
+    pub(super) fn is_valid(&self) -> bool {
+        let Self {
+            on_share, p_off, p_on, ..
+        } = *self;
+        [on_share, p_off, p_on].iter().all(|p| (0.0..=1.0).contains(p))
+    }
+
+    /// The mean harvest per TTI.
+    pub(super) fn mean(&self) -> Energy {
+        expected(self.on_share, self.e_b)
+    }
+
+    /// Creates the source. Also returns the TTI of its first arrival.
+    pub(super) fn source(&self, mut stream: Stream) -> (OnOffSource, Tti) {
+        let (on_run, off_run) = (Geometric::new(self.p_off), Geometric::new(self.p_on));
+        let on_now = stream.unit() < self.on_share;
+        let next = if on_now {
+            Tti::ZERO
+        } else {
+            // An off run of n TTIs from TTI 0 on ends before TTI n.
+            Tti(off_run.draw(&mut stream))
+        };
+        let last_on = last_of_run(next, on_run, &mut stream);
+        let source = OnOffSource {
+            on_run,
+            off_run,
+            last_on,
+            stream,
+            e_b: self.e_b,
+        };
+        (source, next)
+    }
+}
+
+/// The on/off source of one device.
+#[derive(Clone, Debug)]
+pub(super) struct OnOffSource {
+    on_run: Geometric,
+    off_run: Geometric,
+    last_on: Tti,
+    stream: Stream,
+    e_b: Energy,
+}
+
+impl OnOffSource {
+    /// Returns the arrival in `now` and the TTI of the next one.
+    #[inline]
+    pub(super) fn take(&mut self, now: Tti) -> (Energy, Tti) {
+        if now < self.last_on {
+            return (self.e_b, now + 1);
+        }
+        // The off run begins at `now` + 1, so its length is counted from there.
+        let next = now
+            .saturating_add(self.off_run.draw(&mut self.stream))
+            .saturating_add(1);
+        self.last_on = last_of_run(next, self.on_run, &mut self.stream);
+        (self.e_b, next)
+    }
+}
+
+/// The last TTI of a run of on-TTIs that starts at `first`.
+fn last_of_run(first: Tti, on_run: Geometric, stream: &mut Stream) -> Tti {
+    first.saturating_add(on_run.draw(stream)).saturating_sub_one()
+}

@@ -1,0 +1,204 @@
+//! The air plane: δ plans, reports and wake-ups, as a deployment would send them over the radio.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use super::Concerns;
+use crate::ids::{DeviceId, Tti};
+use crate::plan::Plan;
+use crate::radio::ChannelState;
+use crate::state::{DeviceState, DeviceView};
+use crate::units::Energy;
+
+/// The largest number of devices listed in one line of text.
+const NAMED: usize = 8;
+
+/// Air, BS → all devices: the δ plan from a TTI on, sent when it changes and for synchronisation.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PlanUpdate {
+    /// The first TTI for which the plan holds.
+    pub from: Tti,
+    /// δ.
+    pub plan: Plan,
+}
+
+impl Concerns for PlanUpdate {
+    fn concerns(&self, _number: Option<u32>, _device: DeviceId) -> bool {
+        true
+    }
+}
+
+impl fmt::Display for PlanUpdate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { from, plan } = self;
+        let (places, form) = match plan {
+            // A plan of bits does not hold N. The spare bits of its last byte are 0 and add no device to the count.
+            Plan::Bits { bits } => (bits.len() * 8, ""),
+            Plan::Periodic(cycles) => (cycles.len(), "periodic, "),
+        };
+        let on = || (0..places as u32).filter(|&j| plan.duty_cycle(DeviceId(j)).is_on(*from));
+        let count = on().count();
+        write!(f, "δ from TTI {from}: {form}")?;
+        match plan {
+            Plan::Bits { .. } => write!(f, "{count} devices sense")?,
+            Plan::Periodic(_) => write!(f, "{count} of {places} devices sense first")?,
+        }
+        for (nth, device) in on().take(NAMED).enumerate() {
+            write!(f, "{} {device}", if nth == 0 { ":" } else { "," })?;
+        }
+        f.write_str(if count > NAMED { " …" } else { "" })
+    }
+}
+
+/// Air, device → BS: the report of a device in S3.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// The device that reports.
+    pub device: DeviceId,
+    /// The TTI of the transmission.
+    pub tti: Tti,
+    /// I_ij = Ψ p(d_ij), 0 beyond d_max (Eq. (1)).
+    pub information: f64,
+    /// The device's battery after the transmission.
+    pub battery: Energy,
+}
+
+/// A device that entered S2 and could not pay E_Tx.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FailedTransmission {
+    /// The device.
+    pub device: DeviceId,
+    /// Energy that was left in its battery and is now lost.
+    pub drained: Energy,
+}
+
+impl Concerns for Report {
+    fn concerns(&self, number: Option<u32>, device: DeviceId) -> bool {
+        number == Some(device.0)
+    }
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "I {:.4}, battery {:.2} left", self.information, self.battery.units())
+    }
+}
+
+/// Air, BS → one device's wake-up radio.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct WakeUp {
+    /// The TTI in which it is sent: the TTI of the reports, or a later one after other wake-ups that take time.
+    pub tti: Tti,
+}
+
+impl Concerns for WakeUp {
+    fn concerns(&self, number: Option<u32>, device: DeviceId) -> bool {
+        number == Some(device.0)
+    }
+}
+
+impl fmt::Display for WakeUp {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("wake-up")
+    }
+}
+
+/// The outcome of a wake-up.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum WakeOutcome {
+    /// S4 → S2 → S3: the device reported.
+    Reported(Report),
+    /// S4 → S2 → S4: the device woke and could not pay E_Tx.
+    Failed(FailedTransmission),
+    /// The device's wake-up radio had no power or missed it, or the device was not asleep.
+    Unheard,
+    /// S4 → S2 → S3: the device reported, and the report was lost on its way to the BS.
+    Lost(Report),
+    /// S4 → S2 → S4: the device woke after the end of the event and detected nothing.
+    Late {
+        /// Energy taken from its battery: E_idle, or the rest of its charge.
+        spent: Energy,
+        /// Whether it paid E_idle in full, so that its wake-up radio still has power.
+        powered: bool,
+    },
+}
+
+impl fmt::Display for WakeOutcome {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Reported(report) => write!(f, "reported: {report}"),
+            Self::Failed(failure) => write!(
+                f,
+                "woke and cannot pay for a report; {:.2} are lost",
+                failure.drained.units()
+            ),
+            Self::Unheard => f.write_str("did not hear it"),
+            Self::Lost(report) => write!(f, "reported, and that was lost: {report}"),
+            Self::Late { spent, .. } => write!(f, "woke when the event was over, for {:.2}", spent.units()),
+        }
+    }
+}
+
+impl WakeOutcome {
+    /// Returns the outcome after the air has delivered or lost the device's report, if it sent one.
+    #[must_use]
+    pub fn after_uplink(self, air: &ChannelState) -> Self {
+        match self {
+            // The draw is keyed by device and TTI, so the BS and an observer find the same loss without a message.
+            Self::Reported(report) if air.loses_report(report.device) => Self::Lost(report),
+            Self::Reported(_) | Self::Failed(_) | Self::Unheard | Self::Lost(_) | Self::Late { .. } => self,
+        }
+    }
+
+    /// Applies the outcome to `view`, which dates from before the wake-up.
+    #[must_use]
+    pub const fn apply(&self, view: DeviceView) -> DeviceView {
+        match self {
+            Self::Reported(report) | Self::Lost(report) => DeviceView {
+                state: DeviceState::Transmission,
+                battery: report.battery,
+            },
+            Self::Failed(_) => DeviceView {
+                state: DeviceState::Sleep { powered: false },
+                battery: Energy::ZERO,
+            },
+            Self::Late { spent, powered } => DeviceView {
+                state: DeviceState::Sleep { powered: *powered },
+                // View and outcome come from a host and may contradict each other, so a plain subtraction could panic.
+                battery: view.battery.saturating_sub(*spent),
+            },
+            Self::Unheard => view,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::DutyCycle;
+
+    #[test]
+    fn a_plan_says_who_senses() {
+        let line = |plan| PlanUpdate { from: Tti(5), plan }.to_string();
+        let chosen =
+            |devices: &[u32]| Plan::from_devices(50, &devices.iter().copied().map(DeviceId).collect::<Vec<_>>());
+        assert_eq!(line(chosen(&[])), "δ from TTI 5: 0 devices sense");
+        assert_eq!(line(chosen(&[3, 7, 49])), "δ from TTI 5: 3 devices sense: 3, 7, 49");
+        let many: Vec<u32> = (0..20).map(|j| 2 * j).collect();
+        assert_eq!(
+            line(chosen(&many)),
+            "δ from TTI 5: 20 devices sense: 0, 2, 4, 6, 8, 10, 12, 14 …"
+        );
+        let impossible = DutyCycle {
+            t_on: 1,
+            t_drx: 0,
+            offset: 0,
+        };
+        let cycles = vec![DutyCycle::SENSING, DutyCycle::ASLEEP, impossible];
+        assert_eq!(
+            line(Plan::Periodic(cycles)),
+            "δ from TTI 5: periodic, 1 of 3 devices sense first: 0"
+        );
+    }
+}

@@ -1,0 +1,330 @@
+//! The emulation plane between base station and hosts: joining, grants and answers.
+
+use std::fmt;
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use super::{Concerns, FailedTransmission, WakeOutcome};
+use crate::energy::EnergyModel;
+use crate::event::Stimulus;
+use crate::geometry::Point;
+use crate::harvest::HarvestSetup;
+use crate::ids::{DeviceId, HostId, Tti};
+use crate::radio::RadioSettings;
+use crate::secret::{HostCredential, Secret};
+use crate::sensing::Sensing;
+use crate::state::DeviceView;
+use crate::totals::{DeviceTotals, Ledger};
+use crate::units::Energy;
+
+/// Emulation, host → BS, a query: a request for an assignment.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct JoinRequest {
+    /// The host's version of Reveille.
+    pub version: String,
+    /// Number of devices that the host offers to run, ≥ 1.
+    pub count: u32,
+    /// A random number drawn by this host process: a repeated request gets the same assignment.
+    pub nonce: u64,
+    /// The host's own name, for messages to the operator. The BS does not rely on it.
+    pub name: String,
+}
+
+/// Emulation, BS → host: the reply to a [`JoinRequest`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum JoinReply {
+    /// The host's assignment.
+    Welcome(Box<HostSetup>),
+    /// No devices are free now; the host may ask again. Holds the reason.
+    Later(String),
+    /// The BS refuses the host, for this reason.
+    Refused(String),
+}
+
+impl Concerns for JoinRequest {}
+
+impl fmt::Display for JoinRequest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { version, count, .. } = self;
+        write!(f, "{:?} offers to carry {count} devices, reveille {version}", self.name)
+    }
+}
+
+/// A host's credential and the run's secret, which the BS sends only to members of the run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BusCredentials {
+    /// The host's number and token.
+    pub pass: HostCredential,
+    /// The secret part at the start of every member's keys.
+    pub secret: Secret,
+}
+
+/// The saved state of a device during a run, as its state machine encodes it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct DeviceCheckpoint(pub Vec<u8>);
+
+/// A point between two grants at which a run can be resumed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ResumePoint {
+    /// The first TTI that has not been granted.
+    pub next: Tti,
+    /// The first TTI of the current plan; `None` before the first plan.
+    pub plan_from: Option<Tti>,
+}
+
+/// Saved states of devices during a run, for a host to resume.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct HostCheckpoint {
+    /// The point that the devices have reached.
+    pub at: ResumePoint,
+    /// The devices, in the order of ids.
+    pub devices: Vec<DeviceCheckpoint>,
+}
+
+impl HostCheckpoint {
+    /// Returns the checkpoint of `count` devices from position `first`.
+    #[must_use]
+    pub fn part(&self, first: usize, count: usize) -> Self {
+        Self {
+            at: self.at,
+            devices: self.devices[first..][..count].to_vec(),
+        }
+    }
+}
+
+/// The complete setup of a host for its devices.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct HostSetup {
+    /// The host's identity on the bus.
+    pub membership: BusCredentials,
+    /// The progress of its devices; `None` if they start before TTI 0.
+    pub resumption: Option<HostCheckpoint>,
+    /// Seed of the run's streams.
+    pub seed: u64,
+    /// Length K of the run in TTIs.
+    pub ttis: u64,
+    /// The first measured TTI; earlier ones are warm-up.
+    pub measured_from: Tti,
+    /// The sensing model.
+    pub sensing: Sensing,
+    /// The failures of the radio.
+    pub radio: RadioSettings,
+    /// Its devices, with consecutive ids.
+    pub devices: Vec<DeviceSetup>,
+    /// Recorded energy per TTI, one row per trace; the devices' sources refer to the rows.
+    pub traces: Vec<Arc<Vec<Energy>>>,
+}
+
+impl HostSetup {
+    /// Checks every value that could make a device panic.
+    ///
+    /// # Errors
+    /// If a value is invalid; describes the first such value.
+    pub fn validate(&self) -> Result<(), String> {
+        let Some(first) = self.devices.first() else {
+            return Err("it names no device".to_owned());
+        };
+        // A probability outside [0, 1] would panic in `Geometric::new`.
+        if !self.radio.is_valid() {
+            return Err("it has an impossible radio".to_owned());
+        }
+        for (setup, expected) in self.devices.iter().zip(first.id.0..) {
+            let device = setup.id;
+            // A host finds a device by its offset from the first id, so ids have to be consecutive.
+            if device.0 != expected {
+                return Err(format!("device {device} is in the place of device {expected}"));
+            }
+            // `Battery::new` would panic.
+            if setup.energy.initial > setup.energy.e_max {
+                return Err(format!("device {device} starts with more than its battery holds"));
+            }
+            // An unknown trace or an impossible probability would panic in `HarvestSource::new`.
+            if !setup.harvest.is_valid(&self.traces) {
+                return Err(format!("device {device} has an impossible energy source"));
+            }
+        }
+        // The host zips devices with checkpoints, which would silently drop the rest of the longer list.
+        if self
+            .resumption
+            .as_ref()
+            .is_some_and(|r| r.devices.len() != self.devices.len())
+        {
+            return Err("it has more or fewer checkpoints than devices".to_owned());
+        }
+        Ok(())
+    }
+}
+
+/// The setup of one device at the start of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct DeviceSetup {
+    /// Its number.
+    pub id: DeviceId,
+    /// Its position.
+    pub position: Point,
+    /// Battery and costs.
+    pub energy: EnergyModel,
+    /// Its energy source.
+    pub harvest: HarvestSetup,
+}
+
+/// Emulation, host → BS, a query: the host has all subscriptions and waits for the first TTI. The reply tells whether
+/// its assignment is still valid.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Ready {
+    /// The host.
+    pub host: HostId,
+}
+
+impl Concerns for Ready {}
+
+impl fmt::Display for Ready {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "host {} is ready", self.host)
+    }
+}
+
+/// The grant of one or more TTIs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct GrantMessage {
+    /// First granted TTI.
+    pub first: Tti,
+    /// Last granted TTI. Only in this TTI can devices have anything to report.
+    pub last: Tti,
+    /// The stimulus that devices can sense in `last`.
+    pub stimulus: Option<Stimulus>,
+    /// The last TTI of that stimulus. A device that wakes later senses nothing.
+    pub until: Tti,
+    /// Whether the answer contains the sums of the TTIs before `first`.
+    pub account: bool,
+    /// Whether the answer contains the states and batteries after `last`.
+    pub views: bool,
+    /// The first TTI of the plan that applies in `last`. A host that missed that plan does not answer, and receives it
+    /// again.
+    pub plan: Tti,
+    /// Number of plans that take effect within the grant. A host that lacks one of them does not answer either.
+    pub plans: u32,
+}
+
+/// Emulation, BS → all hosts: the messages of the virtual clock.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum ClockMessage {
+    /// TTIs are granted.
+    Grant(GrantMessage),
+    /// The run has ended before this TTI: hosts answer with their devices' ledgers and leave.
+    Finish(Tti),
+    /// The BS has received everything: hosts leave.
+    Dismiss,
+    /// The run has failed, for the reason given: hosts leave.
+    Fail(String),
+}
+
+impl Concerns for ClockMessage {}
+
+impl fmt::Display for ClockMessage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Grant(tick) => tick.fmt(f),
+            Self::Finish(end) => write!(f, "the run ends before TTI {end}"),
+            Self::Dismiss => f.write_str("hosts may leave"),
+            Self::Fail(why) => write!(f, "the run has failed: {why}"),
+        }
+    }
+}
+
+impl fmt::Display for GrantMessage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            first,
+            last,
+            stimulus,
+            until: _,
+            account,
+            views,
+            plan: _,
+            plans: _,
+        } = self;
+        if first == last {
+            write!(f, "TTI {first}")?;
+        } else {
+            write!(f, "TTIs {first} to {last}")?;
+        }
+        if let Some(stimulus) = stimulus {
+            write!(f, ", {stimulus}")?;
+        }
+        f.write_str(if *account { ", sums wanted" } else { "" })?;
+        f.write_str(if *views { ", states and batteries wanted" } else { "" })
+    }
+}
+
+/// Emulation, host → BS: the answer to a [`ClockMessage`] or to a wake-up.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum HostAnswer {
+    /// A host's devices have completed all TTIs up to `tti`.
+    Done {
+        /// The host.
+        host: HostId,
+        /// The last TTI of the grant.
+        tti: Tti,
+        /// Number of reports that its devices sent on the air plane in this TTI.
+        reports: u32,
+        /// Devices that detected the event and could not transmit.
+        failures: Vec<FailedTransmission>,
+        /// Sums over the host's devices, if the grant asked for them.
+        totals: Option<DeviceTotals>,
+        /// States and batteries of its devices, in the order of ids, if the grant asked for them. Observers see both.
+        /// A policy with `bs.battery_knowledge = "oracle"` receives the batteries, which no real BS knows.
+        views: Option<Vec<DeviceView>>,
+    },
+    /// A wake-up without a report.
+    NotWoken {
+        /// The device.
+        device: DeviceId,
+        /// The TTI.
+        tti: Tti,
+        /// The outcome.
+        outcome: WakeOutcome,
+    },
+    /// The ledgers of a host's devices at the end of the run.
+    Final {
+        /// The host.
+        host: HostId,
+        /// The ledger of each device.
+        ledgers: Vec<(DeviceId, Ledger)>,
+    },
+}
+
+impl Concerns for HostAnswer {
+    fn concerns(&self, _number: Option<u32>, device: DeviceId) -> bool {
+        match self {
+            Self::NotWoken { device: who, .. } => *who == device,
+            Self::Done { failures, .. } => failures.iter().any(|failure| failure.device == device),
+            Self::Final { ledgers, .. } => ledgers.iter().any(|(who, _)| *who == device),
+        }
+    }
+}
+
+impl fmt::Display for HostAnswer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Done {
+                reports,
+                failures,
+                totals,
+                ..
+            } => {
+                write!(f, "done, {reports} reports")?;
+                for failure in failures {
+                    write!(f, ", device {} could not transmit", failure.device)?;
+                }
+                totals
+                    .as_ref()
+                    .map_or(Ok(()), |sums| write!(f, ", batteries hold {}", sums.battery))
+            }
+            Self::NotWoken { device, outcome, .. } => write!(f, "device {device} {outcome}"),
+            Self::Final { ledgers, .. } => write!(f, "the ledgers of {} devices", ledgers.len()),
+        }
+    }
+}

@@ -1,0 +1,107 @@
+//! Copies of messages for observers, and their queries about a run.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use super::{Address, Addressee, Concerns, Message, MessageKind, Payload};
+use crate::codec::{self, CodecError};
+use crate::ids::{DeviceId, Tti};
+
+/// A copy of one message, as `reveille inspect` shows it, a recording stores it and the bus's tap carries it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Frame {
+    /// The current TTI of the BS.
+    pub tti: Tti,
+    /// The kind of the message.
+    pub kind: MessageKind,
+    /// The number of a device or a host at the end of its key, if the kind has one.
+    pub number: Option<u32>,
+    /// The payload as sent.
+    pub payload: Vec<u8>,
+}
+
+impl Frame {
+    /// Copies `message`, from or to `address`, in TTI `tti`.
+    pub fn of<P: Payload>(tti: Tti, address: P::Address, message: &P) -> Self {
+        Self {
+            tti,
+            kind: P::KIND,
+            number: address.number(),
+            payload: codec::encode(message),
+        }
+    }
+
+    /// Returns the device that sent or received the message; `None` if the key names a host or has no number.
+    pub fn device(&self) -> Option<DeviceId> {
+        let is_own = self.kind.addressee() == Addressee::Device;
+        self.number.filter(|_| is_own).map(DeviceId)
+    }
+
+    /// Decodes the message.
+    ///
+    /// # Errors
+    /// If the payload has another version or is not exactly one message of its kind, as from a foreign sender.
+    pub fn message(&self) -> Result<Message, CodecError> {
+        Message::decode(self.kind, &self.payload)
+    }
+}
+
+/// Emulation, BS → observers: copies of messages, in the order of sending and receiving.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TapBatch {
+    /// The number of the first frame, counted from the start of the run. A gap to the previous batch shows dropped
+    /// frames.
+    pub first: u64,
+    /// The frames.
+    pub frames: Vec<Frame>,
+}
+
+/// Emulation, observer → BS, a query: the scenario of the run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DescribeRequest;
+
+impl Concerns for DescribeRequest {}
+
+impl fmt::Display for DescribeRequest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("asks for the scenario")
+    }
+}
+
+/// Emulation, BS → observer: the reply to [`DescribeRequest`].
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Description {
+    /// The text of the scenario file.
+    pub scenario: String,
+    /// The files that it names: path relative to the scenario file, and bytes.
+    pub files: Vec<(String, Vec<u8>)>,
+}
+
+/// Emulation, observer → BS, a query: a part of the run's input log. The log grows during the run and can be longer
+/// than the maximum length of a message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ReadLog {
+    /// The first byte to read, counted from 0.
+    pub from: u64,
+}
+
+impl Concerns for ReadLog {}
+
+impl fmt::Display for ReadLog {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "asks for the log of inputs from byte {} on", self.from)
+    }
+}
+
+/// Emulation, BS → observer: the reply to [`ReadLog`].
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LogPart {
+    /// Up to [`LogPart::LONGEST`] bytes of the log, or one longer line. Empty at the end of the log or without one.
+    pub bytes: Vec<u8>,
+}
+
+impl LogPart {
+    /// Length in bytes of every part except the last.
+    pub const LONGEST: u64 = 4 << 20;
+}

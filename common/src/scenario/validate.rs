@@ -1,0 +1,152 @@
+//! Validation: turns the merged layers into a [`Scenario`] on which all parts of a run rely.
+
+use std::cell::RefCell;
+use std::collections::BTreeSet;
+
+use super::class_assignment::try_assign;
+use super::class_members::Members;
+use super::classes::{DeviceClass, check_shares};
+use super::model::{Loaded, Scenario};
+use super::policy::{Policies, PolicyChoice, PolicyKind};
+use super::run::{BsSettings, PolicyName, RunSettings};
+use crate::declare::{Declaration, FieldReader, FileContext, Merged, ScenarioError};
+use crate::event::DurationKind;
+use crate::event::event_settings::EventSettings;
+use crate::geometry::{Area, Layout};
+use crate::radio::RadioSettings;
+use crate::sensing::Sensing;
+
+/// Builds the scenario that `merged` describes, with its warnings; `preset` names the preset from which it started.
+pub(super) fn validate<K: PolicyKind>(
+    preset: &str,
+    declaration: &Declaration,
+    merged: &Merged<'_>,
+    policies: Policies<'_, K>,
+    ground: FileContext<'_>,
+) -> Result<Loaded<PolicyChoice<K>>, ScenarioError> {
+    let warnings = RefCell::new(Vec::new());
+    let reader = &FieldReader::new(declaration, merged, ground, &warnings);
+    reader.reject_unused_fields()?;
+    let run = RunSettings {
+        preset: preset.to_owned(),
+        ..RunSettings::read(reader)?
+    };
+    let area = Area::read(reader)?;
+    let sensing = Sensing::from_fields(reader, area)?;
+    let events = EventSettings::from_fields(reader)?;
+    let radio = RadioSettings::from_fields(reader)?;
+    let bs = BsSettings::read(reader)?;
+    let (mut classes, are_told) = DeviceClass::settle_all(reader, run.tau, area)?;
+    let has_classes = !reader.items().is_empty();
+    let names: Vec<&str> = classes
+        .iter()
+        .filter(|_| has_classes)
+        .map(|class| class.name.as_str())
+        .collect();
+    let layout = Layout::from_fields(reader, area, run.devices, &names)?;
+    check_shares(reader, &mut classes, &are_told, layout.classes().is_some())?;
+    let name = PolicyName::read(reader)?.name;
+    let Some(&kind) = policies.iter().find(|policy| policy.name() == name) else {
+        return Err(reader.invalid_value("policy.name", name, "must be the name of a policy"));
+    };
+    let mut scenario = Scenario {
+        run,
+        area,
+        layout,
+        classes,
+        sensing,
+        events,
+        radio,
+        bs,
+        // The policy's settings depend on the site, which needs the rest of the scenario.
+        policy: (),
+    };
+    // Before the policy, whose site holds the share of each class.
+    settle_members(reader, &mut scenario)?;
+    let policy = PolicyChoice::new(
+        kind,
+        kind.read_settings(&reader.of_policy(kind.name()), &scenario.site())?,
+    );
+    let scenario = scenario.with_policy(policy);
+    bounded(reader, &scenario)?;
+    let mut warnings = warnings.take();
+    warnings.extend(over_before_a_look(&scenario));
+    Ok(Loaded { scenario, warnings })
+}
+
+/// Determines the number of devices in each class.
+fn settle_members(reader: &FieldReader<'_>, scenario: &mut Scenario<()>) -> Result<(), ScenarioError> {
+    let n = scenario.run.devices;
+    let mut is_named = BTreeSet::new();
+    for (item, class) in reader.items().into_iter().zip(&scenario.classes) {
+        let Members::Devices(devices) = &class.members else {
+            continue;
+        };
+        let item = item.with_name(&class.name);
+        if let Some(j) = devices.iter().find(|&&j| j >= n) {
+            return Err(item.invalid_value("class.devices", j, format!("must be below {n}, the number of devices")));
+        }
+        if let Some(j) = devices.iter().find(|&&j| !is_named.insert(j)) {
+            return Err(item.invalid_value("class.devices", j, "is named already: a device is of one class"));
+        }
+    }
+    let is_by_share = |class: &DeviceClass| matches!(class.members, Members::Share(_));
+    if scenario.classes.iter().all(is_by_share) {
+        let share = |class: &mut DeviceClass| {
+            if let Members::Share(share) = class.members {
+                class.share = share;
+            }
+        };
+        scenario.classes.iter_mut().for_each(share);
+        return Ok(());
+    }
+    let assigned = try_assign(scenario).map_err(|j| {
+        let allowed = format!("device {j} is of none of them; give one of them a share, of the devices that are left");
+        reader.invalid_value("class", format!("{} classes", scenario.classes.len()), allowed)
+    })?;
+    let by_layout = scenario.layout.classes().is_some();
+    for (index, class) in scenario.classes.iter_mut().enumerate() {
+        let devices = assigned.iter().filter(|&&of| usize::from(of) == index).count();
+        class.share = devices as f64 / assigned.len() as f64;
+        if devices == 0 {
+            let of = if by_layout { " of layout.file" } else { "" };
+            reader.warn(format!("no device{of} is of the class `{}`", class.name));
+        }
+    }
+    Ok(())
+}
+
+/// Returns a warning if events can end before the policy looks for them. The policy does not know their duration.
+fn over_before_a_look<K: PolicyKind>(scenario: &Scenario<PolicyChoice<K>>) -> Option<String> {
+    let (path, budget) = scenario.policy.delay_budget()?;
+    let share = 100.0 * scenario.events.missed_share(budget);
+    let lasts = match scenario.events.duration {
+        1 => "1 TTI".to_owned(),
+        several => format!("{several} TTIs"),
+    };
+    (share >= 1.0).then(|| {
+        format!(
+            "{path} = {budget} lets {budget} TTIs pass between two looks at a place, and events last {lasts}{}: up to \
+             {share:.0} % of them can be over before a device looks, and are missed",
+            match scenario.events.duration_kind {
+                DurationKind::Fixed => "",
+                DurationKind::Geometric => " in the mean",
+            }
+        )
+    })
+}
+
+/// Checks that energy sums over all devices and TTIs fit in 64 bits, also in the pilot runs of the policy.
+fn bounded<K: PolicyKind>(reader: &FieldReader<'_>, scenario: &Scenario<PolicyChoice<K>>) -> Result<(), ScenarioError> {
+    let most = scenario.longest();
+    let lengths = std::iter::once(("ttis", scenario.run.ttis)).chain(scenario.policy.pilot_ttis());
+    let Some((path, ttis)) = lengths.into_iter().find(|(_, ttis)| *ttis > most) else {
+        return Ok(());
+    };
+    let allowed = format!(
+        "must be at most {most} with {} devices that hold or harvest up to {}, or sums of energy overflow",
+        scenario.run.devices,
+        scenario.largest_energy()
+    );
+    Err(reader.invalid_value(path, ttis, allowed))
+}

@@ -1,0 +1,56 @@
+//! Sums over windows of TTIs, for the per-window series of a run.
+
+use crate::deployment::Deployment;
+use crate::ids::Tti;
+use crate::totals::{DeviceTotals, EventTotals};
+use crate::units::Energy;
+
+/// One row of the per-window series: the sums of the TTIs `first .. end`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WindowRecord {
+    /// First TTI.
+    pub first: Tti,
+    /// The TTI after the last.
+    pub end: Tti,
+    /// The energy totals of all devices.
+    pub energy: DeviceTotals,
+    /// Counted events that ended in the window.
+    pub events: EventTotals,
+}
+
+/// An accumulator that turns running sums into window records.
+#[derive(Clone, Debug, Default)]
+pub struct WindowAccumulator {
+    first: Tti,
+    energy: DeviceTotals,
+    events: EventTotals,
+}
+
+impl WindowAccumulator {
+    /// Starts from the devices' initial batteries.
+    pub fn new(deployment: &Deployment) -> Self {
+        let initial: Energy = deployment.devices.iter().map(|d| d.energy.initial).sum();
+        // The battery is set too: subtraction takes it as the initial level of the first window.
+        let energy = DeviceTotals {
+            initial,
+            battery: initial,
+            ..DeviceTotals::default()
+        };
+        Self {
+            energy,
+            ..Self::default()
+        }
+    }
+
+    /// Closes a window at `k` with the sums over all devices and counted events; all TTIs before `k` have ended.
+    pub fn close_window(&mut self, k: Tti, energy: DeviceTotals, events: EventTotals) -> WindowRecord {
+        let record = WindowRecord {
+            first: self.first,
+            end: k,
+            energy: energy - self.energy,
+            events: events - self.events,
+        };
+        (self.first, self.energy, self.events) = (k, energy, events);
+        record
+    }
+}

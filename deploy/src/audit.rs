@@ -1,0 +1,395 @@
+//! The replay of a run over the bus: it supplies the devices of lost hosts and audits the run.
+//!
+//! The base station's loop passes its frames on at the start of each grant, so that the replay never passes a TTI that
+//! a takeover may repeat. A separate thread advances the replay. Under [`AuditArg::Auto`] it uses at most a twentieth
+//! of the time and can lag behind; the rest is audited at the end only if that is quick.
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use reveille_bs::cycle::{Outcome, PreparedRun};
+use reveille_bs::observer::{Notification, Observer};
+use reveille_bs::policy::external::RecordedDecision;
+use reveille_bs::server::{ReplaySource, RunProgress};
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::{DeviceCheckpoint, DeviceRemoval, Frame};
+use reveille_common::totals::Ledger;
+use reveille_common::units::Energy;
+use reveille_lab::external_inputs::{ExternalInput, ExternalInputs};
+use reveille_lab::replay::{DigestFrames, Divergence, Replay};
+
+use crate::cli::AuditArg;
+use crate::input_log::InputLog;
+use crate::runtime::now;
+
+/// The default share of the time for an audit.
+const SHARE: f64 = 0.05;
+/// Additional time for an audit at the end of the run.
+const SHORT: Duration = Duration::from_secs(2);
+/// TTIs per replay step, which bounds how long the run waits for the lock.
+const STEP: u64 = 4096;
+/// Most frames that may wait for the replay.
+const QUEUE: u64 = 1 << 18;
+/// Pause between two checks of a replay that has used up its share.
+const REST: Duration = Duration::from_millis(20);
+
+/// The outcome of an audit.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum AuditOutcome {
+    /// No audit was requested.
+    Off,
+    /// The whole run equals its replay.
+    Whole,
+    /// The TTIs before this one equal the replay; the rest would have cost too much.
+    Before(Tti),
+}
+
+impl std::fmt::Display for AuditOutcome {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Off => f.write_str("off"),
+            Self::Whole => f.write_str("whole"),
+            Self::Before(tti) => write!(f, "before TTI {tti}"),
+        }
+    }
+}
+
+/// The frames of the TTIs before the given one.
+type Batch = (Tti, Vec<Frame>);
+
+/// A shared handle to the replay.
+#[derive(Clone)]
+pub(crate) struct SharedReplay {
+    shadow: Arc<Mutex<Replay>>,
+    log: Arc<Mutex<InputLog>>,
+    /// Decisions not yet added to the replay, so that the run does not wait for its lock.
+    decided: Arc<Mutex<Vec<RecordedDecision>>>,
+}
+
+impl SharedReplay {
+    /// Locks the replay and adds all pending decisions.
+    fn lock(&self) -> MutexGuard<'_, Replay> {
+        let mut shadow = self.shadow.lock().unwrap_or_else(PoisonError::into_inner);
+        // Taken under the replay's lock, so that decisions keep their order.
+        let decided = std::mem::take(&mut *self.decided.lock().unwrap_or_else(PoisonError::into_inner));
+        for decision in decided {
+            shadow.add_input(ExternalInput::Decision(decision));
+        }
+        shadow
+    }
+
+    fn log(&self, input: &ExternalInput) -> Result<(), String> {
+        let mut log = self.log.lock().unwrap_or_else(PoisonError::into_inner);
+        log.add(input).map_err(|error| format!("{error:#}"))
+    }
+}
+
+impl ReplaySource for SharedReplay {
+    fn devices(&self, k: Tti, first: DeviceId, count: u32) -> Result<Vec<DeviceCheckpoint>, String> {
+        Ok(self.lock().devices(k, first, count))
+    }
+
+    fn outcome(&self, k: Tti) -> Result<Outcome, String> {
+        Ok(self.lock().outcome(k))
+    }
+
+    fn ledgers(&self, k: Tti, first: DeviceId, count: u32) -> Result<Vec<Ledger>, String> {
+        Ok(self.lock().ledgers(k, first, count))
+    }
+
+    fn lose(&self, outage: &DeviceRemoval) -> Result<(), String> {
+        let input = ExternalInput::Outage(*outage);
+        // Logged before it takes effect: a killed run must find it in the log.
+        self.log(&input)?;
+        self.lock().add_input(input);
+        Ok(())
+    }
+
+    fn decided(&self, decision: RecordedDecision) -> Result<(), String> {
+        let input = ExternalInput::Decision(decision);
+        // Logged before it takes effect: a killed run must find it in the log.
+        self.log(&input)?;
+        if let ExternalInput::Decision(decision) = input {
+            self.decided
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .push(decision);
+        }
+        Ok(())
+    }
+}
+
+/// The start of a run over the bus.
+pub(crate) struct AuditStart<'a> {
+    /// The first TTI over the bus.
+    pub from: Tti,
+    /// The external inputs before it.
+    pub inputs: &'a ExternalInputs,
+    /// The log for later inputs.
+    pub log: InputLog,
+}
+
+/// The replay of a run and its audit.
+pub(crate) struct Auditor {
+    shadow: SharedReplay,
+    sender: Option<Sender<Batch>>,
+    thread: Option<JoinHandle<Result<(), Divergence>>>,
+    flow: Arc<AuditBacklog>,
+}
+
+/// State shared by the run's loop and the audit thread.
+#[derive(Default)]
+struct AuditBacklog {
+    /// Frames in the queue.
+    waiting: AtomicU64,
+    /// Working time of the replay, microseconds.
+    busy: AtomicU64,
+    /// End of the run.
+    over: OnceLock<Instant>,
+    /// Whether the audit was abandoned because the queue was too long.
+    is_given_up: AtomicBool,
+}
+
+impl Auditor {
+    /// Starts the replay of the `prepared` run, which enters the bus at `start`. A divergence stops the run of
+    /// `progress`.
+    pub(crate) fn start(
+        prepared: &PreparedRun,
+        start: AuditStart<'_>,
+        how: AuditArg,
+        progress: &Arc<RunProgress>,
+    ) -> Self {
+        let is_audited = how != AuditArg::Off;
+        // Without an audit the replay compares nothing, but still supplies lost devices.
+        let from = if is_audited { start.from } else { Tti::NEVER };
+        let shadow = SharedReplay {
+            shadow: Arc::new(Mutex::new(Replay::new(prepared, start.inputs, from))),
+            log: Arc::new(Mutex::new(start.log)),
+            decided: Arc::default(),
+        };
+        let flow = Arc::new(AuditBacklog::default());
+        let begun = now();
+        let (sender, thread) = if is_audited {
+            let (sender, batches) = channel();
+            let follower = Follower {
+                shadow: shadow.clone(),
+                how,
+                begun,
+                flow: Arc::clone(&flow),
+                progress: Arc::clone(progress),
+            };
+            (
+                Some(sender),
+                Some(std::thread::spawn(move || follower.follow(&batches))),
+            )
+        } else {
+            (None, None)
+        };
+        Self {
+            shadow,
+            sender,
+            thread,
+            flow,
+        }
+    }
+
+    /// The source of devices and outcomes for a takeover.
+    pub(crate) fn replay(&self) -> Arc<dyn ReplaySource> {
+        Arc::new(self.shadow.clone())
+    }
+
+    /// Returns an observer that feeds the replay.
+    pub(crate) fn observer(&self) -> AuditObserver {
+        AuditObserver {
+            noting: DigestFrames::default(),
+            frames: Vec::new(),
+            sender: self.sender.clone(),
+            flow: Arc::clone(&self.flow),
+            closed: None,
+            told: Tti::ZERO,
+        }
+    }
+
+    /// Compares the outcome of the run and returns how much of the run was audited.
+    ///
+    /// # Errors
+    /// The first divergence of the run from its replay.
+    pub(crate) fn finish(mut self, outcome: &Outcome) -> Result<AuditOutcome, Divergence> {
+        // The follower ends when no sender is left; the observer has been dropped before.
+        self.sender = None;
+        // Set before the join, since it bounds how long the follower rests.
+        let _ended_before = self.flow.over.set(now()).is_err();
+        let Some(thread) = self.thread.take() else {
+            return Ok(AuditOutcome::Off);
+        };
+        match thread.join() {
+            Ok(followed) => followed?,
+            // A panic of the replay is a bug in Reveille, not a divergence.
+            Err(panic) => std::panic::resume_unwind(panic),
+        }
+        let mut shadow = self.shadow.lock();
+        if self.flow.is_given_up.load(Ordering::Relaxed) {
+            return Ok(AuditOutcome::Before(shadow.compared()));
+        }
+        shadow.compare_outcome(outcome)?;
+        Ok(AuditOutcome::Whole)
+    }
+}
+
+/// The host that owns the diverging device, as the end of a sentence; empty if unknown.
+pub(crate) fn device_owner(progress: &RunProgress, difference: &Divergence) -> String {
+    let host = difference.device.and_then(|device| progress.owner_of(device));
+    host.map_or_else(String::new, |host| format!(". {host} carries that device"))
+}
+
+/// The thread that advances the replay.
+struct Follower {
+    shadow: SharedReplay,
+    how: AuditArg,
+    begun: Instant,
+    flow: Arc<AuditBacklog>,
+    progress: Arc<RunProgress>,
+}
+
+impl Follower {
+    fn follow(self, batches: &Receiver<Batch>) -> Result<(), Divergence> {
+        for (k, frames) in batches {
+            self.flow.waiting.fetch_sub(frames.len() as u64, Ordering::Relaxed);
+            if self.flow.is_given_up.load(Ordering::Relaxed) {
+                // The batches are still received, or the channel would grow without bound.
+                self.shadow.lock().stop_comparing();
+                continue;
+            }
+            if let Err(difference) = self.compare(k, &frames) {
+                let why = format!(
+                    "the run is not what it should be. {difference}{}",
+                    device_owner(&self.progress, &difference)
+                );
+                // Only the first cause counts. It is set before `stop`, at which the run looks for it.
+                let _told_before = self.progress.cause.set(why).is_err();
+                self.progress.stop.store(true, Ordering::Relaxed);
+                return Err(difference);
+            }
+        }
+        if self.flow.is_given_up.load(Ordering::Relaxed) {
+            // The replay still supplies lost devices, but must not keep frames that nothing compares.
+            self.shadow.lock().stop_comparing();
+        }
+        Ok(())
+    }
+
+    fn compare(&self, k: Tti, frames: &[Frame]) -> Result<(), Divergence> {
+        loop {
+            if !self.may_go_on() {
+                self.flow.is_given_up.store(true, Ordering::Relaxed);
+                return Ok(());
+            }
+            let started = now();
+            // Locked for one step only: the run can ask for lost devices between two steps.
+            let mut shadow = self.shadow.lock();
+            let next = shadow.next_tti();
+            let to = k.min(next + STEP);
+            let is_last = to == k || next >= k;
+            let compared = if is_last {
+                shadow.compare(k, frames)
+            } else {
+                // Only advances the replay; the frames are compared in the last step.
+                shadow.compare(to, &[])
+            };
+            drop(shadow);
+            let took = started.elapsed().as_micros() as u64;
+            self.flow.busy.fetch_add(took, Ordering::Relaxed);
+            compared?;
+            if is_last || self.flow.is_given_up.load(Ordering::Relaxed) {
+                return Ok(());
+            }
+        }
+    }
+
+    /// Waits while the replay has used up its share. Returns false if the audit can no longer finish in time.
+    fn may_go_on(&self) -> bool {
+        loop {
+            let elapsed = self.begun.elapsed().as_secs_f64();
+            let busy = Duration::from_micros(self.flow.busy.load(Ordering::Relaxed)).as_secs_f64();
+            if self.how == AuditArg::On || busy <= SHARE * elapsed {
+                return true;
+            }
+            if let Some(over) = self.flow.over.get() {
+                // After the end of the run the audit may take SHORT, or in a long run its share of the time.
+                return over.elapsed().as_secs_f64() < SHORT.as_secs_f64().max(SHARE * elapsed);
+            }
+            std::thread::sleep(REST);
+        }
+    }
+}
+
+/// An observer that sends the run's frames to the replay.
+pub(crate) struct AuditObserver {
+    noting: DigestFrames,
+    frames: Vec<Frame>,
+    sender: Option<Sender<Batch>>,
+    flow: Arc<AuditBacklog>,
+    /// The TTI after the last closed one, until it is sent.
+    closed: Option<Tti>,
+    told: Tti,
+}
+
+impl AuditObserver {
+    fn tell(&mut self, k: Tti) {
+        let Some(sender) = &self.sender else { return };
+        let frames = std::mem::take(&mut self.frames);
+        // A batch without frames is sent only once in STEP TTIs, which keeps the replay close enough.
+        if frames.is_empty() && k.0 < self.told.0 + STEP {
+            return;
+        }
+        self.told = k;
+        let waiting = self.flow.waiting.fetch_add(frames.len() as u64, Ordering::Relaxed);
+        // A backlog of this size would fill the memory.
+        if waiting > QUEUE {
+            self.flow.is_given_up.store(true, Ordering::Relaxed);
+            self.sender = None;
+            return;
+        }
+        let _gone = sender.send((k, frames)).is_err();
+    }
+}
+
+impl Drop for AuditObserver {
+    fn drop(&mut self) {
+        if let Some(k) = self.closed.take() {
+            // The frames of the last grant are compared too.
+            self.told = Tti::ZERO;
+            self.tell(k);
+        }
+    }
+}
+
+impl Observer for AuditObserver {
+    fn batteries_revealed(&mut self, tti: Tti, batteries: &[Energy]) {
+        if let Some(k) = self.closed.take() {
+            self.tell(k);
+        }
+        if self.sender.is_some() {
+            self.frames.push(DigestFrames::told(tti, batteries));
+        }
+    }
+
+    fn notify(&mut self, happening: &Notification<'_>) {
+        // A grant is sent when the next one begins: until then a lost host can make the run repeat it.
+        if matches!(happening, Notification::Plan { .. } | Notification::Granted(_))
+            && let Some(k) = self.closed.take()
+        {
+            self.tell(k);
+        }
+        if self.sender.is_some() {
+            let frames = &mut self.frames;
+            self.noting.of(happening, |frame| frames.push(frame));
+        }
+        if let Notification::Closed(last) = happening {
+            self.closed = Some(*last + 1);
+        }
+    }
+}

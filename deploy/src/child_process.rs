@@ -1,0 +1,239 @@
+//! Device processes as children of this process. No child outlives it, even if it is killed.
+
+use std::os::unix::process::CommandExt;
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use anyhow::Context;
+use reveille_common::secret::Secret;
+use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, waitid};
+use serde_json::Value;
+
+use crate::key;
+
+/// The variable that sets zenoh's threads. It takes effect only before the first session of a process opens.
+const THREADS: &str = "ZENOH_RUNTIME";
+/// One thread for all of zenoh, so that a grant is answered without a handover between threads. Only for processes that
+/// run devices and never block that thread on its own work.
+const ONE_THREAD: &str =
+    "(rx:(handover:app),acc:(handover:app),tx:(handover:app),net:(handover:app),app:(worker_threads:1))";
+
+/// zenoh's threads in a process, unless the environment sets them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Threads {
+    /// One thread for everything.
+    One,
+    /// zenoh's default threads.
+    Default,
+}
+
+/// Time for a few child processes to leave on their own.
+pub(crate) const LEAVE: Duration = Duration::from_secs(5);
+
+/// Child processes of this program without supervision.
+pub(crate) struct Children {
+    running: Vec<Child>,
+}
+
+impl Children {
+    /// Starts a process of this program for each list of arguments.
+    ///
+    /// # Errors
+    /// If a process cannot be started.
+    pub(crate) fn spawn(arguments: impl Iterator<Item = Vec<String>>) -> anyhow::Result<Self> {
+        let mut children = Self { running: Vec::new() };
+        for (number, arguments) in arguments.enumerate() {
+            // If one fails, the drop of `children` ends those before it.
+            let child =
+                spawn(&arguments, None, Threads::One).with_context(|| format!("cannot start process {number}"))?;
+            children.running.push(child);
+        }
+        Ok(children)
+    }
+
+    /// Waits for all children to leave, and kills the rest after [`LEAVE`].
+    pub(crate) fn wait(mut self) {
+        let started = crate::runtime::now();
+        while started.elapsed() < LEAVE {
+            self.running
+                .retain_mut(|child| !matches!(child.try_wait(), Ok(Some(_))));
+            if self.running.is_empty() {
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        tracing::warn!(
+            processes = self.running.len(),
+            "device processes did not leave by themselves"
+        );
+    }
+}
+
+impl Drop for Children {
+    fn drop(&mut self) {
+        for child in &mut self.running {
+            // An error means that the child has already ended.
+            let _gone = child.kill().is_err();
+            let _reaped = child.wait().is_err();
+        }
+    }
+}
+
+/// The device processes of a run.
+pub(crate) struct DeviceProcesses<'a> {
+    /// Total number of devices.
+    pub devices: u32,
+    /// Number of processes.
+    pub processes: u32,
+    /// Endpoint of the base station.
+    pub endpoint: &'a str,
+    /// The name of the run.
+    pub run: &'a str,
+    /// Options for logging.
+    pub log: &'a [String],
+    /// Whether the processes run without tuning.
+    pub is_untuned: bool,
+}
+
+impl DeviceProcesses<'_> {
+    /// Returns the arguments of each process.
+    pub(crate) fn commands(&self) -> Vec<Vec<String>> {
+        // In one argument, so that no name is taken for an option.
+        let run = format!("--run={}", self.run);
+        let (parent, among) = (std::process::id().to_string(), self.processes.to_string());
+        let command = |count: u32| {
+            let count = count.to_string();
+            let own = ["device", "--connect", self.endpoint, &run, "--count", &count];
+            let ties = ["--parent", &parent, "--among", &among];
+            let untuned = self.is_untuned.then_some("--untuned");
+            let all = own.into_iter().chain(ties).chain(untuned);
+            all.map(str::to_owned).chain(self.log.iter().cloned()).collect()
+        };
+        shares(self.devices, self.processes).map(command).collect()
+    }
+}
+
+/// Starts a process of this program and passes it the run's `key`.
+///
+/// Call it from a thread that lives as long as the run. The kernel ends a child tied to its parent when the thread that
+/// started it ends.
+///
+/// # Errors
+/// If it cannot be started.
+pub(crate) fn spawn(arguments: &[String], key: Option<Secret>, threads: Threads) -> anyhow::Result<Child> {
+    let program = std::env::current_exe().context("cannot find the reveille program itself")?;
+    let mut command = Command::new(program);
+    if threads == Threads::One && !are_threads_said() {
+        command.env(THREADS, ONE_THREAD);
+    }
+    if let Some(key) = key {
+        command.env(key::VARIABLE, key.to_string());
+    }
+    Ok(command
+        .args(arguments)
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        // In another process group Ctrl-C reaches the parent alone, which then ends its children.
+        .process_group(0)
+        .spawn()?)
+}
+
+/// Restarts this process with one zenoh thread, unless the environment sets zenoh's threads. zenoh reads only the
+/// environment, which a process cannot change for itself. Returns if no restart is needed or the restart fails.
+pub(crate) fn with_one_thread() {
+    if are_threads_said() {
+        return;
+    }
+    let mut arguments = std::env::args_os();
+    let name = arguments.next();
+    let Ok(program) = std::env::current_exe() else { return };
+    let mut command = Command::new(&program);
+    command.arg0(name.unwrap_or_else(|| program.into_os_string()));
+    let error = command.args(arguments).env(THREADS, ONE_THREAD).exec();
+    tracing::debug!(%error, "zenoh has the threads that it has by default");
+}
+
+/// Whether the environment sets zenoh's threads. zenoh cannot read an empty setting.
+fn are_threads_said() -> bool {
+    std::env::var_os(THREADS).is_some_and(|set| !set.is_empty())
+}
+
+/// The number of devices of each of `processes` processes: as even as possible, never 0.
+fn shares(devices: u32, processes: u32) -> impl Iterator<Item = u32> {
+    // No process without a device, and no division by zero.
+    let processes = processes.clamp(1, devices.max(1));
+    (0..processes).map(move |i| devices / processes + u32::from(i < devices % processes))
+}
+
+/// Whether a child of this process may have ended without its status being read: one system call for all children.
+pub(crate) fn has_exited_child() -> bool {
+    // `NOWAIT` only looks: the status stays for the child's own `try_wait`.
+    let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
+    !matches!(waitid(WaitId::All, options), Ok(None))
+}
+
+/// Ties this process to the one that started it: when the `parent` ends for any reason, this process gets `signal`.
+///
+/// # Errors
+/// If the parent has ended already, or the kernel refuses.
+pub(crate) fn exit_with_parent(parent: i32, signal: Signal) -> anyhow::Result<()> {
+    rustix::process::set_parent_process_death_signal(Some(signal)).context("cannot tie this process to its parent")?;
+    // Compared after the request: the kernel sends nothing for a parent that ended before it.
+    let is_ours = rustix::process::getppid().map(Pid::as_raw_pid) == Some(parent);
+    anyhow::ensure!(is_ours, "the process that started this one has ended");
+    Ok(())
+}
+
+/// Ends this process in order when the given `parent` ends; does nothing without one.
+///
+/// # Errors
+/// See [`exit_with_parent`].
+pub(crate) fn end_with(parent: Option<i32>) -> anyhow::Result<()> {
+    parent.map_or(Ok(()), |parent| exit_with_parent(parent, Signal::TERM))
+}
+
+/// Runs `reveille ARGUMENTS` and returns the summary of that run.
+///
+/// # Errors
+/// If the run fails; the error contains its standard error.
+pub(crate) fn played(arguments: &[&str]) -> anyhow::Result<Value> {
+    let folder = std::env::temp_dir().join(format!("reveille-bench-{}", std::process::id()));
+    // A killed benchmark leaves its folder, and this process may have the same number.
+    let _absent = std::fs::remove_dir_all(&folder).is_err();
+    // `--parent` ends the run if a signal ends the benchmark.
+    let mut command = Command::new(std::env::current_exe()?);
+    command
+        .args(arguments)
+        .args([
+            "--parent",
+            &std::process::id().to_string(),
+            "--json",
+            "--quiet",
+            "--out",
+        ])
+        .arg(&folder)
+        .stdin(Stdio::null());
+    let output = command.output().context("cannot start reveille")?;
+    anyhow::ensure!(
+        output.status.success(),
+        "reveille {}: {}",
+        arguments.join(" "),
+        String::from_utf8_lossy(&output.stderr)
+    );
+    // The next run uses the same folder, and `--out` refuses one that already holds a run.
+    std::fs::remove_dir_all(&folder)?;
+    Ok(serde_json::from_slice(&output.stdout)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shares_are_even_and_complete() {
+        let all = |devices, processes| shares(devices, processes).collect::<Vec<_>>();
+        assert_eq!(all(50, 4), [13, 13, 12, 12]);
+        assert_eq!(all(3, 8), [1, 1, 1]);
+        assert_eq!(all(7, 1), [7]);
+    }
+}

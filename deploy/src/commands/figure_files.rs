@@ -1,0 +1,47 @@
+//! Input tables of figures and reports, and the output files.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use reveille_common::io::Disk;
+use reveille_lab::io::replace;
+use reveille_lab::table::Table;
+use reveille_study::figures::results::Results;
+use reveille_study::figures::scene::Scene;
+use reveille_study::figures::{png, svg};
+
+use crate::cli::{FigureOutputArgs, ImageFormatArg};
+use crate::display;
+use crate::paths::table_of;
+
+/// Reads the tables and combines them.
+pub(super) fn read(paths: &[PathBuf]) -> anyhow::Result<Results> {
+    let read = |given: &PathBuf| -> anyhow::Result<(String, Table)> {
+        let path = table_of(given)?;
+        Ok((path.display().to_string(), Table::read(&path)?))
+    };
+    let tables = paths.iter().map(read).collect::<Result<Vec<_>, _>>()?;
+    Ok(Results::new(&tables, &Disk)?)
+}
+
+/// Writes a picture in all requested formats, and prints the paths.
+pub(super) fn write(args: &FigureOutputArgs, name: &str, scene: &Scene) -> anyhow::Result<()> {
+    for format in &args.format {
+        let (ending, bytes) = match format {
+            ImageFormatArg::Svg => ("svg", svg::svg(scene, name).into_bytes()),
+            ImageFormatArg::Png => ("png", png::png(scene)),
+        };
+        save(&args.out, &format!("{name}.{ending}"), &bytes)?;
+    }
+    Ok(())
+}
+
+/// Writes a file to `folder`, which is created if needed, and prints its path.
+pub(super) fn save(folder: &Path, name: &str, bytes: &[u8]) -> anyhow::Result<()> {
+    fs::create_dir_all(folder).with_context(|| format!("{}: the folder cannot be made", folder.display()))?;
+    let path = folder.join(name);
+    replace(&path, bytes).with_context(|| format!("{}: cannot be written", path.display()))?;
+    display::print(&format!("{}\n", path.display()))?;
+    Ok(())
+}

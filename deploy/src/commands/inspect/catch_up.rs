@@ -1,0 +1,364 @@
+//! Catch-up: shows an observer that connects late the whole run, from TTI 0 on.
+//!
+//! The same scenario and seed give the same run. TTIs before the connection are replayed in memory; later frames are
+//! received from the run.
+//!
+//! ```text
+//!   TTI 0 ──── replayed ────► the grant open at connection ──── replayed ────► the next grant ──── received ────► end
+//!                             (its plan may be missed, so its frames are dropped)
+//! ```
+//! The last TTI of a grant is replayed once the next grant begins or the run ends. Only then does the input log have
+//! the devices removed in that TTI and the decisions of a policy process.
+
+use anyhow::{Context, bail};
+use reveille_bs::observer::frames::FrameObserver;
+use reveille_bs::scenario::Scenario;
+use reveille_common::ids::Tti;
+use reveille_common::message::{ClockMessage, ClockStatus, Frame, Message};
+use reveille_lab::external_inputs::{ExternalInput, ExternalInputs, Parser};
+use reveille_lab::preparation::prepare;
+use reveille_lab::run::{Run, RunOptions};
+
+use crate::signals::aside;
+
+/// Context of an error in the input log.
+const LOG: &str = "the log of what the run depends on";
+
+/// Passes on the replayed past of a run before the received frames.
+pub(crate) struct CatchUp {
+    scenario: Scenario,
+    /// The input log, as far as it was read.
+    log: Parser,
+    /// Bytes read of the log.
+    read: u64,
+    /// The replay, once it is needed.
+    run: Option<Run>,
+    /// The next TTI to pass on.
+    told: Tti,
+    /// Returns whether to stop the replay.
+    stop: Box<dyn Fn() -> bool + Send>,
+    /// Whether the grant open at the connection continues: its frames may be incomplete and are not passed on.
+    is_within: bool,
+    is_over: bool,
+}
+
+impl CatchUp {
+    /// Creates the catch-up of a run of `scenario`, before its first frame. The replay ends early once `stop` returns
+    /// true.
+    pub(crate) fn new(scenario: Scenario, stop: impl Fn() -> bool + Send + 'static) -> Self {
+        Self {
+            scenario,
+            log: Parser::default(),
+            read: 0,
+            run: None,
+            told: Tti::ZERO,
+            stop: Box::new(stop),
+            is_within: false,
+            is_over: false,
+        }
+    }
+
+    /// Whether the catch-up is complete, so that received frames are passed on.
+    pub(crate) const fn is_over(&self) -> bool {
+        self.is_over
+    }
+
+    /// The offset of the first unread byte of the input log.
+    pub(crate) const fn read(&self) -> u64 {
+        self.read
+    }
+
+    /// Adds the next part of the input log, up to its last whole line. Returns false if the log has not grown.
+    ///
+    /// # Errors
+    /// If the part does not belong to a log of this run.
+    pub(crate) fn read_input_log(&mut self, more: &[u8]) -> anyhow::Result<bool> {
+        let known = self.log.inputs();
+        let (outages, decisions) = (known.outages.len(), known.decisions.len());
+        // A part can end within a line, whose rest comes with the next part.
+        let whole = more.iter().rposition(|byte| *byte == b'\n').map_or(0, |last| last + 1);
+        let text = std::str::from_utf8(&more[..whole]).context(LOG)?;
+        let length = self.log.read(text, &self.scenario).context(LOG)?;
+        self.read += length as u64;
+        // A started replay lacks only the new inputs; `tell` passes on all others at its start.
+        if let Some(run) = &mut self.run {
+            let ExternalInputs {
+                outages: all,
+                decisions: made,
+            } = self.log.inputs();
+            all[outages..]
+                .iter()
+                .for_each(|outage| run.schedule_input(ExternalInput::Outage(*outage)));
+            let new = made[decisions..].iter().cloned();
+            new.for_each(|decision| run.schedule_input(ExternalInput::Decision(decision)));
+        }
+        Ok(length > 0)
+    }
+
+    /// The next TTI to pass on, until the catch-up is complete.
+    pub(crate) const fn replayed_until(&self) -> Tti {
+        self.told
+    }
+
+    /// Passes on the TTIs that were closed when the clock had this `status`.
+    ///
+    /// # Errors
+    /// See [`Self::tell`].
+    pub(crate) fn catch_up(&mut self, status: &ClockStatus, take: impl FnMut(Frame)) -> anyhow::Result<()> {
+        // While the clock runs, the TTI before the next one can still be open.
+        let in_work = u64::from(!status.paused);
+        self.tell(Tti(status.tti.0.saturating_sub(in_work)), take)?;
+        Ok(())
+    }
+
+    /// Passes on all TTIs before `end` that are still due. Returns false if it was stopped before `end`.
+    ///
+    /// # Errors
+    /// If a decision in one of the TTIs is unknown.
+    fn tell(&mut self, end: Tti, mut take: impl FnMut(Frame)) -> anyhow::Result<bool> {
+        if end <= self.told {
+            return Ok(true);
+        }
+        let run = match &mut self.run {
+            Some(run) => run,
+            none => {
+                // One TTI at a time: a grant with lookahead could go beyond `end`.
+                let options = RunOptions {
+                    lookahead: false,
+                    ..RunOptions::default()
+                };
+                let scenario = self.scenario.clone();
+                // The preparation can contain a search that takes hours.
+                let Some(mut run) = aside(move || Run::new(&prepare(&scenario), options), &self.stop)? else {
+                    return Ok(false);
+                };
+                run.schedule_inputs(self.log.inputs());
+                none.insert(run)
+            }
+        };
+        let mut framed = FrameObserver::new(0, &mut take);
+        while run.cycle().next_tti() < end {
+            if (self.stop)() {
+                return Ok(false);
+            }
+            run.grant(&mut framed);
+            if let Some(tti) = run.missing_decision() {
+                bail!("the run has not told what was decided in TTI {tti}");
+            }
+        }
+        self.told = end;
+        Ok(true)
+    }
+
+    /// Takes a received frame and passes on everything before it first.
+    ///
+    /// # Errors
+    /// See [`Self::tell`].
+    pub(crate) fn push(&mut self, frame: Frame, mut take: impl FnMut(Frame)) -> anyhow::Result<()> {
+        if self.is_over {
+            take(frame);
+            return Ok(());
+        }
+        // From this TTI on every frame was received, and all TTIs before it are closed.
+        let whole_from = match frame.message() {
+            // A plan is sent before the grant in which it takes effect.
+            Ok(Message::Plan(update)) if self.is_within || update.from == self.told => update.from,
+            Ok(Message::World(world)) if self.is_within => world.first,
+            Ok(Message::World(world)) => {
+                // The grant that was open at the connection: its plan may have been missed, so it is replayed.
+                if world.last >= self.told {
+                    self.is_within = self.tell(world.last, take)?;
+                }
+                return Ok(());
+            }
+            Ok(Message::Clock(ClockMessage::Finish(end))) => end,
+            Ok(_) | Err(_) => return Ok(()),
+        };
+        if self.tell(whole_from, &mut take)? {
+            // The replay is not needed any more, and can be large.
+            (self.is_over, self.run) = (true, None);
+            take(frame);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::RefCell;
+
+    use reveille_bs::policy::external::{Decision, DecisionStage, PlanDecision, RecordedDecision};
+    use reveille_bs::policy::outside;
+    use reveille_common::ids::DeviceId;
+    use reveille_common::io::Disk;
+    use reveille_common::message::{DeviceRemoval, MessageKind, Pace};
+    use reveille_common::plan::Plan;
+    use reveille_common::rng::{Purpose, Stream};
+    use reveille_common::scenario::{Override, load};
+    use reveille_lab::external_inputs::{first_line, line};
+    use reveille_lab::stepped_run::SteppedRun;
+
+    use super::*;
+
+    fn scenario(policy: &str) -> Scenario {
+        let set = [
+            "devices=20",
+            "ttis=240",
+            "bs.sync_interval=7",
+            &format!("policy.name={policy}"),
+        ];
+        let set = set.map(|set| Override::parse(set).expect("an override"));
+        load("paper", &set, &outside::kinds_with_external(), &Disk)
+            .expect("a scenario")
+            .scenario
+    }
+
+    /// The received frames of a run, and each external input with the number of frames before it.
+    #[derive(Default)]
+    struct ReceivedRun {
+        frames: Vec<Frame>,
+        inputs: Vec<(usize, ExternalInput)>,
+    }
+
+    impl ReceivedRun {
+        fn of(scenario: &Scenario, outages: &[DeviceRemoval], lookahead: bool) -> Self {
+            let mut frames = Vec::new();
+            let options = RunOptions {
+                lookahead,
+                ..RunOptions::default()
+            };
+            let mut run = Run::new(&prepare(scenario), options);
+            run.schedule_inputs(&ExternalInputs::of_outages(outages));
+            run.finish(&mut FrameObserver::new(0, |frame| frames.push(frame)));
+            let gone = frames.iter().enumerate();
+            let gone = gone.filter(|(_, frame)| frame.kind == MessageKind::Gone);
+            let inputs = gone
+                .map(|(at, _)| at)
+                .zip(outages.iter().copied().map(ExternalInput::Outage))
+                .collect();
+            Self { frames, inputs }
+        }
+
+        /// Creates a run with random decisions and a plan request every `hold` TTIs.
+        fn decided(scenario: &Scenario, hold: u64) -> Self {
+            let frames = RefCell::new(Vec::new());
+            let mut stepping =
+                SteppedRun::new(scenario, FrameObserver::new(0, |frame| frames.borrow_mut().push(frame)));
+            let (mut stream, mut inputs) = (Stream::new(3, Purpose::Training, 0), Vec::new());
+            while let Some(question) = stepping.pending_decision() {
+                let (tti, n) = (question.seen.now, question.seen.known.n() as u64);
+                let mut any = || DeviceId(stream.below(n) as u32);
+                let answer = match question.stage {
+                    DecisionStage::Plan => Decision::Plan(PlanDecision {
+                        plan: Plan::from_devices(n as usize, &[any(), any(), any(), any()]),
+                        next: tti + hold,
+                    }),
+                    DecisionStage::Wake if any().0 % 2 == 0 => Decision::Wake(vec![any()]),
+                    DecisionStage::Wake => Decision::Wake(Vec::new()),
+                };
+                let decision = RecordedDecision {
+                    tti,
+                    answer: answer.clone(),
+                };
+                inputs.push((frames.borrow().len(), ExternalInput::Decision(decision)));
+                match answer {
+                    Decision::Plan(decision) => stepping.decide(decision),
+                    Decision::Wake(devices) => stepping.wake(&devices),
+                }
+            }
+            stepping.finish();
+            let frames = frames.into_inner();
+            Self { frames, inputs }
+        }
+
+        /// Asserts that an observer gets the whole run from any position. The input log never has more than it had when
+        /// the last received frame was sent.
+        fn assert_whole_from_everywhere(mut self, scenario: &Scenario) {
+            let end = Tti(scenario.run.ttis);
+            self.frames.push(Frame::of(end, (), &ClockMessage::Finish(end)));
+            // World frames depend on how TTIs were granted.
+            let happened = |frames: &[Frame]| {
+                let mut frames = frames.to_vec();
+                frames.retain(|frame| frame.kind != MessageKind::World);
+                frames
+            };
+            let (all, mut ends) = (happened(&self.frames), vec![first_line(scenario).len()]);
+            let mut log = first_line(scenario);
+            for (_, input) in &self.inputs {
+                log += &line(input);
+                ends.push(log.len());
+            }
+            // The part of the log known so far, with some bytes of a line that is being written.
+            let known = |sent: usize| {
+                let made = self.inputs.partition_point(|(before, _)| *before < sent);
+                &log.as_bytes()[..log.len().min(ends[made] + 9)]
+            };
+            for at in (0..self.frames.len()).step_by(5).chain(0..12) {
+                let granted = self.frames[..at].iter().rev().find_map(|frame| match frame.message() {
+                    Ok(Message::World(world)) => Some(world.last + 1),
+                    Ok(_) | Err(_) => None,
+                });
+                let stands = matches!(self.frames[at].kind, MessageKind::Plan | MessageKind::Clock);
+                for paused in [false, true] {
+                    if paused && !stands {
+                        continue;
+                    }
+                    let status = ClockStatus {
+                        tti: granted.unwrap_or_default(),
+                        ttis: scenario.run.ttis,
+                        paused,
+                        until: end,
+                        pace: Pace::Max,
+                        begun: true,
+                        devices: scenario.run.devices,
+                        lost: Vec::new(),
+                    };
+                    let (mut told, mut past) = (Vec::new(), CatchUp::new(scenario.clone(), || false));
+                    past.read_input_log(known(at)).expect("a log");
+                    past.catch_up(&status, |frame| told.push(frame)).expect("it is over");
+                    for (number, frame) in (at..).zip(&self.frames[at..]) {
+                        past.read_input_log(&known(number + 1)[past.read() as usize..])
+                            .expect("a log");
+                        past.push(frame.clone(), |frame| told.push(frame)).expect("it is over");
+                    }
+                    assert!(happened(&told) == all, "joined at frame {at}, paused: {paused}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_run_is_whole_from_wherever_it_is_joined() {
+        for policy in ["knn", "age-index"] {
+            let scenario = scenario(policy);
+            for lookahead in [true, false] {
+                ReceivedRun::of(&scenario, &[], lookahead).assert_whole_from_everywhere(&scenario);
+            }
+        }
+    }
+
+    #[test]
+    fn so_is_one_that_devices_go_from() {
+        let scenario = scenario("knn");
+        let gone = |first, tti, wake_ups| DeviceRemoval {
+            first: DeviceId(first),
+            count: 5,
+            tti: Tti(tti),
+            wake_ups,
+        };
+        let outages = [gone(0, 40, None), gone(10, 41, None), gone(5, 180, None)];
+        for lookahead in [true, false] {
+            let heard = ReceivedRun::of(&scenario, &outages, lookahead);
+            assert_eq!(heard.inputs.len(), outages.len());
+            heard.assert_whole_from_everywhere(&scenario);
+        }
+    }
+
+    #[test]
+    fn so_is_one_that_is_decided_for() {
+        let scenario = scenario("external");
+        for hold in [1, 30, 500] {
+            ReceivedRun::decided(&scenario, hold).assert_whole_from_everywhere(&scenario);
+        }
+    }
+}

@@ -1,0 +1,140 @@
+//! Resolution of the command line to a scenario.
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+use reveille_bs::policy::{outside, registry};
+use reveille_bs::scenario::{Loaded, Override, Scenario, ScenarioError, load, load_with_external};
+use reveille_lab::external_inputs::ExternalInputs;
+
+use crate::cli::{OutputArgs, ScenarioArgs};
+use crate::input_log::{self, INPUTS};
+use crate::run_folder::SCENARIO;
+
+/// The prefix of `--policy` for decisions from a log.
+const REPLAY: &str = "replay=";
+
+/// Returns the scenario of a run, from the folder that it resumes in or from the command line. Also returns the
+/// decisions of `--policy replay=FILE`, if given.
+pub(super) fn resolve_run(
+    args: &ScenarioArgs,
+    output: &OutputArgs,
+) -> anyhow::Result<(Scenario, Option<ExternalInputs>)> {
+    let Some(folder) = &output.resume else {
+        return resolve_new(args);
+    };
+    if args.is_given() {
+        anyhow::bail!(
+            "--resume {}: the scenario is the one in the folder; leave out the options that choose one",
+            folder.display()
+        );
+    }
+    let path = folder.join(SCENARIO);
+    if !path.is_file() {
+        anyhow::bail!("--resume {}: there is no run in this folder", folder.display());
+    }
+    Ok((load_with_external(&path.to_string_lossy(), &[])?.scenario, None))
+}
+
+fn resolve_new(args: &ScenarioArgs) -> anyhow::Result<(Scenario, Option<ExternalInputs>)> {
+    let log = args.policy.as_ref().and_then(|policy| policy.strip_prefix(REPLAY));
+    let Some(log) = log.map(PathBuf::from) else {
+        return Ok((resolve_by(args, load_with_external)?, None));
+    };
+    anyhow::ensure!(
+        !log.as_os_str().is_empty(),
+        "--policy {REPLAY}FILE: name the {INPUTS} of a run, or its folder"
+    );
+    let log = if log.is_dir() { log.join(INPUTS) } else { log };
+    let mut args = ScenarioArgs {
+        policy: None,
+        ..args.clone()
+    };
+    // Without other options the scenario is the one in the log's run folder.
+    let beside = log.with_file_name(SCENARIO);
+    if !args.is_given() && beside.is_file() {
+        args.scenario = beside.to_string_lossy().into_owned();
+    }
+    // Set after `is_given`, for which only the user's own options count.
+    args.policy = Some(outside::NAME.to_owned());
+    let scenario = resolve_by(&args, load_with_external)?;
+    let inputs = input_log::read_named(&log, &scenario).with_context(|| {
+        let beside = if beside.is_file() {
+            ", which needs no other option: its scenario is beside it"
+        } else {
+            ""
+        };
+        format!("--policy {REPLAY}{}{beside}", log.display())
+    })?;
+    Ok((scenario, Some(inputs)))
+}
+
+/// Returns the command line's scenario, with a policy of this program.
+pub(super) fn resolve(args: &ScenarioArgs) -> anyhow::Result<Scenario> {
+    let resolved = resolve_by(args, load);
+    // Loads the scenario again to find out whether the policy `external` is the only problem.
+    if resolved.is_err() && resolve_by(args, load_with_external).is_ok() {
+        anyhow::bail!(
+            "the policy external decides nothing itself: another program does, for `reveille up` and `reveille bs`. \
+             Choose one of this program here with --policy"
+        );
+    }
+    resolved
+}
+
+fn resolve_by(
+    args: &ScenarioArgs,
+    load: impl Fn(&str, &[Override]) -> Result<Loaded, ScenarioError>,
+) -> anyhow::Result<Scenario> {
+    let mut overrides = args
+        .set
+        .iter()
+        .map(|text| Override::parse(text))
+        .collect::<Result<Vec<_>, _>>()?;
+    let flags = [
+        ("--devices", "devices", &args.devices),
+        ("--policy", "policy.name", &args.policy),
+        ("--ttis", "ttis", &args.ttis),
+        ("--seed", "seed", &args.seed),
+    ];
+    for (flag, field, value) in flags {
+        if let Some(value) = value {
+            give_once(args, flag, field)?;
+            overrides.push(Override::from_flag(flag, field, value)?);
+        }
+    }
+    // The scenario file can choose the policy, so the field is set for every policy that learns.
+    if args.learn {
+        for name in registry::POLICIES
+            .iter()
+            .filter(|policy| policy.learns)
+            .map(|policy| policy.name)
+        {
+            let field = format!("policy.{name}.learn");
+            give_once(args, "--learn", &field)?;
+            overrides.push(Override::from_flag("--learn", &field, "true")?);
+        }
+    }
+    let Loaded { scenario, warnings } = load(&args.scenario, &overrides)?;
+    let name = scenario.policy.name();
+    let learns = registry::named(name).is_some_and(|policy| policy.learns);
+    if args.learn && !learns {
+        anyhow::bail!(
+            "--learn: the policy {name} does not learn; add --policy {}",
+            registry::names_where(|policy| policy.learns)
+        );
+    }
+    for warning in &warnings {
+        tracing::warn!("{warning}");
+    }
+    Ok(scenario)
+}
+
+/// Returns an error for a field set both by its own option and by `--set`: one of them would have no effect.
+fn give_once(args: &ScenarioArgs, flag: &str, field: &str) -> anyhow::Result<()> {
+    let named = |text: &&String| text.split_once('=').is_some_and(|(name, _)| name.trim() == field);
+    match args.set.iter().find(named) {
+        Some(text) => anyhow::bail!("{flag} and --set {text} both give {field}; leave one of them out"),
+        None => Ok(()),
+    }
+}

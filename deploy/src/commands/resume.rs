@@ -1,0 +1,139 @@
+//! Start or resume of a run over the bus: its external inputs and its replay up to the resume TTI.
+
+use std::path::Path;
+use std::sync::atomic::Ordering;
+
+use anyhow::ensure;
+use reveille_bs::cycle::PreparedRun;
+use reveille_bs::observer::Observer;
+use reveille_bs::policy::external::RecordedDecision;
+use reveille_bs::policy::outside;
+use reveille_bs::server::RunProgress;
+use reveille_bs::session::Session;
+use reveille_common::ids::Tti;
+use reveille_common::message::HostCheckpoint;
+use reveille_lab::external_inputs::ExternalInputs;
+use reveille_lab::resume_mark::ResumeMark;
+use reveille_lab::run::{Run, RunOptions};
+
+use super::run::advance;
+use crate::display::note;
+use crate::exit::Interrupted;
+use crate::input_log::{self, INPUTS, InputLog};
+use crate::resume_mark;
+
+/// The start of a run, or the point at which it resumes.
+pub(super) struct ResumePlan {
+    /// The external inputs before that point.
+    pub inputs: ExternalInputs,
+    /// The log for later inputs.
+    pub log: InputLog,
+    /// The resume mark that the replay must reproduce.
+    pub mark: Option<ResumeMark>,
+    /// The TTI up to which the run is replayed in memory; `None` for a new run.
+    pub from: Option<Tti>,
+}
+
+impl ResumePlan {
+    /// Creates the plan of a new run. Copies decisions `kept` from another run into its log.
+    ///
+    /// # Errors
+    /// If they cannot be written.
+    pub(super) fn new(kept: &[RecordedDecision], mut log: InputLog) -> anyhow::Result<Self> {
+        let inputs = ExternalInputs {
+            outages: Vec::new(),
+            decisions: kept.to_vec(),
+        };
+        log.add_all(&inputs)?;
+        Ok(Self {
+            inputs,
+            log,
+            mark: None,
+            from: None,
+        })
+    }
+
+    /// Creates the plan to resume the `prepared` run in this `folder`.
+    ///
+    /// # Errors
+    /// The folder cannot be read or does not match the run, or `progress` asks the run to stop.
+    pub(super) fn from_folder(
+        folder: &Path,
+        prepared: &PreparedRun,
+        mut log: InputLog,
+        progress: &RunProgress,
+    ) -> anyhow::Result<Self> {
+        let scenario = &prepared.scenario;
+        let mut mark = resume_mark::read(folder, scenario)?;
+        let mut inputs = input_log::of_folder(folder, scenario)?;
+        // An outage in the log can be later than the last mark; the run then reached at least the TTI after it.
+        let known = inputs.outages.last().map(|outage| outage.tti + 1);
+        let mut from = mark.as_ref().map(|mark| Tti(mark.tti)).max(known);
+        if let Some(to) = from
+            && outside::is_external(&scenario.policy)
+            && let Some(tti) = undecided(prepared, &inputs, to, progress)?
+        {
+            // The run was killed in a TTI with lost devices, or a power cut took the last decisions.
+            note!("{INPUTS} has no more than the decisions before TTI {tti}: the run is taken up there");
+            inputs = inputs.before(tti);
+            log.replace(&inputs)?;
+            // From here on the run may decide differently, and then never reproduces a later mark.
+            mark = mark.filter(|mark| Tti(mark.tti) <= tti);
+            from = Some(tti);
+        }
+        Ok(Self {
+            inputs,
+            log,
+            mark,
+            from,
+        })
+    }
+}
+
+/// The first TTI before `to` with a missing decision, if any.
+fn undecided(
+    prepared: &PreparedRun,
+    inputs: &ExternalInputs,
+    to: Tti,
+    progress: &RunProgress,
+) -> anyhow::Result<Option<Tti>> {
+    // A trial without observers: `replay` shows them the run afterwards.
+    let mut run = Run::new(prepared, RunOptions::default());
+    run.schedule_inputs(inputs);
+    bring(&mut run, to, progress, &mut ())?;
+    Ok(run.missing_decision())
+}
+
+/// Advances `run` to TTI `to`, or to the first missing decision.
+fn bring(run: &mut Run, to: Tti, progress: &RunProgress, observer: &mut impl Observer) -> anyhow::Result<()> {
+    let is_stopped = || progress.stop.load(Ordering::Relaxed);
+    let is_there = advance(run, to, observer, |next| {
+        progress.tti.store(next.0, Ordering::Relaxed);
+        !is_stopped()
+    });
+    // Without a stop the run lacks a decision, which the callers look for.
+    ensure!(is_there || !is_stopped(), Interrupted::BEFORE_RUN);
+    Ok(())
+}
+
+/// Replays a run up to TTI `to` in memory. Returns it with its devices; later decisions stay queued.
+pub(super) fn replay(
+    prepared: &PreparedRun,
+    inputs: &ExternalInputs,
+    to: Tti,
+    window: u64,
+    progress: &RunProgress,
+    observer: &mut impl Observer,
+) -> anyhow::Result<(Session, HostCheckpoint)> {
+    note!("replaying the run up to TTI {to}");
+    let options = RunOptions {
+        lookahead: true,
+        window,
+    };
+    let mut run = Run::new(prepared, options);
+    run.schedule_inputs(inputs);
+    bring(&mut run, to, progress, observer)?;
+    // `to` lies after the last logged outage, so all of them must have taken effect.
+    ensure!(run.queue().outages() == 0, input_log::MISFIT);
+    Ok(run.into_resumed())
+}

@@ -1,0 +1,215 @@
+//! The lock of a run folder: one run at a time writes into it.
+//!
+//! The file `RUNNING` exists and is locked while the run lasts. The kernel releases the lock when the process ends for
+//! any reason, so a `RUNNING` file without a lock belongs to a killed run.
+
+use std::fs::{self, File, OpenOptions, TryLockError};
+use std::io::{self, Write};
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+
+/// The file that marks an active or killed run.
+pub(crate) const RUNNING: &str = "RUNNING";
+
+/// The right to write into a folder; released when dropped.
+pub(crate) struct FolderLock {
+    path: PathBuf,
+    mark: File,
+    /// The content of a mark found in the folder.
+    left: Option<String>,
+}
+
+/// The status of the run in a folder.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum FolderStatus {
+    /// No mark: the run has ended, or there is none.
+    Ended,
+    /// A run is writing there; its process id, if readable.
+    Alive(Option<u32>),
+    /// The run was killed.
+    Killed,
+}
+
+impl FolderLock {
+    /// Locks `folder`, which is created if missing. Its content stays unchanged.
+    ///
+    /// # Errors
+    /// If a run is writing there, or the folder cannot be written to.
+    pub(crate) fn acquire(folder: &Path) -> anyhow::Result<Self> {
+        let cannot = || format!("cannot write in the run folder {}", folder.display());
+        fs::create_dir_all(folder).with_context(cannot)?;
+        let path = folder.join(RUNNING);
+        loop {
+            // Checked before the open, which creates the file.
+            let was_there = path.symlink_metadata().is_ok();
+            // Opened for writing, since network file systems refuse to lock a file that is open for reading only. The
+            // content stays: it names the process of a live run, or shows that a run was killed.
+            let mark = OpenOptions::new()
+                .read(true)
+                .write(true)
+                .create(true)
+                .truncate(false)
+                .open(&path);
+            let mark = mark.with_context(cannot)?;
+            match mark.try_lock() {
+                Ok(()) => {}
+                Err(TryLockError::WouldBlock) => bail!("{}", refusal(folder, pid(&mark))),
+                Err(TryLockError::Error(error)) => tracing::warn!(
+                    "{}: {error}: this file system cannot lock files, so a second run in the folder is not kept out",
+                    folder.display()
+                ),
+            }
+            // A run that ended meanwhile has removed this file: its lock protects nothing, and another try is needed.
+            if is_at(&mark, &path) {
+                let left = was_there.then(|| text(&mark));
+                return Ok(Self { path, mark, left });
+            }
+        }
+    }
+
+    /// Whether a killed run had left its mark.
+    pub(crate) fn was_killed(&self) -> bool {
+        self.left.as_ref().is_some_and(|text| text.starts_with(PID))
+    }
+
+    /// Marks the folder as in use by this process.
+    ///
+    /// # Errors
+    /// If the mark cannot be written.
+    pub(crate) fn mark_running(&mut self) -> io::Result<()> {
+        self.mark.set_len(0)?;
+        self.mark.write_all(format!("{PID}{}\n", std::process::id()).as_bytes())
+    }
+
+    /// Releases a folder that was not used, and leaves it as it was found.
+    pub(crate) fn abandon(self) {
+        if self.left.is_none() {
+            // The caller reports why it abandons the folder; an error from here would hide that.
+            let _stays = self.release().is_err();
+        }
+    }
+
+    /// Removes the mark and releases the lock.
+    ///
+    /// # Errors
+    /// If the mark cannot be removed.
+    pub(crate) fn release(self) -> io::Result<()> {
+        // Removed while the lock is held: after an unlock the file could already be the mark of another run.
+        fs::remove_file(&self.path)
+    }
+}
+
+/// The start of a mark's text.
+const PID: &str = "pid ";
+
+/// The status of the run in `folder`.
+pub(crate) fn status(folder: &Path) -> FolderStatus {
+    let Ok(mark) = File::open(folder.join(RUNNING)) else {
+        return FolderStatus::Ended;
+    };
+    // A shared lock, so that two readers do not take each other for a run.
+    match mark.try_lock_shared() {
+        Err(TryLockError::WouldBlock) => FolderStatus::Alive(pid(&mark)),
+        Ok(()) | Err(TryLockError::Error(_)) => FolderStatus::Killed,
+    }
+}
+
+/// Returns the error message for a folder in use.
+fn refusal(folder: &Path, pid: Option<u32>) -> String {
+    let by = pid.map_or_else(String::new, |pid| format!(" (pid {pid})"));
+    format!(
+        "--out {}: a run is going on in this folder{by}; choose another, or wait until it has ended: --force never \
+         replaces a run that goes on",
+        folder.display()
+    )
+}
+
+fn text(mut mark: &File) -> String {
+    let mut text = String::new();
+    // Text that is not UTF-8 is not a mark of this program and counts as empty.
+    let _unread = io::Read::read_to_string(&mut mark, &mut text).is_err();
+    text
+}
+
+fn pid(mark: &File) -> Option<u32> {
+    text(mark).strip_prefix(PID)?.trim().parse().ok()
+}
+
+/// Whether `path` leads to the open file `file`.
+fn is_at(file: &File, path: &Path) -> bool {
+    match (file.metadata(), fs::metadata(path)) {
+        // The same path can lead to a new file; device and inode tell the two apart.
+        (Ok(own), Ok(found)) => (own.dev(), own.ino()) == (found.dev(), found.ino()),
+        (Err(_), _) | (_, Err(_)) => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct LockTestFolder(PathBuf);
+
+    impl LockTestFolder {
+        fn new(name: &str) -> Self {
+            let path = std::env::temp_dir().join(format!("reveille-claim-{name}-{}", std::process::id()));
+            let _ = fs::remove_dir_all(&path);
+            Self(path)
+        }
+    }
+
+    impl Drop for LockTestFolder {
+        fn drop(&mut self) {
+            let _ = fs::remove_dir_all(&self.0);
+        }
+    }
+
+    #[test]
+    fn a_folder_is_claimed_once_at_a_time() {
+        let place = LockTestFolder::new("once");
+        assert_eq!(status(&place.0), FolderStatus::Ended);
+        let mut claim = FolderLock::acquire(&place.0).expect("free");
+        assert!(!claim.was_killed());
+        claim.mark_running().expect("writable");
+        let own = std::process::id();
+        assert_eq!(status(&place.0), FolderStatus::Alive(Some(own)));
+        let why = FolderLock::acquire(&place.0).err().expect("claimed").to_string();
+        assert!(
+            why.contains(&format!("(pid {own})")) && why.contains("--force"),
+            "{why}"
+        );
+        claim.release().expect("removable");
+        assert_eq!(status(&place.0), FolderStatus::Ended);
+        FolderLock::acquire(&place.0).expect("free again").abandon();
+        assert_eq!(fs::read_dir(&place.0).expect("there").count(), 0);
+    }
+
+    #[test]
+    fn the_mark_of_a_killed_run_is_no_claim() {
+        let place = LockTestFolder::new("killed");
+        let mut claim = FolderLock::acquire(&place.0).expect("free");
+        claim.mark_running().expect("writable");
+        drop(claim);
+        assert_eq!(status(&place.0), FolderStatus::Killed);
+        let next = FolderLock::acquire(&place.0).expect("nobody is alive");
+        assert!(next.was_killed());
+        next.abandon();
+        assert_eq!(status(&place.0), FolderStatus::Killed, "it is left as it was found");
+    }
+
+    #[test]
+    fn a_claim_on_a_file_that_is_gone_is_none() {
+        let place = LockTestFolder::new("gone");
+        let claim = FolderLock::acquire(&place.0).expect("free");
+        let late = File::open(place.0.join(RUNNING)).expect("there");
+        claim.release().expect("removable");
+        late.try_lock().expect("its lock is free");
+        assert!(!is_at(&late, &place.0.join(RUNNING)));
+        FolderLock::acquire(&place.0)
+            .expect("free")
+            .release()
+            .expect("removable");
+    }
+}

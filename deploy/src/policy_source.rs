@@ -1,0 +1,86 @@
+//! The source of external decisions, as the command line selects it.
+
+use std::sync::Arc;
+
+use anyhow::ensure;
+use reveille_bs::policy::external::RecordedDecision;
+use reveille_bs::policy::outside;
+use reveille_bs::scenario::Scenario;
+use reveille_bs::server::{DecisionTimeout, RunProgress};
+use reveille_common::bus::Bus;
+use reveille_common::secret::Secret;
+use reveille_lab::external_inputs::ExternalInputs;
+
+use crate::cli::{DriveArgs, ExternalPolicyArgs, OnUndecidedArg};
+use crate::display::note;
+use crate::policy_process::PolicyProcess;
+use crate::run_registry;
+
+/// The source of external decisions.
+pub(crate) struct PolicySource<'a> {
+    /// Decisions of an earlier run, in order.
+    pub recorded: Vec<RecordedDecision>,
+    /// Timeout of decision requests; `None` without a policy process.
+    pub patience: Option<DecisionTimeout>,
+    /// The command that starts the policy process.
+    command: Option<&'a str>,
+}
+
+/// Returns the source of decisions in a run of `scenario`: none, the decisions `given` from an earlier run, or the
+/// policy port.
+///
+/// # Errors
+/// If the options do not apply here, or the given inputs cannot be replayed on the bus.
+pub(crate) fn policy_source<'a>(
+    scenario: &Scenario,
+    given: Option<ExternalInputs>,
+    drive: &'a DriveArgs,
+) -> anyhow::Result<PolicySource<'a>> {
+    let ExternalPolicyArgs {
+        policy_command,
+        decision_timeout,
+        on_undecided,
+    } = &drive.outside;
+    // Given inputs hold all decisions, so no policy process is asked.
+    let is_asked = outside::is_external(&scenario.policy) && given.is_none();
+    let is_tuned = decision_timeout.is_some() || *on_undecided != OnUndecidedArg::End;
+    ensure!(
+        is_asked || (policy_command.is_none() && !is_tuned),
+        "--policy-command, --decision-timeout and --on-undecided are for a run whose policy asks another program: add \
+         --policy external"
+    );
+    let ExternalInputs { outages, decisions } = given.unwrap_or_default();
+    ensure!(
+        outages.is_empty(),
+        "the log names devices that were lost, which does not happen again on the bus; replay it with `reveille run`"
+    );
+    Ok(PolicySource {
+        recorded: decisions,
+        patience: is_asked.then(|| (&drive.outside).into()),
+        command: policy_command.as_deref(),
+    })
+}
+
+impl PolicySource<'_> {
+    /// Starts the policy command, if any, for the run on `bus` with this `key`. Otherwise prints the address of
+    /// the policy port, if a policy process is needed and the run is not `is_quiet`.
+    ///
+    /// # Errors
+    /// If it cannot be started.
+    pub(crate) fn start(
+        &self,
+        bus: &Bus,
+        key: Option<Secret>,
+        progress: &Arc<RunProgress>,
+        is_quiet: bool,
+    ) -> anyhow::Result<Option<PolicyProcess>> {
+        if let Some(command) = self.command {
+            return PolicyProcess::start(command, bus, key, progress).map(Some);
+        }
+        if self.patience.is_some() && !is_quiet {
+            let (port, endpoint) = (bus.keys().policy(), run_registry::reachable_endpoint(bus.endpoint()));
+            note!("asking for decisions at {port} of {endpoint}");
+        }
+        Ok(None)
+    }
+}

@@ -1,0 +1,121 @@
+//! The resume mark of a run: `mark.json`, rewritten regularly during the run.
+
+use std::fs::{self, File};
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, bail};
+use reveille_bs::observer::{Notification, Observer};
+use reveille_bs::scenario::Scenario;
+use reveille_common::score::WindowRecord;
+use reveille_lab::io::beside;
+use reveille_lab::resume_mark::{ResumeMark, ResumeMarkError, ResumeTracker};
+
+use crate::runtime::now;
+
+/// The file name of the mark in a run folder.
+pub(crate) const MARK: &str = "mark.json";
+/// Time between two marks.
+const EVERY: Duration = Duration::from_secs(1);
+
+/// Reads the mark in a run folder; `None` if the run was killed before its first mark or while it wrote one.
+///
+/// # Errors
+/// If the mark belongs to another scenario or another version of the digest.
+pub(crate) fn read(folder: &Path, scenario: &Scenario) -> anyhow::Result<Option<ResumeMark>> {
+    let path = folder.join(MARK);
+    let Ok(text) = fs::read_to_string(&path) else {
+        return Ok(None);
+    };
+    match ResumeMark::parse(&text, scenario) {
+        Ok(mark) => Ok(Some(mark)),
+        Err(torn @ ResumeMarkError::Torn(_)) => {
+            tracing::warn!("{}: {torn}, so the run is taken up at its beginning", path.display());
+            Ok(None)
+        }
+        Err(error) => bail!("{}: {error}", path.display()),
+    }
+}
+
+/// An observer that writes marks, and checks that a resumed run reproduces its old mark.
+pub(crate) struct ResumeMarkWriter {
+    path: PathBuf,
+    way: ResumeTracker,
+    /// Whether the last mark could not be written.
+    has_failed: bool,
+    due: Instant,
+}
+
+impl ResumeMarkWriter {
+    /// Creates a writer of marks in `folder`; a resumed run must reproduce `expected`.
+    pub(crate) fn new(folder: &Path, scenario: &Scenario, window: u64, expected: Option<ResumeMark>) -> Self {
+        Self {
+            path: folder.join(MARK),
+            way: ResumeTracker::new(scenario, window, expected),
+            has_failed: false,
+            due: now() + EVERY,
+        }
+    }
+
+    /// Checks that the run has reproduced the mark from which it resumes.
+    ///
+    /// # Errors
+    /// If it has not.
+    pub(crate) fn check(&mut self) -> anyhow::Result<()> {
+        self.way.finish_replay();
+        if self.way.has_diverged() {
+            bail!(
+                "{}: a replay does not come by what the run had come to there; was the folder changed, or the run \
+                 meddled with?",
+                self.path.display()
+            );
+        }
+        Ok(())
+    }
+
+    /// Writes a last mark; removes the mark of a `complete` run.
+    ///
+    /// # Errors
+    /// If the mark cannot be written or removed.
+    pub(crate) fn finish(&self, complete: bool) -> anyhow::Result<()> {
+        let done = if complete {
+            match fs::remove_file(&self.path) {
+                Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error),
+                Ok(()) | Err(_) => Ok(()),
+            }
+        } else {
+            self.write()
+        };
+        done.with_context(|| format!("cannot write {}", self.path.display()))
+    }
+
+    fn write(&self) -> std::io::Result<()> {
+        // Not synced, since it is written often: a torn mark only means that a resumed run starts at TTI 0.
+        let mut file = beside(&self.path, |part| File::create(part))?;
+        file.as_file_mut().write_all(self.way.mark().text().as_bytes())?;
+        file.persist(&self.path)?;
+        Ok(())
+    }
+}
+
+impl Observer for ResumeMarkWriter {
+    fn notify(&mut self, happening: &Notification<'_>) {
+        let is_closed = self.way.see(happening);
+        // A mark names a closed TTI. During a replay the old mark stays until the run has passed it.
+        if !is_closed || self.way.is_underway() || self.way.has_diverged() || now() < self.due {
+            return;
+        }
+        self.due = now() + EVERY;
+        let failed = self.write().err();
+        // Reported at the second failure only: on a full disk the tables have ended the run by then.
+        if let Some(error) = failed.as_ref().filter(|_| self.has_failed) {
+            tracing::warn!(%error, "cannot mark how far the run has come");
+        }
+        self.has_failed = failed.is_some();
+    }
+
+    fn window_closed(&mut self, _: &WindowRecord) -> bool {
+        !self.way.has_diverged()
+    }
+}

@@ -1,0 +1,200 @@
+//! The registry of runs on this machine, so that `inspect` and `clock` find a run without an address.
+
+use std::fs::{self, OpenOptions};
+use std::io::{self, Write};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, anyhow, bail};
+use reveille_common::keys::RunName;
+use reveille_common::secret::Secret;
+use serde::{Deserialize, Serialize};
+
+use crate::cli::TargetArgs;
+use crate::key;
+
+/// The registered address of a run.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct RegistryEntry {
+    run: String,
+    endpoint: String,
+    pid: i32,
+    /// The run's key.
+    key: Option<String>,
+}
+
+/// The address of a run to connect to.
+pub(crate) struct RunAddress {
+    /// Endpoint of its base station.
+    pub endpoint: String,
+    /// Its name.
+    pub run: RunName,
+    /// Its key, if known.
+    pub key: Option<Secret>,
+}
+
+/// The registry entry of this process's run; removed when dropped.
+pub(crate) struct Registration(PathBuf);
+
+impl Drop for Registration {
+    fn drop(&mut self) {
+        let _gone = fs::remove_file(&self.0).is_err();
+    }
+}
+
+/// Registers the base station of `run` in this process, with its `key` and `endpoint`.
+///
+/// # Errors
+/// If the entry cannot be written.
+pub(crate) fn register(run: &RunName, endpoint: &str, key: Option<Secret>) -> anyhow::Result<Registration> {
+    let folder = folder();
+    // Anything else at this path, such as a link, is refused by `check`.
+    if folder.symlink_metadata().is_err() {
+        let made = fs::DirBuilder::new().recursive(true).mode(0o700).create(&folder);
+        made.with_context(|| format!("cannot create {}", folder.display()))?;
+    }
+    check(&folder)?;
+    let pid = i32::try_from(std::process::id()).context("process ids are 31 bits")?;
+    // The pid keeps runs of the same name apart.
+    let path = folder.join(format!("{run}-{pid}.json"));
+    let entry = RegistryEntry {
+        run: run.to_string(),
+        endpoint: endpoint.to_owned(),
+        pid,
+        key: key.map(|key| key.to_string()),
+    };
+    write(&path, &serde_json::to_vec(&entry)?).with_context(|| format!("cannot write {}", path.display()))?;
+    Ok(Registration(path))
+}
+
+/// Writes an entry that other users cannot read.
+fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    // Left by a killed process with the same pid.
+    if path.symlink_metadata().is_ok() {
+        fs::remove_file(path)?;
+    }
+    let mut file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(path)?;
+    file.write_all(bytes)
+}
+
+/// Returns an error for a folder that other users may have written to, since its entries are trusted.
+fn check(folder: &Path) -> anyhow::Result<()> {
+    let own = rustix::process::getuid().as_raw();
+    let named = folder.display();
+    // Not `metadata`, which follows a link into a folder of another user.
+    let found = folder.symlink_metadata().with_context(|| named.to_string())?;
+    if !found.is_dir() {
+        bail!("{named} is to be a folder, and is a link or a file");
+    }
+    if found.uid() != own {
+        let other = found.uid();
+        bail!(
+            "{named} belongs to another user ({other}, you are {own}), who could lead you to a run that is not yours"
+        );
+    }
+    let mode = found.permissions().mode() & 0o777;
+    if mode & 0o077 != 0 {
+        bail!("{named} is open to other users (mode {mode:o}): make it yours alone with `chmod 700 {named}`");
+    }
+    Ok(())
+}
+
+/// The endpoint for other machines: a listener on all addresses gets the placeholder `ADDRESS`.
+pub(crate) fn reachable_endpoint(endpoint: &str) -> String {
+    endpoint
+        .replace("/0.0.0.0:", "/ADDRESS:")
+        .replace("/[::]:", "/ADDRESS:")
+}
+
+/// Finds the run that `target` selects.
+///
+/// # Errors
+/// If there is no such run, several match, or other users may have written the registry.
+pub(crate) fn find(target: &TargetArgs) -> anyhow::Result<RunAddress> {
+    let key = target.key_file.as_deref().map(key::read).transpose()?;
+    if let (Some(endpoint), Some(run)) = (&target.connect, &target.run) {
+        return Ok(RunAddress {
+            key: key.or_else(|| key_of(endpoint, run)),
+            endpoint: endpoint.clone(),
+            run: run.clone(),
+        });
+    }
+    let entries: Vec<RegistryEntry> = entries()?
+        .into_iter()
+        .filter(|entry| target.run.as_ref().is_none_or(|run| run.to_string() == entry.run))
+        .collect();
+    match &entries[..] {
+        [entry] => Ok(RunAddress {
+            endpoint: entry.endpoint.clone(),
+            run: entry.run.parse()?,
+            key: key.or_else(|| entry.key()),
+        }),
+        [] => match &target.run {
+            Some(run) => bail!("no run {run} on this machine. For a run elsewhere give --connect too"),
+            None => bail!("no run on this machine. Start one with `reveille up`, or give --connect and --run"),
+        },
+        many => {
+            let names: Vec<String> = many.iter().map(|e| format!("{} at {}", e.run, e.endpoint)).collect();
+            bail!(
+                "there are {} runs on this machine; choose one with --run: {}",
+                many.len(),
+                names.join(", ")
+            )
+        }
+    }
+}
+
+/// The key of a run given by its address, if it runs on this machine.
+fn key_of(endpoint: &str, run: &RunName) -> Option<Secret> {
+    let entries = entries().ok()?;
+    let own = entries
+        .iter()
+        .find(|entry| entry.endpoint == endpoint && entry.run == run.to_string());
+    own.and_then(RegistryEntry::key)
+}
+
+impl RegistryEntry {
+    fn key(&self) -> Option<Secret> {
+        self.key.as_ref()?.parse().ok()
+    }
+}
+
+/// The entries of live processes; entries of ended processes are removed.
+fn entries() -> anyhow::Result<Vec<RegistryEntry>> {
+    let folder = folder();
+    if folder.symlink_metadata().is_err() {
+        return Ok(Vec::new());
+    }
+    check(&folder).map_err(|why| {
+        anyhow!("{why:#}; or give --run and --connect, or let XDG_RUNTIME_DIR name a folder of your own")
+    })?;
+    let files = fs::read_dir(&folder).with_context(|| folder.display().to_string())?;
+    let mut found = Vec::new();
+    for path in files.flatten().map(|file| file.path()) {
+        let entry: Option<RegistryEntry> = fs::read(&path)
+            .ok()
+            .and_then(|bytes| serde_json::from_slice(&bytes).ok());
+        match entry {
+            Some(entry) if is_alive(entry.pid) => found.push(entry),
+            // A killed process leaves its entry behind.
+            Some(_) => drop(fs::remove_file(&path)),
+            // A run that registers now may still be writing its entry.
+            None => {}
+        }
+    }
+    found.sort_by(|a, b| a.run.cmp(&b.run));
+    Ok(found)
+}
+
+fn is_alive(pid: i32) -> bool {
+    rustix::process::Pid::from_raw(pid).is_some_and(|pid| rustix::process::test_kill_process(pid).is_ok())
+}
+
+fn folder() -> PathBuf {
+    let given = std::env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from);
+    // The XDG specification asks programs to ignore a relative path.
+    match given.filter(|folder| folder.is_absolute()) {
+        Some(folder) => folder.join("reveille"),
+        None => std::env::temp_dir().join(format!("reveille-{}", rustix::process::getuid().as_raw())),
+    }
+}

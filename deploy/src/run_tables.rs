@@ -1,0 +1,177 @@
+//! The rows of the tables in a run folder: events, windows of TTIs, devices.
+//!
+//! Energies are in units; whole numbers of micro-units are written exactly, with six decimals.
+
+use reveille_bs::scenario::Scenario;
+use reveille_common::event::EventRecord;
+use reveille_common::score::{DeviceRecord, EventActivity, Metrics, WindowRecord};
+use reveille_common::totals::{PICO_PER_INFORMATION, Totals};
+use reveille_common::units::{Energy, MICRO_PER_UNIT};
+
+/// The columns of `events.csv`.
+pub(crate) const EVENTS: [&str; 12] = [
+    "event",
+    "start_tti",
+    "last_tti",
+    "x_m",
+    "y_m",
+    "counted",
+    "delay_ttis",
+    "reports",
+    "wake_ups",
+    "information",
+    "wrong_activations",
+    "wasted_units",
+];
+
+/// The columns of `devices.csv`.
+pub(crate) const DEVICES: [&str; 20] = [
+    "device",
+    "x_m",
+    "y_m",
+    "class",
+    "sensing_units",
+    "sleep_units",
+    "report_units",
+    "harvested_units",
+    "overflow_units",
+    "reports",
+    "wake_ups",
+    "wake_ups_heard",
+    "wrong_activations",
+    "sensing_ttis",
+    "failed_ttis",
+    "low_ttis",
+    "dark_ttis",
+    "longest_outage_ttis",
+    "start_battery",
+    "final_battery",
+];
+
+/// Metrics over all devices in each window of `windows.csv`.
+const WINDOW_METRICS: [&str; 8] = [
+    "mean_battery",
+    "low_energy_pct",
+    "energy_per_device_tti",
+    "energy_sensing_per_device_tti",
+    "energy_sleep_per_device_tti",
+    "energy_report_per_device_tti",
+    "harvested_per_device_tti",
+    "overflow_per_device_tti",
+];
+
+/// Sums over the events of a window.
+const WINDOW_EVENTS: [&str; 6] = [
+    "events",
+    "misdetected",
+    "delay_ttis",
+    "information",
+    "wake_ups",
+    "wrong_activations",
+];
+
+/// The row of an event.
+pub(crate) fn event(record: &EventRecord) -> [String; EVENTS.len()] {
+    let tally = record.tally;
+    [
+        record.event.0.to_string(),
+        record.start.to_string(),
+        record.last.to_string(),
+        record.epicentre.x.to_string(),
+        record.epicentre.y.to_string(),
+        u8::from(record.counted).to_string(),
+        record.delay().map_or_else(String::new, |delay| delay.to_string()),
+        tally.reports.to_string(),
+        tally.wake_ups.to_string(),
+        information(u128::from(tally.information_pico)),
+        tally.wrong_activations.to_string(),
+        units(tally.wasted),
+    ]
+}
+
+/// The row of a device, over the measured TTIs.
+pub(crate) fn device(scenario: &Scenario, record: &DeviceRecord) -> [String; DEVICES.len()] {
+    let (sums, spent) = (record.ledger.measured, record.ledger.measured.spent);
+    let EventActivity {
+        reports,
+        wake_ups,
+        heard,
+        wrong_activations,
+    } = record.acts;
+    let class = scenario.classes.get(usize::from(record.class));
+    [
+        record.device.to_string(),
+        record.position.x.to_string(),
+        record.position.y.to_string(),
+        class.map_or_else(String::new, |class| class.name.clone()),
+        units(spent.sensing),
+        units(spent.sleep),
+        units(spent.report),
+        units(sums.harvested),
+        units(sums.overflow),
+        reports.to_string(),
+        wake_ups.to_string(),
+        heard.to_string(),
+        wrong_activations.to_string(),
+        sums.sensing_ttis.to_string(),
+        sums.failed_ttis.to_string(),
+        sums.low_ttis.to_string(),
+        sums.dark_ttis.to_string(),
+        record.ledger.longest_outage.to_string(),
+        units(sums.initial),
+        units(sums.battery),
+    ]
+}
+
+/// The columns of `windows.csv`.
+pub(crate) fn window_columns() -> impl Iterator<Item = &'static str> {
+    ["first_tti", "end_tti"]
+        .into_iter()
+        .chain(WINDOW_METRICS)
+        .chain(WINDOW_EVENTS)
+}
+
+/// The row of a window of TTIs with `devices` devices.
+pub(crate) fn window(devices: u32, record: &WindowRecord) -> impl Iterator<Item = String> {
+    let sums = record.events;
+    let totals = Totals {
+        devices: u64::from(devices),
+        ttis: record.end - record.first,
+        energy: record.energy,
+        ..Totals::default()
+    };
+    // Without α: no metric of a window needs it.
+    let metrics = Metrics::of(f64::NAN, &totals);
+    let times = [record.first, record.end].map(|tti| tti.to_string());
+    let means = WINDOW_METRICS.map(|name| metrics.value(name).unwrap_or(f64::NAN).to_string());
+    let events = [
+        sums.events.to_string(),
+        sums.misdetected.to_string(),
+        sums.delay_ttis.to_string(),
+        information(sums.information_pico),
+        sums.wake_ups.to_string(),
+        sums.wrong_activations.to_string(),
+    ];
+    times.into_iter().chain(means).chain(events)
+}
+
+fn information(pico: u128) -> String {
+    (pico as f64 / PICO_PER_INFORMATION).to_string()
+}
+
+fn units(energy: Energy) -> String {
+    // In whole numbers: an f64 would round a large energy.
+    let micro = energy.micro();
+    format!("{}.{:06}", micro / MICRO_PER_UNIT, micro % MICRO_PER_UNIT)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn energies_are_written_exactly() {
+        let texts = [0, 1, 999_999, 1_000_000, 12_345_678_901].map(|micro| units(Energy::from_micro(micro)));
+        assert_eq!(texts, ["0.000000", "0.000001", "0.999999", "1.000000", "12345.678901"]);
+    }
+}

@@ -1,0 +1,119 @@
+//! The scenario files, copied to the run folder: the folder can be moved, and the run repeated without the originals.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use reveille_bs::scenario::{Scenario, load};
+use reveille_view::recording::Bundle;
+
+/// The subfolder of the copies in a run folder.
+pub(crate) const FOLDER: &str = "inputs";
+
+/// In-memory copies of the scenario files: writing the run folder may overwrite an original.
+pub(crate) struct ScenarioFiles(Vec<ScenarioFile>);
+
+struct ScenarioFile {
+    path: PathBuf,
+    /// The name of the copy.
+    name: String,
+    bytes: Vec<u8>,
+}
+
+impl ScenarioFiles {
+    /// Reads the files of `scenario`.
+    ///
+    /// # Errors
+    /// If a file cannot be read any more.
+    pub(crate) fn read(scenario: &Scenario) -> anyhow::Result<Self> {
+        let mut inputs: Vec<ScenarioFile> = Vec::new();
+        for path in scenario.files() {
+            let bytes = fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
+            let is_taken = |name: &str| inputs.iter().any(|input| input.name == name);
+            // The copies of files from several folders share one folder, so their names must differ.
+            let name = free_name(&path, is_taken);
+            inputs.push(ScenarioFile { path, name, bytes });
+        }
+        Ok(Self(inputs))
+    }
+
+    /// Writes the copies to the run folder `folder`.
+    ///
+    /// # Errors
+    /// If they cannot be written.
+    pub(crate) fn write(&self, folder: &Path) -> io::Result<()> {
+        if self.0.is_empty() {
+            return Ok(());
+        }
+        let folder = folder.join(FOLDER);
+        fs::create_dir_all(&folder)?;
+        self.0
+            .iter()
+            .try_for_each(|input| fs::write(folder.join(&input.name), &input.bytes))
+    }
+
+    /// Checks that the scenario file at `path`, which names the copies, gives `scenario`.
+    ///
+    /// # Errors
+    /// If a scenario file changed after it was read.
+    pub(crate) fn check(&self, path: &Path, scenario: &Scenario) -> anyhow::Result<()> {
+        if self.0.is_empty() {
+            return Ok(());
+        }
+        let copy = load(&path.to_string_lossy(), &[])?.scenario;
+        let names: Vec<String> = self.0.iter().map(|input| input.path.display().to_string()).collect();
+        anyhow::ensure!(
+            copy.hash_hex() == scenario.hash_hex(),
+            "a file of the scenario was changed while it was read; start the run again ({})",
+            names.join(", ")
+        );
+        Ok(())
+    }
+
+    /// Bundles `scenario` with its files.
+    pub(crate) fn bundle(&self, scenario: &Scenario) -> Bundle {
+        let file = |input: &ScenarioFile| (format!("{FOLDER}/{}", input.name), input.bytes.clone());
+        Bundle {
+            scenario: self.to_toml(scenario),
+            files: self.0.iter().map(file).collect(),
+        }
+    }
+
+    /// Formats `scenario` as the run folder's scenario file, which names the copies.
+    pub(crate) fn to_toml(&self, scenario: &Scenario) -> String {
+        scenario.to_toml_with(|path| {
+            let copy = self.0.iter().find(|input| input.path == path);
+            copy.map(|input| format!("{FOLDER}/{}", input.name))
+        })
+    }
+}
+
+/// Removes the copies of an earlier run from `folder`.
+///
+/// # Errors
+/// If they cannot be removed.
+pub(crate) fn remove(folder: &Path) -> io::Result<()> {
+    match fs::remove_dir_all(folder.join(FOLDER)) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        Ok(()) | Err(_) => Ok(()),
+    }
+}
+
+/// The file name of `path`, numbered if the name is taken.
+fn free_name(path: &Path, is_taken: impl Fn(&str) -> bool) -> String {
+    let text = |part: Option<&std::ffi::OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
+    let (stem, ending) = (text(path.file_stem()), text(path.extension()));
+    let ending = if ending.is_empty() {
+        ending
+    } else {
+        format!(".{ending}")
+    };
+    let mut name = format!("{stem}{ending}");
+    let mut number = 2;
+    while is_taken(&name) {
+        name = format!("{stem}-{number}{ending}");
+        number += 1;
+    }
+    name
+}

@@ -1,0 +1,237 @@
+//! The growing tables of a run folder. Only whole rows reach the file, each within a second, so that a killed run keeps
+//! its rows so far.
+
+use std::fs::File;
+use std::io::{self, Write};
+use std::path::Path;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+/// Longest delay of a row.
+const WAIT: Duration = Duration::from_secs(1);
+/// Most bytes that are held back.
+const HELD: usize = 1 << 16;
+
+/// Tables whose rows are written within a second.
+pub(crate) struct Tables {
+    state: Arc<Mutex<State>>,
+    /// Writes the pending rows.
+    thread: Option<JoinHandle<()>>,
+}
+
+/// State shared by the run and the thread.
+struct State {
+    tables: Vec<csv::Writer<LineBuffered<File>>>,
+    /// The first error; no rows are added after it.
+    error: Option<csv::Error>,
+    is_over: bool,
+}
+
+impl Tables {
+    /// Creates tables in `folder`, each with a name and its columns.
+    ///
+    /// # Errors
+    /// If a table cannot be written, or the thread cannot be started.
+    pub(crate) fn begin(folder: &Path, tables: &[(&str, Vec<&str>)]) -> anyhow::Result<Self> {
+        let mut open = Vec::new();
+        for (name, columns) in tables {
+            let mut table = csv::Writer::from_writer(LineBuffered::new(File::create(folder.join(name))?));
+            table.write_record(columns)?;
+            open.push(table);
+        }
+        let state = Arc::new(Mutex::new(State {
+            tables: open,
+            error: None,
+            is_over: false,
+        }));
+        let own = Arc::clone(&state);
+        let write = move || {
+            loop {
+                std::thread::park_timeout(WAIT);
+                let mut state = lock(&own);
+                state.write_out();
+                // Checked after the write, so that the last rows are written too.
+                if state.is_over {
+                    return;
+                }
+            }
+        };
+        let thread = std::thread::Builder::new().name("tables".to_owned()).spawn(write)?;
+        Ok(Self {
+            state,
+            thread: Some(thread),
+        })
+    }
+
+    /// Adds a row to the table with index `table`.
+    pub(crate) fn add<R>(&self, table: usize, row: R)
+    where
+        R: IntoIterator,
+        R::Item: AsRef<[u8]>,
+    {
+        let mut state = lock(&self.state);
+        if state.error.is_none() {
+            state.error = state.tables[table].write_record(row).err();
+        }
+    }
+
+    /// Whether no write has failed so far.
+    pub(crate) fn has_no_error(&self) -> bool {
+        lock(&self.state).error.is_none()
+    }
+
+    /// Writes all pending rows.
+    ///
+    /// # Errors
+    /// If a write fails now or failed before.
+    pub(crate) fn flush(&self) -> Result<(), csv::Error> {
+        let mut state = lock(&self.state);
+        state.write_out();
+        state.error.take().map_or(Ok(()), Err)
+    }
+}
+
+impl Drop for Tables {
+    fn drop(&mut self) {
+        lock(&self.state).is_over = true;
+        if let Some(thread) = self.thread.take() {
+            thread.thread().unpark();
+            let _panicked = thread.join().is_err();
+        }
+    }
+}
+
+fn lock(state: &Mutex<State>) -> MutexGuard<'_, State> {
+    state.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl State {
+    fn write_out(&mut self) {
+        for table in &mut self.tables {
+            // The first error names the cause; later ones follow from it.
+            if let (Err(error), None) = (table.flush(), &self.error) {
+                self.error = Some(error.into());
+            }
+        }
+    }
+}
+
+/// Holds bytes back until they form whole lines.
+struct LineBuffered<W> {
+    file: W,
+    held: Vec<u8>,
+}
+
+impl<W: Write> LineBuffered<W> {
+    fn new(file: W) -> Self {
+        Self { file, held: Vec::new() }
+    }
+
+    /// Writes the whole lines held back.
+    fn write_lines(&mut self) -> io::Result<()> {
+        let mut left = self.held.iter().rposition(|&byte| byte == b'\n').map_or(0, |at| at + 1);
+        // Not `write_all`: bytes that a full disk has taken must not be written again once there is room.
+        while left > 0 {
+            match self.file.write(&self.held[..left]) {
+                Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
+                Ok(written) => {
+                    self.held.drain(..written);
+                    left -= written;
+                }
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(())
+    }
+}
+
+impl<W: Write> Write for LineBuffered<W> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        // Written before `bytes` are taken: after an error, the CSV writer passes the same bytes again.
+        if self.held.len() >= HELD {
+            self.write_lines()?;
+        }
+        self.held.extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.write_lines()?;
+        self.file.flush()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Keeps the bytes of each write.
+    #[derive(Default)]
+    struct Writes(Vec<Vec<u8>>);
+
+    impl Write for Writes {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.0.push(bytes.to_vec());
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn rows_are_written_whole() {
+        let mut whole = LineBuffered::new(Writes::default());
+        let row = [b"1,2,3\n".repeat(100), b"4,".to_vec()].concat();
+        for _ in 0..400 {
+            whole.write_all(&row).expect("taken");
+        }
+        assert!(whole.held.len() < HELD);
+        whole.flush().expect("written");
+        assert_eq!(whole.held, b"4,", "half a row waits for its other half");
+        whole.write_all(b"5\n").expect("taken");
+        whole.flush().expect("written");
+        let writes = &whole.file.0;
+        assert!(writes.len() > 3, "they do not wait for the end");
+        let whole_rows = |bytes: &Vec<u8>| bytes.is_empty() || bytes.ends_with(b"\n");
+        assert!(writes.iter().all(whole_rows));
+        let all = [row.repeat(400), b"5\n".to_vec()].concat();
+        assert_eq!(writes.concat(), all);
+    }
+
+    /// Refuses the first write, like a full disk, and keeps later ones.
+    #[derive(Default)]
+    struct FullOnce {
+        has_refused: bool,
+        kept: Vec<u8>,
+    }
+
+    impl Write for FullOnce {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            if !std::mem::replace(&mut self.has_refused, true) {
+                return Err(io::ErrorKind::StorageFull.into());
+            }
+            self.kept.extend_from_slice(bytes);
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn bytes_that_met_a_full_disk_are_written_once() {
+        let mut whole = LineBuffered::new(FullOnce::default());
+        let rows = b"1,2,3\n".repeat(HELD);
+        whole.write_all(&rows).expect("held");
+        whole.write_all(b"4,5,6\n").expect_err("the disk is full");
+        // The CSV writer keeps the bytes of a failed write and passes them again.
+        whole.write_all(b"4,5,6\n").expect("there is room now");
+        whole.flush().expect("written");
+        assert_eq!(whole.file.kept, [rows.as_slice(), b"4,5,6\n"].concat());
+    }
+}

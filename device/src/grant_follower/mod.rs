@@ -1,0 +1,222 @@
+//! The rules by which a host follows the virtual clock, without I/O: which grants it can execute, which δ change, and
+//! which devices sense.
+//!
+//! Messages may be lost, repeated or stale. A host executes a grant once, when all messages that belong to it are
+//! present. It answers a repeated request again.
+
+use std::collections::BTreeMap;
+
+use reveille_common::event::Stimulus;
+use reveille_common::geometry::Point;
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::{GrantMessage, PlanUpdate, ResumePoint, WakeUp};
+use reveille_common::plan::{DutyCycle, Plan};
+use reveille_common::radio::{Air, RadioSettings};
+
+/// A request of the base station to the devices of a host.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum HostRequest {
+    /// A grant that ends with this TTI.
+    Grant(Tti),
+    /// The final ledgers.
+    Ledgers,
+}
+
+/// The decision of a host about a request.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Disposition<T> {
+    /// The host has this request already: it resends the answer as soon as the answer is complete.
+    Again,
+    /// The host cannot follow, because a message is missing or this one is stale. It waits for the base station to
+    /// repeat the request.
+    Wait,
+    /// The host executes this task.
+    Do(T),
+}
+
+/// A grant to execute. Devices are numbered from 0 within the host's assignment.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GrantTask {
+    /// The changes of δ, in the order of TTIs: device, first TTI, and the new duty cycle.
+    pub changes: Vec<(usize, Tti, DutyCycle)>,
+    /// The devices with δ = 1 in the grant's last TTI that are within d_max of its stimulus.
+    pub listeners: Vec<usize>,
+}
+
+/// A wake-up signal to deliver.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WakeUpTask {
+    /// The index of the device in the host's assignment, from 0.
+    pub device: usize,
+    /// The TTI in which the ledger counts the wake-up.
+    pub tti: Tti,
+    /// The stimulus when the device is awake; `None` if the event is over by then.
+    pub stimulus: Option<Stimulus>,
+}
+
+/// A host's view of the clock and of its devices' δ.
+#[derive(Clone, Debug)]
+pub struct GrantFollower {
+    first: DeviceId,
+    positions: Vec<Point>,
+    d_max: f64,
+    end: Tti,
+    duties: Vec<DutyCycle>,
+    radio: RadioSettings,
+    air: Air,
+    /// The first TTI of the current plan of this host.
+    plan_from: Option<Tti>,
+    /// Plans for TTIs that are not granted yet, by first TTI.
+    coming: BTreeMap<Tti, Plan>,
+    /// The first TTI that is not granted yet.
+    next: Tti,
+    tick: Option<GrantMessage>,
+    asked: Option<HostRequest>,
+}
+
+/// The start of a follower: its assignment, and the progress of the devices.
+#[derive(Clone, Debug)]
+pub struct FollowerStart {
+    /// The first device of the assignment.
+    pub first: DeviceId,
+    /// The device positions in the order of ids, m.
+    pub positions: Vec<Point>,
+    /// The duty cycle of each device.
+    pub duties: Vec<DutyCycle>,
+    /// The progress of the devices.
+    pub at: ResumePoint,
+}
+
+impl GrantFollower {
+    /// Creates the follower of a host in a run that ends before TTI `end`. Its devices sense events within `d_max`, m;
+    /// `seed` and `radio` are the run's.
+    pub fn new(beginning: FollowerStart, d_max: f64, end: Tti, seed: u64, radio: &RadioSettings) -> Self {
+        let FollowerStart {
+            first,
+            positions,
+            duties,
+            at: ResumePoint { next, plan_from },
+        } = beginning;
+        assert_eq!(positions.len(), duties.len(), "a δ for each device");
+        Self {
+            first,
+            positions,
+            d_max,
+            end,
+            duties,
+            radio: *radio,
+            air: Air::new(seed, radio),
+            plan_from,
+            coming: BTreeMap::new(),
+            next,
+            tick: None,
+            asked: None,
+        }
+    }
+
+    /// The last TTI granted; 0 before the first grant.
+    pub fn granted(&self) -> Tti {
+        self.tick.map_or(Tti::ZERO, |tick| tick.last)
+    }
+
+    /// The first TTI that is not granted yet.
+    pub const fn next(&self) -> Tti {
+        self.next
+    }
+
+    /// Stores a plan for the grant that it belongs to. Returns `false` for a plan of granted TTIs, usually a repeated
+    /// one, and for a TTI after the end of the run.
+    pub fn receive_plan(&mut self, update: PlanUpdate) -> bool {
+        let PlanUpdate { from, plan } = update;
+        let is_due = from >= self.next && from < self.end;
+        if is_due {
+            self.coming.insert(from, plan);
+        }
+        is_due
+    }
+
+    /// Processes a grant.
+    pub fn receive_grant(&mut self, tick: GrantMessage) -> Disposition<GrantTask> {
+        let question = HostRequest::Grant(tick.last);
+        if self.asked == Some(question) {
+            return Disposition::Again;
+        }
+        let own = || self.coming.range(..=tick.last).map(|(from, _)| *from);
+        let plan = own().next_back().or(self.plan_from);
+        // The first TTI shows a lost grant; the last plan and the number of plans show a lost plan. The base station
+        // then resends everything.
+        if tick.first != self.next
+            || tick.last < tick.first
+            || tick.last >= self.end
+            || plan != Some(tick.plan)
+            || own().count() != tick.plans as usize
+        {
+            return Disposition::Wait;
+        }
+        // Before `listeners`, which uses δ of the grant's last TTI.
+        let changes = self.follow(tick.last);
+        let listeners = match &tick.stimulus {
+            Some(stimulus) => self.listeners(tick.last, stimulus),
+            None => Vec::new(),
+        };
+        self.next = tick.last.saturating_add(1);
+        (self.tick, self.asked) = (Some(tick), Some(question));
+        Disposition::Do(GrantTask { changes, listeners })
+    }
+
+    /// Processes the end of the run before TTI `end`, which requests the ledgers.
+    pub fn receive_finish(&mut self, end: Tti) -> Disposition<()> {
+        if self.asked == Some(HostRequest::Ledgers) {
+            return Disposition::Again;
+        }
+        if end != self.next {
+            return Disposition::Wait;
+        }
+        self.asked = Some(HostRequest::Ledgers);
+        Disposition::Do(())
+    }
+
+    /// Processes a wake-up for `device`. Returns `None` if the device belongs to another host or the wake-up is outside
+    /// its TTI.
+    pub fn receive_wake_up(&self, device: DeviceId, wake: WakeUp) -> Option<WakeUpTask> {
+        let device = device.index().checked_sub(self.first.index())?;
+        let tick = self.tick.filter(|_| device < self.duties.len())?;
+        let stimulus = tick.stimulus?;
+        // With a wake-up delay, later wake-ups of this TTI are sent in TTIs after it.
+        let is_of_it = self.radio.is_valid_send_tti(wake.tti, tick.last);
+        is_of_it.then(|| WakeUpTask {
+            device,
+            tti: tick.last,
+            stimulus: (!self.radio.is_late(wake.tti, tick.until)).then_some(stimulus),
+        })
+    }
+
+    /// Applies the plans that belong to a grant up to TTI `last`.
+    fn follow(&mut self, last: Tti) -> Vec<(usize, Tti, DutyCycle)> {
+        let mut changes = Vec::new();
+        let later = self.coming.split_off(&last.saturating_add(1));
+        // In the order of TTIs, because `Air` never goes back.
+        for (from, plan) in std::mem::replace(&mut self.coming, later) {
+            self.plan_from = Some(from);
+            let Self { air, duties, first, .. } = self;
+            air.deliver_plan(from, &plan, *first, duties.len(), |j, new| {
+                if duties[j] != new {
+                    duties[j] = new;
+                    changes.push((j, from, new));
+                }
+            });
+        }
+        changes
+    }
+
+    fn listeners(&self, tti: Tti, stimulus: &Stimulus) -> Vec<usize> {
+        let is_near = |j: &usize| self.positions[*j].distance(stimulus.epicentre) <= self.d_max;
+        (0..self.duties.len())
+            .filter(|&j| self.duties[j].is_on(tti))
+            .filter(is_near)
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,172 @@
+//! One request of the base station to a host, answered when the last of the devices concerned has added its part.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use reveille_common::bus::{Bus, BusError, Topic};
+use reveille_common::ids::{DeviceId, HostId};
+use reveille_common::message::{FailedTransmission, HostAnswer, Report};
+use reveille_common::secret::HostCredential;
+use reveille_common::state::DeviceView;
+use reveille_common::totals::{DeviceTotals, Ledger};
+
+use crate::grant_follower::HostRequest;
+
+/// An answer that is being assembled.
+pub struct Round {
+    host: HostId,
+    question: HostRequest,
+    parts: Mutex<Parts>,
+}
+
+/// The parts that the devices have added so far.
+#[derive(Default)]
+struct Parts {
+    /// The number of missing parts of devices, plus one for the host while it distributes the request.
+    pending: usize,
+    reports: Vec<Report>,
+    failures: Vec<FailedTransmission>,
+    totals: Option<DeviceTotals>,
+    views: Vec<(DeviceId, DeviceView)>,
+    ledgers: Vec<(DeviceId, Ledger)>,
+}
+
+/// One device's part of the answer.
+pub enum DeviceAnswer {
+    /// The device sent a report.
+    Reported(Report),
+    /// The device could not transmit.
+    Failed(FailedTransmission),
+    /// A device with its state and battery.
+    View(DeviceId, DeviceView),
+    /// A device with its ledger.
+    Books(DeviceId, Box<Ledger>),
+    /// An empty part.
+    Nothing,
+}
+
+impl Parts {
+    /// Returns the views in the order of device ids, if the request asked for them.
+    fn views(&self) -> Option<Vec<DeviceView>> {
+        let mut views = self.views.clone();
+        // Actors add their parts in any order.
+        views.sort_unstable_by_key(|(device, _)| *device);
+        (!views.is_empty()).then(|| views.into_iter().map(|(_, view)| view).collect())
+    }
+}
+
+impl Round {
+    /// Creates the answer to a request with `parts` parts of devices.
+    pub fn new(host: HostId, question: HostRequest, parts: usize) -> Self {
+        Self {
+            host,
+            question,
+            parts: Mutex::new(Parts {
+                pending: parts + 1,
+                ..Parts::default()
+            }),
+        }
+    }
+
+    /// Adds one device's part, or the host's own. The last part sends the answer.
+    pub fn add(&self, part: &DeviceAnswer, uplink: &Uplink) {
+        if let Some(answer) = self.take(part) {
+            uplink.answer(&answer);
+        }
+    }
+
+    /// Resends all reports and the answer, for a base station that repeats its request. Does nothing while parts are
+    /// missing.
+    pub fn resend(&self, uplink: &Uplink) {
+        if let Some((reports, answer)) = self.whole() {
+            // Reports come first, since the answer states how many precede it.
+            for report in &reports {
+                uplink.report(report);
+            }
+            uplink.answer(&answer);
+        }
+    }
+
+    /// Adds a part and returns the answer if it was the last one.
+    fn take(&self, part: &DeviceAnswer) -> Option<HostAnswer> {
+        let mut parts = self.lock();
+        match part {
+            DeviceAnswer::Reported(report) => parts.reports.push(*report),
+            DeviceAnswer::Failed(failure) => parts.failures.push(*failure),
+            DeviceAnswer::View(device, view) => parts.views.push((*device, *view)),
+            DeviceAnswer::Books(device, ledger) => match self.question {
+                HostRequest::Grant(_) => parts.totals = Some(parts.totals.unwrap_or_default() + ledger.whole),
+                HostRequest::Ledgers => parts.ledgers.push((*device, **ledger)),
+            },
+            DeviceAnswer::Nothing => {}
+        }
+        // The last part builds the answer under the lock, so it is sent exactly once.
+        parts.pending -= 1;
+        (parts.pending == 0).then(|| self.answer(&parts))
+    }
+
+    /// Returns all reports and the answer, once the last part is in.
+    fn whole(&self) -> Option<(Vec<Report>, HostAnswer)> {
+        let parts = self.lock();
+        (parts.pending == 0).then(|| (parts.reports.clone(), self.answer(&parts)))
+    }
+
+    fn answer(&self, parts: &Parts) -> HostAnswer {
+        match self.question {
+            HostRequest::Grant(tti) => HostAnswer::Done {
+                host: self.host,
+                tti,
+                reports: parts.reports.len() as u32,
+                failures: parts.failures.clone(),
+                totals: parts.totals,
+                views: parts.views(),
+            },
+            HostRequest::Ledgers => HostAnswer::Final {
+                host: self.host,
+                ledgers: parts.ledgers.clone(),
+            },
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Parts> {
+        self.parts.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The topics that a host publishes to: reports on the air plane, answers on the emulation plane.
+pub struct Uplink {
+    reports: Topic<Report>,
+    answers: Topic<HostAnswer>,
+}
+
+impl Uplink {
+    /// Creates the uplink of the host with this pass.
+    ///
+    /// # Errors
+    /// If the bus fails.
+    pub fn new(bus: &Bus, pass: HostCredential) -> Result<Self, BusError> {
+        Ok(Self {
+            reports: bus.uplink(pass)?,
+            answers: bus.uplink(pass)?,
+        })
+    }
+
+    /// Sends a device's report.
+    pub fn report(&self, report: &Report) {
+        complain(self.reports.publish(report));
+    }
+
+    /// Sends the host's answer.
+    pub fn answer(&self, answer: &HostAnswer) {
+        complain(self.answers.publish(answer));
+    }
+}
+
+/// Logs a failed message. A closed session means that the base station is lost, which the host detects separately.
+fn complain(sent: Result<(), BusError>) {
+    if let Err(error) = sent {
+        tracing::debug!(%error, "a message was not sent");
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,128 @@
+//! A round answers once, when all parts are in, and repeats the same answer on request.
+
+use reveille_common::ids::{DeviceId, HostId, Tti};
+use reveille_common::message::{FailedTransmission, HostAnswer, Report};
+use reveille_common::state::{DeviceState, DeviceView};
+use reveille_common::totals::{DeviceTotals, Ledger};
+use reveille_common::units::Energy;
+
+use super::{DeviceAnswer, Round};
+use crate::grant_follower::HostRequest;
+
+const HOST: HostId = HostId(3);
+const TTI: Tti = Tti(41);
+
+fn report(device: u32) -> Report {
+    Report {
+        device: DeviceId(device),
+        tti: TTI,
+        information: 0.5,
+        battery: Energy::from_micro(9),
+    }
+}
+
+fn ledger(harvested: u64) -> Ledger {
+    Ledger {
+        whole: totals(harvested),
+        ..Ledger::default()
+    }
+}
+
+fn totals(harvested: u64) -> DeviceTotals {
+    DeviceTotals {
+        harvested: Energy::from_micro(harvested),
+        ..DeviceTotals::default()
+    }
+}
+
+fn done(reports: u32) -> HostAnswer {
+    HostAnswer::Done {
+        host: HOST,
+        tti: TTI,
+        reports,
+        failures: Vec::new(),
+        totals: None,
+        views: None,
+    }
+}
+
+#[test]
+fn a_round_without_devices_is_answered_by_the_host_alone() {
+    let round = Round::new(HOST, HostRequest::Grant(TTI), 0);
+    assert_eq!(round.take(&DeviceAnswer::Nothing), Some(done(0)));
+}
+
+#[test]
+fn the_last_part_answers_once() {
+    let round = Round::new(HOST, HostRequest::Grant(TTI), 2);
+    assert_eq!(round.take(&DeviceAnswer::Nothing), None, "the host has handed it out");
+    assert_eq!(round.take(&DeviceAnswer::Reported(report(1))), None);
+    assert_eq!(round.take(&DeviceAnswer::Reported(report(0))), Some(done(2)));
+}
+
+#[test]
+fn a_device_may_finish_before_the_host_has_handed_the_question_out() {
+    let round = Round::new(HOST, HostRequest::Grant(TTI), 1);
+    assert_eq!(round.take(&DeviceAnswer::Reported(report(1))), None);
+    assert_eq!(round.take(&DeviceAnswer::Nothing), Some(done(1)));
+}
+
+#[test]
+fn a_round_is_repeated_only_when_it_is_whole_and_always_the_same() {
+    let round = Round::new(HOST, HostRequest::Grant(TTI), 2);
+    assert_eq!(round.whole(), None);
+    round.take(&DeviceAnswer::Reported(report(1)));
+    round.take(&DeviceAnswer::Nothing);
+    assert_eq!(round.whole(), None, "one device has still to do its part");
+    let answer = round.take(&DeviceAnswer::Reported(report(0))).expect("the answer");
+    let again = (vec![report(1), report(0)], answer);
+    assert_eq!(round.whole(), Some(again.clone()));
+    assert_eq!(round.whole(), Some(again));
+}
+
+#[test]
+fn a_grant_gathers_failures_sums_and_levels() {
+    let failure = FailedTransmission {
+        device: DeviceId(4),
+        drained: Energy::from_micro(2),
+    };
+    let round = Round::new(HOST, HostRequest::Grant(TTI), 5);
+    let view = |device: u32| DeviceView {
+        state: DeviceState::Idle,
+        battery: Energy::from_micro(u64::from(10 * device)),
+    };
+    let level = |device: u32| DeviceAnswer::View(DeviceId(device), view(device));
+    for part in [
+        DeviceAnswer::Failed(failure),
+        level(5),
+        level(4),
+        DeviceAnswer::Books(DeviceId(4), Box::new(ledger(3))),
+        DeviceAnswer::Books(DeviceId(5), Box::new(ledger(8))),
+    ] {
+        assert_eq!(round.take(&part), None);
+    }
+    let expected = HostAnswer::Done {
+        host: HOST,
+        tti: TTI,
+        reports: 0,
+        failures: vec![failure],
+        totals: Some(totals(11)),
+        views: Some(vec![view(4), view(5)]),
+    };
+    assert_eq!(round.take(&DeviceAnswer::Nothing), Some(expected));
+}
+
+#[test]
+fn ledgers_are_kept_by_device() {
+    let round = Round::new(HOST, HostRequest::Ledgers, 2);
+    round.take(&DeviceAnswer::Nothing);
+    round.take(&DeviceAnswer::Books(DeviceId(4), Box::new(ledger(3))));
+    let expected = HostAnswer::Final {
+        host: HOST,
+        ledgers: vec![(DeviceId(4), ledger(3)), (DeviceId(5), ledger(8))],
+    };
+    assert_eq!(
+        round.take(&DeviceAnswer::Books(DeviceId(5), Box::new(ledger(8)))),
+        Some(expected)
+    );
+}

@@ -1,0 +1,178 @@
+//! The ledger of a device: its actions, their energy cost by state, and its outages.
+//!
+//! The ledger counts actions instead of summing costs. The energy spent follows from the counts and the prices. The
+//! ledger and the battery are therefore two independent accounts of the same energy. [`DeviceTotals::closes`] compares
+//! them.
+
+use reveille_common::ids::Tti;
+use reveille_common::scenario::EnergyModel;
+use reveille_common::totals::{DeviceTotals, EnergyByState, Ledger};
+use reveille_common::units::Energy;
+use serde::{Deserialize, Serialize};
+
+use crate::battery::Battery;
+
+/// The effect of an action on the battery: paid in full, or failed after draining the remaining energy.
+type Paid = Result<(), Energy>;
+
+/// The ledger of one device since TTI 0.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct LedgerBuilder {
+    sensing_ttis: u64,
+    failed_ttis: u64,
+    dark_ttis: u64,
+    false_wakes: u64,
+    /// The false wake-ups that the battery could not pay.
+    failed_false_wakes: u64,
+    transmissions: u64,
+    /// The energy drained by failed actions.
+    drained: EnergyByState,
+    battery_sum: u128,
+    low_ttis: u64,
+    /// The number of consecutive TTIs up to now in which the battery could not pay for anything.
+    outage: u64,
+    longest_outage: u64,
+    measured_from: Tti,
+    /// The totals at the start of the measured part.
+    at_warm_up: Option<Box<DeviceTotals>>,
+}
+
+impl LedgerBuilder {
+    /// Creates an empty ledger, measured from TTI `measured_from` on.
+    pub const fn new(measured_from: Tti) -> Self {
+        let drained = EnergyByState {
+            sensing: Energy::ZERO,
+            sleep: Energy::ZERO,
+            report: Energy::ZERO,
+        };
+        Self {
+            sensing_ttis: 0,
+            failed_ttis: 0,
+            dark_ttis: 0,
+            false_wakes: 0,
+            failed_false_wakes: 0,
+            transmissions: 0,
+            drained,
+            battery_sum: 0,
+            low_ttis: 0,
+            outage: 0,
+            longest_outage: 0,
+            measured_from,
+            at_warm_up: None,
+        }
+    }
+
+    /// The first measured TTI.
+    #[inline]
+    pub const fn measured_from(&self) -> Tti {
+        self.measured_from
+    }
+
+    /// Starts the measured part with the totals `so_far`. A repeated call has no effect.
+    pub fn start_measuring(&mut self, so_far: DeviceTotals) {
+        if self.at_warm_up.is_none() {
+            self.at_warm_up = Some(Box::new(so_far));
+            // An outage that began in the warm-up counts only from here.
+            (self.outage, self.longest_outage) = (0, 0);
+        }
+    }
+
+    /// Records the begin of a TTI, with δ = 1 if `on`.
+    pub fn record_duty(&mut self, on: bool, paid: Paid) {
+        self.sensing_ttis += u64::from(on);
+        match paid {
+            Ok(()) => self.outage = 0,
+            Err(drained) => {
+                if on {
+                    self.drained.sensing += drained;
+                } else {
+                    self.drained.sleep += drained;
+                }
+                self.failed_ttis += u64::from(on);
+                self.dark_ttis += u64::from(!on);
+                self.lengthen_outage(1);
+            }
+        }
+    }
+
+    /// Records TTIs on an empty battery, `on` with δ = 1 and `off` with δ = 0.
+    pub fn record_outage(&mut self, on: u64, off: u64) {
+        self.sensing_ttis += on;
+        self.failed_ttis += on;
+        self.dark_ttis += off;
+        self.lengthen_outage(on + off);
+    }
+
+    /// Records TTIs in which everything was paid, `on` of them with δ = 1. Their end-of-TTI levels add up to
+    /// `battery_sum`, and `low` of them ended below E_Tx.
+    #[inline]
+    pub fn record_paid_span(&mut self, on: u64, battery_sum: Energy, low: u64) {
+        self.sensing_ttis += on;
+        self.outage = 0;
+        self.battery_sum += u128::from(battery_sum.micro());
+        self.low_ttis += low;
+    }
+
+    /// Records a false wake-up in a TTI with δ = 0. Its cost is a cost of listening and counts for S4.
+    pub fn false_wake(&mut self, paid: Paid) {
+        self.false_wakes += 1;
+        if let Err(drained) = paid {
+            self.failed_false_wakes += 1;
+            self.drained.sleep += drained;
+        }
+    }
+
+    /// Records an attempt to transmit.
+    pub fn transmission(&mut self, paid: Paid) {
+        match paid {
+            Ok(()) => self.transmissions += 1,
+            Err(drained) => self.drained.report += drained,
+        }
+    }
+
+    /// Records the end of `n` TTIs with `level` in the battery.
+    pub fn ends(&mut self, level: Energy, e_tx: Energy, n: u64) {
+        self.battery_sum += u128::from(level.micro()) * u128::from(n);
+        self.low_ttis += if level < e_tx { n } else { 0 };
+    }
+
+    /// Returns the totals over the TTIs before `next`, with these prices and this battery.
+    pub fn totals(&self, next: Tti, prices: &EnergyModel, battery: &Battery) -> DeviceTotals {
+        // Each TTI before `next` had either δ = 1 or δ = 0.
+        let asleep = next.0 - self.sensing_ttis;
+        DeviceTotals {
+            initial: battery.initial(),
+            harvested: battery.harvested(),
+            spent: EnergyByState {
+                sensing: prices.e_idle.times(self.sensing_ttis - self.failed_ttis) + self.drained.sensing,
+                sleep: prices.e_wur.times(asleep - self.dark_ttis)
+                    + prices.e_idle.times(self.false_wakes - self.failed_false_wakes)
+                    + self.drained.sleep,
+                report: prices.e_tx.times(self.transmissions) + self.drained.report,
+            },
+            overflow: battery.overflow(),
+            battery: battery.level(),
+            battery_sum: self.battery_sum,
+            low_ttis: self.low_ttis,
+            sensing_ttis: self.sensing_ttis,
+            failed_ttis: self.failed_ttis,
+            dark_ttis: self.dark_ttis,
+            false_wakes: self.false_wakes,
+        }
+    }
+
+    /// Returns the ledger of a run with the totals `whole`.
+    pub fn ledger(&self, whole: DeviceTotals) -> Ledger {
+        let measured = self.at_warm_up.as_ref().map(|before| whole - **before);
+        Ledger {
+            whole,
+            measured: measured.unwrap_or_default(),
+            longest_outage: if measured.is_some() { self.longest_outage } else { 0 },
+        }
+    }
+
+    fn lengthen_outage(&mut self, ttis: u64) {
+        self.outage += ttis;
+        self.longest_outage = self.longest_outage.max(self.outage);
+    }
+}

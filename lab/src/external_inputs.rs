@@ -1,0 +1,427 @@
+//! The external inputs of a run as text, the input log: one line for each input, in order of arrival.
+//!
+//! External inputs are removals of devices, whose process was lost under `--on-loss continue`, and decisions of a
+//! policy process.
+
+use reveille_bs::policy::external::{Decision, PlanDecision, RecordedDecision};
+use reveille_bs::scenario::Scenario;
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::DeviceRemoval;
+use reveille_common::plan::{DutyCycle, Plan};
+use serde::{Deserialize, Serialize};
+
+/// The version of the format.
+const VERSION: u32 = 2;
+
+/// A reason why a text is not an input log of a scenario.
+#[derive(Debug, thiserror::Error)]
+pub enum InputLogError {
+    /// A line is malformed.
+    #[error("line {line} is none of a log of inputs, at column {column}: {what}")]
+    Line {
+        /// The line number, from 1.
+        line: usize,
+        /// The column of the error, from 1.
+        column: usize,
+        /// The cause.
+        what: String,
+    },
+    /// The log has another format version.
+    #[error("another version of reveille wrote it; use that one")]
+    Version,
+    /// The log belongs to another run.
+    #[error("is of a run of another scenario or seed than this one")]
+    Scenario,
+    /// The log does not begin with the line that names its run.
+    #[error("line {0} comes before the line that names the run")]
+    Headless(usize),
+    /// A removal is impossible in this run.
+    #[error("line {0} is an outage that cannot have come then")]
+    Outage(usize),
+    /// A decision is impossible in this run.
+    #[error("line {0} is a decision that nobody can have made then")]
+    Decision(usize),
+}
+
+/// An external input.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ExternalInput {
+    /// A removal of devices.
+    Outage(DeviceRemoval),
+    /// A decision of a policy process.
+    Decision(RecordedDecision),
+}
+
+/// All external inputs of a run, each kind in order of arrival.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ExternalInputs {
+    /// The removals.
+    pub outages: Vec<DeviceRemoval>,
+    /// The decisions.
+    pub decisions: Vec<RecordedDecision>,
+}
+
+impl ExternalInputs {
+    /// Creates inputs with removals only.
+    pub fn of_outages(outages: &[DeviceRemoval]) -> Self {
+        Self {
+            outages: outages.to_vec(),
+            decisions: Vec::new(),
+        }
+    }
+
+    /// Appends an input to its kind.
+    pub fn add(&mut self, input: ExternalInput) {
+        match input {
+            ExternalInput::Outage(outage) => self.outages.push(outage),
+            ExternalInput::Decision(decision) => self.decisions.push(decision),
+        }
+    }
+
+    /// Returns the inputs of the TTIs before `k`.
+    #[must_use]
+    pub fn before(&self, k: Tti) -> Self {
+        let (outages, decisions) = (self.outages.iter(), self.decisions.iter());
+        Self {
+            outages: outages.copied().filter(|outage| outage.tti < k).collect(),
+            decisions: decisions.filter(|decision| decision.tti < k).cloned().collect(),
+        }
+    }
+
+    /// Iterates over all inputs, removals first.
+    pub fn iter(&self) -> impl Iterator<Item = ExternalInput> {
+        let outages = self.outages.iter().copied().map(ExternalInput::Outage);
+        outages.chain(self.decisions.iter().cloned().map(ExternalInput::Decision))
+    }
+}
+
+/// A line of the log.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+enum InputLogLine {
+    /// The first line, which names the run.
+    Inputs {
+        version: u32,
+        scenario_hash: String,
+    },
+    Outage(DeviceRemoval),
+    /// The devices that sense from TTI `tti` on; the next plan is due in TTI `next`.
+    Sense {
+        tti: u64,
+        devices: Vec<u32>,
+        next: u64,
+    },
+    /// A plan of duty cycles: `t_on`, `t_drx` and offset of each device.
+    Cycles {
+        tti: u64,
+        devices: Vec<[u32; 3]>,
+        next: u64,
+    },
+    /// The devices to wake in TTI `tti`, in this order.
+    Wake {
+        tti: u64,
+        devices: Vec<u32>,
+    },
+}
+
+impl InputLogLine {
+    fn line(&self) -> String {
+        serde_json::to_string(self).expect("an entry is JSON") + "\n"
+    }
+}
+
+impl From<&RecordedDecision> for InputLogLine {
+    fn from(RecordedDecision { tti: Tti(tti), answer }: &RecordedDecision) -> Self {
+        let tti = *tti;
+        match answer {
+            Decision::Wake(devices) => Self::Wake {
+                tti,
+                devices: devices.iter().map(|device| device.0).collect(),
+            },
+            Decision::Plan(PlanDecision { plan, next }) => match plan {
+                Plan::Bits { bits } => Self::Sense {
+                    tti,
+                    devices: Plan::sensing_devices(bits).map(|device| device.0).collect(),
+                    next: next.0,
+                },
+                Plan::Periodic(cycles) => Self::Cycles {
+                    tti,
+                    devices: cycles.iter().map(|c| [c.t_on, c.t_drx, c.offset]).collect(),
+                    next: next.0,
+                },
+            },
+        }
+    }
+}
+
+/// Returns the first line of the log of a run of `scenario`.
+pub fn first_line(scenario: &Scenario) -> String {
+    let first = InputLogLine::Inputs {
+        version: VERSION,
+        scenario_hash: scenario.hash_hex(),
+    };
+    first.line()
+}
+
+/// Returns the line of an input.
+pub fn line(input: &ExternalInput) -> String {
+    match input {
+        ExternalInput::Outage(outage) => InputLogLine::Outage(*outage).line(),
+        ExternalInput::Decision(decision) => InputLogLine::from(decision).line(),
+    }
+}
+
+/// Returns the complete lines of a log. After a kill the last line may be incomplete; the run does not depend on it.
+pub fn complete_lines(text: &str) -> &str {
+    &text[..text.rfind('\n').map_or(0, |last| last + 1)]
+}
+
+/// Parses the complete lines of a log of a run of `scenario`.
+///
+/// # Errors
+/// If the text is not an input log, belongs to another scenario, or contains an impossible input.
+pub fn parse(text: &str, scenario: &Scenario) -> Result<ExternalInputs, InputLogError> {
+    let mut parser = Parser::default();
+    parser.read(text, scenario)?;
+    Ok(parser.inputs)
+}
+
+/// An incremental parser, for example for the log of a run in progress.
+#[derive(Clone, Debug, Default)]
+pub struct Parser {
+    inputs: ExternalInputs,
+    /// The number of lines read.
+    lines: usize,
+    has_begun: bool,
+}
+
+impl Parser {
+    /// The inputs so far.
+    pub const fn inputs(&self) -> &ExternalInputs {
+        &self.inputs
+    }
+
+    /// Parses the complete lines at the start of `text`, which continues the previous call's text. Returns their length
+    /// in bytes. All parts must come from a run of the same `scenario`.
+    ///
+    /// # Errors
+    /// See [`parse`].
+    pub fn read(&mut self, text: &str, scenario: &Scenario) -> Result<usize, InputLogError> {
+        let text = complete_lines(text);
+        for line in text.lines() {
+            self.lines += 1;
+            self.take(line, scenario)?;
+        }
+        Ok(text.len())
+    }
+
+    fn take(&mut self, text: &str, scenario: &Scenario) -> Result<(), InputLogError> {
+        let Self {
+            inputs,
+            lines: line,
+            has_begun,
+        } = self;
+        let entry = serde_json::from_str(text).map_err(|error| bad_line(*line, &error))?;
+        let decision = match entry {
+            // Version 1 only has removals, in the same form, so it is accepted too.
+            InputLogLine::Inputs { version, .. } if !(1..=VERSION).contains(&version) => {
+                return Err(InputLogError::Version);
+            }
+            InputLogLine::Inputs { scenario_hash, .. } if scenario_hash != scenario.hash_hex() => {
+                return Err(InputLogError::Scenario);
+            }
+            InputLogLine::Inputs { .. } => {
+                *has_begun = true;
+                return Ok(());
+            }
+            // Everything below is checked against the scenario, which only the first line guarantees.
+            _ if !*has_begun => return Err(InputLogError::Headless(*line)),
+            InputLogLine::Outage(outage) => {
+                if !may_come(&outage, &inputs.outages, scenario) {
+                    return Err(InputLogError::Outage(*line));
+                }
+                inputs.outages.push(outage);
+                return Ok(());
+            }
+            InputLogLine::Sense { tti, devices, next } => chosen(&devices, scenario).map(|devices| {
+                let plan = Plan::from_devices(scenario.run.devices as usize, &devices);
+                (tti, Decision::Plan(PlanDecision { plan, next: Tti(next) }))
+            }),
+            InputLogLine::Cycles { tti, devices, next } => cycles(&devices, scenario).map(|cycles| {
+                let plan = Plan::Periodic(cycles);
+                (tti, Decision::Plan(PlanDecision { plan, next: Tti(next) }))
+            }),
+            InputLogLine::Wake { tti, devices } => {
+                chosen(&devices, scenario).map(|devices| (tti, Decision::Wake(devices)))
+            }
+        };
+        let decision = decision.map(|(tti, answer)| RecordedDecision { tti: Tti(tti), answer });
+        let decision = decision.filter(|decision| may_be_made(decision, inputs.decisions.last(), scenario));
+        inputs.decisions.push(decision.ok_or(InputLogError::Decision(*line))?);
+        Ok(())
+    }
+}
+
+/// Returns the error of line number `line`. The JSON parser sees one line at a time, so its own line number is dropped.
+fn bad_line(line: usize, error: &serde_json::Error) -> InputLogError {
+    let (column, what) = (error.column(), error.to_string());
+    let place = format!(" at line {} column {column}", error.line());
+    let what = what.strip_suffix(&place).unwrap_or(&what).to_owned();
+    // serde_json gives column 0 for an error before the first character.
+    let column = column.max(1);
+    InputLogError::Line { line, column, what }
+}
+
+/// Returns these devices if all of them exist.
+fn chosen(devices: &[u32], scenario: &Scenario) -> Option<Vec<DeviceId>> {
+    let is_there = devices.iter().all(|device| *device < scenario.run.devices);
+    is_there.then(|| devices.iter().copied().map(DeviceId).collect())
+}
+
+/// Returns these cycles if there is a valid one for each device.
+fn cycles(devices: &[[u32; 3]], scenario: &Scenario) -> Option<Vec<DutyCycle>> {
+    let cycles = devices
+        .iter()
+        .map(|&[t_on, t_drx, offset]| DutyCycle { t_on, t_drx, offset });
+    // A cycle with t_DRX = 0 from a damaged log would cause a division by zero in the plan.
+    let cycles: Vec<DutyCycle> = cycles.filter(|cycle| cycle.is_valid()).collect();
+    (cycles.len() == devices.len() && devices.len() == scenario.run.devices as usize).then_some(cycles)
+}
+
+/// Returns whether `outage` is possible after those in `before`.
+fn may_come(outage: &DeviceRemoval, before: &[DeviceRemoval], scenario: &Scenario) -> bool {
+    let order = |outage: &DeviceRemoval| (outage.tti, outage.wake_ups);
+    let is_next = before.last().is_none_or(|last| order(last) <= order(outage));
+    let is_apart = |other: &DeviceRemoval| other.last() < outage.first || outage.last() < other.first;
+    // A valid removal names devices of the run, so its range can index them. A device is removed once, so ranges are
+    // disjoint.
+    outage.is_valid(scenario.run.devices) && outage.tti.0 < scenario.run.ttis && is_next && before.iter().all(is_apart)
+}
+
+/// Returns whether `decision` is possible after the one in `before`. A run starts with a plan, and a TTI has at most
+/// one.
+fn may_be_made(decision: &RecordedDecision, before: Option<&RecordedDecision>, scenario: &Scenario) -> bool {
+    let Some(before) = before else {
+        return decision.tti == Tti::ZERO && matches!(decision.answer, Decision::Plan(_));
+    };
+    let is_later = match decision.answer {
+        Decision::Plan(PlanDecision { next, .. }) => decision.tti > before.tti && next > decision.tti,
+        Decision::Wake(_) => decision.tti >= before.tti,
+    };
+    is_later && decision.tti.0 < scenario.run.ttis
+}
+
+#[cfg(test)]
+mod tests {
+    use reveille_bs::scenario::load;
+    use reveille_common::ids::{DeviceId, Tti};
+
+    use super::*;
+
+    fn outage(first: u32, count: u32, tti: u64) -> DeviceRemoval {
+        DeviceRemoval {
+            first: DeviceId(first),
+            count,
+            tti: Tti(tti),
+            wake_ups: None,
+        }
+    }
+
+    /// Writes a log of these inputs with a truncated last line, and parses it.
+    fn written_and_read(inputs: &[ExternalInput]) -> Result<ExternalInputs, InputLogError> {
+        let scenario = load("quick", &[]).expect("a preset").scenario;
+        let lines: String = inputs.iter().map(line).collect();
+        parse(&format!("{}{lines}{{\"outage\":", first_line(&scenario)), &scenario)
+    }
+
+    fn plan(tti: u64, plan: Plan, next: u64) -> RecordedDecision {
+        let next = Tti(next);
+        let answer = Decision::Plan(PlanDecision { plan, next });
+        RecordedDecision { tti: Tti(tti), answer }
+    }
+
+    fn wake(tti: u64, devices: &[u32]) -> RecordedDecision {
+        let answer = Decision::Wake(devices.iter().copied().map(DeviceId).collect());
+        RecordedDecision { tti: Tti(tti), answer }
+    }
+
+    /// A plan of the right size, in which device `j` senses.
+    fn bits(j: u32) -> Plan {
+        let devices = load("quick", &[]).expect("a preset").scenario.run.devices;
+        Plan::from_devices(devices as usize, &[DeviceId(j)])
+    }
+
+    #[test]
+    fn a_log_is_read_up_to_its_last_whole_line() {
+        let devices = load("quick", &[]).expect("a preset").scenario.run.devices as usize;
+        let inputs = ExternalInputs {
+            outages: vec![outage(3, 2, 5), outage(0, 3, 5), outage(9, 1, 80)],
+            decisions: vec![
+                plan(0, bits(3), 1),
+                wake(0, &[7, 2]),
+                wake(0, &[]),
+                plan(1, Plan::Periodic(vec![DutyCycle::SENSING; devices]), u64::MAX),
+                wake(60, &[1]),
+            ],
+        };
+        let all: Vec<ExternalInput> = inputs.iter().collect();
+        assert_eq!(written_and_read(&all).expect("a log"), inputs);
+        let scenario = load("quick", &[]).expect("a preset").scenario;
+        let text = first_line(&scenario) + &all.iter().map(line).collect::<String>();
+        for length in [1, 7, 60, 4000] {
+            let (mut parser, mut read, mut end) = (Parser::default(), 0, 0);
+            while read < text.len() {
+                end = text.len().min(end + length);
+                read += parser.read(&text[read..end], &scenario).expect("a log");
+            }
+            assert_eq!(parser.inputs(), &inputs, "{length} bytes at a time");
+        }
+        assert_eq!(written_and_read(&[]).expect("a log"), ExternalInputs::default());
+    }
+
+    #[test]
+    fn what_cannot_have_come_is_refused() {
+        let impossible = [
+            vec![outage(0, 0, 5)],
+            vec![outage(3, 2, 5), outage(0, 0, 6)],
+            vec![outage(u32::MAX, 2, 5)],
+            vec![outage(0, 1, u64::MAX)],
+            vec![outage(3, 2, 5), outage(4, 1, 9)],
+            vec![outage(3, 2, 5), outage(0, 1, 4)],
+        ];
+        for outages in impossible {
+            let outages: Vec<ExternalInput> = outages.into_iter().map(ExternalInput::Outage).collect();
+            let refused = written_and_read(&outages).expect_err("impossible");
+            assert!(matches!(refused, InputLogError::Outage(_)), "{refused}");
+        }
+        let first = || plan(0, bits(3), 1);
+        let impossible = [
+            vec![plan(1, bits(3), 2)],
+            vec![wake(0, &[1])],
+            vec![first(), plan(0, bits(3), 1)],
+            vec![first(), plan(1, bits(3), 1)],
+            vec![first(), wake(1, &[1]), plan(1, bits(3), 2)],
+            vec![first(), wake(0, &[u32::MAX])],
+            vec![first(), plan(1, Plan::Periodic(vec![DutyCycle::SENSING]), 2)],
+            vec![first(), plan(u64::MAX, bits(3), 2)],
+        ];
+        for decisions in impossible {
+            let decisions: Vec<ExternalInput> = decisions.into_iter().map(ExternalInput::Decision).collect();
+            let refused = written_and_read(&decisions).expect_err("impossible");
+            assert!(matches!(refused, InputLogError::Decision(_)), "{refused}");
+        }
+        let scenario = load("quick", &[]).expect("a preset").scenario;
+        let of = |text: &str| parse(text, &scenario).expect_err("no log of this run");
+        assert_eq!(
+            of("{\"wake\":{\"tti\":true}}\n").to_string(),
+            "line 1 is none of a log of inputs, at column 19: invalid type: boolean `true`, expected u64"
+        );
+        assert!(matches!(
+            of(&line(&ExternalInput::Outage(outage(0, 1, 1)))),
+            InputLogError::Headless(1)
+        ));
+        let other = |version| format!("{{\"inputs\":{{\"version\":{version},\"scenario_hash\":\"00\"}}}}\n");
+        assert!(matches!(of(&other(VERSION)), InputLogError::Scenario));
+        assert!(matches!(of(&other(VERSION + 1)), InputLogError::Version));
+    }
+}

@@ -1,0 +1,265 @@
+//! Estimates of a metric from the runs of a cell: a mean with its interval, or a one-sided bound if cases are few.
+//!
+//! Student's t derives the interval of a mean from the spread of the runs. With very few cases that interval is too
+//! narrow (runs without a case do not differ) or extends below zero. An upper bound is then the only valid result.
+
+use statrs::distribution::{ChiSquared, ContinuousCDF};
+
+use crate::stats::{CONFIDENCE, CellRuns, Estimate};
+use crate::table::ResultRow;
+use reveille_common::score::Metrics;
+
+/// The metrics that count cases per event, with their value for one case per event.
+const COUNTS: [(&str, f64); 3] = [
+    ("misdetection_pct", 100.0),
+    ("wrong_activations_per_event", 1.0),
+    ("wake_ups_per_event", 1.0),
+];
+/// The one of these metrics that is a share of events, %.
+const SHARE: &str = "misdetection_pct";
+/// The rule of three: without a case among n, 3/n is the 95 % upper bound.
+const RULE_OF_THREE: f64 = 3.0;
+/// The largest number of cases of a single run that counts as few.
+const FEW: u64 = 9;
+
+/// Counts of cases and events.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CaseCounts {
+    /// The number of cases in all runs.
+    pub cases: u64,
+    /// The number of events in all runs.
+    pub events: u64,
+}
+
+/// An estimate of a metric from runs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MetricEstimate {
+    /// The mean with its interval.
+    pub estimate: Estimate,
+    /// The cases, if the metric counts cases per event.
+    pub counted: Option<CaseCounts>,
+    /// The one-sided 95 % upper bound, if it replaces the interval.
+    pub upper: Option<f64>,
+    /// The one-sided 95 % lower bound, if all events were cases.
+    pub lower: Option<f64>,
+}
+
+impl MetricEstimate {
+    /// Estimates `metric` from `rows`. Returns `None` if no row has a value.
+    pub fn of(rows: &[&ResultRow], metric: &str) -> Option<Self> {
+        let defined = || rows.iter().filter_map(|row| Some((row, row.metric(metric)?)));
+        let estimate = Estimate::of(defined().map(|(_, value)| value))?;
+        let count = COUNTS.iter().find(|(name, _)| *name == metric);
+        let counted = count.map(|(_, each)| CaseCounts {
+            cases: defined()
+                // The metric is a ratio of whole numbers: rounding removes the error of the division.
+                .map(|(row, value)| (value * row.events as f64 / each).round() as u64)
+                .sum(),
+            events: defined().map(|(row, _)| row.events).sum(),
+        });
+        let exact = count.zip(counted).map(|((_, each), counted)| each * counted.most());
+        // A difference may be negative, so an interval across zero does not indicate few cases.
+        let is_difference = Metrics::named(metric).is_some_and(|metric| metric.is_difference);
+        Some(Self {
+            estimate,
+            counted,
+            upper: upper(estimate, counted, exact).filter(|_| !is_difference),
+            lower: counted.filter(|_| metric == SHARE).and_then(CaseCounts::least),
+        })
+    }
+
+    /// Returns the 95 % limits of a metric that cannot be negative; zero and infinity if they are unknown.
+    pub fn ends(&self) -> (f64, f64) {
+        let Estimate { mean, half_width, .. } = self.estimate;
+        match (self.upper, self.lower) {
+            (Some(upper), _) => (0.0, upper),
+            (None, Some(lower)) => (lower, mean),
+            (None, None) if half_width.is_nan() => (0.0, f64::INFINITY),
+            (None, None) => ((mean - half_width).max(0.0), mean + half_width),
+        }
+    }
+
+    /// Returns the distance from the mean to its limit: half the interval, or to the bound. NaN if it is unknown.
+    pub fn half_width(&self) -> f64 {
+        let bound = self.upper.or(self.lower);
+        bound.map_or(self.estimate.half_width, |bound| (bound - self.estimate.mean).abs())
+    }
+
+    /// Returns the estimate of the metric divided by `parts`.
+    #[must_use]
+    pub fn divided_by(self, parts: f64) -> Self {
+        let Estimate {
+            mean,
+            deviation,
+            half_width,
+            runs,
+        } = self.estimate;
+        Self {
+            estimate: Estimate {
+                mean: mean / parts,
+                deviation: deviation / parts,
+                half_width: half_width / parts,
+                runs,
+            },
+            upper: self.upper.map(|upper| upper / parts),
+            lower: self.lower.map(|lower| lower / parts),
+            ..self
+        }
+    }
+}
+
+impl CaseCounts {
+    /// Returns the one-sided 95 % upper bound on cases per event, for Poisson counts (Garwood).
+    fn most(self) -> f64 {
+        let Self { cases, events } = self;
+        let bound = if cases == 0 {
+            RULE_OF_THREE
+        } else {
+            let chi_squared = ChiSquared::new(2.0 * cases as f64 + 2.0);
+            chi_squared.map_or(f64::INFINITY, |law| 0.5 * law.inverse_cdf(CONFIDENCE))
+        };
+        bound / events as f64
+    }
+
+    /// Returns the one-sided 95 % lower bound on the share of events with a case, %, if all events have one.
+    fn least(self) -> Option<f64> {
+        let is_all = self.events > 0 && self.cases == self.events;
+        is_all.then(|| (100.0 * (1.0 - RULE_OF_THREE / self.events as f64)).max(0.0))
+    }
+}
+
+/// Returns the one-sided bound on a mean whose interval is not usable. `exact` is the bound of the count.
+fn upper(estimate: Estimate, counted: Option<CaseCounts>, exact: Option<f64>) -> Option<f64> {
+    let Estimate { mean, half_width, .. } = estimate;
+    let counted = counted.filter(|counted| counted.events > 0);
+    match counted {
+        Some(CaseCounts { cases: 0, .. }) => exact,
+        Some(CaseCounts { cases: 1..=FEW, .. }) if half_width.is_nan() => exact,
+        // Clustered cases scatter more than Poisson's law. The spread of the runs shows it, so the wider bound counts.
+        _ if mean > 0.0 && half_width >= mean => {
+            let of_runs = mean + half_width;
+            Some(counted.and(exact).map_or(of_runs, |exact| exact.max(of_runs)))
+        }
+        Some(_) | None => None,
+    }
+}
+
+impl CellRuns<'_> {
+    /// Estimates a metric from the runs of the cell. Returns `None` without such a metric or run.
+    pub fn reading(&self, metric: &str) -> Option<MetricEstimate> {
+        MetricEstimate::of(&self.rows, metric)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stats::cells;
+    use crate::table::fixtures;
+
+    /// Estimates `metric` from runs with these values and 1000 events each.
+    fn reading(metric: &str, values: &[f64]) -> MetricEstimate {
+        let at = Metrics::NAMES
+            .iter()
+            .position(|name| *name == metric)
+            .expect("a metric");
+        let first = fixtures::table().rows.remove(0);
+        let row = |value: &f64| {
+            let mut row = first.clone();
+            row.metrics[at] = *value;
+            row.events = 1000;
+            row
+        };
+        let rows: Vec<ResultRow> = values.iter().map(row).collect();
+        let rows: Vec<&ResultRow> = rows.iter().collect();
+        MetricEstimate::of(&rows, metric).expect("values")
+    }
+
+    #[test]
+    fn bounds_on_counts_are_those_of_printed_tables() {
+        // One-sided 95 % limits of a Poisson mean.
+        for (cases, printed) in [(1, 4.744), (2, 6.296), (3, 7.754), (10, 16.962)] {
+            let bound = CaseCounts { cases, events: 1000 }.most() * 1000.0;
+            assert!((bound - printed).abs() < 6e-4, "{cases}: {bound}");
+        }
+        let none = CaseCounts { cases: 0, events: 600 };
+        assert!((none.most() - 0.005).abs() < 1e-12, "the rule of three");
+    }
+
+    #[test]
+    fn without_a_case_there_is_a_bound_and_no_interval_of_width_zero() {
+        let none = reading("misdetection_pct", &[0.0, 0.0, 0.0]);
+        assert_eq!(none.counted, Some(CaseCounts { cases: 0, events: 3000 }));
+        assert_eq!((none.upper, none.ends()), (Some(0.1), (0.0, 0.1)));
+        assert!((none.half_width() - 0.1).abs() < 1e-15);
+        let one_run = reading("wrong_activations_per_event", &[0.0]);
+        assert_eq!(one_run.upper, Some(0.003));
+        let no_count = reading("low_energy_pct", &[0.0, 0.0]);
+        assert_eq!(
+            (no_count.upper, no_count.half_width()),
+            (None, 0.0),
+            "nothing was counted"
+        );
+    }
+
+    #[test]
+    fn where_all_is_missed_the_bound_is_below() {
+        let all = reading("misdetection_pct", &[100.0, 100.0]);
+        let (lower, mean) = all.ends();
+        assert!(all.upper.is_none() && all.lower == Some(lower));
+        assert!((lower - 99.85).abs() < 1e-9 && (mean - 100.0).abs() < 1e-12, "{all:?}");
+        assert!((all.half_width() - 0.15).abs() < 1e-9);
+        let each = reading("wake_ups_per_event", &[1.0, 1.0]);
+        assert_eq!(each.lower, None, "there may be more than one an event");
+    }
+
+    #[test]
+    fn few_cases_give_a_bound_that_holds_for_heaps_too() {
+        // 0, 0 and 4 of 1000: mean 4/30 %, deviation 0.23094, t(2) = 4.302653.
+        let few = reading("misdetection_pct", &[0.0, 0.0, 0.4]);
+        assert_eq!(few.counted, Some(CaseCounts { cases: 4, events: 3000 }));
+        let of_runs = 0.4 / 3.0 + 4.302_653 * 0.4 / 3.0;
+        assert!((few.upper.expect("a bound") - of_runs).abs() < 1e-6, "{few:?}");
+        // 1 of 1000 in each of 2 of 300 runs: the bound of the count is the wider one.
+        let mut rare = vec![0.0; 298];
+        rare.extend([0.1, 0.1]);
+        let rare = reading("misdetection_pct", &rare);
+        assert!(
+            (rare.upper.expect("a bound") - 100.0 * 6.296 / 300_000.0).abs() < 1e-6,
+            "{rare:?}"
+        );
+        let lone = reading("misdetection_pct", &[0.3]);
+        assert!((lone.upper.expect("a bound") - 100.0 * 7.754 / 1000.0).abs() < 1e-4);
+        assert_eq!(lone.ends().0.to_bits(), 0.0_f64.to_bits());
+    }
+
+    #[test]
+    fn an_interval_above_zero_stays_what_it_is() {
+        let known = reading("misdetection_pct", &[30.0, 31.0, 32.0]);
+        assert_eq!(known.upper, None);
+        assert_eq!(known.ends(), known.estimate.interval());
+        let one_run = reading("misdetection_pct", &[33.0]);
+        assert_eq!((one_run.upper, one_run.ends()), (None, (0.0, f64::INFINITY)));
+        let below = reading("net_per_device_tti", &[0.01, -0.01, 0.02]);
+        assert_eq!(below.upper, None, "a difference may be negative");
+        let wide = reading("low_energy_pct", &[0.0, 0.03]);
+        assert!((wide.upper.expect("a bound") - (0.015 + 12.706_205 * 0.015)).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_reading_can_be_shared_out() {
+        let wasted = reading("wasted_energy_per_event", &[10.0, 12.0]).divided_by(4.0);
+        assert!((wasted.estimate.mean - 2.75).abs() < 1e-12);
+        assert!((wasted.half_width() - 12.706_205 / 4.0).abs() < 1e-5);
+        let rare = reading("wasted_energy_per_event", &[0.0, 2.0]);
+        assert_eq!(rare.divided_by(2.0).upper, rare.upper.map(|upper| upper / 2.0));
+    }
+
+    #[test]
+    fn a_cell_tells_of_its_runs() {
+        let table = fixtures::table();
+        let cells = cells(&table);
+        assert_eq!(cells[0].reading("info_per_event"), None, "in neither run");
+        assert_eq!(cells[0].reading("info_p1").map(|r| r.estimate.runs), Some(2));
+    }
+}

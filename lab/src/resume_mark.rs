@@ -1,0 +1,257 @@
+//! The resume mark of a run: a TTI, and a fingerprint of everything before it.
+//!
+//! A resumed run is replayed in memory up to that TTI and must reach the same fingerprint.
+
+use std::fmt::Write as _;
+
+use reveille_bs::observer::Notification;
+use reveille_bs::scenario::Scenario;
+use reveille_common::codec;
+use reveille_common::ids::Tti;
+use reveille_common::message::Frame;
+use reveille_common::score::DIGEST_VERSION;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest as _, Sha256};
+
+use crate::replay::DigestFrames;
+
+/// The version of the format.
+const VERSION: u32 = 1;
+
+/// The progress of a run.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ResumeMark {
+    version: u32,
+    digest_version: u32,
+    scenario_hash: String,
+    /// The number of TTIs in a row of windows.csv.
+    pub window: u64,
+    /// The TTI before which everything is complete.
+    pub tti: u64,
+    fingerprint: String,
+}
+
+/// A reason why a mark cannot be used for a run.
+#[derive(Debug, thiserror::Error)]
+pub enum ResumeMarkError {
+    /// The mark is truncated: the run may have been killed while writing it.
+    #[error("is no whole mark")]
+    Torn(#[from] serde_json::Error),
+    /// The mark has another format version or another digest version.
+    #[error("another version of reveille made that run; run that one")]
+    Version,
+    /// The mark belongs to another run.
+    #[error("is the mark of another scenario than the one beside it")]
+    Scenario,
+    /// The mark names a TTI after the end of the run.
+    #[error("names TTI {0}, after the end of the run")]
+    Tti(u64),
+    /// The mark has windows without TTIs.
+    #[error("has rows of no TTIs")]
+    Window,
+}
+
+impl ResumeMark {
+    /// Parses the mark in `text`, of a run of `scenario`.
+    ///
+    /// # Errors
+    /// If the text is not a mark of such a run.
+    pub fn parse(text: &str, scenario: &Scenario) -> Result<Self, ResumeMarkError> {
+        let mark: Self = serde_json::from_str(text)?;
+        // The versions first: in another version the other fields may have another meaning.
+        if (mark.version, mark.digest_version) != (VERSION, DIGEST_VERSION) {
+            Err(ResumeMarkError::Version)
+        } else if mark.scenario_hash != scenario.hash_hex() {
+            Err(ResumeMarkError::Scenario)
+        } else if mark.window == 0 {
+            Err(ResumeMarkError::Window)
+        } else if mark.tti > scenario.run.ttis {
+            Err(ResumeMarkError::Tti(mark.tti))
+        } else {
+            Ok(mark)
+        }
+    }
+
+    /// The mark as text.
+    pub fn text(&self) -> String {
+        serde_json::to_string(self).expect("a mark is JSON")
+    }
+}
+
+/// Follows a run from TTI 0 and computes its current mark.
+#[derive(Clone)]
+pub struct ResumeTracker {
+    noting: DigestFrames,
+    so_far: Sha256,
+    /// The hash of everything before `next`; a run may end in the middle of a TTI.
+    whole: Sha256,
+    scenario_hash: String,
+    window: u64,
+    next: Tti,
+    /// The mark that the run has to reach; `None` once it has.
+    expected: Option<ResumeMark>,
+    is_lost: bool,
+}
+
+impl ResumeTracker {
+    /// Creates the tracker of a run of `scenario`, with `window` TTIs in a row of windows.csv. The run has to reach
+    /// `expected`.
+    pub fn new(scenario: &Scenario, window: u64, expected: Option<ResumeMark>) -> Self {
+        Self {
+            noting: DigestFrames::default(),
+            so_far: Sha256::new(),
+            whole: Sha256::new(),
+            scenario_hash: scenario.hash_hex(),
+            window,
+            next: Tti::ZERO,
+            expected,
+            is_lost: false,
+        }
+    }
+
+    /// Processes a notification and returns whether it closes a TTI.
+    pub fn see(&mut self, happening: &Notification<'_>) -> bool {
+        // The closure borrows all of `self`, so `noting` is copied and put back.
+        let mut noting = self.noting;
+        noting.of(happening, |frame| self.take(&frame));
+        self.noting = noting;
+        let Notification::Closed(last) = happening else {
+            return false;
+        };
+        self.next = *last + 1;
+        self.whole.clone_from(&self.so_far);
+        true
+    }
+
+    /// The mark of the current TTI.
+    pub fn mark(&self) -> ResumeMark {
+        ResumeMark {
+            version: VERSION,
+            digest_version: DIGEST_VERSION,
+            scenario_hash: self.scenario_hash.clone(),
+            window: self.window,
+            tti: self.next.0,
+            fingerprint: fingerprint(&self.whole),
+        }
+    }
+
+    /// Whether the expected mark is still ahead.
+    pub const fn is_underway(&self) -> bool {
+        self.expected.is_some()
+    }
+
+    /// Whether the run has reached the expected TTI with another fingerprint.
+    pub const fn has_diverged(&self) -> bool {
+        self.is_lost
+    }
+
+    /// Checks the expected mark once every further frame belongs to TTI `k` or later.
+    fn pass(&mut self, k: Tti) {
+        if let Some(mark) = self.expected.take_if(|mark| Tti(mark.tti) <= k) {
+            self.is_lost = mark.fingerprint != fingerprint(&self.so_far);
+        }
+    }
+
+    /// Finishes the replay at the TTI where the run resumes.
+    pub fn finish_replay(&mut self) {
+        // Quiet TTIs have no frames, so the mark can lie after the last frame.
+        self.pass(self.next);
+    }
+
+    fn take(&mut self, frame: &Frame) {
+        // A mark covers the frames before its TTI, so it is compared before this frame is added.
+        self.pass(frame.tti);
+        self.so_far.update(codec::encode(frame));
+    }
+}
+
+fn fingerprint(of: &Sha256) -> String {
+    of.clone().finalize().iter().fold(String::new(), |mut text, byte| {
+        let _written = write!(text, "{byte:02x}").is_ok();
+        text
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use reveille_bs::observer::Observer;
+    use reveille_bs::scenario::{Override, load};
+    use reveille_common::score::WindowRecord;
+
+    use super::*;
+    use crate::preparation::prepare;
+    use crate::run::{Run, RunOptions};
+
+    struct Following(ResumeTracker);
+
+    impl Observer for Following {
+        fn notify(&mut self, happening: &Notification<'_>) {
+            self.0.see(happening);
+        }
+
+        fn window_closed(&mut self, _: &WindowRecord) -> bool {
+            true
+        }
+    }
+
+    fn scenario(seed: &str) -> Scenario {
+        let set = [seed, "ttis=400"].map(|field| Override::parse(field).expect("an override"));
+        load("quick", &set).expect("a preset").scenario
+    }
+
+    /// Returns the tracker of a run that is advanced to TTI `to`.
+    fn followed(scenario: &Scenario, to: u64, expected: Option<ResumeMark>) -> ResumeTracker {
+        let mut way = Following(ResumeTracker::new(scenario, 10, expected));
+        Run::new(&prepare(scenario), RunOptions::default()).advance(Tti(to), &mut way);
+        way.0.finish_replay();
+        way.0
+    }
+
+    #[test]
+    fn a_run_that_is_done_again_comes_by_its_mark_and_no_other_does() {
+        let scenario = scenario("seed=3");
+        let mark = followed(&scenario, 120, None).mark();
+        assert_eq!((mark.tti, mark.window), (120, 10));
+        let read = ResumeMark::parse(&mark.text(), &scenario).expect("a mark");
+        let again = followed(&scenario, 300, Some(read));
+        assert!(!again.is_underway() && !again.has_diverged());
+        let ahead = followed(&scenario, 100, Some(mark.clone()));
+        assert!(ahead.is_underway() && !ahead.has_diverged());
+        let other = ResumeMark {
+            fingerprint: followed(&scenario, 200, None).mark().fingerprint,
+            ..mark
+        };
+        assert!(followed(&scenario, 300, Some(other)).has_diverged());
+    }
+
+    #[test]
+    fn marks_of_other_runs_and_torn_ones_are_refused() {
+        let own = scenario("seed=3");
+        let mark = followed(&own, 50, None).mark();
+        let of = |mark: &ResumeMark| ResumeMark::parse(&mark.text(), &own).expect_err("of no use");
+        let changed = |change: fn(&mut ResumeMark)| {
+            let mut mark = mark.clone();
+            change(&mut mark);
+            of(&mark)
+        };
+        assert!(matches!(changed(|mark| mark.version += 1), ResumeMarkError::Version));
+        assert!(matches!(
+            changed(|mark| mark.digest_version += 1),
+            ResumeMarkError::Version
+        ));
+        assert!(matches!(changed(|mark| mark.tti = 401), ResumeMarkError::Tti(401)));
+        assert!(matches!(changed(|mark| mark.window = 0), ResumeMarkError::Window));
+        assert!(matches!(
+            ResumeMark::parse(&mark.text(), &scenario("seed=4")),
+            Err(ResumeMarkError::Scenario)
+        ));
+        let text = mark.text();
+        for end in 0..text.len() {
+            assert!(
+                matches!(ResumeMark::parse(&text[..end], &own), Err(ResumeMarkError::Torn(_))),
+                "{end}"
+            );
+        }
+    }
+}

@@ -1,0 +1,207 @@
+//! The file of a journal.
+
+use std::collections::BTreeMap;
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::{self, BufRead, BufReader, BufWriter, Read as _, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+use super::{JournalEntry, JournalHeader, LONGEST_HEAD, RunIndex, RunStore, fewer, foreign, line, name_of, parse};
+use crate::io::beside;
+use crate::sweep::error::SweepError;
+
+/// The number of lines between two syncs to the disk.
+const SYNC_LINES: u32 = 8192;
+/// The number of device-TTIs between two syncs: some seconds of work.
+const SYNC_DEVICE_TTIS: u64 = 1_000_000_000;
+
+/// An open journal, locked against other processes.
+#[derive(Debug)]
+pub struct Journal {
+    path: PathBuf,
+    file: File,
+    /// The damaged file that `file` has replaced. It stays locked for processes that have opened it meanwhile.
+    replaced: Option<File>,
+    /// The number of bytes up to the end of the last complete line.
+    length: u64,
+    runs: BTreeMap<RunIndex, JournalEntry>,
+    dropped: usize,
+    unsynced_lines: u32,
+    unsynced_device_ttis: u64,
+}
+
+impl Journal {
+    /// Opens or creates the journal at `path`. `identity` names its sweep; `cells` and `seeds` bound the places of its
+    /// runs. A journal with fewer seeds is raised to `seeds`.
+    ///
+    /// # Errors
+    /// If another process has it open, it belongs to another sweep or to more seeds, or it cannot be read or written.
+    /// The message does not name the folder; the caller does.
+    pub fn open(path: &Path, identity: &str, cells: u64, seeds: u64) -> Result<Self, String> {
+        let options = OpenOptions::new().read(true).append(true).create(true).clone();
+        let file = options.open(path).map_err(|error| unusable(path, &error))?;
+        match file.try_lock() {
+            // Some network file systems cannot lock: there, two sweeps in one folder are not prevented.
+            Ok(()) => {}
+            Err(TryLockError::Error(error)) if error.kind() == io::ErrorKind::Unsupported => {}
+            Err(TryLockError::Error(error)) => return Err(unusable(path, &error)),
+            Err(TryLockError::WouldBlock) => {
+                return Err(
+                    "another `reveille sweep` is at work in this folder; wait for its end, or choose another"
+                        .to_owned(),
+                );
+            }
+        }
+        let mut journal = Self {
+            path: path.to_owned(),
+            file,
+            replaced: None,
+            length: 0,
+            runs: BTreeMap::new(),
+            dropped: 0,
+            unsynced_lines: 0,
+            unsynced_device_ttis: 0,
+        };
+        journal.recover(&name_of(identity), cells, seeds)?;
+        Ok(journal)
+    }
+
+    /// Returns the seeds per cell of the journal at `path`, if it belongs to the sweep named by `identity`.
+    pub fn seeds(path: &Path, identity: &str) -> Option<u64> {
+        let mut line = Vec::new();
+        let file = File::open(path).ok()?;
+        BufReader::new(file)
+            .take(LONGEST_HEAD)
+            .read_until(b'\n', &mut line)
+            .ok()?;
+        match JournalHeader::of(&line, &name_of(identity))? {
+            JournalHeader::Torn => None,
+            JournalHeader::Seeds(held) => Some(held),
+        }
+    }
+
+    /// Reads the runs, removes torn and garbled lines from the file, and raises the seeds of its first line.
+    fn recover(&mut self, name: &str, cells: u64, seeds: u64) -> Result<(), String> {
+        let failed = |error: io::Error| unusable(&self.path, &error);
+        let header = format!("{name} {seeds}\n");
+        let mut reader = BufReader::new(&self.file);
+        let mut line = Vec::new();
+        let (mut whole, mut length, mut is_stale) = (0, 0, false);
+        while reader.read_until(b'\n', &mut line).map_err(failed)? > 0 {
+            length += line.len() as u64;
+            if whole == 0 {
+                match JournalHeader::of(&line, name) {
+                    None => return Err(foreign(&line)),
+                    // `whole` is still 0, so the file is emptied and gets a new first line.
+                    Some(JournalHeader::Torn) => break,
+                    Some(JournalHeader::Seeds(held)) if held > seeds => return Err(fewer(held, seeds)),
+                    Some(JournalHeader::Seeds(held)) => is_stale = held < seeds,
+                }
+                whole = length;
+            } else if let Some((job, entry)) = parse(&line, cells, seeds) {
+                self.runs.insert(job, entry);
+                whole = length;
+            } else {
+                self.dropped += 1;
+                // A torn last line is cut off by `set_len`; a garbled one with lines after it needs a new file.
+                is_stale |= line.ends_with(b"\n");
+            }
+            line.clear();
+        }
+        if is_stale {
+            return self.rewrite(&header).map_err(|error| unusable(&self.path, &error));
+        }
+        self.file.set_len(whole).map_err(failed)?;
+        self.file.seek(SeekFrom::End(0)).map_err(failed)?;
+        if whole == 0 {
+            self.file.write_all(header.as_bytes()).map_err(failed)?;
+            whole = header.len() as u64;
+        }
+        self.length = whole;
+        Ok(())
+    }
+
+    /// Replaces this journal by one with the recovered runs. Both files stay locked.
+    fn rewrite(&mut self, header: &str) -> io::Result<()> {
+        let part = beside(&self.path, |part| {
+            let file = OpenOptions::new().read(true).append(true).create(true).open(part)?;
+            match file.try_lock() {
+                Err(TryLockError::Error(error)) if error.kind() != io::ErrorKind::Unsupported => return Err(error),
+                Err(TryLockError::WouldBlock) => return Err(io::ErrorKind::ResourceBusy.into()),
+                Ok(()) | Err(TryLockError::Error(_)) => {}
+            }
+            // Emptied under the lock only: another process may be writing to this file.
+            file.set_len(0)?;
+            Ok(file)
+        })?;
+        let length = self.copy(part.as_file(), header)?;
+        let file = part.persist(&self.path)?;
+        self.length = length;
+        self.replaced = Some(std::mem::replace(&mut self.file, file));
+        Ok(())
+    }
+
+    /// Writes `header` and the runs to `file` and syncs it to the disk. Returns the number of bytes.
+    fn copy(&self, file: &File, header: &str) -> io::Result<u64> {
+        let mut writer = BufWriter::new(file);
+        let mut length = header.len();
+        writer.write_all(header.as_bytes())?;
+        for (job, entry) in &self.runs {
+            let line = line(*job, entry);
+            writer.write_all(line.as_bytes())?;
+            length += line.len();
+        }
+        writer.flush()?;
+        drop(writer);
+        file.sync_all()?;
+        Ok(length as u64)
+    }
+
+    /// The number of torn or garbled lines that were removed when the journal was opened.
+    pub fn dropped(&self) -> usize {
+        self.dropped
+    }
+
+    fn failed(&self, error: io::Error) -> SweepError {
+        SweepError::Journal {
+            path: self.path.clone(),
+            kept: self.runs.len(),
+            error,
+        }
+    }
+}
+
+impl RunStore for Journal {
+    fn runs(&self) -> &BTreeMap<RunIndex, JournalEntry> {
+        &self.runs
+    }
+
+    fn add(&mut self, job: RunIndex, entry: JournalEntry, device_ttis: u64) -> Result<(), SweepError> {
+        let line = line(job, &entry);
+        if let Err(error) = self.file.write_all(line.as_bytes()) {
+            // Another thread may find space again: its line must not follow half of this one.
+            let _ = self.file.set_len(self.length);
+            return Err(self.failed(error));
+        }
+        self.length += line.len() as u64;
+        self.runs.insert(job, entry);
+        self.unsynced_lines += 1;
+        self.unsynced_device_ttis = self.unsynced_device_ttis.saturating_add(device_ttis);
+        if self.unsynced_lines >= SYNC_LINES || self.unsynced_device_ttis >= SYNC_DEVICE_TTIS {
+            self.sync()?;
+        }
+        Ok(())
+    }
+
+    fn sync(&mut self) -> Result<(), SweepError> {
+        (self.unsynced_lines, self.unsynced_device_ttis) = (0, 0);
+        self.file.sync_data().map_err(|error| self.failed(error))
+    }
+}
+
+fn unusable(path: &Path, error: &io::Error) -> String {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    format!("its {name} cannot be used: {error}; free some space, mend the permissions, or choose another folder")
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,68 @@
+//! The origin of a table.
+
+use super::error::{SchemaMismatch, TABLE_VERSION};
+
+/// The origin of a table.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct TableMetadata {
+    /// The version of Reveille that made the runs.
+    pub version: String,
+    /// The experiment as TOML; empty for a CSV file without its sidecar.
+    pub experiment: String,
+    /// SHA-256 over the scenarios of all cells, hexadecimal.
+    pub grid: String,
+    /// The shard of the experiment; `None` for the whole experiment.
+    pub shard: Option<String>,
+}
+
+impl TableMetadata {
+    /// Returns the metadata as pairs of key and value, in a fixed order.
+    pub(super) fn pairs(&self) -> Vec<(&'static str, String)> {
+        let mut pairs = vec![
+            (TABLE, TABLE_VERSION.to_string()),
+            (VERSION, self.version.clone()),
+            (EXPERIMENT, self.experiment.clone()),
+            (GRID, self.grid.clone()),
+        ];
+        if let Some(shard) = &self.shard {
+            pairs.push((SHARD, shard.clone()));
+        }
+        pairs
+    }
+
+    /// Parses key-value metadata, after a check of the table's version.
+    pub(super) fn from_pairs<'p>(get: impl Fn(&str) -> Option<&'p str>) -> Result<Self, SchemaMismatch> {
+        // The version first: in another one the other keys may have another meaning.
+        let Some(version) = get(TABLE) else {
+            return Err(SchemaMismatch::NotOurs);
+        };
+        if version != TABLE_VERSION.to_string() {
+            return Err(SchemaMismatch::Version {
+                found: version.to_owned(),
+                by: get(VERSION).unwrap_or("unknown").to_owned(),
+            });
+        }
+        let text = |key: &str| get(key).unwrap_or_default().to_owned();
+        Ok(Self {
+            version: text(VERSION),
+            experiment: text(EXPERIMENT),
+            grid: text(GRID),
+            shard: get(SHARD).map(str::to_owned),
+        })
+    }
+}
+
+/// [`TABLE_VERSION`].
+pub(super) const TABLE: &str = "reveille.table";
+/// The version of Reveille that made the runs.
+pub(super) const VERSION: &str = "reveille.version";
+/// The experiment as TOML.
+pub(super) const EXPERIMENT: &str = "reveille.experiment";
+/// SHA-256 over the scenarios of all cells.
+pub(super) const GRID: &str = "reveille.grid";
+/// `i/n` in the table of a shard, `i,j/n` in a merge of some shards; absent in a whole table.
+pub(super) const SHARD: &str = "reveille.shard";
+/// The types of the swept columns in sidecars: `int`, `float` or `text`, separated by commas.
+pub(super) const KINDS: &str = "reveille.kinds";
+/// The number of rows, in sidecars.
+pub(super) const ROWS: &str = "reveille.rows";

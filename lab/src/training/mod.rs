@@ -1,0 +1,460 @@
+//! Training of the `q-learning` policy: episodes in memory, on one deployment after another, for each look-back (a
+//! window or ages) and each N.
+//!
+//! An episode is a run of the deployed policy, with `learn` on, from random batteries. It starts with the tables of the
+//! previous episode. Wake-up rankings alternate, so that both wake-up tables are learned. Each window and N is trained
+//! independently and in order. The result therefore depends neither on the number of threads nor on interruptions.
+
+mod io;
+
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use rayon::iter::{IntoParallelRefMutIterator, ParallelIterator};
+use reveille_bs::cycle::{Outcome, PreparedRun};
+use reveille_bs::policy::interface::Opaque;
+use reveille_bs::policy::q_learning::learned::{
+    CurvePoint, LONGEST_WINDOW, LearnedError, LearnedTables, Lookback, QTrainingConfig, QWeights, Schedule, TableSet,
+    TrainingSite,
+};
+use reveille_bs::policy::q_learning::settings::QLearningSettings;
+use reveille_bs::scenario::{PolicyChoice, Scenario};
+use reveille_common::rng::{Purpose, Stream};
+use reveille_common::scenario::WakeUpRanking;
+use reveille_common::units::Energy;
+
+use crate::run::{Run, RunOptions, StopWhen};
+
+/// The version of Reveille, as files name it.
+pub(crate) const MADE_BY: &str = concat!("reveille ", env!("CARGO_PKG_VERSION"));
+/// An offset to the seeds of episodes, far from the seeds of evaluations.
+pub(crate) const SEEDS: u64 = 0x7EA1_C0DE_0000_0000;
+/// The largest number of devices for which tables are trained.
+const MOST_DEVICES: u32 = 1_000_000;
+/// The share of an episode that its point on the curve leaves out.
+const WARM_UP: f64 = 0.1;
+/// The number of TTIs between two checks whether to stop.
+const LOOK: u64 = 200;
+
+/// A reason why a training cannot start or finish.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainingError {
+    /// The scenario has another policy than `q-learning`.
+    #[error("policy.name = {0}: only q-learning is trained")]
+    Policy(String),
+    /// A value is out of range.
+    #[error("{what} = {value}: {allowed}")]
+    Invalid {
+        /// The name of the value.
+        what: &'static str,
+        /// The value.
+        value: String,
+        /// The allowed range.
+        allowed: &'static str,
+    },
+    /// A list of numbers is empty, or one of them is out of range.
+    #[error("{what} = {numbers:?}: must be a list of numbers from 1 to {most}")]
+    List {
+        /// The name of the list.
+        what: &'static str,
+        /// The numbers.
+        numbers: Vec<u32>,
+        /// The largest allowed number.
+        most: u32,
+    },
+    /// The file exists already.
+    #[error("{}: is there already; --force replaces it", .0.display())]
+    Taken(PathBuf),
+    /// The checkpoint belongs to another training.
+    #[error(
+        "{}: is the checkpoint of another training ({why}); finish that, remove the file, or use another --out",
+        path.display()
+    )]
+    OtherCheckpoint {
+        /// The checkpoint.
+        path: PathBuf,
+        /// The differences.
+        why: String,
+    },
+    /// The checkpoint cannot be used.
+    #[error("{}: the checkpoint {error}, or remove it to begin anew", path.display())]
+    Checkpoint {
+        /// The checkpoint.
+        path: PathBuf,
+        /// The cause.
+        error: LearnedError,
+    },
+    /// A file cannot be written.
+    #[error("{}: cannot be written: {error}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// The error of the operating system.
+        error: std::io::Error,
+    },
+    /// Threads cannot be started.
+    #[error("{threads} threads cannot be started: {reason}")]
+    Threads {
+        /// The requested number of threads.
+        threads: usize,
+        /// The cause.
+        reason: String,
+    },
+}
+
+/// Callbacks of a training. All threads call them.
+pub trait TrainingProgress: Sync {
+    /// Reports the end of an episode of `entry`; `point` is the last point of its curve.
+    fn episode(&self, entry: &TableSet, point: &CurvePoint);
+    /// Returns whether to stop. The checkpoint keeps the tables trained so far.
+    fn stop(&self) -> bool;
+}
+
+impl TrainingProgress for () {
+    fn episode(&self, _: &TableSet, _: &CurvePoint) {}
+    fn stop(&self) -> bool {
+        false
+    }
+}
+
+/// A training that can start or resume.
+pub struct Trainer {
+    scenario: Scenario,
+    settings: QLearningSettings,
+    training: QTrainingConfig,
+    entries: Vec<TableSet>,
+}
+
+impl Trainer {
+    /// Creates a training for each of `lookbacks`, or for the scenario's if the slice is empty, and each N of
+    /// `devices`. It uses the scenario's area and weights; `training` sets the length.
+    ///
+    /// # Errors
+    /// If the policy is not `q-learning`, or a number is out of range.
+    pub fn new(
+        scenario: &Scenario,
+        devices: &[u32],
+        lookbacks: &[Lookback],
+        training: &QTrainingConfig,
+    ) -> Result<Self, TrainingError> {
+        let Some(settings) = scenario.policy.settings().downcast_ref::<QLearningSettings>() else {
+            return Err(TrainingError::Policy(scenario.policy.name().to_owned()));
+        };
+        let invalid = |what, value: &dyn std::fmt::Display, allowed| TrainingError::Invalid {
+            what,
+            value: value.to_string(),
+            allowed,
+        };
+        let devices = listed("devices", devices, MOST_DEVICES)?;
+        let mut lookbacks = lookbacks.to_vec();
+        if lookbacks.is_empty() {
+            lookbacks.push(settings.lookback);
+        }
+        if let Some(bad) = lookbacks
+            .iter()
+            .find(|one| !(1..=LONGEST_WINDOW).contains(&one.window()))
+        {
+            return Err(invalid("windows", bad, "must be from 1 to 1000"));
+        }
+        lookbacks.sort_unstable();
+        lookbacks.dedup();
+        let QTrainingConfig {
+            episodes,
+            ttis,
+            epsilon,
+            ..
+        } = training;
+        if !(1..=100_000).contains(episodes) {
+            return Err(invalid("episodes", episodes, "must be at least 1 and at most 100000"));
+        }
+        if !(10..=100_000_000).contains(ttis) {
+            return Err(invalid(
+                "episode-ttis",
+                ttis,
+                "must be at least 10 and at most 100000000",
+            ));
+        }
+        if let Some(bad) = [epsilon.0, epsilon.1].iter().find(|e| !(0.0..1.0).contains(*e)) {
+            return Err(invalid("epsilon", bad, "must be at least 0 and less than 1"));
+        }
+        // Rounded as in a checkpoint, so that a resumed training learns the same tables.
+        let begun = |devices: u32, lookback: Lookback| {
+            let mut one = scenario.clone();
+            one.run.devices = devices;
+            let mut entry = TableSet::optimistic(&one.site(), &settings.weights, lookback, settings.schedule.optimism);
+            entry.round();
+            entry
+        };
+        let each = |&lookback: &Lookback| devices.iter().map(move |&n| begun(n, lookback));
+        let entries = lookbacks.iter().flat_map(each).collect();
+        // The settings hold one window; the entries name all windows of the training.
+        let settings = QLearningSettings {
+            lookback: lookbacks[0],
+            ..settings.clone()
+        };
+        Ok(Self {
+            entries,
+            training: QTrainingConfig {
+                seed: scenario.run.seed,
+                ..training.clone()
+            },
+            scenario: Scenario {
+                policy: PolicyChoice::new(scenario.policy.kind(), Arc::new(settings.clone())),
+                ..scenario.clone()
+            },
+            settings,
+        })
+    }
+
+    /// The number of outstanding episodes.
+    pub fn episodes_left(&self) -> u64 {
+        let left = |entry: &TableSet| self.training.episodes.saturating_sub(entry.curve.len() as u64);
+        self.entries.iter().map(left).sum()
+    }
+
+    /// The current tables.
+    pub fn learned(&self) -> LearnedTables {
+        let mut first = self.scenario.clone();
+        first.run.devices = self.entries[0].devices;
+        LearnedTables {
+            made_by: MADE_BY.to_owned(),
+            scenario: first.hash_hex(),
+            weights: self.settings.weights,
+            begun_from: None,
+            schedule: self.settings.schedule,
+            training: self.training.clone(),
+            setting: TrainingSite::of(&self.scenario.site()),
+            entries: self.entries.clone(),
+        }
+    }
+
+    /// Resumes from the tables of a checkpoint.
+    ///
+    /// # Errors
+    /// If the checkpoint belongs to another training; the error names the differences.
+    pub fn resume_from(&mut self, found: LearnedTables) -> Result<(), String> {
+        let mine = self.learned();
+        let ns = |learned: &LearnedTables| learned.entries.iter().map(|e| e.devices).collect::<Vec<_>>();
+        let mut why = mine.setting.differences(&found.setting);
+        let differences = [
+            (found.made_by != mine.made_by, "another version of Reveille"),
+            (found.scenario != mine.scenario, "another scenario"),
+            (!is_same_weights(&found.weights, &mine.weights), "other weights"),
+            (
+                !is_same_schedule(&found.schedule, &mine.schedule),
+                "another learning rate or optimism",
+            ),
+            (
+                !is_same_length(&found.training, &mine.training),
+                "other episodes, epsilon or seed",
+            ),
+            (found.lookbacks() != mine.lookbacks(), "other windows"),
+            (
+                // The entries also differ with the windows, which are named above.
+                found.lookbacks() == mine.lookbacks() && ns(&found) != ns(&mine),
+                "other numbers of devices",
+            ),
+        ];
+        why.extend(
+            differences
+                .iter()
+                .filter(|(differs, _)| *differs)
+                .map(|(_, why)| (*why).to_owned()),
+        );
+        if !why.is_empty() {
+            return Err(why.join(", "));
+        }
+        for (own, found) in self.entries.iter_mut().zip(found.entries) {
+            let surface = own.surface;
+            *own = TableSet { surface, ..found };
+        }
+        Ok(())
+    }
+
+    /// Trains to the end on `threads` threads. After each episode it passes the current tables to `keep`, from one
+    /// thread at a time. Returns `false` if the observer has stopped it.
+    ///
+    /// # Errors
+    /// If `keep` fails, or threads cannot be started.
+    pub fn train(
+        &mut self,
+        threads: usize,
+        keep: &(impl Fn(&LearnedTables) -> Result<(), TrainingError> + Sync),
+        observer: &impl TrainingProgress,
+    ) -> Result<bool, TrainingError> {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        let pool = pool.map_err(|error| TrainingError::Threads {
+            threads,
+            reason: error.to_string(),
+        })?;
+        let kept = Mutex::new(self.learned());
+        let Self {
+            scenario,
+            settings,
+            training,
+            entries,
+        } = self;
+        let keep_with = |index: usize, entry: &TableSet| {
+            // Held while the checkpoint is written: an older one must not replace a newer one.
+            let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
+            kept.entries[index] = entry.clone();
+            keep(&kept)
+        };
+        // The largest N first: otherwise one thread would still train it after all others have finished.
+        let mut work: Vec<(usize, &mut TableSet)> = entries.iter_mut().enumerate().collect();
+        work.reverse();
+        let ended = pool.install(|| {
+            work.par_iter_mut()
+                .map(|(index, entry)| {
+                    while (entry.curve.len() as u64) < training.episodes {
+                        let Some(next) = episode(scenario, settings, training, entry, observer) else {
+                            return Ok(false);
+                        };
+                        **entry = next;
+                        keep_with(*index, entry)?;
+                        observer.episode(entry, entry.curve.last().expect("the episode's"));
+                    }
+                    Ok(true)
+                })
+                .collect::<Result<Vec<bool>, TrainingError>>()
+        })?;
+        Ok(ended.iter().all(|done| *done))
+    }
+}
+
+/// Returns `numbers` sorted and without duplicates, if the list is not empty and all are from 1 to `most`.
+fn listed(what: &'static str, numbers: &[u32], most: u32) -> Result<Vec<u32>, TrainingError> {
+    let mut numbers = numbers.to_vec();
+    numbers.sort_unstable();
+    numbers.dedup();
+    match (numbers.first(), numbers.last()) {
+        (Some(1..), Some(last)) if *last <= most => Ok(numbers),
+        _ => Err(TrainingError::List { what, numbers, most }),
+    }
+}
+
+/// Returns whether the numbers are equal up to the last bits, which reading a file may change.
+fn is_same(found: &[f64], mine: &[f64]) -> bool {
+    let mut pairs = found.iter().zip(mine);
+    pairs.all(|(a, b)| (a - b).abs() <= 1e-12 * a.abs().max(b.abs()))
+}
+
+fn is_same_weights(found: &QWeights, mine: &QWeights) -> bool {
+    is_same(&[found.mu1, found.mu2, found.zeta], &[mine.mu1, mine.mu2, mine.zeta])
+}
+
+fn is_same_schedule(found: &Schedule, mine: &Schedule) -> bool {
+    let [a, b] = [found, mine].map(|s| [s.rate_decay, s.rate_floor, s.optimism]);
+    is_same(&a, &b)
+}
+
+fn is_same_length(found: &QTrainingConfig, mine: &QTrainingConfig) -> bool {
+    let [a, b] = [found, mine].map(|t| [t.epsilon.0, t.epsilon.1]);
+    is_same(&a, &b) && (found.episodes, found.ttis, found.seed) == (mine.episodes, mine.ttis, mine.seed)
+}
+
+/// Returns the tables of `entry` after another episode; `None` if the observer has stopped it.
+fn episode(
+    scenario: &Scenario,
+    settings: &QLearningSettings,
+    training: &QTrainingConfig,
+    entry: &TableSet,
+    observer: &impl TrainingProgress,
+) -> Option<TableSet> {
+    let number = entry.curve.len() as u64;
+    let (first, last) = training.epsilon;
+    // A single episode would be 0/0; it uses the first ε.
+    let progress = number as f64 / (training.episodes - 1).max(1) as f64;
+    let settings = QLearningSettings {
+        learn: true,
+        epsilon: [first + progress * (last - first); 2].into(),
+        start: Arc::new(entry.clone()),
+        lookback: entry.lookback,
+        ..settings.clone()
+    };
+    // There are fewer than 2²⁰ episodes, so two N never share a seed.
+    let seed = SEEDS
+        .wrapping_add(training.seed.wrapping_mul(0x1_0000_0001))
+        .wrapping_add(u64::from(entry.devices) << 20)
+        .wrapping_add(number);
+    let mut one = scenario.with_seed(seed);
+    one.run.devices = entry.devices;
+    one.run.ttis = training.ttis;
+    one.run.warm_up = WARM_UP;
+    one.policy = PolicyChoice::new(scenario.policy.kind(), Arc::new(settings));
+    // Each ranking has a separate table, and an episode trains one of them.
+    one.bs.ranking = if number.is_multiple_of(2) {
+        WakeUpRanking::Posterior
+    } else {
+        WakeUpRanking::P42
+    };
+    let mut prepared = PreparedRun::without_pilots(&one);
+    // From random batteries, so that the tables cover every battery level.
+    let mut stream = Stream::new(one.run.seed, Purpose::Training, 0);
+    for device in &mut prepared.deployment.devices {
+        device.energy.initial = Energy::from_micro((stream.unit() * device.energy.e_max.micro() as f64) as u64);
+    }
+    let options = RunOptions {
+        window: LOOK,
+        ..RunOptions::default()
+    };
+    let outcome = Run::new(&prepared, options).finish(&mut StopWhen(|| observer.stop()));
+    // An interrupted episode is repeated from its start: the tables must not depend on interruptions.
+    let mut learned = left_by(&outcome).filter(|_| outcome.complete)?;
+    learned.curve.push(point(&outcome, (number + 1) * training.ttis));
+    learned.round();
+    Some(learned)
+}
+
+/// Returns the tables learned in a run of `scenario` with this `outcome`, as a file of one entry. Returns `None` for a
+/// policy that does not learn.
+pub fn learned_in(scenario: &Scenario, outcome: &Outcome) -> Option<LearnedTables> {
+    let settings = scenario.policy.settings().downcast_ref::<QLearningSettings>()?;
+    let mut entry = left_by(outcome)?;
+    (entry.devices, entry.surface, entry.lookback) = (scenario.run.devices, scenario.area.surface(), settings.lookback);
+    let before = entry.curve.last().map_or(0, |point| point.ttis);
+    entry.curve.push(point(outcome, before + outcome.ttis_done));
+    Some(LearnedTables {
+        made_by: MADE_BY.to_owned(),
+        scenario: scenario.hash_hex(),
+        weights: settings.weights,
+        begun_from: settings.begun_from.clone(),
+        schedule: settings.schedule,
+        training: QTrainingConfig {
+            episodes: 1,
+            ttis: outcome.ttis_done.max(1),
+            epsilon: settings.epsilon,
+            seed: scenario.run.seed,
+        },
+        setting: TrainingSite::of(&scenario.site()),
+        entries: vec![entry],
+    })
+}
+
+/// Returns the tables at the end of the run with this `outcome`.
+fn left_by(outcome: &Outcome) -> Option<TableSet> {
+    outcome.learned.as_ref().and_then(Opaque::get).cloned()
+}
+
+/// Returns the point on the learning curve at `ttis`, after a run with this `outcome`.
+fn point(outcome: &Outcome, ttis: u64) -> CurvePoint {
+    let reward = outcome.facts.iter().find(|(name, _)| *name == "reward_per_tti");
+    // JSON has no NaN, the value of these metrics in an episode without events.
+    let defined = |x: f64| if x.is_nan() { 0.0 } else { x };
+    CurvePoint {
+        ttis,
+        reward: reward.map_or(0.0, |(_, reward)| *reward),
+        information: defined(outcome.metrics.info_p1),
+        energy: defined(outcome.metrics.energy_per_device_tti),
+    }
+}
+
+/// Returns the checkpoint path of a training with the output file `out`.
+pub fn checkpoint(out: &Path) -> PathBuf {
+    let mut name = out.as_os_str().to_owned();
+    name.push(".checkpoint");
+    PathBuf::from(name)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,325 @@
+//! A network small enough for an exact solution: value iteration over all battery vectors and all 2^6 actions. The
+//! learner's table is evaluated exactly as well.
+
+use std::sync::Arc;
+
+use reveille_bs::policy::q_learning::duty::{Duty, DutyTerms};
+use reveille_bs::policy::q_learning::learned::{QTrainingConfig, TableSet, battery_bucket};
+use reveille_bs::policy::q_learning::settings::QLearningSettings;
+use reveille_bs::scenario::{EnergyModel, Override, Scenario, load};
+use reveille_common::geometry::{Area, FromFile, Layout, Point};
+use reveille_common::units::Energy;
+
+use crate::training::Trainer;
+
+const N: usize = 6;
+const ACTIONS: usize = 1 << N;
+/// E_max in units; E_idle is 1, an arrival brings 1, everything else is free.
+const E_MAX: usize = 4;
+const LEVELS: usize = E_MAX + 1;
+/// The number of battery vectors.
+const STATES: usize = LEVELS.pow(N as u32);
+const ALPHA: f64 = 1e-5;
+const ZETA: f64 = 0.95;
+/// The number of sweeps, enough for a discounted value to converge.
+const SWEEPS: usize = 500;
+/// The largest final distance between the least and the largest addition of a sweep.
+const SPAN: f64 = 1e-5;
+
+/// The network as the test models it.
+struct Toy {
+    /// The probability of an arrival.
+    p: f64,
+    /// The weight α μ1.
+    w: f64,
+    /// U by the set of sensing devices.
+    uncovered: [f64; ACTIONS],
+    scenario: Scenario,
+    points: Vec<Point>,
+}
+
+impl Toy {
+    fn new(area: Area, points: &[(f64, f64)], lambda: f64, w: f64) -> Self {
+        let points: Vec<Point> = points.iter().map(|&(x, y)| Point::new(x, y)).collect();
+        assert_eq!(points.len(), N);
+        let scenario = scenario_of(
+            area,
+            &points,
+            &[
+                "policy.q-learning.window=1",
+                &format!("policy.q-learning.zeta={ZETA}"),
+                &format!("policy.q-learning.mu1={}", w / ALPHA),
+                &format!("events.alpha={ALPHA}"),
+                &format!("energy.e_max={E_MAX}"),
+                "energy.e_tx=0",
+                &format!("harvest.lambda={lambda}"),
+            ],
+        );
+        let mut toy = Self {
+            p: lambda * libm::exp(-lambda),
+            w,
+            uncovered: [0.0; ACTIONS],
+            scenario,
+            points,
+        };
+        toy.uncovered = std::array::from_fn(|set| {
+            let sensing: Vec<Point> = (0..N).filter(|j| set >> j & 1 == 1).map(|j| toy.points[j]).collect();
+            uncovered(area, &sensing)
+        });
+        toy
+    }
+
+    /// Returns the expectation of r(k) for `action` if the devices of `empty` have empty batteries: those sense only
+    /// after an arrival.
+    fn reward(&self, empty: usize, action: usize) -> f64 {
+        let (sure, maybe) = (action & !empty, action & empty);
+        let mut uncovered = 0.0;
+        for arrived in (0..ACTIONS).filter(|arrived| arrived & !maybe == 0) {
+            let (came, failed) = (arrived.count_ones(), (maybe & !arrived).count_ones());
+            let chance = self.p.powi(came.cast_signed()) * (1.0 - self.p).powi(failed.cast_signed());
+            uncovered += chance * self.uncovered[sure | arrived];
+        }
+        1.0 - f64::from(action.count_ones()) / N as f64 - self.w * uncovered
+    }
+
+    /// Returns the rewards by empty batteries and action.
+    fn rewards(&self) -> Vec<[f64; ACTIONS]> {
+        (0..ACTIONS)
+            .map(|empty| std::array::from_fn(|action| self.reward(empty, action)))
+            .collect()
+    }
+
+    /// Returns the expectation of `values` one TTI later, by action and state: one device at a time.
+    fn later(&self, values: Vec<f64>) -> Vec<Vec<f64>> {
+        let mut by_action = vec![values];
+        for device in 0..N {
+            let of = |on: bool| by_action.iter().map(move |values| self.pass(values, device, on));
+            by_action = of(false).chain(of(true)).collect();
+        }
+        by_action
+    }
+
+    /// Returns the expectation over the harvest and cost of one device.
+    fn pass(&self, values: &[f64], device: usize, on: bool) -> Vec<f64> {
+        let stride = LEVELS.pow(device as u32);
+        let next = |level: usize, harvest: usize| (level + harvest).min(E_MAX).saturating_sub(usize::from(on)) * stride;
+        let mut passed = vec![0.0; STATES];
+        for first in (0..STATES).step_by(stride * LEVELS) {
+            for level in 0..LEVELS {
+                let [came, none] = [1, 0].map(|harvest| &values[first + next(level, harvest)..][..stride]);
+                let target = &mut passed[first + level * stride..][..stride];
+                for ((target, came), none) in target.iter_mut().zip(came).zip(none) {
+                    *target = self.p * came + (1.0 - self.p) * none;
+                }
+            }
+        }
+        passed
+    }
+
+    /// Returns the mean over all battery vectors of the discounted sum of rewards, times 1 − ζ; for ζ = 1, the long-run
+    /// mean r(k). `policy` holds the action of each state; without it all actions are tried.
+    fn worth(&self, zeta: f64, policy: Option<&[usize]>) -> f64 {
+        let rewards = self.rewards();
+        let (mut values, mut mean) = (vec![0.0; STATES], 0.0);
+        for _ in 0..SWEEPS {
+            let later = self.later(values.clone());
+            let after: Vec<f64> = (0..STATES)
+                .map(|state| {
+                    let rewards = &rewards[empty(state)];
+                    let of = |action: usize| rewards[action] + zeta * later[action][state];
+                    match policy {
+                        Some(policy) => of(policy[state]),
+                        None => (0..ACTIONS).map(of).fold(f64::NEG_INFINITY, f64::max),
+                    }
+                })
+                .collect();
+            let added = after.iter().zip(&values).map(|(after, before)| after - before);
+            mean = added.clone().sum::<f64>() / STATES as f64;
+            let (least, most) = added.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
+            values = after;
+            // The sum of all further additions lies within ζ/(1−ζ) times these two.
+            if most - least < SPAN {
+                let mean = values.iter().sum::<f64>() / STATES as f64;
+                return (1.0 - zeta) * mean + zeta * 0.5 * (least + most);
+            }
+        }
+        assert!(zeta >= 1.0, "discounted values settle");
+        // The policy's long-run value depends on the start: the mean over all starts.
+        mean
+    }
+
+    fn discounted(&self, policy: Option<&[usize]>) -> f64 {
+        self.worth(ZETA, policy)
+    }
+
+    fn mean(&self, policy: Option<&[usize]>) -> f64 {
+        self.worth(1.0, policy)
+    }
+
+    /// Returns the actions of a policy that only maximises the next r(k).
+    fn greedy(&self) -> Vec<usize> {
+        let rewards = self.rewards();
+        let best = |state: usize| {
+            let of = |action: &usize| rewards[empty(state)][*action];
+            (0..ACTIONS).max_by(|a, b| of(a).total_cmp(&of(b))).expect("actions")
+        };
+        (0..STATES).map(best).collect()
+    }
+
+    fn energy(&self) -> EnergyModel {
+        self.scenario.classes[0].energy
+    }
+
+    /// Returns the action of the policy with these tables in each state.
+    fn learned(&self, entry: &TableSet) -> Vec<usize> {
+        let mut duty = duty_of(&self.scenario, entry, &self.points);
+        let choice = |state: usize| {
+            let chosen = duty.choose(&levels(state));
+            chosen.iter().map(|j| 1 << j.index()).sum()
+        };
+        (0..STATES).map(choice).collect()
+    }
+}
+
+/// A network of the devices at `points` of `area` under `q-learning` from empty tables, with the fields in `set`.
+/// E_idle is 1, an arrival brings 1, the wake-up radio is free.
+pub(super) fn scenario_of(area: Area, points: &[Point], set: &[&str]) -> Scenario {
+    let always = [
+        &format!("devices={}", points.len()),
+        "policy.name=q-learning",
+        "policy.q-learning.learn=true",
+        "policy.q-learning.table=nothing",
+        &format!("area.width={}", area.width),
+        &format!("area.height={}", area.height),
+        "energy.e_idle=1",
+        "energy.e_wur=0",
+        "harvest.e_b=1",
+    ];
+    let set = always
+        .iter()
+        .chain(set)
+        .map(|text| Override::parse(text).expect("an override"));
+    let mut scenario = load("paper", &set.collect::<Vec<_>>()).expect("a scenario").scenario;
+    scenario.layout = Layout::File(FromFile {
+        path: "toy".into(),
+        points: Arc::new(points.to_vec()),
+        classes: None,
+    });
+    scenario
+}
+
+/// The tables of a learner on `scenario`, trained from empty tables.
+pub(super) fn train(scenario: &Scenario) -> TableSet {
+    let training = QTrainingConfig {
+        episodes: 12,
+        ttis: 3000,
+        epsilon: (0.1, 0.03),
+        seed: 0,
+    };
+    let mut trainer = Trainer::new(scenario, &[scenario.run.devices], &[], &training).expect("a training");
+    assert!(trainer.train(1, &|_| Ok(()), &()).expect("no file"));
+    trainer.learned().entries.swap_remove(0)
+}
+
+/// The duty rule with the tables of `entry`, for the devices of `scenario` at `points`.
+pub(super) fn duty_of(scenario: &Scenario, entry: &TableSet, points: &[Point]) -> Duty {
+    let settings = scenario
+        .policy
+        .settings()
+        .downcast_ref::<QLearningSettings>()
+        .expect("q-learning");
+    let terms = DutyTerms {
+        weights: settings.weights,
+        schedule: settings.schedule,
+        alpha: scenario.events.alpha,
+        lookback: settings.lookback,
+        lost: 0.0,
+    };
+    let energies = vec![scenario.classes[0].energy; points.len()];
+    Duty::new(
+        entry.duty.clone(),
+        terms,
+        points,
+        energies,
+        scenario.area,
+        &scenario.sensing,
+    )
+}
+
+/// The share of `area`, in cells of d_max/15, without a device of `points` within d_max = 4 m; checked corner by
+/// corner.
+pub(super) fn uncovered(area: Area, points: &[Point]) -> f64 {
+    let [columns, rows] = [area.width, area.height].map(|length| (length / 4.0 * 15.0).ceil() as u32);
+    let (width, height) = (area.width / f64::from(columns), area.height / f64::from(rows));
+    let mut missed = 0;
+    for cell in 0..columns * rows {
+        let (column, row) = (cell % columns, cell / columns);
+        let corners = [(0, 0), (1, 0), (0, 1), (1, 1)]
+            .map(|(east, north)| Point::new(f64::from(column + east) * width, f64::from(row + north) * height));
+        let is_seen = |p: &Point| corners.iter().all(|corner| corner.distance(*p) <= 4.0);
+        missed += u32::from(!points.iter().any(is_seen));
+    }
+    f64::from(missed) / f64::from(columns * rows)
+}
+
+fn units(level: u64) -> Energy {
+    Energy::from_micro(level * 1_000_000)
+}
+
+fn levels(state: usize) -> Vec<Energy> {
+    let level = |j: u32| units((state / LEVELS.pow(j) % LEVELS) as u64);
+    (0..N as u32).map(level).collect()
+}
+
+/// Returns the set of devices with empty batteries.
+fn empty(state: usize) -> usize {
+    (0..N)
+        .filter(|&j| (state / LEVELS.pow(j as u32)).is_multiple_of(LEVELS))
+        .map(|j| 1 << j)
+        .sum()
+}
+
+#[test]
+fn the_learner_comes_close_to_the_optimum() {
+    let cross = [(1.5, 1.5), (6.0, 1.0), (2.0, 6.5), (6.5, 6.0), (4.0, 4.0), (3.0, 3.5)];
+    let pairs = [(2.0, 3.0), (2.4, 2.5), (6.0, 3.2), (6.3, 2.6), (10.0, 3.0), (9.6, 3.4)];
+    for (name, (width, height), points) in [("cross", (8.0, 8.0), cross), ("pairs", (12.0, 6.0), pairs)] {
+        let toy = Toy::new(Area { width, height }, &points, 0.15, 2.0);
+        let in_turn: Vec<usize> = (0..LEVELS as u64)
+            .map(|l| battery_bucket(units(l), &toy.energy()))
+            .collect();
+        assert_eq!(in_turn, [0, 2, 4, 6, 7], "levels differ to the learner");
+        let learned = toy.learned(&train(&toy.scenario));
+        let greedy = toy.greedy();
+        // The possible gain: r(k) above the reward of a sleeping network.
+        let above = |reward: f64| reward - (1.0 - toy.w);
+        let [best, own, myopic] = [None, Some(&learned), Some(&greedy)].map(|p| above(toy.mean(p.map(Vec::as_slice))));
+        let [b, o, m] = [None, Some(&learned), Some(&greedy)].map(|p| above(toy.discounted(p.map(Vec::as_slice))));
+        println!(
+            "{name}: mean {best:.5}, learner {own:.5}, ratio {:.4}, greedy {:.4}",
+            own / best,
+            myopic / best
+        );
+        println!(
+            "{name}: discounted {b:.5}, learner {o:.5}, ratio {:.4}, greedy {:.4}",
+            o / b,
+            m / b
+        );
+        assert!(
+            own <= best + SPAN && o <= b + SPAN,
+            "nothing is better than the optimum"
+        );
+        assert!(
+            own >= 0.98 * best,
+            "{name}: the learner gains {own}, the optimum {best}"
+        );
+        assert!(
+            o >= 0.95 * b,
+            "{name}: discounted, the learner gains {o}, the optimum {b}"
+        );
+        assert!(
+            myopic < 0.95 * best,
+            "{name}: energy binds, or {myopic} would not be so much less than {best}"
+        );
+    }
+}

@@ -1,0 +1,244 @@
+//! Three devices, solved exactly, with two features that [`super::six_devices`] lacks: reports that cost energy, and
+//! looks that count for two TTIs. Value iteration covers all battery vectors, all sets of last sensing devices and all
+//! 2^3 actions. The learner then plays the same network.
+
+use reveille_bs::scenario::Scenario;
+use reveille_common::geometry::{Area, Point};
+use reveille_common::rng::{Purpose, Stream};
+use reveille_common::units::Energy;
+
+use super::six_devices::{duty_of, scenario_of, train, uncovered};
+
+const N: usize = 3;
+const SETS: usize = 1 << N;
+/// E_max in units; E_idle is 1, an arrival brings 1.
+const E_MAX: usize = 4;
+const LEVELS: usize = E_MAX + 1;
+/// The number of battery vectors.
+const VECTORS: usize = LEVELS.pow(N as u32);
+const AREA: Area = Area {
+    width: 9.0,
+    height: 5.0,
+};
+const PLACES: [(f64, f64); N] = [(2.0, 2.5), (4.2, 2.5), (7.0, 2.5)];
+/// The number of TTIs that the learner plays.
+const PLAYED: u64 = 60_000;
+
+struct Small {
+    /// The probability of an arrival.
+    p: f64,
+    /// The probability of an event, which lasts one TTI.
+    alpha: f64,
+    /// The weight α μ1.
+    w: f64,
+    e_tx: usize,
+    /// The number of TTIs for which a look counts, 1 or 2.
+    window: usize,
+    /// By set of devices, the share of the area where exactly these devices detect an event.
+    detecting: [f64; SETS],
+    scenario: Scenario,
+    points: Vec<Point>,
+}
+
+/// Returns the levels of a battery vector.
+fn levels(vector: usize) -> [usize; N] {
+    std::array::from_fn(|j| vector / LEVELS.pow(j as u32) % LEVELS)
+}
+
+fn vector(levels: [usize; N]) -> usize {
+    (0..N).map(|j| levels[j] * LEVELS.pow(j as u32)).sum()
+}
+
+impl Small {
+    fn new(alpha: f64, w: f64, lambda: f64, e_tx: usize, window: usize) -> Self {
+        let points: Vec<Point> = PLACES.iter().map(|&(x, y)| Point::new(x, y)).collect();
+        let scenario = scenario_of(
+            AREA,
+            &points,
+            &[
+                &format!("policy.q-learning.window={window}"),
+                &format!("policy.q-learning.mu1={}", w / alpha),
+                "policy.q-learning.mu2=0",
+                &format!("events.alpha={alpha}"),
+                "events.duration=1",
+                &format!("energy.e_max={E_MAX}"),
+                &format!("energy.e_tx={e_tx}"),
+                &format!("harvest.lambda={lambda}"),
+            ],
+        );
+        let missed = |set: usize| {
+            let looking: Vec<Point> = (0..N).filter(|j| set >> j & 1 == 1).map(|j| points[j]).collect();
+            uncovered(AREA, &looking)
+        };
+        // The share where only devices of the set detect, minus the share where not all of them do: inclusion and
+        // exclusion.
+        let detecting = std::array::from_fn(|set: usize| {
+            let parts = (0..SETS).filter(|part| part & !set == 0);
+            let sign = |part: usize| {
+                if (set & !part).count_ones().is_multiple_of(2) {
+                    1.0
+                } else {
+                    -1.0
+                }
+            };
+            parts.map(|part| sign(part) * missed(SETS - 1 - part)).sum()
+        });
+        Self {
+            p: lambda * libm::exp(-lambda),
+            alpha,
+            w,
+            e_tx,
+            window,
+            detecting,
+            scenario,
+            points,
+        }
+    }
+
+    /// Returns U if the devices of `set` looked.
+    fn uncovered(&self, set: usize) -> f64 {
+        (0..SETS)
+            .filter(|seen| seen & set == 0)
+            .map(|seen| self.detecting[seen])
+            .sum()
+    }
+
+    /// Applies `action` to batteries at `levels` if the devices of `arrived` harvest. Returns the levels, and the
+    /// devices that sensed with enough energy for a report.
+    fn sense(&self, mut levels: [usize; N], action: usize, arrived: usize) -> ([usize; N], usize) {
+        let mut able = 0;
+        for (j, level) in levels.iter_mut().enumerate() {
+            *level = (*level + (arrived >> j & 1)).min(E_MAX);
+            if action >> j & 1 == 1 && *level > 0 {
+                *level -= 1;
+                able |= usize::from(*level >= self.e_tx) << j;
+            }
+        }
+        (levels, able)
+    }
+
+    /// Returns the levels after the reports of `reporters`.
+    fn report(&self, mut levels: [usize; N], reporters: usize) -> [usize; N] {
+        for (j, level) in levels.iter_mut().enumerate() {
+            *level -= if reporters >> j & 1 == 1 { self.e_tx } else { 0 };
+        }
+        levels
+    }
+
+    /// Returns r(k) if the devices `able` look in this TTI and the devices `before` looked in the previous TTI.
+    fn reward(&self, action: usize, able: usize, before: usize) -> f64 {
+        1.0 - f64::from(action.count_ones()) / N as f64 - self.w * self.uncovered(able | before)
+    }
+
+    /// Returns the state: the batteries, and the devices that looked in the previous TTI if the window covers it.
+    fn state(&self, levels: [usize; N], able: usize) -> usize {
+        let before = if self.window > 1 { able } else { 0 };
+        before * VECTORS + vector(levels)
+    }
+
+    /// Returns the mean r(k) of the best policy by relative value iteration.
+    fn best(&self) -> f64 {
+        let states = VECTORS * if self.window > 1 { SETS } else { 1 };
+        let chance = |arrived: usize| {
+            let harvests = (0..N).map(|j| if arrived >> j & 1 == 1 { self.p } else { 1.0 - self.p });
+            harvests.product::<f64>()
+        };
+        // By state and action: the reward, and the next states with their probabilities.
+        let mut steps: Vec<(f64, Vec<(usize, f64)>)> = Vec::new();
+        for state in 0..states {
+            for action in 0..SETS {
+                let (mut reward, mut next) = (0.0, Vec::new());
+                for arrived in 0..SETS {
+                    let (levels, able) = self.sense(levels(state % VECTORS), action, arrived);
+                    reward += chance(arrived) * self.reward(action, able, state / VECTORS);
+                    next.push((self.state(levels, able), chance(arrived) * (1.0 - self.alpha)));
+                    for seen in 0..SETS {
+                        let after = self.report(levels, seen & able);
+                        let by_event = chance(arrived) * self.alpha * self.detecting[seen];
+                        next.push((self.state(after, able), by_event));
+                    }
+                }
+                steps.push((reward, next));
+            }
+        }
+        let mut values = vec![0.0; states];
+        for _ in 0..2000 {
+            let of = |(reward, next): &(f64, Vec<(usize, f64)>)| {
+                reward + next.iter().map(|(state, chance)| chance * values[*state]).sum::<f64>()
+            };
+            let best = |actions: &[(f64, Vec<(usize, f64)>)]| actions.iter().map(of).fold(f64::MIN, f64::max);
+            let after: Vec<f64> = steps.chunks(SETS).map(best).collect();
+            let added = after.iter().zip(&values).map(|(after, before)| after - before);
+            let (least, most) = added.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
+            values = after;
+            if most - least < 1e-6 {
+                return 0.5 * (least + most);
+            }
+        }
+        panic!("additions settle");
+    }
+
+    /// Returns the mean r(k) of `choose`, which maps the batteries of a TTI to the set of sensing devices.
+    fn play(&self, mut choose: impl FnMut(&[Energy]) -> usize) -> f64 {
+        let mut stream = Stream::new(5, Purpose::Harvest, 1);
+        let (mut now, mut before, mut sum) = ([2; N], 0, 0.0);
+        for _ in 0..PLAYED {
+            let energies = now.map(|level| Energy::from_micro(level as u64 * 1_000_000));
+            let action = choose(&energies);
+            let arrived = (0..N).map(|j| usize::from(stream.unit() < self.p) << j).sum();
+            let (levels, able) = self.sense(now, action, arrived);
+            sum += self.reward(action, able, if self.window > 1 { before } else { 0 });
+            let mut place = stream.unit();
+            let is_here = |share: &f64| {
+                place -= share;
+                place < 0.0
+            };
+            let seen = self.detecting.iter().position(is_here).unwrap_or(0);
+            let is_event = stream.unit() < self.alpha;
+            now = self.report(levels, if is_event { seen & able } else { 0 });
+            before = able;
+        }
+        sum / PLAYED as f64
+    }
+
+    /// Returns the mean r(k) of the learner, trained from empty tables.
+    fn learned(&self) -> f64 {
+        let mut duty = duty_of(&self.scenario, &train(&self.scenario), &self.points);
+        self.play(|energies| duty.choose(energies).iter().map(|j| 1 << j.index()).sum())
+    }
+}
+
+#[test]
+fn the_learner_comes_close_to_the_optimum_with_reports_and_with_a_longer_window() {
+    for (name, small) in [
+        ("reports", Small::new(0.3, 2.0, 0.4, 1, 1)),
+        ("dear reports", Small::new(0.6, 3.0, 0.6, 2, 1)),
+        ("two TTIs", Small::new(0.01, 2.0, 0.25, 0, 2)),
+    ] {
+        assert!(
+            (small.detecting.iter().sum::<f64>() - 1.0).abs() < 1e-9,
+            "shares of one area"
+        );
+        // The possible gain: r(k) above the reward of a sleeping network.
+        let asleep = 1.0 - small.w;
+        let best = small.best() - asleep;
+        let own = small.learned() - asleep;
+        // Every device that could report senses, regardless of previous looks.
+        let able = |energies: &[Energy]| {
+            let is_able = |j: &usize| energies[*j].micro() >= (1 + small.e_tx as u64) * 1_000_000;
+            (0..N).filter(is_able).map(|j| 1 << j).sum()
+        };
+        let all = small.play(able) - asleep;
+        println!(
+            "{name}: best {best:.4}, learner {:.4} of it, everyone able {:.4}",
+            own / best,
+            all / best
+        );
+        assert!(
+            own < 1.01 * best,
+            "{name}: nothing is better than the optimum, {own} of {best}"
+        );
+        assert!(own > 0.95 * best, "{name}: the learner gains {own}, the optimum {best}");
+        assert!(all < 0.95 * best, "{name}: {all} of {best} is too easy");
+    }
+}

@@ -1,0 +1,145 @@
+//! Transitions between S1 … S4, counted in a run.
+//!
+//! Within a TTI a device follows the state machine. It starts in S1 (δ = 1, paid) or S4 (δ = 0, or δ = 1 that it could
+//! not pay). A detection or a wake-up takes it to S2, and from there to S3 or, unpaid, to S4. The last state of a TTI
+//! leads to the first of the next. Each visit of a state has exactly one successor.
+
+use reveille_bs::scenario::Scenario;
+use reveille_common::deployment::Deployment;
+use reveille_common::ids::Tti;
+use reveille_common::plan::DutyCycle;
+use reveille_common::state::DeviceState;
+use reveille_common::units::Energy;
+
+use reveille_lab::preparation::start;
+use reveille_lab::run::RunOptions;
+
+/// Transition counts by state: entry `[m - 1][n - 1]` counts S_m → S_n.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct TransitionCounts(pub [[u64; 4]; 4]);
+
+impl TransitionCounts {
+    /// Number of transitions S_m → S_n, with m and n in 1 ..= 4.
+    pub const fn of(&self, m: usize, n: usize) -> u64 {
+        self.0[m - 1][n - 1]
+    }
+
+    /// Number of visits of S_m that have a successor.
+    pub fn visits(&self, m: usize) -> u64 {
+        self.0[m - 1].iter().sum()
+    }
+
+    /// Adds `other`.
+    pub fn add(&mut self, other: &Self) {
+        for (row, more) in self.0.iter_mut().zip(&other.0) {
+            row.iter_mut().zip(more).for_each(|(sum, n)| *sum += n);
+        }
+    }
+
+    fn step(&mut self, from: usize, to: usize) {
+        self.0[from - 1][to - 1] += 1;
+    }
+}
+
+const S1: usize = 1;
+const S2: usize = 2;
+const S3: usize = 3;
+const S4: usize = 4;
+
+/// Path of a device through one TTI.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Path {
+    first: usize,
+    /// State that followed S2, if S2 was entered.
+    through_active: Option<usize>,
+}
+
+impl Path {
+    /// Derives the path of a device that ends a TTI in `state` and has `spent` in it, where δ = `on` cost `cost`.
+    fn new(state: DeviceState, on: bool, spent: Energy, cost: Energy) -> Self {
+        let started = if on { S1 } else { S4 };
+        let (first, through_active) = match state {
+            DeviceState::Idle | DeviceState::Sleep { powered: true } => (started, None),
+            DeviceState::Transmission => (started, Some(S3)),
+            // A device that could not pay for δ has spent less than its cost; otherwise the transmission failed.
+            DeviceState::Sleep { powered: false } if spent < cost => (S4, None),
+            DeviceState::Sleep { powered: false } => (started, Some(S4)),
+            DeviceState::Active => unreachable!("S2 is left within the TTI"),
+        };
+        Self { first, through_active }
+    }
+
+    fn last(self) -> usize {
+        self.through_active.unwrap_or(self.first)
+    }
+}
+
+/// Counts the transitions of all devices in the measured part of a run of `scenario`. Also returns the duty cycles in
+/// its first TTI.
+pub(super) fn count(scenario: &Scenario, deployment: &Deployment) -> (TransitionCounts, Vec<DutyCycle>) {
+    let options = RunOptions {
+        // Devices are counted after every TTI, so each grant covers one.
+        lookahead: false,
+        ..RunOptions::default()
+    };
+    let mut run = start(scenario, options);
+    let mut counts = TransitionCounts::default();
+    let mut duties = Vec::new();
+    let mut before = vec![(S4, Energy::ZERO); deployment.devices.len()];
+    let first_measured = scenario.warm_up_end().0;
+    for k in 0..scenario.run.ttis {
+        run.grant(&mut ());
+        let plan = run.cycle().plan();
+        let now: Vec<DutyCycle> = deployment.devices.iter().map(|d| plan.duty_cycle(d.id)).collect();
+        for (j, machine) in run.device_views().iter().enumerate() {
+            let (last, spent_before) = before[j];
+            let spent = machine.totals().spent.total();
+            let (on, costs) = (now[j].is_on(Tti(k)), &deployment.devices[j].energy);
+            let cost = if on { costs.e_idle } else { costs.e_wur };
+            let path = Path::new(machine.state(), on, spent - spent_before, cost);
+            // The transition into the first measured TTI begins in the warm-up.
+            if k > first_measured {
+                counts.step(last, path.first);
+            }
+            if let (true, Some(end)) = (k >= first_measured, path.through_active) {
+                counts.step(path.first, S2);
+                counts.step(S2, end);
+            }
+            before[j] = (path.last(), spent);
+        }
+        if k == 0 {
+            duties = now;
+        }
+    }
+    (counts, duties)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_way_through_a_tti_is_told_from_its_end() {
+        let (idle, wur, none) = (Energy::from_micro(10), Energy::from_micro(3), Energy::ZERO);
+        let dark = DeviceState::Sleep { powered: false };
+        let path = |state, on, spent, cost| {
+            let path = Path::new(state, on, spent, cost);
+            (path.first, path.through_active)
+        };
+        assert_eq!(path(DeviceState::Idle, true, idle, idle), (S1, None));
+        assert_eq!(path(DeviceState::Sleep { powered: true }, false, wur, wur), (S4, None));
+        assert_eq!(
+            path(DeviceState::Transmission, true, Energy::from_micro(30), idle),
+            (S1, Some(S3))
+        );
+        assert_eq!(
+            path(DeviceState::Transmission, false, Energy::from_micro(23), wur),
+            (S4, Some(S3))
+        );
+        // The device could not pay for the transmission, or not even for δ.
+        assert_eq!(path(dark, true, idle, idle), (S1, Some(S4)));
+        assert_eq!(path(dark, false, Energy::from_micro(5), wur), (S4, Some(S4)));
+        assert_eq!(path(dark, true, wur, idle), (S4, None));
+        assert_eq!(path(dark, false, none, wur), (S4, None));
+    }
+}

@@ -1,0 +1,156 @@
+//! Lab runs for figures, with the outcome of each TTI and the states of devices.
+
+use reveille_bs::observer::{Notification, Observer};
+use reveille_bs::scenario::Scenario;
+use reveille_common::event::EventRecord;
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::{FailedTransmission, Report, WakeOutcome};
+use reveille_common::state::DeviceState;
+use reveille_common::units::Energy;
+
+use reveille_lab::preparation::start;
+use reveille_lab::run::{Run, RunOptions};
+
+/// Collects all events of a run of `scenario`, in order, including warm-up events and misdetections.
+pub fn events(scenario: &Scenario) -> Vec<EventRecord> {
+    struct EventCollector(Vec<EventRecord>);
+    impl Observer for EventCollector {
+        fn notify(&mut self, happening: &Notification<'_>) {
+            if let Notification::EventEnded(event) = happening {
+                self.0.push(**event);
+            }
+        }
+    }
+    let mut collect = EventCollector(Vec::new());
+    start(scenario, RunOptions::default()).finish(&mut collect);
+    collect.0
+}
+
+/// Outcome of one TTI.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct TtiOutcome {
+    /// Reports of devices with δ = 1.
+    pub reports: Vec<Report>,
+    /// Devices with δ = 1 that detected the event but could not transmit.
+    pub failures: Vec<FailedTransmission>,
+    /// Wake-ups in order, with their outcomes.
+    pub woken: Vec<(DeviceId, WakeOutcome)>,
+}
+
+impl Observer for TtiOutcome {
+    fn notify(&mut self, happening: &Notification<'_>) {
+        match happening {
+            Notification::Granted(_) => *self = Self::default(),
+            Notification::Reported(report) => self.reports.push(**report),
+            Notification::Failed { failure, .. } => self.failures.push(**failure),
+            Notification::Woken { device, outcome, .. } => self.woken.push((*device, **outcome)),
+            Notification::Plan { .. }
+            | Notification::EventStarted(_)
+            | Notification::Lost(_)
+            | Notification::Gone(_)
+            | Notification::WakeUp { .. }
+            | Notification::Believed { .. }
+            | Notification::EventEnded(_)
+            | Notification::Closed(_)
+            | Notification::States(_) => {}
+        }
+    }
+}
+
+/// A run that advances TTI by TTI.
+pub(crate) struct RunWalk {
+    run: Run,
+}
+
+impl RunWalk {
+    /// Starts a run of `scenario` before TTI 0.
+    pub(crate) fn new(scenario: &Scenario) -> Self {
+        let options = RunOptions {
+            // Each grant is one TTI, so that every TTI can be observed.
+            lookahead: false,
+            ..RunOptions::default()
+        };
+        Self {
+            run: start(scenario, options),
+        }
+    }
+
+    /// Group of each device, if the policy has groups.
+    pub(crate) fn groups(&self) -> Option<&[u32]> {
+        self.run.cycle().groups()
+    }
+
+    /// Runs the next TTI. Returns it with its outcome.
+    pub(crate) fn step(&mut self) -> (Tti, TtiOutcome) {
+        let k = self.run.cycle().next_tti();
+        let mut happened = TtiOutcome::default();
+        self.run.grant(&mut happened);
+        (k, happened)
+    }
+
+    /// Runs all TTIs up to and including `k`. Returns the outcome of the last one.
+    pub(crate) fn reach(&mut self, k: Tti) -> TtiOutcome {
+        loop {
+            let (at, happened) = self.step();
+            if at >= k {
+                return happened;
+            }
+        }
+    }
+
+    /// Returns the state of `device` in TTI `k`, the last TTI run, and its battery level at the end of it.
+    pub(crate) fn state(&self, device: DeviceId, k: Tti) -> (DeviceState, Energy) {
+        // On a copy, since advancing a machine changes it, and the run is only observed.
+        let mut machine = self.run.machines()[device.index()].clone();
+        machine.begin(k);
+        let state = machine.state();
+        machine.advance_to(k + 1);
+        (state, machine.battery())
+    }
+
+    /// Returns whether δ of `device` is 1 in TTI `k`.
+    #[cfg(test)]
+    pub(crate) fn is_on(&self, device: DeviceId, k: Tti) -> bool {
+        self.run.cycle().plan().duty_cycle(device).is_on(k)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use reveille_bs::scenario::{Override, load};
+
+    use super::*;
+
+    #[test]
+    fn a_walk_is_the_run_and_its_states_are_those_of_the_ledgers() {
+        let overrides = ["devices=30", "ttis=400", "warm_up=0"].map(|o| Override::parse(o).expect("an override"));
+        let scenario = load("paper", &overrides).expect("a scenario").scenario;
+        let outcome = start(&scenario, RunOptions::default()).finish(&mut ());
+        let mut walk = RunWalk::new(&scenario);
+        let (mut reports, mut wake_ups, mut battery, mut low) = (0, 0, 0_u128, 0);
+        for _ in 0..400 {
+            let (k, happened) = walk.step();
+            let from_wake_ups = happened
+                .woken
+                .iter()
+                .filter(|(_, o)| matches!(o, WakeOutcome::Reported(_)));
+            reports += (happened.reports.len() + from_wake_ups.count()) as u64;
+            wake_ups += happened.woken.len() as u64;
+            for j in 0..30 {
+                let (state, level) = walk.state(DeviceId(j), k);
+                battery += u128::from(level.micro());
+                low += u64::from(level < Energy::from_micro(10_000_000));
+                assert_eq!(
+                    happened.reports.iter().any(|r| r.device == DeviceId(j)),
+                    state == DeviceState::Transmission && walk.is_on(DeviceId(j), k)
+                );
+            }
+        }
+        assert_eq!(battery, outcome.totals.energy.battery_sum);
+        assert_eq!(low, outcome.totals.energy.low_ttis);
+        let all = events(&scenario);
+        assert_eq!(all.len() as u64, outcome.totals.events.events);
+        assert_eq!(all.iter().map(|e| e.tally.reports).sum::<u64>(), reports);
+        assert_eq!(all.iter().map(|e| e.tally.wake_ups).sum::<u64>(), wake_ups);
+    }
+}

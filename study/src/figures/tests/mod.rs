@@ -1,0 +1,391 @@
+//! Tests of whole figures: they exist, are complete and legible, and are reproducible.
+
+use reveille_bs::scenario::{Override, Scenario, load};
+use reveille_common::declare::NoFiles;
+
+use super::results::{Results, fixtures};
+use super::scene::{Scene, SceneItem};
+use super::{FigureError, deployment, energy, png, study, svg, timeline};
+use reveille_lab::table::{Hash, Table};
+
+mod learned;
+mod own;
+mod swept;
+mod traded;
+mod tuned;
+
+const RUNS: [(&str, u32, &[f64]); 8] = [
+    ("knn", 10, &[33.0, 35.0, 31.0]),
+    ("knn", 250, &[0.0, 0.0, 0.0]),
+    ("random", 10, &[77.0, 70.0, 79.0]),
+    ("random", 250, &[7.0, 0.5, 1.0]),
+    ("genie", 10, &[2.0, f64::NAN, 2.5]),
+    ("genie", 250, &[0.003, 0.002, 0.004]),
+    ("genie", 50, &[4.0]),
+    ("adjusted", 100, &[f64::NAN, f64::NAN]),
+];
+
+fn scenario(overrides: &[&str]) -> Scenario {
+    let parse = |text: &&str| Override::parse(text).expect("an override");
+    let overrides: Vec<Override> = overrides.iter().map(parse).collect();
+    load("paper", &overrides).expect("a scenario").scenario
+}
+
+fn results(metric: &str) -> Results {
+    Results::new(&[fixtures::table("paper", metric, &RUNS)], &NoFiles).expect("runs")
+}
+
+/// Checks the properties that every figure must have.
+fn check(name: &str, scene: &Scene) {
+    assert!(
+        scene.outside().is_empty(),
+        "{name} reaches beyond the canvas: {:?}",
+        scene.outside()
+    );
+    assert!(scene.overlapping().is_empty(), "{name}: {:?}", scene.overlapping());
+    for item in &scene.items {
+        if let SceneItem::Text(text) = item {
+            assert!(text.size >= 8.0, "{name}: {text:?} is too small");
+            assert!(
+                super::font::has(&text.text, text.weight),
+                "{name}: {text:?} has letters without an outline"
+            );
+        }
+    }
+    let text = svg::svg(scene, name);
+    assert_eq!(text, svg::svg(scene, name));
+    let tree = roxmltree::Document::parse(&text).unwrap_or_else(|error| panic!("{name}: {error}"));
+    let root = tree.root_element();
+    assert_eq!(root.tag_name().name(), "svg");
+    let ids: Vec<&str> = tree.descendants().filter_map(|node| node.attribute("id")).collect();
+    let links = tree
+        .descendants()
+        .filter_map(|node| node.attribute(("http://www.w3.org/1999/xlink", "href")));
+    for link in links {
+        assert!(
+            ids.contains(&link.trim_start_matches('#')),
+            "{name}: {link} leads nowhere"
+        );
+    }
+    let pixels = png::png(scene);
+    let decoder = ::png::Decoder::new(std::io::Cursor::new(&pixels));
+    let mut reader = decoder.read_info().expect("a PNG");
+    let expected = (
+        (scene.width * 300.0 / 72.0).ceil() as u32,
+        (scene.height * 300.0 / 72.0).ceil() as u32,
+    );
+    assert_eq!(reader.info().size(), expected);
+    let mut image = vec![0; reader.output_buffer_size().expect("a size")];
+    reader.next_frame(&mut image).expect("an image");
+    assert!(
+        image.iter().any(|byte| *byte < 60) && image.contains(&255),
+        "{name} is blank"
+    );
+}
+
+#[test]
+fn every_figure_of_the_paper_is_drawn() {
+    for figure in study::FIGURES {
+        let results = results(figure.metric);
+        let condition = &results.conditions[0];
+        let drawing = figure.draw(condition).expect("a figure");
+        let scene = drawing.chart.scene();
+        check(figure.name, &scene);
+        assert_eq!(png::png(&scene), png::png(&scene), "{}", figure.name);
+        assert_eq!(drawing.undefined, ["adjusted"], "{}", figure.name);
+        let names: Vec<&str> = drawing.chart.series.iter().map(|s| s.name.as_str()).collect();
+        assert_eq!(names, ["knn", "random", "genie"]);
+        let genie = &drawing.chart.series[2].samples[0];
+        let mean = if figure.is_per_device { 0.225 } else { 2.25 };
+        assert!((genie.y - mean).abs() < 1e-12, "the mean of what is defined: {genie:?}");
+        let csv = figure.csv(condition, &drawing);
+        if figure.is_per_device {
+            let knn = format!("measured,paper,knn,10,{}/n,3.3,0.4968", figure.metric);
+            assert!(csv.contains(&knn), "{csv}");
+        } else {
+            let knn = format!("measured,paper,knn,10,{},33,4.968", figure.metric);
+            assert!(csv.contains(&knn), "{csv}");
+        }
+    }
+}
+
+#[test]
+fn a_metric_that_no_run_has_gives_no_figure() {
+    let table = fixtures::table("paper", "info_p1", &[("knn", 10, &[f64::NAN; 2])]);
+    let results = Results::new(&[table], &NoFiles).expect("runs");
+    assert!(study::FIGURES[0].draw(&results.conditions[0]).is_none());
+    assert!(study::FIGURES[1].draw(&results.conditions[0]).is_some());
+}
+
+#[test]
+fn what_the_paper_states_is_marked_for_policies_that_were_run() {
+    let energy = study::FIGURES[2];
+    let results = results(energy.metric);
+    let chart = energy.draw(&results.conditions[0]).expect("a figure").chart;
+    // knn 0.45–0.83 and 0.145; random 0.34 and > 0.18; genie 0.055.
+    assert_eq!(chart.marks.len(), 5, "{:?}", chart.marks);
+    let values: Vec<f64> = chart.marks.iter().map(|m| m.stated.values()[0]).collect();
+    for expected in [0.45, 0.145, 0.34, 0.18, 0.055] {
+        assert!(
+            values.iter().any(|v| (v - expected).abs() < 1e-12),
+            "{expected} in {values:?}"
+        );
+    }
+    let places: Vec<f64> = chart.marks.iter().filter(|m| m.x > 200.0).map(|m| m.aside).collect();
+    assert!(
+        places.len() > 1 && places.windows(2).all(|pair| pair[1] - pair[0] > 2.0),
+        "side by side: {places:?}"
+    );
+    assert!(
+        chart.marks.iter().all(|m| m.aside.abs() <= 4.0),
+        "and near their N: {:?}",
+        chart.marks
+    );
+}
+
+#[test]
+fn what_the_paper_states_for_several_n_is_hatched() {
+    let runs: [(&str, u32, &[f64]); 3] = [
+        ("adjusted", 10, &[3.0, 3.5]),
+        ("adjusted", 250, &[1.0, 1.5]),
+        ("dt", 100, &[1.0, 1.2]),
+    ];
+    for (name, expected) in [
+        ("misdetection", vec![(10.0, 199.0, [2.0, 2.0])]),
+        ("low-energy", vec![(10.0, 250.0, [30.0, 45.0])]),
+        (
+            "battery",
+            vec![(10.0, 250.0, [31.0, 54.0]), (10.0, 250.0, [40.0, 40.0])],
+        ),
+        ("wasted", vec![(10.0, 250.0, [1.5, 1.5])]),
+        ("energy", vec![]),
+    ] {
+        let figure = study::FIGURES.into_iter().find(|f| f.name == name).expect("a figure");
+        let results = Results::new(&[fixtures::table("paper", figure.metric, &runs)], &NoFiles).expect("runs");
+        let chart = figure.draw(&results.conditions[0]).expect("a figure").chart;
+        let spans: Vec<_> = chart.spans.iter().map(|s| (s.from, s.to, s.stated.values())).collect();
+        assert_eq!(spans, expected, "{name}");
+        assert_eq!(chart.caption.contains("Hatched"), !expected.is_empty());
+        check(name, &chart.scene());
+    }
+}
+
+#[test]
+fn a_stated_ratio_is_marked_at_its_multiple_of_what_is_stated() {
+    let figure = study::FIGURES[2];
+    let runs: [(&str, u32, &[f64]); 1] = [("dt", 250, &[0.13, 0.14])];
+    let results = Results::new(&[fixtures::table("paper", figure.metric, &runs)], &NoFiles).expect("runs");
+    let chart = figure.draw(&results.conditions[0]).expect("a figure").chart;
+    let values: Vec<f64> = chart.marks.iter().map(|m| m.stated.values()[0]).collect();
+    // Between 0.45 and 0.83; 40 % below 0.24; 10 % below 0.145.
+    let expected = [0.45, 0.144, 0.1305];
+    assert_eq!(values.len(), 3, "{values:?}");
+    assert!(
+        values.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12),
+        "{values:?}"
+    );
+}
+
+#[test]
+fn harvest_and_net_are_drawn() {
+    let mut runs = RUNS.to_vec();
+    runs.extend([
+        ("random", 100, &[0.2, 0.21][..]),
+        ("adjusted", 100, &[0.3, 0.31]),
+        ("adjusted", 10, &[0.2]),
+    ]);
+    let results = Results::new(&[fixtures::table("paper", "energy_per_device_tti", &runs)], &NoFiles).expect("runs");
+    let condition = &results.conditions[0];
+    let points = energy::harvests("paper").expect("harvests");
+    assert_eq!(points.len(), 27);
+    let harvest = energy::harvest_chart(condition, &points);
+    check("harvest", &harvest.scene());
+    assert_eq!(harvest.marks.len(), 8, "four for N = 10, four for N = 250");
+    assert!(
+        harvest
+            .caption
+            .contains("not of the table, but of 8 runs with N = 20 and 2000 TTIs made for this picture"),
+        "{}",
+        harvest.caption
+    );
+    let net = energy::net_chart(condition, &points).expect("random and adjusted were run");
+    check("net", &net.scene());
+    assert_eq!(net.marks.len(), 6);
+    // Two runs of adjusted: t(1) = 12.706, and half of |0.31 - 0.30|.
+    let half = net.series[0].samples[0].half;
+    assert!((half - 12.706 * 0.005).abs() < 1e-5, "{half}");
+    let is_near = |a: f64, b: f64| (a - b).abs() < 1e-9;
+    // Measured points lie on their line: the harvest of its E_B less 0.305, with the variances added.
+    let of_five = points
+        .iter()
+        .find(|p| is_near(p.e_b, 5.0) && is_near(p.lambda, 0.1))
+        .expect("measured");
+    let dots = net.series.iter().skip_while(|s| s.name != "adjusted, E_B = 5").nth(1);
+    let dot = dots
+        .and_then(|s| s.samples.iter().find(|d| is_near(d.x, 0.1)))
+        .expect("a dot at λ = 0.1");
+    assert!((dot.y - (of_five.harvested.mean - 0.305)).abs() < 1e-12);
+    assert!((dot.half.powi(2) - half.powi(2) - of_five.harvested.half_width.powi(2)).abs() < 1e-12);
+    assert!(energy::harvest_csv(&points).lines().count() == 28 && energy::net_csv(&net).lines().count() > 100);
+    // A consumption from one run has no interval, so the net energy has none either.
+    let lone = results_of(&[("random", 100, &[0.2, 0.21]), ("adjusted", 100, &[0.3])]);
+    let lone = energy::net_chart(&lone.conditions[0], &points).expect("random and adjusted were run");
+    let mut policy = "";
+    for series in &lone.series {
+        policy = series
+            .name
+            .split(',')
+            .next()
+            .filter(|name| !name.is_empty())
+            .unwrap_or(policy);
+        let is_known = policy == "random";
+        assert!(
+            series.samples.iter().all(|s| s.half.is_finite() == is_known),
+            "{policy}"
+        );
+    }
+    let without = results_of(&[("random", 100, &[0.2])]);
+    assert!(energy::net_chart(&without.conditions[0], &points).is_none());
+}
+
+fn results_of(runs: &[(&str, u32, &[f64])]) -> Results {
+    Results::new(&[fixtures::table("paper", "energy_per_device_tti", runs)], &NoFiles).expect("runs")
+}
+
+#[test]
+fn deployments_and_timelines_are_drawn_for_every_policy() {
+    for (policy, n) in [("knn", "80"), ("adjusted", "30"), ("random", "150"), ("genie", "1")] {
+        let policy = format!("policy.name={policy}");
+        let n = format!("devices={n}");
+        let scenario = scenario(&[&policy, &n, "ttis=300", "policy.adjusted.pilot_ttis=100"]);
+        let moment = deployment::EventScene::of(&scenario, None).expect("an event");
+        assert_eq!(moment.roles.len(), scenario.run.devices as usize);
+        let reports = moment
+            .roles
+            .iter()
+            .filter(|r| matches!(r, deployment::DeviceRole::Reporter | deployment::DeviceRole::Woken(_)));
+        assert_eq!(
+            reports.count() as u64,
+            moment.event.tally.reports,
+            "{policy}: who reported is who is drawn"
+        );
+        check("deployment", &deployment::scene(&scenario, &moment));
+        let shown = timeline::Timeline::of(&scenario, &[], 30, 120).expect("a timeline");
+        check("timeline", &timeline::scene(&scenario, &shown));
+    }
+}
+
+#[test]
+fn an_event_that_nobody_reported_can_be_drawn() {
+    let scenario = scenario(&["policy.name=random", "devices=3", "ttis=300"]);
+    let all = super::run_walk::events(&scenario);
+    let unseen = all
+        .iter()
+        .find(|e| e.tally.reports == 0)
+        .expect("three devices miss some");
+    let moment = deployment::EventScene::of(&scenario, Some(unseen.event.0)).expect("an event");
+    check("unseen", &deployment::scene(&scenario, &moment));
+}
+
+#[test]
+fn tables_are_put_together_by_what_was_run() {
+    let (name, table) = fixtures::table("paper", "mean_battery", &RUNS[..2]);
+    let (_, other) = fixtures::table("paper", "mean_battery", &RUNS[2..4]);
+    let both = Results::new(
+        &[
+            (name.clone(), table.clone()),
+            (name.clone(), other),
+            (name.clone(), table.clone()),
+        ],
+        &NoFiles,
+    );
+    let both = both.expect("runs");
+    assert_eq!(both.conditions.len(), 1);
+    assert_eq!(both.conditions[0].policies(), ["knn", "random"]);
+    assert_eq!(
+        both.conditions[0].runs("knn", 10).count(),
+        3,
+        "a run of two tables counts once"
+    );
+    assert_eq!(both.conditions[0].label(), "paper");
+
+    let mut changed = table.clone();
+    changed
+        .rows
+        .iter_mut()
+        .for_each(|row| row.scenario_hash = Hash([9; 32]));
+    let apart = Results::new(
+        &[(name.clone(), table.clone()), ("mine.parquet".to_owned(), changed)],
+        &NoFiles,
+    )
+    .expect("runs");
+    assert_eq!(
+        apart.conditions.len(),
+        2,
+        "another scenario under the same preset is another condition"
+    );
+    assert_eq!(apart.conditions[1].label(), "paper, changed as in mine.parquet");
+    assert_eq!(apart.file_labels(), ["paper", "paper-mine"]);
+
+    let mut false_one = table.clone();
+    false_one.rows[0].digest = Hash([7; 32]);
+    let refused = Results::new(&[(name.clone(), table.clone()), (name.clone(), false_one)], &NoFiles);
+    assert!(matches!(refused, Err(FigureError::Contradiction { .. })), "{refused:?}");
+
+    let empty = Table {
+        rows: Vec::new(),
+        ..table
+    };
+    let refused = Results::new(&[(name, empty)], &NoFiles).expect_err("nothing to draw");
+    assert!(refused.to_string().contains("paper.parquet: no rows"), "{refused}");
+}
+
+#[test]
+fn settings_of_tables_of_one_name_have_names_of_their_own() {
+    let (_, table) = fixtures::table("paper", "mean_battery", &RUNS[..2]);
+    let table = |hash: u8| {
+        let mut changed = table.clone();
+        let rows = changed.rows.iter_mut();
+        rows.for_each(|row| row.scenario_hash = Hash([hash; 32]));
+        changed
+    };
+    let names = ["a/results.parquet", "b/results.parquet", "c/b/results.parquet"];
+    let tables: Vec<(String, Table)> = (1..).zip(names).map(|(i, name)| (name.to_owned(), table(i))).collect();
+    let labels = Results::new(&tables, &NoFiles).expect("runs").file_labels();
+    assert_eq!(labels, ["paper-a-results", "paper-b-results", "paper-b-results-2"]);
+}
+
+#[test]
+fn what_the_experiment_sets_is_named_by_field_and_value() {
+    let set = scenario(&[
+        "events.alpha=0.3",
+        "devices=10",
+        "ttis=2000",
+        "seed=1",
+        "policy.name=knn",
+    ]);
+    let (name, mut table) = fixtures::table("paper", "mean_battery", &[("knn", 10, &[1.0])]);
+    table.rows[0].scenario_hash = Hash(set.hash());
+    table.about.experiment = "scenario = \"paper\"\n\n[set]\n\"events.alpha\" = 0.3\n".to_owned();
+    let results = Results::new(&[(name, table)], &NoFiles).expect("runs");
+    let condition = &results.conditions[0];
+    assert_eq!(condition.label(), "paper, events.alpha = 0.3");
+    assert!(!condition.is_plain() && condition.scenario.as_ref() == Some(&set));
+    assert_eq!(results.file_labels(), ["paper-events.alpha-0.3"]);
+}
+
+#[test]
+fn figures_are_chosen_by_name() {
+    let names = |wanted: &[&str]| {
+        let wanted: Vec<String> = wanted.iter().map(|w| (*w).to_owned()).collect();
+        study::chosen(&wanted, &energy::NAMES).map(|all| all.iter().map(|f| f.name).collect::<Vec<_>>())
+    };
+    assert_eq!(names(&["energy", "information"]), Ok(vec!["information", "energy"]));
+    assert_eq!(names(&[]).map(|all| all.len()), Ok(8));
+    assert_eq!(names(&["net"]), Ok(vec![]));
+    let refused = names(&["energie"]).expect_err("no such figure").to_string();
+    assert!(
+        refused.contains("`energie`") && refused.contains("wasted, harvest, net"),
+        "{refused}"
+    );
+}

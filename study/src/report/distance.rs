@@ -1,0 +1,119 @@
+//! Distance of figures from a claim, as a number. It compares settings if none meets the claim.
+
+use super::judge::Finding;
+use crate::claims::{Claim, Statement};
+
+/// Computes the distance of `findings` from `claim`: 0 if they are as stated, infinite if it is undefined.
+///
+/// Values, ranges and bounds: |ln(ours / the nearest allowed value)|, the largest over several N and policies. A stated
+/// 0: |ln| of our multiple of the 1 % of the others that counts as 0. A trend: the largest step against it, as a share
+/// of the range of all means. A constant level: half the range divided by the middle. Distances are comparable only
+/// under the same claim.
+pub(super) fn off(claim: &Claim, findings: &[Finding]) -> f64 {
+    if findings.is_empty() {
+        return f64::INFINITY;
+    }
+    let worst = |of: &dyn Fn(&Finding) -> f64| findings.iter().map(of).fold(0.0, f64::max);
+    match claim.statement {
+        Statement::About(0.0) => worst(&|one| factor(one.value, 0.0, one.zero)),
+        Statement::About(v) => worst(&|one| factor(one.value, v, v)),
+        Statement::Between(low, high) => worst(&|one| factor(one.value, low, high)),
+        Statement::Below(v) => worst(&|one| factor(one.value, f64::NEG_INFINITY, v)),
+        Statement::Above(v) => worst(&|one| factor(one.value, v, f64::INFINITY)),
+        Statement::Largest(v) => factor(over(findings, f64::max), v, v),
+        Statement::Smallest(v) => factor(over(findings, f64::min), v, v),
+        Statement::Level => level(over(findings, f64::min), over(findings, f64::max)),
+        Statement::Falls => against(findings, |earlier, later| later - earlier),
+        Statement::Rises => against(findings, |earlier, later| earlier - later),
+    }
+}
+
+/// Computes |ln| of the factor from `value` to the nearest value in `low` to `high`.
+fn factor(value: f64, low: f64, high: f64) -> f64 {
+    let nearest = value.clamp(low, high);
+    let is_there = value.total_cmp(&nearest).is_eq();
+    let factor = value / nearest;
+    match () {
+        () if is_there => 0.0,
+        () if factor > 0.0 => libm::log(factor).abs(),
+        () => f64::INFINITY,
+    }
+}
+
+fn over(findings: &[Finding], pick: fn(f64, f64) -> f64) -> f64 {
+    findings.iter().map(|one| one.value).reduce(pick).unwrap_or(f64::NAN)
+}
+
+fn level(least: f64, most: f64) -> f64 {
+    if most > least {
+        (most - least) / (most + least)
+    } else {
+        0.0
+    }
+}
+
+/// Computes the largest step against a trend between two N, as a share of the range; 1 if all values are equal.
+fn against(findings: &[Finding], step: impl Fn(f64, f64) -> f64) -> f64 {
+    let of_one = |a: &Finding, b: &Finding| a.other == b.other && a.n < b.n;
+    let pairs = findings.iter().flat_map(|a| findings.iter().map(move |b| (a, b)));
+    let largest = pairs
+        .filter(|(a, b)| of_one(a, b))
+        .map(|(a, b)| step(a.value, b.value))
+        .fold(0.0, f64::max);
+    let range = over(findings, f64::max) - over(findings, f64::min);
+    // Without any change there is no trend, which is as far off as the largest possible step.
+    if range > 0.0 { largest / range } else { 1.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::claims::{ClaimQuantity, DeviceCounts, FIG_8};
+
+    fn of(statement: Statement, values: &[f64]) -> f64 {
+        let finding = |(n, value): (u32, &f64)| Finding {
+            n,
+            other: None,
+            value: *value,
+            low: 0.0,
+            high: f64::INFINITY,
+            zero: 0.5,
+            reading: None,
+        };
+        let findings: Vec<Finding> = (1..).zip(values).map(finding).collect();
+        off(
+            &Claim::new("knn", DeviceCounts::Everywhere, ClaimQuantity::Own, statement, FIG_8),
+            &findings,
+        )
+    }
+
+    #[test]
+    fn the_worst_factor_counts() {
+        let (two, four) = (std::f64::consts::LN_2, 2.0 * std::f64::consts::LN_2);
+        for (statement, values, expected) in [
+            (Statement::About(10.0), vec![10.0], 0.0),
+            (Statement::About(10.0), vec![5.0], two),
+            (Statement::About(10.0), vec![5.0, 40.0], four),
+            (Statement::About(10.0), vec![0.0], f64::INFINITY),
+            (Statement::About(0.0), vec![0.4], 0.0),
+            (Statement::About(0.0), vec![1.0], two),
+            (Statement::Between(2.0, 4.0), vec![3.0, 8.0], two),
+            (Statement::Below(2.0), vec![0.0, 1.0], 0.0),
+            (Statement::Below(2.0), vec![4.0], two),
+            (Statement::Above(2.0), vec![1.0, 9.0], two),
+            (Statement::Largest(4.0), vec![1.0, 8.0, 2.0], two),
+            (Statement::Smallest(4.0), vec![1.0, 8.0], four),
+            (Statement::Level, vec![1.0, 3.0], 0.5),
+            (Statement::Level, vec![0.0, 0.0], 0.0),
+            (Statement::Falls, vec![5.0, 1.0, 3.0], 0.5),
+            (Statement::Falls, vec![5.0, 4.0, 3.0], 0.0),
+            (Statement::Falls, vec![5.0, 5.0], 1.0),
+            (Statement::Rises, vec![5.0, 1.0, 3.0], 1.0),
+            (Statement::Rises, vec![], f64::INFINITY),
+        ] {
+            let found = of(statement, &values);
+            let is_same = found.total_cmp(&expected).is_eq() || (found - expected).abs() < 1e-12;
+            assert!(is_same, "{statement:?} of {values:?}: {found} for {expected}");
+        }
+    }
+}

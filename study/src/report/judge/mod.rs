@@ -1,0 +1,123 @@
+//! The verdict on a claim.
+//!
+//! 1. A policy without runs at a claim's N is *not run*. A statement on several N together needs runs at two of them.
+//! 2. A claim is *reproduced* if our mean is within 5 % of a stated value, in a stated range, or meets a bound
+//!    ("below", "above"). It is *within 20 %* if it is that near to the value or to the nearer end of the range. A
+//!    claim for several N or against several policies must hold for each that was run, and has the worst verdict. A
+//!    stated 0 allows 1 % of the largest of the other policies' means.
+//! 3. A trend with N allows opposite steps of at most a tenth of the range of all means. A constant level stays within
+//!    20 % of their middle.
+//! 4. Otherwise its *order is reproduced* if, at each such N, our mean has the same order to every compared policy as
+//!    in the paper. A policy is compared if the paper states its order or ratio, or figures for both that all exclude
+//!    each other. At least one policy must be compared.
+//! 5. Otherwise it is *not reproduced*.
+//!
+//! A verdict is *firm* if it is the same for every value in our 95 % intervals.
+
+mod finding;
+mod fit;
+mod order;
+
+pub use self::finding::Finding;
+pub use self::fit::{Fit, FitLevel, about};
+use crate::claims::{Claim, ClaimTopic};
+use crate::figures::results::RunCondition;
+
+/// Verdict on a claim.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Verdict {
+    /// As stated.
+    Reproduced,
+    /// Not as stated, but within 20 %.
+    Near,
+    /// Neither, but the policy has the same order among the others as in the paper.
+    OrderReproduced,
+    /// None of the above.
+    NotReproduced,
+    /// There are no runs.
+    NotRun,
+}
+
+impl Verdict {
+    /// All verdicts, the best first.
+    pub const ALL: [Self; 5] = [
+        Self::Reproduced,
+        Self::Near,
+        Self::OrderReproduced,
+        Self::NotReproduced,
+        Self::NotRun,
+    ];
+
+    /// Name of the verdict.
+    pub const fn words(self) -> &'static str {
+        match self {
+            Self::Reproduced => "reproduced",
+            Self::Near => "within 20 %",
+            Self::OrderReproduced => "order reproduced",
+            Self::NotReproduced => "not reproduced",
+            Self::NotRun => "not run",
+        }
+    }
+}
+
+/// A claim with its verdict.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Judgement {
+    /// Verdict on the claim.
+    pub verdict: Verdict,
+    /// Whether the verdict holds throughout our intervals.
+    pub firm: bool,
+    /// Our figures, in ascending order of N, and at each N in the order of the compared policies.
+    pub findings: Vec<Finding>,
+    /// Policies of the order comparison: N, the policy, and whether our order equals the paper's.
+    pub order: Vec<(u32, &'static str, bool)>,
+}
+
+/// Judges one claim of `topic` by the runs of `condition`.
+pub fn judge(topic: &ClaimTopic, claim: &Claim, condition: &RunCondition) -> Judgement {
+    let findings = finding::findings(topic, claim, condition);
+    let mut judgement = Judgement {
+        verdict: Verdict::NotRun,
+        firm: true,
+        findings,
+        order: Vec::new(),
+    };
+    let Some(fit) = Fit::of(claim.statement, &judgement.findings) else {
+        judgement.findings.clear();
+        return judgement;
+    };
+    if let Some(verdict) = verdict_of(fit.tier) {
+        judgement.verdict = verdict;
+        judgement.firm = fit.is_firm();
+        return judgement;
+    }
+    let compared = order::compared(topic, claim, condition, &judgement.findings);
+    let has_order = !compared.is_empty() && compared.iter().all(|pair| pair.as_stated);
+    judgement.verdict = if has_order {
+        Verdict::OrderReproduced
+    } else {
+        Verdict::NotReproduced
+    };
+    // An order needs all of its pairs, but a single firm pair against it refutes it.
+    let order_firm = if has_order {
+        compared.iter().all(|pair| pair.firm)
+    } else {
+        compared.is_empty() || compared.iter().any(|pair| pair.firm && !pair.as_stated)
+    };
+    judgement.firm = fit.is_firm() && order_firm;
+    let pairs = compared.into_iter();
+    judgement.order = pairs.map(|pair| (pair.n, pair.other, pair.as_stated)).collect();
+    judgement
+}
+
+/// Returns the verdict for a level of fit; `None` without a fit.
+pub(crate) const fn verdict_of(tier: FitLevel) -> Option<Verdict> {
+    match tier {
+        FitLevel::Yes => Some(Verdict::Reproduced),
+        FitLevel::Near => Some(Verdict::Near),
+        FitLevel::No => None,
+    }
+}
+
+#[cfg(test)]
+mod tests;

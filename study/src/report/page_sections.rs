@@ -1,0 +1,153 @@
+//! Tables and lists of a report as sections of a hand-written page.
+//!
+//! Each section has a pair of marks in the page, `<!-- report NAME -->` and `<!-- /report NAME -->`, each on its own
+//! line. The text between them is replaced; the rest is kept.
+
+use textwrap::{Options, WordSeparator, WordSplitter};
+use thiserror::Error;
+
+/// Maximum width of a text line, columns. Tables and marks may be wider.
+const WIDTH: usize = 118;
+
+/// A section of a page.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PageSection {
+    /// Name of the section in its marks.
+    pub name: &'static str,
+    /// Text between the marks.
+    pub body: String,
+}
+
+/// Reason why the marks of a page cannot be filled.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum PageSectionError {
+    /// A section has no end mark.
+    #[error("line {line}: <!-- report {name} --> without <!-- /report {name} --> after it")]
+    Open {
+        /// Line of the start mark, from 1.
+        line: usize,
+        /// Name of the section.
+        name: String,
+    },
+    /// The page has no mark of any of the sections.
+    #[error("has no mark <!-- report NAME --> of a part that this command makes; they are {known}")]
+    Unmarked {
+        /// Names of the sections.
+        known: String,
+    },
+}
+
+impl PageSection {
+    /// Creates a section of this name.
+    pub const fn new(name: &'static str, body: String) -> Self {
+        Self { name, body }
+    }
+
+    /// Creates a section with a list.
+    pub fn list(name: &'static str, items: impl IntoIterator<Item = String>) -> Self {
+        let items = items.into_iter().map(|item| wrapped(&format!("- {item}"), "  "));
+        Self::new(name, items.collect())
+    }
+}
+
+/// Inserts `parts` between their marks in the page `text`. Marks of other sections are kept, since several commands may
+/// fill one page.
+///
+/// # Errors
+/// If a mark has no end mark, or no section has a mark.
+pub fn fill(text: &str, parts: &[PageSection]) -> Result<String, PageSectionError> {
+    let mut out = String::new();
+    let mut filled = 0;
+    let mut lines = (1..).zip(text.lines());
+    while let Some((number, line)) = lines.next() {
+        out.push_str(line);
+        out.push('\n');
+        let name = line
+            .strip_prefix("<!-- report ")
+            .and_then(|rest| rest.strip_suffix(" -->"));
+        let part = name.and_then(|name| parts.iter().find(|part| part.name == name));
+        let Some(part) = part else { continue };
+        let end = format!("<!-- /report {} -->", part.name);
+        // `any` also consumes the lines up to the end mark, which the new body replaces.
+        if !lines.any(|(_, line)| line == end) {
+            return Err(PageSectionError::Open {
+                line: number,
+                name: part.name.to_owned(),
+            });
+        }
+        filled += 1;
+        out.push('\n');
+        out.push_str(part.body.trim());
+        out.push_str("\n\n");
+        out.push_str(&end);
+        out.push('\n');
+    }
+    if filled == 0 {
+        let known: Vec<&str> = parts.iter().map(|part| part.name).collect();
+        return Err(PageSectionError::Unmarked {
+            known: known.join(", "),
+        });
+    }
+    Ok(out)
+}
+
+/// Wraps `text` to the maximum width, with `indent` before each line after the first.
+pub fn wrapped(text: &str, indent: &str) -> String {
+    // Names and formulas contain hyphens, so lines break only at spaces.
+    let options = Options::new(WIDTH)
+        .subsequent_indent(indent)
+        .break_words(false)
+        .word_separator(WordSeparator::AsciiSpace)
+        .word_splitter(WordSplitter::NoHyphenation);
+    textwrap::fill(text, options) + "\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PAGE: &str = "# Ours\n\n<!-- report a -->\nold\n<!-- /report a -->\ntext\n<!-- report z -->\n\
+        kept\n<!-- /report z -->\n";
+
+    #[test]
+    fn a_part_stands_between_its_marks_and_all_else_stays() {
+        let parts = [
+            PageSection::new("a", "| new |\n".to_owned()),
+            PageSection::new("b", "nowhere".to_owned()),
+        ];
+        let filled = fill(PAGE, &parts).expect("marks");
+        let expected = PAGE.replace("old\n", "\n| new |\n\n");
+        assert_eq!(filled, expected);
+        assert_eq!(
+            fill(&filled, &parts).expect("marks"),
+            filled,
+            "filled again it is the same"
+        );
+    }
+
+    #[test]
+    fn marks_that_cannot_be_filled_are_told() {
+        let parts = [
+            PageSection::new("a", String::new()),
+            PageSection::new("b", String::new()),
+        ];
+        let open = fill("text\n<!-- report a -->\n", &parts)
+            .expect_err("no end")
+            .to_string();
+        assert!(open.contains("line 2") && open.contains("<!-- /report a -->"), "{open}");
+        let none = fill("text\n<!-- report z -->\n<!-- /report z -->\n", &parts)
+            .expect_err("no mark")
+            .to_string();
+        assert!(none.contains("they are a, b"), "{none}");
+    }
+
+    #[test]
+    fn lists_are_no_wider_than_a_page() {
+        let item = "w-ord ".repeat(55);
+        let PageSection { body, .. } = PageSection::list("a", [item.trim().to_owned(), "short".to_owned()]);
+        assert!(body.lines().all(|line| line.chars().count() <= WIDTH), "{body}");
+        assert_eq!(body.matches("\n  w-ord").count(), 2, "{body}");
+        assert_eq!(body.matches("w-ord").count(), 55);
+        assert!(body.starts_with("- w-ord") && body.ends_with("- short\n"), "{body}");
+    }
+}

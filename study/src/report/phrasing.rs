@@ -1,0 +1,222 @@
+//! Text for numbers and claims.
+
+use reveille_lab::metric_estimate::{CaseCounts, MetricEstimate};
+
+use crate::claims::{Claim, ClaimQuantity, DeviceCounts, Statement};
+
+/// Formats a number with three significant digits, and without decimals if it has more than three integer digits.
+pub(super) fn number(x: f64) -> String {
+    if x == 0.0 {
+        return "0".to_owned();
+    }
+    if !x.is_finite() {
+        return "–".to_owned();
+    }
+    // The logarithm of a power of ten may be slightly too small.
+    let magnitude = libm::floor(libm::log10(x.abs()) + 1e-12) as i32;
+    let decimals = (2 - magnitude).clamp(0, 9) as usize;
+    format!("{x:.decimals$}").replace('-', "−")
+}
+
+/// Formats a mean with half the width of its interval.
+pub(super) fn plus_minus(mean: f64, half: f64) -> String {
+    if half.is_nan() {
+        format!("{} (one run)", number(mean))
+    } else {
+        format!("{} ± {}", number(mean), number_like(half, mean))
+    }
+}
+
+/// Formats `half` with as many decimals as [`number`] gives `mean`, and at least one significant digit.
+fn number_like(half: f64, mean: f64) -> String {
+    let text = number(mean);
+    let decimals = text.split_once('.').map_or(0, |(_, decimals)| decimals.len());
+    let same = format!("{half:.decimals$}");
+    let is_zero = same.chars().all(|c| matches!(c, '0' | '.'));
+    if is_zero && half > 0.0 {
+        let magnitude = libm::floor(libm::log10(half) + 1e-12) as i32;
+        format!("{half:.*}", (-magnitude).clamp(0, 9) as usize)
+    } else {
+        same
+    }
+}
+
+/// Formats the estimate of a metric: a mean with its interval, or a bound.
+pub(super) fn told(reading: &MetricEstimate) -> String {
+    let (mean, half) = (reading.estimate.mean, reading.estimate.half_width);
+    match (reading.upper, reading.counted) {
+        (Some(upper), Some(CaseCounts { cases: 0, events })) => format!("0 in {events} events, < {}", number(upper)),
+        (Some(upper), Some(CaseCounts { cases, events })) => {
+            format!("{}, {cases} in {events} events, < {}", number(mean), number(upper))
+        }
+        (Some(upper), None) => format!("{}, < {}", number(mean), number(upper)),
+        (None, Some(CaseCounts { events, .. })) if reading.lower.is_some() => {
+            // Near 100 %, three digits would show 100. Rounding down keeps the bound valid.
+            let bound = libm::floor(100.0 * reading.lower.unwrap_or(mean)) / 100.0;
+            format!("{mean} in all {events} events, > {bound:.2}")
+        }
+        (None, _) if half == 0.0 => format!("{} in every run", number(mean)),
+        (None, _) => plus_minus(mean, half),
+    }
+}
+
+/// Formats the N of a claim.
+pub(super) fn sites(sites: DeviceCounts) -> String {
+    match sites {
+        DeviceCounts::At(n) => format!("N = {n}"),
+        DeviceCounts::Under(n) => format!("N < {n}"),
+        DeviceCounts::UpTo(n) => format!("N ≤ {n}"),
+        DeviceCounts::Over(n) => format!("N > {n}"),
+        DeviceCounts::Everywhere => "all N".to_owned(),
+    }
+}
+
+/// Formats the statement of a claim.
+pub(super) fn relation(claim: &Claim) -> String {
+    let statement = claim.statement;
+    match claim.quantity {
+        ClaimQuantity::Own => own(statement),
+        ClaimQuantity::Ratio(others) => ratio(statement, &list(others)),
+        ClaimQuantity::Gap(other) => format!("gap to {other} {}", own(statement)),
+        ClaimQuantity::Growth(n) => ratio(statement, &format!("its own at N = {n}")),
+    }
+}
+
+fn own(statement: Statement) -> String {
+    match statement {
+        Statement::About(v) => format!("≈ {}", plain(v)),
+        Statement::Between(low, high) => format!("{} to {}", plain(low), plain(high)),
+        Statement::Below(v) => format!("< {}", plain(v)),
+        Statement::Above(v) => format!("> {}", plain(v)),
+        Statement::Largest(v) => format!("up to {}", plain(v)),
+        Statement::Smallest(v) => format!("down to {}", plain(v)),
+        Statement::Level => "about level over N".to_owned(),
+        Statement::Falls => "falls with N".to_owned(),
+        Statement::Rises => "rises with N".to_owned(),
+    }
+}
+
+fn ratio(statement: Statement, others: &str) -> String {
+    let is_one = |v: f64| (v - 1.0).abs() < 1e-12;
+    match statement {
+        Statement::About(v) if is_one(v) => format!("about as {others}"),
+        Statement::Below(v) if is_one(v) => format!("less than {others}"),
+        Statement::Above(v) if is_one(v) => format!("more than {others}"),
+        Statement::About(v) => format!("{} × {others}", plain(v)),
+        Statement::Between(low, high) => format!("{} to {} × {others}", plain(low), plain(high)),
+        Statement::Below(_) | Statement::Above(_) | Statement::Largest(_) | Statement::Smallest(_) => {
+            format!("{} × {others}", own(statement))
+        }
+        Statement::Level | Statement::Falls | Statement::Rises => format!("share of {others} {}", own(statement)),
+    }
+}
+
+/// Joins names into a list.
+pub(super) fn list<T: AsRef<str>>(names: &[T]) -> String {
+    match names {
+        [] => String::new(),
+        [one] => one.as_ref().to_owned(),
+        [first @ .., last] => {
+            let first: Vec<&str> = first.iter().map(AsRef::as_ref).collect();
+            format!("{} and {}", first.join(", "), last.as_ref())
+        }
+    }
+}
+
+/// Formats a stated value with all of its digits.
+pub(super) fn plain(x: f64) -> String {
+    x.to_string().replace('-', "−")
+}
+
+#[cfg(test)]
+mod tests {
+    use reveille_lab::stats::Estimate;
+
+    use super::*;
+    use crate::claims::FIG_8;
+
+    #[test]
+    fn three_digits_count() {
+        for (x, text) in [
+            (0.0, "0"),
+            (0.146_23, "0.146"),
+            (12.345, "12.3"),
+            (1234.5, "1234"),
+            (-0.001_234, "−0.00123"),
+            (1.0, "1.00"),
+            (99.96, "100.0"),
+        ] {
+            assert_eq!(number(x), text);
+        }
+        assert_eq!(number(f64::NAN), "–");
+    }
+
+    #[test]
+    fn an_interval_has_the_decimals_of_its_mean_or_more() {
+        assert_eq!(plus_minus(0.1462, 0.0123), "0.146 ± 0.012");
+        assert_eq!(plus_minus(61.0, 0.004), "61.0 ± 0.004");
+        assert_eq!(plus_minus(61.0, 0.0), "61.0 ± 0.0");
+        assert_eq!(plus_minus(5.0, f64::NAN), "5.00 (one run)");
+    }
+
+    #[test]
+    fn what_is_next_to_nothing_has_a_bound_and_no_interval() {
+        let reading = |values: &[f64], cases: Option<u64>, upper| MetricEstimate {
+            estimate: Estimate::over(values.iter().copied()),
+            counted: cases.map(|cases| CaseCounts { cases, events: 600 }),
+            upper,
+            lower: None,
+        };
+        assert_eq!(
+            told(&reading(&[0.0; 2], Some(0), Some(0.5))),
+            "0 in 600 events, < 0.500"
+        );
+        assert_eq!(
+            told(&reading(&[0.0, 0.2], Some(1), Some(0.79))),
+            "0.100, 1 in 600 events, < 0.790"
+        );
+        assert_eq!(told(&reading(&[0.0, 0.026], None, Some(0.04))), "0.0130, < 0.0400");
+        assert_eq!(told(&reading(&[0.0; 2], None, None)), "0 in every run");
+        assert_eq!(told(&reading(&[0.3, 0.5], Some(99), None)), "0.400 ± 1.271");
+    }
+
+    #[test]
+    fn claims_read_as_people_say_them() {
+        let says =
+            |quantity, statement| relation(&Claim::new("knn", DeviceCounts::Everywhere, quantity, statement, FIG_8));
+        for (statement, alone, beside) in [
+            (Statement::About(0.4), "≈ 0.4", "0.4 × adjusted and random"),
+            (Statement::About(1.0), "≈ 1", "about as adjusted and random"),
+            (Statement::Below(1.0), "< 1", "less than adjusted and random"),
+            (Statement::Above(1.29), "> 1.29", "> 1.29 × adjusted and random"),
+            (Statement::Largest(4.5), "up to 4.5", "up to 4.5 × adjusted and random"),
+            (
+                Statement::Smallest(0.77),
+                "down to 0.77",
+                "down to 0.77 × adjusted and random",
+            ),
+            (
+                Statement::Between(8.0, 13.0),
+                "8 to 13",
+                "8 to 13 × adjusted and random",
+            ),
+            (
+                Statement::Falls,
+                "falls with N",
+                "share of adjusted and random falls with N",
+            ),
+        ] {
+            assert_eq!(says(ClaimQuantity::Own, statement), alone);
+            assert_eq!(says(ClaimQuantity::Ratio(&["adjusted", "random"]), statement), beside);
+        }
+        assert_eq!(
+            says(ClaimQuantity::Gap("genie"), Statement::Falls),
+            "gap to genie falls with N"
+        );
+        assert_eq!(
+            says(ClaimQuantity::Growth(10), Statement::About(0.5)),
+            "0.5 × its own at N = 10"
+        );
+        assert_eq!(list(&["a", "b", "c"]), "a, b and c");
+    }
+}

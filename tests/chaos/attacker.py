@@ -1,0 +1,151 @@
+"""A hostile zenoh client: attacker.py ENDPOINT RUN ATTACK+ATTACK SEED.
+
+It prints "there" once an attack has begun, and continues until it is killed.
+"""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import zenoh
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "untrusted_clients"))
+from bus import COMMANDS, WELCOME, WIRE, check_wire, keys_of, session  # noqa: E402
+
+HUGE = 20 << 20
+
+
+def put(peer, key, payload):
+    """Sends a payload and ignores errors of zenoh."""
+    try:
+        peer.put(key, payload)
+    except zenoh.ZError:
+        pass
+
+
+def noise(endpoint, run, chance):
+    """Sends noise, and copies of the messages that observers see, on every key."""
+    peer = session(endpoint)
+    copies = []
+    peer.declare_subscriber(f"reveille/{run}/tap", lambda s: copies.append(s.payload.to_bytes()))
+    keys = keys_of(run)
+    yield
+    while True:
+        for _ in range(20):
+            size = chance.choice([0, 1, 3, 64, 4096])
+            payload = chance.choice([chance.randbytes(size), bytes([WIRE]) + chance.randbytes(size), *copies[-3:]])
+            put(peer, chance.choice(keys), payload)
+        del copies[:-3]
+        time.sleep(0.02)
+
+
+def huge(endpoint, run, chance):
+    """Sends oversized messages; the base station closes the link, so each one takes a new link."""
+    keys = keys_of(run)
+    yield
+    while True:
+        try:
+            peer = session(endpoint)
+            put(peer, chance.choice(keys), bytes(HUGE))
+            time.sleep(0.3)
+            peer.close()
+        except zenoh.ZError:
+            time.sleep(0.3)
+
+
+def tokens(endpoint, run, chance):
+    """Holds the tokens of hosts and of the base station, and answers in its place."""
+    peer = session(endpoint)
+    names = [f"alive/{host}" for host in range(12)] + [f"alive/{host}/{'0' * 32}" for host in range(4)] + ["bs"]
+    held = []
+    for name in names:
+        try:
+            held.append(peer.liveliness().declare_token(f"reveille/{run}/emu/{name}"))
+        except zenoh.ZError:
+            pass
+    for key in ["join", "ready", "control", "describe", "log"]:
+        answer = lambda query: query.reply(query.key_expr, WELCOME)
+        held.append(peer.declare_queryable(f"reveille/{run}/emu/{key}", answer, complete=True))
+    yield
+    while True:
+        time.sleep(1)
+
+
+def clock(endpoint, run, chance):
+    """Sends commands without the key, and forged clock messages."""
+    peer = session(endpoint)
+    check_wire(peer, run)
+    yield
+    while True:
+        shown = chance.choice([None, b"0" * 32, chance.randbytes(16).hex().encode()])
+        command = chance.choice(COMMANDS)
+        try:
+            for reply in peer.get(f"reveille/{run}/emu/control", payload=command, attachment=shown, timeout=1.0):
+                if reply.ok:
+                    print("OBEYED", command, flush=True)
+        except zenoh.ZError:
+            pass
+        for tail in ("emu/clock", f"@{'0' * 32}/emu/clock", "*/emu/clock"):
+            put(peer, f"reveille/{run}/{tail}", bytes([WIRE]) + chance.randbytes(chance.randint(1, 12)))
+        time.sleep(0.05)
+
+
+def deaf(endpoint, run, chance):
+    """Subscribes to everything and stops reading."""
+    script = (
+        "import sys; sys.path.insert(0, sys.argv[3]); import os, signal, attacker\n"
+        "peer = attacker.session(sys.argv[1])\n"
+        "held = [peer.declare_subscriber(key, lambda s: None) for key in ['**', f'reveille/{sys.argv[2]}/tap']]\n"
+        "print('subscribed', flush=True)\n"
+        "os.kill(os.getpid(), signal.SIGSTOP)\n"
+    )
+    here = os.path.dirname(os.path.abspath(__file__))
+    command = [sys.executable, "-c", script, endpoint, run, here]
+    sleeper = subprocess.Popen(command, stdout=subprocess.PIPE)
+    SLEEPERS.append(sleeper)
+    sleeper.stdout.readline()
+    yield
+    while True:
+        time.sleep(1)
+
+
+SLEEPERS = []
+
+
+def attack(name, endpoint, run, chance, begun):
+    """Repeats one attack until the end, on its own thread."""
+    try:
+        for step in globals()[name](endpoint, run, chance):
+            begun.release()
+    except zenoh.ZError as error:
+        print(f"{name}: {error}", file=sys.stderr, flush=True)
+        begun.release()
+
+
+def main():
+    endpoint, run, names, seed = sys.argv[1:5]
+    begun, names = threading.Semaphore(0), names.split("+")
+
+    def leave(*_):
+        for sleeper in SLEEPERS:
+            sleeper.kill()
+        os._exit(0)
+
+    signal.signal(signal.SIGTERM, leave)
+    for number, name in enumerate(names):
+        chance = random.Random(f"{seed} {number}")
+        threading.Thread(target=attack, args=(name, endpoint, run, chance, begun), daemon=True).start()
+    for _ in names:
+        begun.acquire()
+    print("there", flush=True)
+    while True:
+        time.sleep(1)
+
+
+if __name__ == "__main__":
+    main()

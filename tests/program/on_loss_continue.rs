@@ -1,0 +1,100 @@
+//! `--on-loss continue`: a killed process becomes a stored device removal, so the run can be repeated.
+
+use reveille_tests::process::{Folder, PATIENCE, Summary, hosts_of, send_signal, unique_run, wait_until};
+use rustix::process::Signal;
+
+#[test]
+fn a_run_goes_on_without_a_killed_process() {
+    let (folder, run) = (Folder::new(), unique_run("outage"));
+    // Sums are requested in every TTI, and for some TTIs only part of them arrives.
+    let scenario = "-n 24 -k 900 -p knn --window 1";
+    let whole = folder.summary(&format!("run {scenario}"));
+    let up = folder.start(&format!(
+        "up {scenario} -P 4 --pace 4ms --on-loss continue --audit on --out out --record out.mcap --run {run} --json"
+    ));
+    for left in [3, 2] {
+        let tti = folder.wait_for_tti(&run, 10);
+        let hosts = hosts_of(&run);
+        send_signal(hosts[1], Signal::KILL);
+        wait_until("one process less", PATIENCE, || {
+            (hosts_of(&run).len() == left).then_some(())
+        });
+        folder.wait_for_tti(&run, tti + 60);
+    }
+    let end = up.finish();
+    assert!(end.is_success(), "{end}");
+    assert!(end.stderr.contains("the run goes on without its devices"), "{end}");
+    let summary = end.summary();
+    assert_eq!((summary.status(), summary.text("audit")), ("complete", "whole"));
+    assert_ne!(summary.digest(), whole.digest());
+    let left_out = "\"gone_pct\": 0.0";
+    assert!(!end.stdout.contains(left_out), "{end}");
+    let read = |name: &str| String::from_utf8(folder.bytes(name)).expect("text");
+    let log = read("out/inputs.log");
+    assert_eq!(
+        log.lines().filter(|line| line.contains("\"count\":6")).count(),
+        2,
+        "{log}"
+    );
+
+    let again = folder.summary(&format!("run {scenario} --inputs out/inputs.log --out again"));
+    assert_eq!(again.digest(), summary.digest());
+    assert_eq!(read("again/inputs.log"), log, "the folder is whole");
+    for table in ["events.csv", "devices.csv", "windows.csv"] {
+        assert_eq!(
+            read(&format!("again/{table}")),
+            read(&format!("out/{table}")),
+            "{table}"
+        );
+    }
+    let verified = folder.run("inspect verify out.mcap");
+    assert!(verified.is_success(), "{verified}");
+
+    let other = folder.run(&format!("run {scenario} --seed 2 --inputs out/inputs.log"));
+    assert!(
+        other.code() == Some(1) && other.stderr.contains("another scenario or seed"),
+        "{other}"
+    );
+    std::fs::write(folder.join("torn.log"), "no log\n").expect("writable");
+    let torn = folder.run(&format!("run {scenario} --inputs torn.log"));
+    assert!(
+        torn.code() == Some(1) && torn.stderr.contains("line 1 is none"),
+        "{torn}"
+    );
+}
+
+#[test]
+fn a_killed_run_with_an_outage_is_taken_up() {
+    let (folder, run) = (Folder::new(), unique_run("outage"));
+    let up = folder.start(&format!(
+        "up -n 20 -k 1500 -p age-index -P 4 --pace 3ms --on-loss continue --out out --run {run}"
+    ));
+    folder.wait_for_tti(&run, 10);
+    send_signal(hosts_of(&run)[0], Signal::KILL);
+    wait_until("an outage", PATIENCE, || {
+        folder.list("out").contains(&"inputs.log".to_owned()).then_some(())
+    });
+    wait_until("a mark", PATIENCE, || {
+        folder.list("out").contains(&"mark.json".to_owned()).then_some(())
+    });
+    up.signal(Signal::KILL);
+    up.finish();
+    // After a resume other hosts run the devices, and one of them is killed as well.
+    let run = unique_run("outage");
+    let up = folder.start(&format!(
+        "up --resume out -P 2 --pace 3ms --on-loss continue --audit on --run {run}"
+    ));
+    let tti = folder.wait_for_tti(&run, 10);
+    send_signal(hosts_of(&run)[0], Signal::KILL);
+    wait_until("one process less", PATIENCE, || {
+        (hosts_of(&run).len() == 1).then_some(())
+    });
+    folder.wait_for_tti(&run, tti + 60);
+    let end = up.finish();
+    assert!(end.is_success(), "{end}");
+    let summary = Summary::read(&folder.join("out"));
+    let again = folder.summary("run -n 20 -k 1500 -p age-index --inputs out/inputs.log");
+    assert_eq!((summary.digest(), summary.status()), (again.digest(), "complete"));
+    let gone = summary.metric("gone_pct");
+    assert!(gone > 0.0 && gone < 100.0, "{gone}");
+}

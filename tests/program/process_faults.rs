@@ -1,0 +1,318 @@
+//! Lost, frozen and interrupted processes: a clear report, a clean end, and nothing left behind.
+
+use std::time::{Duration, Instant};
+
+use reveille_common::bus::Bus;
+use reveille_common::message::{ClockMessage, JoinReply, JoinRequest, PlanUpdate, Ready};
+use reveille_tests::process::{
+    Finished, Folder, PATIENCE, Process, Summary, ask, free_endpoint, hosts_of, now, send_signal, unique_run,
+    wait_until,
+};
+use rustix::process::Signal;
+
+/// Options of a run that would take a minute, so that faults occur midway.
+const LONG: &str = "-n 30 -k 12000 --pace 5ms";
+
+/// Time limit to detect a killed device process: two seconds, doubled for a busy machine.
+const NOTICE: Duration = Duration::from_secs(4);
+
+/// Checks the end of a run that lost a process.
+fn assert_lost(end: &Finished, since: Instant, within: Duration) {
+    let took = since.elapsed();
+    assert_eq!(end.code(), Some(1), "{end}");
+    for part in ["lost host", "with devices ", " at TTI "] {
+        assert!(end.stderr.contains(part), "no {part:?}: {end}");
+    }
+    assert_eq!(
+        end.stderr
+            .trim()
+            .lines()
+            .filter(|line| line.starts_with("reveille: "))
+            .count(),
+        1,
+        "{end}"
+    );
+    assert!(took < within, "noticed only after {took:?}");
+}
+
+/// Waits until no device process of `run` is left.
+fn assert_nobody_left(run: &str) {
+    wait_until("the device processes to end", PATIENCE, || {
+        hosts_of(run).is_empty().then_some(())
+    });
+}
+
+/// Starts `up` with four device processes, and waits past its first TTIs.
+fn up_mid_run(folder: &Folder, run: &str, args: &str) -> (Process, Vec<u32>) {
+    let up = folder.start(&format!("up -P 4 --out out --run {run} {args}"));
+    folder.wait_for_tti(run, 10);
+    let hosts = hosts_of(run);
+    assert_eq!(hosts.len(), 4);
+    (up, hosts)
+}
+
+#[test]
+fn a_killed_device_process_of_up_is_noticed() {
+    let (folder, run) = (Folder::new(), unique_run("kill"));
+    let (up, hosts) = up_mid_run(&folder, &run, &format!("{LONG} --on-loss end"));
+    let since = now();
+    send_signal(hosts[2], Signal::KILL);
+    let end = up.finish();
+    assert_lost(&end, since, NOTICE);
+    assert_nobody_left(&run);
+    assert_eq!(
+        folder.list("out"),
+        ["FAILED", "events.csv", "mark.json", "scenario.toml", "windows.csv"]
+    );
+    let why = std::fs::read_to_string(folder.join("out/FAILED")).expect("readable");
+    for said in [&why, &end.stderr] {
+        let pid = format!("with pid {} ended with signal: 9 (SIGKILL): lost host ", hosts[2]);
+        assert!(said.contains(&pid) && !said.contains("--on-loss"), "{said}");
+    }
+}
+
+/// Starts a base station and two device processes separately, and waits past the first TTIs.
+fn by_hand_mid_run(folder: &Folder, run: &str, args: &str) -> (Process, [Process; 2]) {
+    let endpoint = free_endpoint();
+    let bs = folder.start(&format!("bs --out out --run {run} --listen {endpoint} {args}"));
+    bs.wait_for_stderr("waiting for 30 devices");
+    let hosts = [10, 20].map(|count| {
+        let host = folder.start(&format!(
+            "-v device --patience 3s --connect {endpoint} --run {run} --count {count}"
+        ));
+        host.wait_for_stderr("joined");
+        host
+    });
+    folder.wait_for_tti(run, 10);
+    (bs, hosts)
+}
+
+#[test]
+fn a_killed_device_process_of_bs_is_noticed_and_named() {
+    let (folder, run) = (Folder::new(), unique_run("killhand"));
+    let (bs, [first, second]) = by_hand_mid_run(&folder, &run, &format!("{LONG} --on-loss end"));
+    let since = now();
+    first.signal(Signal::KILL);
+    let end = bs.finish();
+    assert_lost(&end, since, NOTICE);
+    assert!(end.stderr.contains("host 0 with devices 0 to 9 "), "{end}");
+    let second = second.finish();
+    assert_eq!(second.code(), Some(1), "the others are told: {second}");
+    assert!(second.stderr.contains("the run has failed: lost host 0"), "{second}");
+}
+
+#[test]
+fn a_frozen_device_process_is_noticed_after_the_lease() {
+    let (folder, run) = (Folder::new(), unique_run("freeze"));
+    let (up, hosts) = up_mid_run(&folder, &run, &format!("{LONG} --on-loss end"));
+    let since = now();
+    send_signal(hosts[1], Signal::STOP);
+    let end = up.finish();
+    assert_lost(&end, since, Duration::from_secs(8));
+    assert!(end.stderr.contains("froze"), "{end}");
+    assert_nobody_left(&run);
+}
+
+/// Freezes a device process of a run for longer than the lease, then lets it continue.
+fn thawed(scenario: &str) {
+    let folder = Folder::new();
+    let expected = folder.summary(&format!("run {scenario}"));
+    let run = unique_run("thaw");
+    let (up, hosts) = up_mid_run(&folder, &run, &format!("{scenario} --pace 5ms --on-loss wait --json"));
+    send_signal(hosts[1], Signal::STOP);
+    up.wait_for_stderr("the clock is held");
+    let held = folder.wait_for_tti(&run, 0);
+    // Longer than the detection of a loss takes: four seconds in total.
+    std::thread::sleep(Duration::from_secs(2));
+    assert_eq!(folder.wait_for_tti(&run, 0), held, "the clock is held");
+    send_signal(hosts[1], Signal::CONT);
+    let end = up.finish();
+    assert!(end.stderr.contains("is back"), "{end}");
+    let summary = end.summary();
+    assert_eq!(summary.digest(), expected.digest());
+    // The summary reports the delay against the pace.
+    assert!(summary.number("timing.late_ttis") > 0, "{end}");
+}
+
+#[test]
+fn a_thawed_device_process_goes_on_as_if_nothing_had_been_knn() {
+    thawed("-n 30 -k 800 -p knn");
+}
+
+#[test]
+fn a_thawed_device_process_goes_on_as_if_nothing_had_been_random() {
+    thawed("-n 30 -k 800 -p random");
+}
+
+/// Kills the remaining device processes of a run on drop, in case the test fails.
+struct Swept(String);
+
+impl Drop for Swept {
+    fn drop(&mut self) {
+        for host in hosts_of(&self.0) {
+            send_signal(host, Signal::KILL);
+        }
+    }
+}
+
+#[test]
+fn no_device_process_outlives_a_killed_up() {
+    let (folder, run) = (Folder::new(), unique_run("orphans"));
+    let (up, hosts) = up_mid_run(&folder, &run, LONG);
+    let _none_left = Swept(run.clone());
+    // A frozen process cannot exit: the kernel has to kill it.
+    send_signal(hosts[0], Signal::STOP);
+    up.signal(Signal::KILL);
+    let end = up.finish();
+    assert_eq!(end.code(), None, "{end}");
+    assert_nobody_left(&run);
+    assert!(
+        folder.list("out").contains(&"RUNNING".to_owned()),
+        "the mark says that the run was killed"
+    );
+    assert!(!folder.list("out").contains(&"summary.json".to_owned()));
+}
+
+/// Interrupts a run midway with `signal`.
+fn interrupted(signal: Signal, by_hand: bool) {
+    let (folder, run) = (Folder::new(), unique_run("interrupt"));
+    let (process, hosts) = if by_hand {
+        let (bs, hosts) = by_hand_mid_run(&folder, &run, LONG);
+        (bs, hosts.into_iter().collect())
+    } else {
+        (up_mid_run(&folder, &run, LONG).0, Vec::new())
+    };
+    process.signal(signal);
+    let end = process.finish();
+    assert_eq!(end.code(), Some(130), "{end}");
+    let summary = Summary::read(&folder.join("out"));
+    assert_eq!(summary.status(), "interrupted");
+    assert!((10..12_000).contains(&summary.number("ttis_done")), "{summary:?}");
+    assert_eq!(
+        folder.list("out"),
+        [
+            "devices.csv",
+            "events.csv",
+            "mark.json",
+            "scenario.toml",
+            "summary.json",
+            "windows.csv"
+        ]
+    );
+    for host in hosts {
+        let host = host.finish();
+        assert!(host.is_success(), "{host}");
+    }
+    assert_nobody_left(&run);
+    assert_eq!(
+        folder.list("runtime/reveille"),
+        [""; 0],
+        "no run is registered any more"
+    );
+}
+
+#[test]
+fn sigint_ends_up_with_what_there_is() {
+    interrupted(Signal::INT, false);
+}
+
+#[test]
+fn sigterm_ends_up_with_what_there_is() {
+    interrupted(Signal::TERM, false);
+}
+
+#[test]
+fn sigint_ends_bs_with_what_there_is() {
+    interrupted(Signal::INT, true);
+}
+
+#[test]
+fn a_paused_run_can_be_interrupted() {
+    let (folder, run) = (Folder::new(), unique_run("partial"));
+    let (up, _) = up_mid_run(&folder, &run, LONG);
+    folder.clock(&run, "pause");
+    let tti = folder.wait_for_tti(&run, 10);
+    up.signal(Signal::INT);
+    assert_eq!(up.finish().code(), Some(130));
+    let summary = Summary::read(&folder.join("out"));
+    assert!(summary.number("ttis_done").abs_diff(tti) <= 1, "{summary:?}");
+}
+
+#[test]
+fn a_base_station_that_waits_for_devices_can_be_interrupted() {
+    let (folder, run) = (Folder::new(), unique_run("waiting"));
+    let bs = folder.start(&format!("bs --out out -n 30 --run {run} --listen {}", free_endpoint()));
+    // The clock answers as soon as the run is prepared.
+    folder.wait_for_clock(&run);
+    bs.signal(Signal::INT);
+    let end = bs.finish();
+    assert_eq!(end.code(), Some(130), "{end}");
+    assert!(
+        end.stderr.contains("interrupted before all devices had joined"),
+        "{end}"
+    );
+    assert!(!folder.list("out").contains(&"RUNNING".to_owned()));
+}
+
+#[test]
+fn device_processes_notice_a_killed_base_station() {
+    let (folder, run) = (Folder::new(), unique_run("headless"));
+    let (bs, hosts) = by_hand_mid_run(&folder, &run, LONG);
+    bs.signal(Signal::KILL);
+    bs.finish();
+    for host in hosts {
+        let end = host.finish();
+        assert_eq!(end.code(), Some(1), "{end}");
+        assert!(
+            end.stderr.contains(&format!("lost the base station of run {run}")),
+            "{end}"
+        );
+    }
+}
+
+/// A message lost with a broken link is resent, after the plan that precedes it.
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
+async fn an_unanswered_grant_is_repeated_with_its_plan() {
+    let (folder, run, endpoint) = (Folder::new(), unique_run("silent"), free_endpoint());
+    let bs = folder.start(&format!("bs -n 30 -p random --out out --run {run} --listen {endpoint}"));
+    let bus = Bus::connect(&endpoint, run.parse().expect("a run name"), PATIENCE)
+        .await
+        .expect("the BS listens");
+    let request = JoinRequest {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        count: 30,
+        nonce: 7,
+        name: "a test".to_owned(),
+    };
+    let reply = ask(&bus, &request).await.expect("a reply");
+    let JoinReply::Welcome(assignment) = reply else {
+        panic!("{reply:?}")
+    };
+    let membership = assignment.membership;
+    let pass = membership.pass;
+    let bus = bus.with_secret(membership.secret);
+    let (send, heard) = std::sync::mpsc::channel();
+    let plans = send.clone();
+    let _plan = bus
+        .subscribe(pass.host, move |_: PlanUpdate| {
+            let _deaf = plans.send("plan");
+        })
+        .expect("subscribed");
+    let _clock = bus
+        .subscribe(pass.host, move |_: ClockMessage| {
+            let _deaf = send.send("grant");
+        })
+        .expect("subscribed");
+    let _alive = bus.declare_alive(bus.keys().alive(pass)).expect("declared");
+    let ready = Ready { host: pass.host };
+    let known = bus
+        .query_until(&ready, Some(pass.token), PATIENCE)
+        .await
+        .expect("a reply");
+    assert_eq!(known, Some(true));
+    let order: Vec<&str> = (0..4)
+        .map(|_| heard.recv_timeout(PATIENCE).expect("the BS asks again"))
+        .collect();
+    assert_eq!(order, ["plan", "grant", "plan", "grant"]);
+    drop(bs);
+}

@@ -1,0 +1,286 @@
+//! One signal, at any moment, ends every long-running command, which leaves nothing behind.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::hint::spin_loop;
+use std::os::unix::fs::PermissionsExt;
+use std::os::unix::process::ExitStatusExt;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+use std::thread;
+use std::time::Duration;
+
+use reveille_common::rng::{Purpose, Stream};
+use reveille_tests::process::{Finished, Folder, PATIENCE, Process, free_endpoint, unique_run, wait_until};
+use rustix::process::Signal;
+
+/// Number of signals sent to each command, each to a new process.
+const MOMENTS: usize = 50;
+/// Latest time of a signal after the start. Half of the signals come in the first quarter.
+const LATEST: Duration = Duration::from_millis(1500);
+/// Processes under test in parallel.
+const PARALLEL: usize = 12;
+/// Threads that keep the cores busy during the test.
+const BUSY: usize = 3;
+/// Environment variable that marks a process under test and its children.
+const MARK: &str = "REVEILLE_TEST_MARK";
+/// Options of a run over the bus that takes an hour.
+const LONG: &str = "-n 6 -k 1000000 --pace 4ms";
+/// Options of a search before a run that takes hours.
+const SEARCH: &str = "-p adjusted -n 200 --set policy.adjusted.pilot_ttis=900000000";
+/// Output after which a command has installed its handlers.
+const ANNOUNCED: [&str; 4] = ["waiting for ", "connected to run", "shown at", "dashboard at"];
+
+/// Expected exit of a command after a signal, once its handlers are installed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Ending {
+    /// Exit code 130.
+    Interrupted,
+    /// Exit code 0, since the command shows output until it is interrupted; 130 while it has nothing to show.
+    Shown,
+    /// Default action of the signal, since the command needs no cleanup; or the command has already ended.
+    ByDefault,
+}
+use Ending::{ByDefault, Interrupted, Shown};
+
+/// Command under test; OUT stands for a name that no other process uses.
+struct Case {
+    args: String,
+    ending: Ending,
+}
+
+impl Case {
+    fn new(args: impl Into<String>, ending: Ending) -> Self {
+        Self {
+            args: args.into(),
+            ending,
+        }
+    }
+}
+
+/// Whether this process, and thus every process under test, was started to ignore SIGINT, like background jobs of a
+/// shell. Such a process has no default action before it installs its handlers.
+fn ignores_interrupts() -> bool {
+    let status = fs::read_to_string("/proc/self/status").expect("a status");
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = u64::from_str_radix(mask.expect("a mask").trim(), 16).expect("hexadecimal");
+    mask >> (Signal::INT.as_raw() - 1) & 1 == 1
+}
+
+/// Sends signals to processes of each of the `cases` in `folder`.
+fn assert_all_end(folder: &Folder, cases: &[Case]) {
+    let (is_over, next) = (AtomicBool::new(false), AtomicUsize::new(0));
+    let (is_over, next) = (&is_over, &next);
+    let interrupts = !ignores_interrupts();
+    let ends = Mutex::new(BTreeMap::<(&str, String), usize>::new());
+    thread::scope(|scope| {
+        for _ in 0..BUSY {
+            scope.spawn(|| {
+                while !is_over.load(Ordering::Relaxed) {
+                    spin_loop();
+                }
+            });
+        }
+        let work = || {
+            while let number = next.fetch_add(1, Ordering::Relaxed)
+                && number < MOMENTS * cases.len()
+            {
+                let (round, case) = (number / cases.len(), &cases[number % cases.len()]);
+                let signal = if interrupts && round % 2 == 0 {
+                    Signal::INT
+                } else {
+                    Signal::TERM
+                };
+                let end = assert_ends(folder, case, number, signal);
+                let mut ends = ends.lock().unwrap_or_else(PoisonError::into_inner);
+                *ends.entry((&case.args, end)).or_default() += 1;
+            }
+        };
+        let workers: Vec<_> = (0..PARALLEL).map(|_| scope.spawn(work)).collect();
+        let all: Vec<_> = workers.into_iter().map(thread::ScopedJoinHandle::join).collect();
+        is_over.store(true, Ordering::Relaxed);
+        assert!(all.iter().all(Result::is_ok), "see above");
+    });
+    for ((args, end), count) in ends.into_inner().unwrap_or_else(PoisonError::into_inner) {
+        println!("{count:>3} {end}: {args}");
+    }
+}
+
+/// Starts process `number` for `case`, sends it `signal` at a moment drawn for it, and checks its end.
+fn assert_ends(folder: &Folder, case: &Case, number: usize, signal: Signal) -> String {
+    let mut stream = Stream::new(28, Purpose::Training, number as u64);
+    let moment = LATEST.mul_f64(stream.unit().powi(2));
+    let out = format!("out{number}");
+    let is_resumed = case.args.contains("--resume");
+    if is_resumed {
+        copy(folder, "resumed", &out);
+    }
+    let mut command = folder.command(&case.args.replace("OUT", &out));
+    let mark = folder.join(&out);
+    let process = Process::start(command.env(MARK, &mark));
+    let pid = process.pid();
+    thread::sleep(moment);
+    process.signal(signal);
+    let end = process.finish();
+    let what = format!("{}: {signal:?} after {moment:?}: {end}", case.args);
+    let own: Vec<String> = folder.list(".").into_iter().filter(|name| is_of(name, &out)).collect();
+    match (case.ending, end.code()) {
+        (Interrupted, Some(130)) | (Shown, Some(0 | 130)) | (ByDefault, Some(0)) => {}
+        (Interrupted | Shown | ByDefault, None) => {
+            assert_eq!(end.status.signal(), Some(signal.as_raw()), "{what}");
+            if case.ending != ByDefault {
+                assert!(own.is_empty() || is_resumed, "{own:?} is left: {what}");
+                assert!(!ANNOUNCED.iter().any(|said| end.stderr.contains(said)), "{what}");
+            }
+        }
+        (Interrupted | Shown | ByDefault, Some(_)) => panic!("{what}"),
+    }
+    let files = folder.list(&out);
+    assert!(
+        end.code().is_none() || !files.iter().any(|file| file == "RUNNING"),
+        "{files:?}: {what}"
+    );
+    let registered = folder.list("runtime/reveille");
+    let entry = format!("-{pid}.json");
+    assert!(
+        !registered.iter().any(|name| name.ends_with(&entry)),
+        "{registered:?}: {what}"
+    );
+    wait_until(&format!("the end of all that it has started: {what}"), PATIENCE, || {
+        marked(&mark).is_empty().then_some(())
+    });
+    end.status.to_string()
+}
+
+/// Whether the file or folder `name` belongs to the process with this `out`.
+fn is_of(name: &str, out: &str) -> bool {
+    name.strip_prefix(out)
+        .is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
+}
+
+/// Returns the live processes that carry `mark`.
+fn marked(mark: &Path) -> Vec<String> {
+    let mark = format!("{MARK}={}", mark.display());
+    let processes = fs::read_dir("/proc").into_iter().flatten().flatten();
+    let is_marked = |path: &Path| {
+        let environment = fs::read(path.join("environ")).unwrap_or_default();
+        environment.split(|byte| *byte == 0).any(|set| set == mark.as_bytes())
+    };
+    let marked = processes.filter(|process| is_marked(&process.path()));
+    marked
+        .map(|process| process.file_name().to_string_lossy().into_owned())
+        .collect()
+}
+
+/// Copies a folder of files within `folder`.
+fn copy(folder: &Folder, from: &str, to: &str) {
+    fs::create_dir(folder.join(to)).expect("a new folder");
+    for name in folder.list(from) {
+        let path = format!("{from}/{name}");
+        fs::copy(folder.join(&path), folder.join(&format!("{to}/{name}"))).expect("copied");
+    }
+}
+
+fn prepare(folder: &Folder, args: &str) {
+    let end: Finished = folder.run(args);
+    assert!(end.is_success(), "{args}: {end}");
+}
+
+#[test]
+fn a_signal_at_any_moment_ends_a_command_that_makes_a_run() {
+    let folder = Folder::new();
+    folder.write("idle", "#!/bin/sh\nsleep 1000\n");
+    fs::set_permissions(folder.join("idle"), fs::Permissions::from_mode(0o700)).expect("ours");
+    let killed = folder.start("up -P 1 -n 50 -k 90000000 --window 100000 --quiet --out resumed --run resumed");
+    folder.wait_for_tti("resumed", 20_000);
+    killed.signal(Signal::KILL);
+    killed.finish();
+    let bs = format!("bs {LONG} --listen tcp/127.0.0.1:0 --run OUT --out OUT");
+    let external = "-p external --policy-command ./idle";
+    let q_learning = "train q-learning --devices 8 --episode-ttis 2000 --out OUT.json";
+    let record = format!("train record {SEARCH} -k 1000 --seeds 2 --chunk 12 --every 40 --out OUT.parquet");
+    let cases = [
+        Case::new(format!("up -P 2 {LONG} --out OUT"), Interrupted),
+        Case::new(format!("up -P 0 {LONG} --out OUT --dashboard 127.0.0.1:0"), Interrupted),
+        Case::new(format!("up -P 1 {LONG} --out OUT {external}"), Interrupted),
+        Case::new(format!("up -P 2 {SEARCH} --out OUT"), Interrupted),
+        Case::new("up -P 1 --resume OUT --run OUT", Interrupted),
+        Case::new(bs, Interrupted),
+        Case::new("run -n 10 -k 1000000000 --record OUT.mcap --out OUT", Interrupted),
+        Case::new(format!("run {SEARCH} --out OUT"), Interrupted),
+        Case::new(
+            "sweep -p knn,adjusted -n 200 -k 1000 --seeds 2 --out OUT --set policy.adjusted.pilot_ttis=900000000",
+            Interrupted,
+        ),
+        Case::new(q_learning, Interrupted),
+        Case::new(record, Interrupted),
+        Case::new("bench bus --processes 2 --time 1s", ByDefault),
+        Case::new("bench scale -n 20 -k 100000", ByDefault),
+    ];
+    assert_all_end(&folder, &cases);
+}
+
+#[test]
+fn a_signal_at_any_moment_ends_a_command_that_joins_or_shows_a_run() {
+    let (folder, run, endpoint) = (Folder::new(), unique_run("shown"), free_endpoint());
+    prepare(
+        &folder,
+        "run -p knn -n 20 -k 3000 --record seen.mcap --quiet --out seen",
+    );
+    prepare(
+        &folder,
+        "sweep -p knn,random -n 10,20 -k 300 --seeds 2 --quiet --out table",
+    );
+    let bs = folder.start(&format!(
+        "bs {LONG} --on-loss wait --quiet --out live --run {run} --listen {endpoint}"
+    ));
+    let join = format!("device --connect {endpoint} --run {run} --count 6");
+    let device = folder.start(&join);
+    folder.wait_for_tti(&run, 10);
+    let nowhere = free_endpoint();
+    let cases = [
+        Case::new(
+            format!("device --connect {nowhere} --run {run} --patience 1000s"),
+            Interrupted,
+        ),
+        Case::new(join, Interrupted),
+        Case::new(format!("dashboard --run {run} --listen 127.0.0.1:0"), Shown),
+        Case::new("dashboard --from seen.mcap --listen 127.0.0.1:0", Shown),
+        Case::new(format!("inspect tail --run {run}"), Shown),
+        Case::new(format!("inspect stats --run {run}"), Shown),
+        Case::new(format!("inspect record --run {run} OUT.mcap"), Shown),
+        Case::new(format!("clock --run {run} run-to 900000 --wait"), ByDefault),
+        Case::new("inspect tail --from seen.mcap", ByDefault),
+        Case::new("inspect stats --from seen.mcap", ByDefault),
+        Case::new("inspect verify seen.mcap", ByDefault),
+        Case::new("inspect compare seen.mcap seen.mcap", ByDefault),
+        Case::new("inspect export seen.mcap --to pcapng --out OUT.pcapng", ByDefault),
+        Case::new("figures table --out OUT", ByDefault),
+        Case::new("report table --out OUT", ByDefault),
+        Case::new("analyse harvest --seeds 2", ByDefault),
+    ];
+    assert_all_end(&folder, &cases);
+    bs.signal(Signal::TERM);
+    assert_eq!(bs.finish().code(), Some(130));
+    device.finish();
+}
+
+#[cfg(feature = "tune")]
+#[test]
+fn a_signal_at_any_moment_ends_a_tuning() {
+    let folder = Folder::new();
+    let tune = "tune -n 8 --design 3 --episodes 100 --episode-ttis 1000 --seeds 2 --ttis 1000 --out OUT.csv";
+    assert_all_end(&folder, &[Case::new(tune, Interrupted)]);
+}
+
+#[cfg(feature = "train-dt")]
+#[test]
+fn a_signal_at_any_moment_ends_a_training_of_the_transformer() {
+    let folder = Folder::new();
+    let record = "train record -p age-index,knn -n 12 -k 400 --seeds 6 --set events.process=bursts";
+    prepare(&folder, &format!("{record} --chunk 12 --every 40 --out a.parquet"));
+    let train = "train dt a.parquet --steps 100000 --batch 600 --patience 1000 --set policy.dt.width=8 \
+                 --set policy.dt.heads=1 --set policy.dt.memory=3 --out OUT.safetensors";
+    assert_all_end(&folder, &[Case::new(train, Interrupted)]);
+}

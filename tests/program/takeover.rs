@@ -1,0 +1,210 @@
+//! Killed processes cost time but no result: other hosts take over, and a run can be resumed.
+
+use std::time::Duration;
+
+use reveille_tests::process::{
+    Folder, PATIENCE, Summary, free_endpoint, hosts_of, send_signal, unique_run, wait_until,
+};
+use rustix::process::Signal;
+
+/// Kills device processes of `up` in order, and expects the digest of an undisturbed run.
+fn killed_and_taken_over(scenario: &str, kills: usize) {
+    let folder = Folder::new();
+    let expected = folder.summary(&format!("run {scenario}"));
+    let run = unique_run("heir");
+    let up = folder.start(&format!(
+        "up -P 4 --out out --run {run} {scenario} --pace 4ms --audit on --json"
+    ));
+    for kill in 0..kills {
+        let tti = folder.wait_for_tti(&run, 10);
+        let hosts = wait_until("four device processes", PATIENCE, || {
+            Some(hosts_of(&run)).filter(|hosts| hosts.len() == 4)
+        });
+        send_signal(hosts[kill % 4], Signal::KILL);
+        let killed = hosts[kill % 4];
+        wait_until("another process", PATIENCE, || {
+            let hosts = hosts_of(&run);
+            (hosts.len() == 4 && !hosts.contains(&killed)).then_some(())
+        });
+        folder.wait_for_tti(&run, tti + 20);
+    }
+    let end = up.finish();
+    assert!(end.is_success(), "{end}");
+    assert!(end.stderr.contains("are carried again after"), "{end}");
+    let summary = end.summary();
+    assert_eq!(summary.digest(), expected.digest());
+    assert_eq!(summary.number("timing.losses"), kills as u64, "{end}");
+    assert_eq!(summary.text("audit"), "whole");
+    assert!(hosts_of(&run).is_empty());
+}
+
+#[test]
+fn devices_of_a_killed_process_are_taken_over_knn() {
+    killed_and_taken_over("-n 30 -k 1500 -p knn", 3);
+}
+
+#[test]
+fn devices_of_a_killed_process_are_taken_over_learning() {
+    killed_and_taken_over("-n 30 -k 900 -p q-learning --learn", 2);
+}
+
+#[test]
+fn a_process_with_room_takes_over() {
+    let (folder, run, endpoint) = (Folder::new(), unique_run("room"), free_endpoint());
+    let scenario = "-n 30 -k 1200";
+    let expected = folder.summary(&format!("run {scenario}"));
+    let bs = folder.start(&format!(
+        "bs {scenario} --pace 4ms --out out --run {run} --listen {endpoint}"
+    ));
+    bs.wait_for_stderr("waiting for 30 devices");
+    let device = |count: u32| folder.start(&format!("device --connect {endpoint} --run {run} --count {count}"));
+    let first = device(10);
+    first.wait_for_stderr("joined");
+    let roomy = device(40);
+    roomy.wait_for_stderr("joined");
+    folder.wait_for_tti(&run, 20);
+    first.signal(Signal::KILL);
+    bs.wait_for_stderr("are carried again after");
+    let spare = device(5);
+    spare.wait_for_stderr("standing by");
+    let end = bs.finish();
+    assert!(end.is_success(), "{end}");
+    assert_eq!(Summary::read(&folder.join("out")).digest(), expected.digest());
+    for process in [roomy, spare] {
+        let end = process.finish();
+        assert!(end.is_success(), "{end}");
+    }
+}
+
+/// Kills the base station midway, and resumes the run with the device processes that are still alive.
+#[test]
+fn a_killed_base_station_is_taken_up_by_hosts_that_live() {
+    let (folder, run, endpoint) = (Folder::new(), unique_run("resume"), free_endpoint());
+    let scenario = "-n 30 -k 1500 -p q-learning --learn";
+    let expected = folder.summary(&format!("run {scenario}"));
+    let serve = format!("--pace 3ms --run {run} --listen {endpoint}");
+    let bs = folder.start(&format!("bs {scenario} --out out {serve}"));
+    bs.wait_for_stderr("waiting for 30 devices");
+    let hosts = [10, 20].map(|count| {
+        let host = folder.start(&format!("device --connect {endpoint} --run {run} --count {count}"));
+        host.wait_for_stderr("joined");
+        host
+    });
+    wait_until("a mark", PATIENCE, || {
+        folder.list("out").contains(&"mark.json".to_owned()).then_some(())
+    });
+    let reached = folder.wait_for_tti(&run, 1);
+    bs.signal(Signal::KILL);
+    bs.finish();
+    let bs = folder.start(&format!("bs --resume out {serve}"));
+    bs.wait_for_stderr("replaying the run up to TTI");
+    let end = bs.finish();
+    assert!(end.is_success(), "{end}");
+    assert!(reached > 0);
+    let summary = Summary::read(&folder.join("out"));
+    assert_eq!((summary.digest(), summary.status()), (expected.digest(), "complete"));
+    for host in hosts {
+        let end = host.finish();
+        assert!(end.is_success(), "{end}");
+    }
+    let again = folder.run(&format!("bs --resume out {serve}"));
+    assert!(
+        again.code() == Some(1) && again.stderr.contains("is complete"),
+        "{again}"
+    );
+}
+
+/// Checks that a fully killed or interrupted run ends like an undisturbed run after a resume.
+fn taken_up(command: &str, signal: Signal) {
+    let folder = Folder::new();
+    let scenario = "-n 40 -k 60000 -p knn --window 7000";
+    let expected = folder.summary(&format!("run {scenario} --out whole"));
+    let run = folder.start(&format!("{command} {scenario} --no-lookahead --out out"));
+    wait_until("a mark", PATIENCE, || {
+        folder.list("out").contains(&"mark.json".to_owned()).then_some(())
+    });
+    run.signal(signal);
+    run.finish();
+    std::thread::sleep(Duration::from_millis(100));
+    let end = folder.run(&format!("{command} --resume out"));
+    assert!(end.is_success(), "{end}");
+    let summary = Summary::read(&folder.join("out"));
+    assert_eq!((summary.digest(), summary.status()), (expected.digest(), "complete"));
+    for table in ["events.csv", "windows.csv", "devices.csv"] {
+        let read = |run: &str| std::fs::read(folder.join(run).join(table)).expect("readable");
+        assert!(read("out") == read("whole"), "{table}");
+    }
+    assert!(!folder.list("out").contains(&"mark.json".to_owned()));
+}
+
+#[test]
+fn a_run_of_which_everything_was_killed_is_taken_up() {
+    taken_up("up -P 2", Signal::KILL);
+}
+
+#[test]
+fn an_interrupted_run_is_taken_up() {
+    taken_up("up -P 2", Signal::TERM);
+}
+
+/// A run interrupted while the clock is held ends in the middle of a TTI. It is resumed from its state before that TTI.
+#[test]
+fn a_run_that_was_interrupted_while_it_was_held_is_taken_up() {
+    let (folder, run, endpoint) = (Folder::new(), unique_run("held"), free_endpoint());
+    // A plan in each TTI, so that the open TTI already has a message.
+    let scenario = "-n 20 -k 800 -p random";
+    let expected = folder.summary(&format!("run {scenario}"));
+    let serve = format!("--pace 3ms --run {run} --listen {endpoint}");
+    let host = || {
+        let host = folder.start(&format!("device --connect {endpoint} --run {run} --count 20"));
+        host.wait_for_stderr("joined");
+        host
+    };
+    let bs = folder.start(&format!("bs {scenario} --out out {serve}"));
+    bs.wait_for_stderr("waiting for 20 devices");
+    let killed = host();
+    folder.wait_for_tti(&run, 20);
+    killed.signal(Signal::KILL);
+    bs.wait_for_stderr("the clock is held");
+    bs.signal(Signal::TERM);
+    let end = bs.finish();
+    assert_eq!(end.code(), Some(130), "{end}");
+    let bs = folder.start(&format!("bs --resume out {serve}"));
+    bs.wait_for_stderr("waiting for 20 devices");
+    let heir = host();
+    let end = bs.finish();
+    assert!(end.is_success(), "{end}");
+    assert_eq!(Summary::read(&folder.join("out")).digest(), expected.digest());
+    assert!(heir.finish().is_success());
+}
+
+#[test]
+fn a_folder_that_was_changed_is_not_taken_up() {
+    let folder = Folder::new();
+    let run = folder.start("up -P 2 -n 40 -k 60000 --no-lookahead --out out");
+    wait_until("a mark", PATIENCE, || {
+        folder.list("out").contains(&"mark.json".to_owned()).then_some(())
+    });
+    run.signal(Signal::KILL);
+    run.finish();
+    let path = folder.join("out/mark.json");
+    let text = std::fs::read_to_string(&path).expect("readable");
+    let (before, fingerprint) = text.rsplit_once("\"fingerprint\":\"").expect("a fingerprint");
+    let turned = if fingerprint.starts_with('0') { '1' } else { '0' };
+    std::fs::write(
+        &path,
+        format!("{before}\"fingerprint\":\"{turned}{}", &fingerprint[1..]),
+    )
+    .expect("writable");
+    let end = folder.run("up -P 2 --resume out");
+    assert_eq!(end.code(), Some(1), "{end}");
+    assert!(end.stderr.contains("a replay does not come by"), "{end}");
+    for (args, why) in [
+        ("--resume nothing", "there is no run in this folder"),
+        ("--resume out -n 5", "leave out the options"),
+        ("--resume out --out other", "cannot be used with"),
+    ] {
+        let end = folder.run(&format!("up {args}"));
+        assert!(!end.is_success() && end.stderr.contains(why), "{end}");
+    }
+}

@@ -1,0 +1,183 @@
+//! Runs whose policy process is the test itself, either correct or misbehaving.
+
+use std::time::Duration;
+
+use reveille_bs::policy::external::wire::{DecisionRequest, RequestKind};
+use reveille_bs::policy::external::{Decision, DecisionStage};
+use reveille_bs::scenario::{Override, load};
+use reveille_bs::server::policy_port::client::{self, ClientIdentity};
+use reveille_common::bus::{Bus, PolicyQuestion};
+use reveille_common::encoding::Encoding;
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::secret::Secret;
+use serde_json::{Value, json};
+
+use crate::process::{Finished, Folder, PATIENCE, Process, free_endpoint, unique_run, wait_until};
+use crate::transcript::Transcript;
+
+/// Options of a scenario whose run takes a moment.
+pub const SMALL: &str = "-n 30 -k 400";
+
+/// Runs `policy` on the scenario of [`SMALL`] in memory and returns its transcript and digest.
+///
+/// # Panics
+/// If the scenario is invalid.
+pub fn own(policy: &str, set: &[&str]) -> (Transcript, String) {
+    let policy = format!("policy.name={policy}");
+    let always = [policy.as_str(), "devices=30", "ttis=400"];
+    let all = always
+        .iter()
+        .chain(set)
+        .map(|set| Override::parse(set).expect("an override"));
+    let (transcript, digest) = Transcript::of(&load("paper", &all.collect::<Vec<_>>()).expect("a scenario").scenario);
+    (transcript, digest.to_string())
+}
+
+/// Looks up the answer to a decision request in `transcript`.
+pub fn answer(transcript: &Transcript, asked: &DecisionRequest) -> Decision {
+    let stage = match asked.head.stage {
+        RequestKind::Wake => DecisionStage::Wake,
+        RequestKind::Plan | RequestKind::Hello | RequestKind::Bye => DecisionStage::Plan,
+    };
+    transcript.answer(stage, Tti(asked.head.tti), |DeviceId(j)| {
+        // 2 marks a device that can still be woken; the transcript holds all wake-ups of the TTI.
+        asked.action_mask.0[j as usize] == 2
+    })
+}
+
+/// A run that waits for an external policy process.
+pub struct Decided {
+    /// Working folder of the run.
+    pub folder: Folder,
+    /// Run name.
+    pub run: String,
+    /// Endpoint of the base station.
+    pub endpoint: String,
+    /// Process of `up`.
+    pub process: Process,
+}
+
+impl Decided {
+    /// Starts `up` with the scenario of [`SMALL`] and `args`.
+    pub fn start(args: &str) -> Self {
+        Self::start_in(Folder::new(), &format!("up {SMALL} -p external --out out {args}"))
+    }
+
+    /// Starts a command in the given folder.
+    pub fn start_in(folder: Folder, command: &str) -> Self {
+        let (run, endpoint) = (unique_run("port"), free_endpoint());
+        let process = folder.start(&format!("{command} --run {run} --listen {endpoint} --json"));
+        Self {
+            folder,
+            run,
+            endpoint,
+            process,
+        }
+    }
+
+    /// Returns the run's key from the registry of runs.
+    ///
+    /// # Panics
+    /// If the run is not found.
+    pub fn key(&self) -> Secret {
+        wait_until("the run to be found", PATIENCE, || {
+            let name = self
+                .folder
+                .list("runtime/reveille")
+                .into_iter()
+                .find(|name| name.starts_with(&self.run))?;
+            let entry = self.folder.bytes(&format!("runtime/reveille/{name}"));
+            let entry: Value = serde_json::from_slice(&entry).ok()?;
+            entry["key"].as_str()?.parse().ok()
+        })
+    }
+
+    /// Opens a separate session on the run's bus.
+    ///
+    /// # Panics
+    /// If no base station listens.
+    pub async fn bus(&self) -> Bus {
+        let run = self.run.parse().expect("a run name");
+        Bus::connect(&self.endpoint, run, PATIENCE).await.expect("it listens")
+    }
+
+    /// Answers decision requests with `decide` until the run ends; returns the number of answers.
+    ///
+    /// # Panics
+    /// If the bus fails.
+    pub async fn decide(&self, form: Encoding, mut decide: impl FnMut(&DecisionRequest) -> Decision) -> u64 {
+        let introduction = ClientIdentity {
+            name: "the test".to_owned(),
+            key: Some(self.key()),
+            form,
+        };
+        let decided = client::decide(&self.bus().await, &introduction, &mut decide).await;
+        decided.expect("the bus goes on")
+    }
+
+    /// Waits for the end of the process.
+    pub fn finish(self) -> (Folder, Finished) {
+        (self.folder, self.process.finish())
+    }
+}
+
+/// A policy process that misbehaves.
+pub struct Rogue {
+    bus: Bus,
+    key: String,
+    id: &'static str,
+}
+
+impl Rogue {
+    /// Connects to `run` with its key.
+    pub async fn at(run: &Decided) -> Self {
+        Self {
+            bus: run.bus().await,
+            key: run.key().to_string(),
+            id: "rogue",
+        }
+    }
+
+    /// Answers the greeting and passes other requests to `act`, until it returns false or no request arrives for 3 s.
+    ///
+    /// # Panics
+    /// If a request is not JSON.
+    pub async fn serve(&self, mut act: impl FnMut(&PolicyQuestion, &Value) -> bool) {
+        let questions = self.bus.serve_policy_port().expect("a queryable");
+        while let Ok(Some(question)) = tokio::time::timeout(Duration::from_secs(3), questions.next()).await {
+            let asked: Value = serde_json::from_slice(&question.payload).expect("JSON");
+            if asked["stage"] == "hello" {
+                let welcome = json!({
+                    "protocol": 1, "seq": asked["seq"], "tti": asked["tti"], "stage": "hello",
+                    "id": self.id, "name": "a rogue", "key": self.key,
+                });
+                question
+                    .answer(welcome.to_string().into_bytes(), Encoding::Json)
+                    .expect("answered");
+            } else if !act(&question, &asked) {
+                return;
+            }
+        }
+    }
+
+    /// Returns the answer in which no device senses and none is woken.
+    pub fn idle(&self, asked: &Value) -> Value {
+        let decision = if asked["stage"] == "plan" { "sense" } else { "wake" };
+        let mut answer = json!({
+            "protocol": 1, "seq": asked["seq"], "tti": asked["tti"], "stage": asked["stage"],
+            "id": self.id, "key": self.key,
+        });
+        answer[decision] = json!([]);
+        answer
+    }
+}
+
+/// Answers `question` in JSON.
+///
+/// # Panics
+/// If the session is closed.
+pub fn say(question: &PolicyQuestion, answer: &Value) {
+    question
+        .answer(answer.to_string().into_bytes(), Encoding::Json)
+        .expect("answered");
+}

@@ -1,0 +1,84 @@
+//! Disks and networks with limits, and a report of checks that cannot run on this machine.
+
+use std::fs;
+use std::io::Write;
+use std::path::Path;
+use std::process::Command;
+
+/// In-memory file system mounted at a path; unmounted on drop.
+pub struct Mount<'f>(&'f Path);
+
+impl<'f> Mount<'f> {
+    /// Mounts a disk of 256 kB at `path`; `None` without root rights.
+    pub fn small(path: &'f Path) -> Option<Self> {
+        Self::with(path, "size=256k")
+    }
+
+    /// Mounts an empty read-only disk at `path`; `None` without root rights.
+    pub fn read_only(path: &'f Path) -> Option<Self> {
+        Self::with(path, "ro,size=64k")
+    }
+
+    fn with(path: &'f Path, options: &str) -> Option<Self> {
+        fs::create_dir_all(path).ok()?;
+        let mut mount = Command::new("mount");
+        mount.args(["-t", "tmpfs", "-o", options, "none"]).arg(path);
+        is_done(&mut mount).then_some(Self(path))
+    }
+}
+
+impl Drop for Mount<'_> {
+    fn drop(&mut self) {
+        // Detach lazily: a process of a failed test can still have files open here.
+        let _ = Command::new("umount").arg("-l").arg(self.0).status();
+    }
+}
+
+/// Network namespace with a loopback interface; removed on drop.
+pub struct FewPorts(String);
+
+impl FewPorts {
+    /// Creates a namespace with `ports` ephemeral ports; `None` without root rights.
+    pub fn make(name: &str, ports: u32) -> Option<Self> {
+        if !is_done(Command::new("ip").args(["netns", "add", name])) {
+            return None;
+        }
+        let network = Self(name.to_owned());
+        let range = format!(
+            "ip link set lo up && echo 40000 {} > /proc/sys/net/ipv4/ip_local_port_range",
+            40_000 + ports - 1
+        );
+        is_done(network.command(Path::new("sh")).args(["-c", &range])).then_some(network)
+    }
+
+    /// Returns a command that runs `program` in the namespace.
+    pub fn command(&self, program: &Path) -> Command {
+        let mut command = Command::new("ip");
+        command.args(["netns", "exec", &self.0]).arg(program);
+        command
+    }
+}
+
+impl Drop for FewPorts {
+    fn drop(&mut self) {
+        let _ = Command::new("ip").args(["netns", "del", &self.0]).status();
+    }
+}
+
+fn is_done(command: &mut Command) -> bool {
+    command.output().is_ok_and(|end| end.status.success())
+}
+
+/// Prints that a check is skipped, and `why`. Does not use `eprintln!`, whose output a passing test hides.
+pub fn skipped(why: &str) {
+    let _unread = writeln!(std::io::stderr(), "SKIPPED: {why}").is_err();
+}
+
+/// Prints that a check is skipped, and `why`; fails in continuous integration, where every check must run.
+///
+/// # Panics
+/// If the variable `CI` is `true`.
+pub fn missing(why: &str) {
+    skipped(why);
+    assert!(std::env::var_os("CI").is_none_or(|ci| ci != "true"), "CI=true: {why}");
+}

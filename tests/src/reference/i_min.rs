@@ -1,0 +1,63 @@
+//! I_min of a deployment (Sec. V-A): the information in the closest device's report at the worst place, found by trying
+//! all candidate places.
+
+use reveille_common::geometry::{Area, Point};
+use reveille_common::sensing::Sensing;
+
+use super::clusters::distance;
+
+/// Tolerance for places outside the area due to rounding, metres.
+const ROUNDING: f64 = 1e-9;
+
+/// Returns Ψ p(d*), where d* is the largest distance of a place in `area` from its nearest device. This distance is
+/// largest in corners, where three devices are equally near, or where the bisector of two devices meets the border.
+pub fn least_information(points: &[Point], area: Area, sensing: &Sensing) -> f64 {
+    let mut places = vec![
+        Point::new(0.0, 0.0),
+        Point::new(area.width, 0.0),
+        Point::new(0.0, area.height),
+        Point::new(area.width, area.height),
+    ];
+    for (i, &a) in points.iter().enumerate() {
+        for (j, &b) in points.iter().enumerate().take(i) {
+            places.extend(on_the_border(a, b, area));
+            places.extend(points[..j].iter().filter_map(|&c| equally_far(a, b, c)));
+        }
+    }
+    let is_inside = |p: &&Point| {
+        (-ROUNDING..=area.width + ROUNDING).contains(&p.x) && (-ROUNDING..=area.height + ROUNDING).contains(&p.y)
+    };
+    let nearest = |p: &Point| {
+        points
+            .iter()
+            .map(|&device| distance(device, *p))
+            .fold(f64::INFINITY, f64::min)
+    };
+    let farthest = places.iter().filter(is_inside).map(nearest).fold(0.0, f64::max);
+    sensing.psi * libm::exp(-sensing.eta * farthest)
+}
+
+/// Returns the intersections of the perpendicular bisector of `a` and `b` with the border lines.
+fn on_the_border(a: Point, b: Point, area: Area) -> Vec<Point> {
+    // |p − a|² = |p − b|² is n·p = c.
+    let (nx, ny) = (2.0 * (b.x - a.x), 2.0 * (b.y - a.y));
+    let c = b.x * b.x + b.y * b.y - a.x * a.x - a.y * a.y;
+    let mut places = Vec::new();
+    for x in [0.0, area.width] {
+        places.push(Point::new(x, (c - nx * x) / ny));
+    }
+    for y in [0.0, area.height] {
+        places.push(Point::new((c - ny * y) / nx, y));
+    }
+    places.retain(|p| p.x.is_finite() && p.y.is_finite());
+    places
+}
+
+/// Returns the place equally far from three devices; `None` if they are collinear.
+fn equally_far(a: Point, b: Point, c: Point) -> Option<Point> {
+    let (bx, by, cx, cy) = (b.x - a.x, b.y - a.y, c.x - a.x, c.y - a.y);
+    let twice = 2.0 * (bx * cy - by * cx);
+    let (bb, cc) = (bx * bx + by * by, cx * cx + cy * cy);
+    let place = Point::new(a.x + (cy * bb - by * cc) / twice, a.y + (bx * cc - cx * bb) / twice);
+    (place.x.is_finite() && place.y.is_finite()).then_some(place)
+}

@@ -1,0 +1,46 @@
+//! A second, deliberately plain implementation of the model: every device steps through every TTI. It shares only the
+//! scenario, positions, classes and random streams with the emulator.
+//!
+//! If its own integration rule for `P_4,2` cannot separate two candidates, it stops and reports the TTI
+//! ([`Run::ambiguous`]).
+
+mod age_index;
+mod clusters;
+mod device;
+mod estimate;
+mod events;
+mod harvest;
+mod i_min;
+mod policy;
+mod q_learning;
+mod radio;
+mod search;
+mod world;
+
+use reveille_bs::scenario::Scenario;
+use reveille_common::geometry::Point;
+
+pub use age_index::AgeIndex;
+pub use clusters::clusters;
+pub use device::State;
+pub use i_min::least_information;
+pub use policy::Policy;
+pub use q_learning::{Sequential, choose_by_ages};
+pub use search::own_search;
+pub use world::Run;
+use world::{Ground, play};
+
+/// Runs `scenario` on the reference implementation.
+pub fn simulate(scenario: &Scenario) -> Run {
+    let ground = Ground::of(scenario);
+    let policy = policy_of(scenario, &ground.positions);
+    play(scenario, &ground, policy)
+}
+
+/// Creates the policy of `scenario` for devices at `positions`, including the search that `adjusted` needs.
+pub fn policy_of(scenario: &Scenario, positions: &[Point]) -> Policy {
+    match scenario.policy.name() {
+        "adjusted" => Policy::adjusted(scenario, positions, search::search(scenario, positions)),
+        _ => Policy::new(scenario, positions),
+    }
+}

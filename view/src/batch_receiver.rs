@@ -1,0 +1,92 @@
+//! Receiver that takes items from another thread in batches.
+//!
+//! A thread that waits for each item is woken for each, at the sender's cost. A thread that sleeps between batches
+//! avoids that cost.
+
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::time::Duration;
+
+/// Pause after the first item of a batch, in which others arrive.
+const PAUSE: Duration = Duration::from_millis(15);
+/// Size above which the next batch follows without a pause, so that a fast sender does not wait.
+const MANY: usize = 1_000;
+
+/// Niceness of an observing thread.
+#[cfg(target_os = "linux")]
+const BEHIND: i32 = 10;
+
+/// Receiving end of a bounded queue, whose capacity must be some thousand items or more.
+#[derive(Debug)]
+pub struct BatchReceiver<T> {
+    items: Receiver<T>,
+    is_busy: bool,
+}
+
+impl<T> BatchReceiver<T> {
+    /// Creates a receiver of the items of `items`.
+    pub const fn new(items: Receiver<T>) -> Self {
+        Self { items, is_busy: false }
+    }
+
+    /// Returns the next batch, of at least one item.
+    ///
+    /// # Errors
+    /// If no item arrives within `patience`, or the sender was dropped.
+    pub fn next(&mut self, patience: Duration) -> Result<Vec<T>, RecvTimeoutError> {
+        let mut batch = vec![self.items.recv_timeout(patience)?];
+        // A full batch means that more is waiting already, and the queue must not fill up.
+        if !self.is_busy {
+            std::thread::sleep(PAUSE);
+        }
+        batch.extend(self.items.try_iter().take(MANY));
+        self.is_busy = batch.len() > MANY;
+        Ok(batch)
+    }
+}
+
+/// Lowers the priority of this thread, which only observes, below the threads of the run.
+pub fn lower_priority() {
+    // On Linux each thread has its own niceness; elsewhere the call would slow the run as well.
+    #[cfg(target_os = "linux")]
+    let _refused = rustix::process::setpriority_process(None, BEHIND).is_err();
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::sync_channel;
+
+    use super::*;
+
+    #[test]
+    fn all_items_come_in_their_order() {
+        let (send, items) = sync_channel(4_096);
+        let sender = std::thread::spawn(move || {
+            for item in 0..20_000 {
+                send.send(item).expect("somebody receives");
+            }
+        });
+        let mut batches = BatchReceiver::new(items);
+        let mut all = Vec::new();
+        let end = loop {
+            match batches.next(Duration::from_secs(20)) {
+                Ok(batch) => all.extend(batch),
+                Err(end) => break end,
+            }
+        };
+        sender.join().expect("sent");
+        assert_eq!(end, RecvTimeoutError::Disconnected);
+        assert!(all.into_iter().eq(0..20_000));
+    }
+
+    #[test]
+    fn silence_is_told() {
+        let (send, items) = sync_channel::<u8>(1);
+        let mut batches = BatchReceiver::new(items);
+        assert_eq!(batches.next(Duration::from_millis(1)), Err(RecvTimeoutError::Timeout));
+        drop(send);
+        assert_eq!(
+            batches.next(Duration::from_millis(1)),
+            Err(RecvTimeoutError::Disconnected)
+        );
+    }
+}

@@ -1,0 +1,220 @@
+//! A frame as one line: text for a reader, or JSON for programs and recordings.
+
+use std::fmt::{self, Write as _};
+
+use reveille_common::codec::CodecError;
+use reveille_common::ids::Tti;
+use reveille_common::message::{Frame, Message, MessageKind};
+use serde::{Deserialize, Serialize};
+use serde_json::value::RawValue;
+
+/// A frame with its message, decoded once.
+#[derive(Debug)]
+pub struct FrameLine<'a> {
+    /// The frame.
+    pub frame: &'a Frame,
+    /// Decoded message, or the error for a malformed payload.
+    pub message: Result<Message, CodecError>,
+}
+
+/// Reason why a JSON line is not a frame.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum LineError {
+    /// The line has another structure.
+    #[error("{0}")]
+    Json(#[from] serde_json::Error),
+    /// Unknown kind of message.
+    #[error("there is no kind of message {0:?} on the plane {1:?}")]
+    Kind(String, String),
+    /// A malformed payload is not in hexadecimal digits.
+    #[error("a malformed payload is not written in pairs of hexadecimal digits")]
+    Hex,
+}
+
+/// JSON object of a frame, for writing.
+#[derive(Serialize)]
+struct JsonLine<'a> {
+    tti: u64,
+    plane: &'static str,
+    kind: &'static str,
+    number: Option<u32>,
+    bytes: usize,
+    message: LineBody<'a>,
+}
+
+#[derive(Serialize)]
+#[serde(untagged)]
+enum LineBody<'a> {
+    Message(&'a Message),
+    Malformed { malformed: String, payload: String },
+}
+
+/// JSON object of a frame, for reading.
+#[derive(Deserialize)]
+struct ParsedLine<'a> {
+    tti: u64,
+    plane: String,
+    kind: String,
+    number: Option<u32>,
+    #[serde(borrow)]
+    message: &'a RawValue,
+}
+
+#[derive(Deserialize)]
+struct Malformed {
+    payload: String,
+}
+
+impl<'a> FrameLine<'a> {
+    /// Decodes `frame`.
+    pub fn of(frame: &'a Frame) -> Self {
+        Self {
+            message: frame.message(),
+            frame,
+        }
+    }
+
+    /// Describes the message, or the error for a malformed payload.
+    pub fn text(&self) -> String {
+        match &self.message {
+            Ok(message) => message.to_string(),
+            Err(error) => format!("not a message: {error}"),
+        }
+    }
+
+    /// Encodes the frame as a JSON object on one line: `tti`, `plane`, `kind`, `number`, `bytes`, and `message` with
+    /// all fields. For a malformed payload, `malformed` holds the error and `payload` the bytes in hexadecimal digits.
+    pub fn to_json(&self) -> String {
+        let Frame {
+            tti,
+            kind,
+            number,
+            payload,
+        } = self.frame;
+        let shown = JsonLine {
+            tti: tti.0,
+            plane: kind.plane().name(),
+            kind: kind.name(),
+            number: *number,
+            bytes: payload.len(),
+            message: match &self.message {
+                Ok(message) => LineBody::Message(message),
+                Err(error) => LineBody::Malformed {
+                    malformed: error.to_string(),
+                    payload: hex(payload),
+                },
+            },
+        };
+        serde_json::to_string(&shown).expect("messages have a form in JSON")
+    }
+}
+
+impl fmt::Display for FrameLine<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Frame { tti, kind, number, .. } = self.frame;
+        let (plane, name, bytes) = (kind.plane().name(), kind.name(), self.frame.payload.len());
+        let (whose, says) = (owner(*kind, *number), self.text());
+        write!(f, "{tti:>8} {plane:<5} {name:<7} {whose:<11} {bytes:>6} B  {says}")
+    }
+}
+
+/// Names the owner of the number in a key, such as `device 7`.
+pub fn owner(kind: MessageKind, number: Option<u32>) -> String {
+    number.map_or_else(String::new, |number| format!("{} {number}", kind.addressee().name()))
+}
+
+/// Parses a JSON line into a frame; the inverse of [`FrameLine::to_json`].
+///
+/// # Errors
+/// If the line is not a frame.
+pub(crate) fn from_json(text: &str) -> Result<Frame, LineError> {
+    let read: ParsedLine<'_> = serde_json::from_str(text)?;
+    let is_meant = |kind: &&MessageKind| kind.name() == read.kind && kind.plane().name() == read.plane;
+    let Some(&kind) = MessageKind::ALL.iter().find(is_meant) else {
+        return Err(LineError::Kind(read.kind, read.plane));
+    };
+    let mut body = serde_json::Deserializer::from_str(read.message.get());
+    let payload = match Message::deserialize(kind, &mut body) {
+        Ok(message) => message.encode(),
+        // An object for a malformed payload is tried last, since it cannot be a message of the kind.
+        Err(error) => match serde_json::from_str::<Malformed>(read.message.get()) {
+            Ok(Malformed { payload }) => bytes(&payload).ok_or(LineError::Hex)?,
+            Err(_) => return Err(error.into()),
+        },
+    };
+    Ok(Frame {
+        tti: Tti(read.tti),
+        kind,
+        number: read.number,
+        payload,
+    })
+}
+
+/// Encodes bytes in hexadecimal digits.
+pub fn hex(bytes: &[u8]) -> String {
+    bytes.iter().fold(String::new(), |mut text, byte| {
+        let _infallible = write!(text, "{byte:02x}");
+        text
+    })
+}
+
+fn bytes(hex: &str) -> Option<Vec<u8>> {
+    let pairs = hex.as_bytes().chunks(2);
+    pairs
+        .map(|pair| u8::from_str_radix(std::str::from_utf8(pair).ok().filter(|pair| pair.len() == 2)?, 16).ok())
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use reveille_common::ids::{DeviceId, HostId};
+    use reveille_common::message::{HostAnswer, Report, WakeOutcome, WakeUp};
+    use reveille_common::units::Energy;
+
+    use super::*;
+
+    #[test]
+    fn a_frame_comes_back_from_its_line() {
+        let tti = Tti(7);
+        let report = Report {
+            device: DeviceId(3),
+            tti,
+            information: 0.1 + 0.2,
+            battery: Energy::from_micro(123_456_789),
+        };
+        let answer = HostAnswer::NotWoken {
+            device: DeviceId(4),
+            tti,
+            outcome: WakeOutcome::Unheard,
+        };
+        let broken = Frame {
+            payload: vec![3, 255, 0, 16],
+            ..Frame::of(tti, DeviceId(9), &WakeUp { tti })
+        };
+        for frame in [
+            Frame::of(tti, DeviceId(3), &report),
+            Frame::of(tti, HostId(0), &answer),
+            broken,
+        ] {
+            assert_eq!(from_json(&FrameLine::of(&frame).to_json()).expect("a frame"), frame);
+        }
+    }
+
+    #[test]
+    fn what_is_no_frame_is_refused() {
+        let line = |plane: &str, kind: &str, message: &str| {
+            format!(r#"{{"tti":1,"plane":"{plane}","kind":"{kind}","number":null,"bytes":2,"message":{message}}}"#)
+        };
+        assert!(from_json(&line("air", "wake", r#"{"tti":1}"#)).is_ok());
+        for bad in [
+            line("emu", "wake", r#"{"tti":1}"#),
+            line("air", "wake", "{}"),
+            line("air", "wake", r#"{"malformed":"x","payload":"0g"}"#),
+            line("air", "wake", r#"{"malformed":"x","payload":"012"}"#),
+            "{}".to_owned(),
+            String::new(),
+        ] {
+            assert!(from_json(&bad).is_err(), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,209 @@
+//! Reconstruction of a run from observer frames alone: metrics, digest and a consistency check.
+
+use reveille_bs::scenario::Scenario;
+use reveille_common::codec;
+use reveille_common::deployment::Deployment;
+use reveille_common::event::{EventRecord, Stimulus};
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::{EventUpdate, Frame, Message, Plane};
+use reveille_common::plan::Plan;
+use reveille_common::score::{FinalScore, Metrics, Score};
+use reveille_common::totals::EventTotals;
+
+use crate::device_mirror::{DeviceMirror, Discrepancy};
+
+/// A run reconstructed frame by frame.
+///
+/// The [mirrored](DeviceMirror) machines check batteries, reports and failures. The totals of an event are summed from
+/// its reports and compared with its record.
+#[derive(Clone, Debug)]
+pub struct Reconstruction {
+    scenario: Scenario,
+    deployment: Deployment,
+    mirror: DeviceMirror,
+    score: Score,
+    plan: Option<Plan>,
+    stimulus: Option<Stimulus>,
+    /// TTI of `information`.
+    tti: Tti,
+    /// Î of that TTI, from its reports.
+    information: f64,
+}
+
+impl Reconstruction {
+    /// Creates the reconstruction of a run of `scenario` before TTI 0.
+    pub fn new(scenario: &Scenario) -> Self {
+        let deployment = Deployment::new(scenario);
+        Self {
+            mirror: DeviceMirror::new(scenario, &deployment),
+            score: Score::new(scenario, &deployment),
+            scenario: scenario.clone(),
+            deployment,
+            plan: None,
+            stimulus: None,
+            tti: Tti::ZERO,
+            information: 0.0,
+        }
+    }
+
+    /// Applies `frame`.
+    ///
+    /// # Errors
+    /// If the frame contradicts the frames before it.
+    pub fn apply(&mut self, frame: &Frame) -> Result<(), Discrepancy> {
+        let tti = frame.tti;
+        let refuse = |what: String| Discrepancy { tti, what };
+        // The emulation plane has no influence on results, so it is not decoded.
+        if frame.kind.plane() == Plane::Emu {
+            return Ok(());
+        }
+        let message = match frame.message() {
+            Ok(message) => message,
+            // A malformed message on the air was sent by a foreign client and is not part of the run.
+            Err(_) if frame.kind.plane() == Plane::Air => return Ok(()),
+            Err(error) => return Err(refuse(format!("a {} that is none: {error}", frame.kind.name()))),
+        };
+        // First, since `count` asks the mirror about missed plans and the open wake-up.
+        self.mirror.apply(frame, &message)?;
+        self.count(frame, message).map_err(refuse)
+    }
+
+    /// Returns the score of the run if it ended after the current TTI.
+    pub fn finish(self) -> FinalScore {
+        let (alpha, end) = self.so_far();
+        self.score.finish(alpha, end, &self.mirror.ledgers())
+    }
+
+    /// Metrics of the run if it ended after the current TTI.
+    pub fn metrics(&self) -> Metrics {
+        let (alpha, end) = self.so_far();
+        self.score.metrics(alpha, end, &self.mirror.ledgers())
+    }
+
+    /// Start probability of events in the measured TTIs so far, and the next TTI.
+    fn so_far(&self) -> (f64, Tti) {
+        let (scenario, end) = (&self.scenario, self.mirror.next());
+        let measured_from = scenario.warm_up_end();
+        let alpha = scenario
+            .events
+            .mean_start_probability(scenario.run.seed, measured_from, end);
+        (alpha, end)
+    }
+
+    /// The mirrored devices.
+    pub const fn mirror(&self) -> &DeviceMirror {
+        &self.mirror
+    }
+
+    /// The mirrored devices, for access that advances them.
+    pub(crate) const fn mirror_mut(&mut self) -> &mut DeviceMirror {
+        &mut self.mirror
+    }
+
+    /// The event in progress.
+    pub const fn stimulus(&self) -> Option<Stimulus> {
+        self.stimulus
+    }
+
+    /// Totals of the counted events that have ended.
+    pub const fn events(&self) -> &EventTotals {
+        self.score.events()
+    }
+
+    /// Number of TTIs applied.
+    pub fn ttis(&self) -> u64 {
+        self.mirror.now().map_or(0, |last| last.0 + 1)
+    }
+
+    fn count(&mut self, frame: &Frame, message: Message) -> Result<(), String> {
+        match message {
+            Message::Plan(update) => {
+                let is_new = self.plan.as_ref() != Some(&update.plan);
+                self.score.plan(&update, is_new, codec::encoded_len(&update));
+                let devices = u64::from(self.scenario.run.devices);
+                self.score.plan_missed(update.from, devices, self.mirror.missed_plans());
+                self.plan = Some(update.plan);
+            }
+            Message::Event(EventUpdate::Started(event)) => {
+                if self.stimulus.is_some() {
+                    return Err("an event starts while another is under way".to_owned());
+                }
+                self.stimulus = Some(event.stimulus);
+                self.score.event_started(event);
+            }
+            Message::Event(EventUpdate::Ended(told)) => return self.event_ended(&told),
+            Message::Report(report) => {
+                self.fuse(report.tti, report.information);
+                // A woken device's report is counted with its wake-up.
+                if !self.mirror.is_waking() {
+                    self.under_way()?;
+                    self.score.reported(&report);
+                }
+            }
+            Message::Lost(lost) => {
+                self.under_way()?;
+                self.score.lost(&lost.report);
+            }
+            Message::Gone(outage) => self.score.devices_removed(&outage),
+            Message::Failed(failed) => {
+                self.under_way()?;
+                self.score.failed(&failed.failure);
+            }
+            Message::Wake(wake) => {
+                self.under_way()?;
+                self.score.wake_up(frame.tti, codec::encoded_len(&wake));
+            }
+            Message::Woken(woken) => {
+                let epicentre = self.under_way()?.epicentre;
+                let device = frame.number.map(DeviceId).ok_or("what came of a wake-up of nobody")?;
+                let setup = self.deployment.devices.get(device.index());
+                let place = setup.ok_or("what came of a wake-up of no device")?.position;
+                let is_far = place.distance(epicentre) > self.scenario.sensing.d_max;
+                self.score.wake_up_completed(frame.tti, device, &woken.outcome, is_far);
+            }
+            Message::World(_)
+            | Message::States(_)
+            | Message::Belief(_)
+            | Message::Clock(_)
+            | Message::Answer(_)
+            | Message::Join(_)
+            | Message::Ready(_)
+            | Message::Control(_)
+            | Message::Describe(_)
+            | Message::Log(_) => {}
+        }
+        Ok(())
+    }
+
+    fn event_ended(&mut self, told: &EventRecord) -> Result<(), String> {
+        self.under_way()?;
+        self.stimulus = None;
+        // Without a report, `information` belongs to an earlier event.
+        let information = if self.score.is_reported() {
+            self.information
+        } else {
+            0.0
+        };
+        let own = self.score.event_ended(told.last, information);
+        if own == *told {
+            Ok(())
+        } else {
+            Err(format!(
+                "event {} came to {:?} by its messages, not to {:?}",
+                told.event.0, own.tally, told.tally
+            ))
+        }
+    }
+
+    fn under_way(&self) -> Result<Stimulus, String> {
+        self.stimulus.ok_or_else(|| "no event is under way".to_owned())
+    }
+
+    /// Adds the information of a report of TTI `tti`.
+    fn fuse(&mut self, tti: Tti, information: f64) {
+        if tti != self.tti {
+            (self.tti, self.information) = (tti, 0.0);
+        }
+        self.information = self.scenario.sensing.fuse(self.information, information);
+    }
+}

@@ -1,0 +1,193 @@
+//! Schemas of the messages, traced from the Rust types: names, order and types of their fields.
+
+use std::collections::BTreeMap;
+
+use reveille_common::message::{MessageKind, Pace, Payload, TypeVisitor, WakeOutcome};
+use reveille_common::plan::Plan;
+use reveille_common::state::DeviceState;
+use serde::de::DeserializeOwned;
+use serde_json::{Value, json};
+use serde_reflection::{ContainerFormat, Format, Named, Registry, Tracer, TracerConfig, VariantFormat};
+
+/// Schemas of all messages.
+#[derive(Clone, Debug)]
+pub struct MessageSchemas {
+    /// Types by name.
+    types: Registry,
+    /// Type of each kind of message.
+    kinds: BTreeMap<MessageKind, Format>,
+}
+
+/// Traces types.
+struct SchemaTracer {
+    tracer: Tracer,
+    kinds: BTreeMap<MessageKind, Format>,
+}
+
+impl SchemaTracer {
+    fn trace<T: DeserializeOwned>(&mut self) -> Format {
+        let traced = self.tracer.trace_simple_type::<T>();
+        traced.expect("a type of messages has one form").0
+    }
+}
+
+impl TypeVisitor for SchemaTracer {
+    fn visit<P: Payload>(&mut self) {
+        let format = self.trace::<P>();
+        self.kinds.insert(P::KIND, format);
+    }
+}
+
+impl MessageSchemas {
+    /// Traces the message schemas of this version.
+    pub fn read() -> Self {
+        let mut seen = SchemaTracer {
+            tracer: Tracer::new(TracerConfig::default()),
+            kinds: BTreeMap::new(),
+        };
+        // Enums inside messages are traced first: from a message alone, the tracer sees only their first variant.
+        seen.trace::<Plan>();
+        seen.trace::<WakeOutcome>();
+        seen.trace::<DeviceState>();
+        seen.trace::<Pace>();
+        MessageKind::show_types(&mut seen);
+        Self {
+            types: seen.tracer.registry().expect("types of messages are finite"),
+            kinds: seen.kinds,
+        }
+    }
+
+    /// Returns the type called `name`.
+    pub fn named(&self, name: &str) -> Option<&ContainerFormat> {
+        self.types.get(name)
+    }
+
+    /// Returns the type of the messages of `kind`.
+    pub fn kind(&self, kind: MessageKind) -> &Format {
+        &self.kinds[&kind]
+    }
+
+    /// Returns the JSON Schema of the JSON lines of `kind`.
+    pub fn schema(&self, kind: MessageKind) -> Value {
+        let number = match kind.addressee().name() {
+            "" => json!({ "type": "null" }),
+            whose => json!({ "type": "integer", "minimum": 0, "description": format!("the {whose}") }),
+        };
+        let malformed = object([("malformed", text()), ("payload", text())]);
+        let mut schema = object([
+            ("tti", integer(true)),
+            ("plane", json!({ "const": kind.plane().name() })),
+            ("kind", json!({ "const": kind.name() })),
+            ("number", number),
+            ("bytes", integer(true)),
+            ("message", json!({ "anyOf": [self.format(self.kind(kind)), malformed] })),
+        ]);
+        schema["$schema"] = json!("https://json-schema.org/draft/2020-12/schema");
+        schema["title"] = json!(format!("{}: {}", kind.name(), kind.direction()));
+        schema["description"] = json!(kind.about());
+        schema
+    }
+
+    fn format(&self, format: &Format) -> Value {
+        match format {
+            Format::TypeName(name) => self.container(&self.types[name]),
+            Format::Unit => json!({ "type": "null" }),
+            Format::Bool => json!({ "type": "boolean" }),
+            Format::I8 | Format::I16 | Format::I32 | Format::I64 | Format::I128 => integer(false),
+            Format::U8 | Format::U16 | Format::U32 | Format::U64 | Format::U128 => integer(true),
+            Format::F32 | Format::F64 => json!({ "type": "number" }),
+            Format::Char | Format::Str => text(),
+            Format::Bytes => json!({ "type": "array", "items": integer(true) }),
+            Format::Option(inner) => json!({ "anyOf": [self.format(inner), { "type": "null" }] }),
+            Format::Seq(inner) => json!({ "type": "array", "items": self.format(inner) }),
+            Format::Map { value, .. } => json!({ "type": "object", "additionalProperties": self.format(value) }),
+            Format::Tuple(parts) => self.tuple(parts),
+            Format::TupleArray { content, size } => {
+                json!({ "type": "array", "items": self.format(content), "minItems": size, "maxItems": size })
+            }
+            Format::Variable(_) => json!({}),
+        }
+    }
+
+    fn container(&self, container: &ContainerFormat) -> Value {
+        match container {
+            ContainerFormat::UnitStruct => json!({ "type": "null" }),
+            ContainerFormat::NewTypeStruct(inner) => self.format(inner),
+            ContainerFormat::TupleStruct(parts) => self.tuple(parts),
+            ContainerFormat::Struct(fields) => self.fields(fields),
+            ContainerFormat::Enum(variants) => {
+                let variants: Vec<Value> = variants.values().map(|variant| self.variant(variant)).collect();
+                json!({ "oneOf": variants })
+            }
+        }
+    }
+
+    fn variant(&self, variant: &Named<VariantFormat>) -> Value {
+        let inner = match &variant.value {
+            VariantFormat::Unit | VariantFormat::Variable(_) => return json!({ "const": variant.name }),
+            VariantFormat::NewType(inner) => self.format(inner),
+            VariantFormat::Tuple(parts) => self.tuple(parts),
+            VariantFormat::Struct(fields) => self.fields(fields),
+        };
+        object([(variant.name.as_str(), inner)])
+    }
+
+    fn fields(&self, fields: &[Named<Format>]) -> Value {
+        object(
+            fields
+                .iter()
+                .map(|field| (field.name.as_str(), self.format(&field.value))),
+        )
+    }
+
+    fn tuple(&self, parts: &[Format]) -> Value {
+        let items: Vec<Value> = parts.iter().map(|part| self.format(part)).collect();
+        json!({ "type": "array", "prefixItems": items, "minItems": items.len(), "maxItems": items.len() })
+    }
+}
+
+fn text() -> Value {
+    json!({ "type": "string" })
+}
+
+fn integer(is_natural: bool) -> Value {
+    if is_natural {
+        json!({ "type": "integer", "minimum": 0 })
+    } else {
+        json!({ "type": "integer" })
+    }
+}
+
+/// Builds the schema of an object whose properties are all required.
+fn object<'a>(properties: impl IntoIterator<Item = (&'a str, Value)>) -> Value {
+    let (mut required, mut of) = (Vec::new(), serde_json::Map::new());
+    for (name, schema) in properties {
+        required.push(json!(name));
+        of.insert(name.to_owned(), schema);
+    }
+    json!({ "type": "object", "properties": of, "required": required })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_kind_has_a_form() {
+        let forms = MessageSchemas::read();
+        for kind in MessageKind::ALL {
+            let schema = forms.schema(*kind);
+            assert_eq!(schema["properties"]["kind"]["const"], kind.name());
+            assert!(schema["properties"]["message"]["anyOf"][0].is_object(), "{schema}");
+        }
+        let report = &forms.schema(MessageKind::Report)["properties"]["message"]["anyOf"][0];
+        let names: Vec<&str> = report["required"]
+            .as_array()
+            .expect("fields")
+            .iter()
+            .filter_map(Value::as_str)
+            .collect();
+        assert_eq!(names, ["device", "tti", "information", "battery"]);
+        assert_eq!(report["properties"]["information"]["type"], "number");
+    }
+}

@@ -1,0 +1,135 @@
+//! Pairs of a wake-up and its outcome.
+
+use std::fmt;
+
+use reveille_common::codec::CodecError;
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::{Frame, Message, MessageKind, WakeOutcome};
+
+/// A wake-up with its outcome.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WakeUpExchange {
+    /// TTI of the wake-up.
+    pub tti: Tti,
+    /// The addressed device.
+    pub device: DeviceId,
+    /// Outcome of the wake-up.
+    pub outcome: WakeOutcome,
+    /// Bytes on the air: the wake-up, and the report if any.
+    pub bytes: usize,
+}
+
+impl fmt::Display for WakeUpExchange {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            tti,
+            device,
+            outcome,
+            bytes,
+        } = self;
+        let whose = format!("device {device}");
+        write!(f, "{tti:>8} air   wake    {whose:<11} {bytes:>6} B  {outcome}")
+    }
+}
+
+/// Role of a frame in the pairing of wake-ups with outcomes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PairStep {
+    /// Not part of a wake-up.
+    Alone,
+    /// Part of a wake-up that is still incomplete.
+    Held,
+    /// Last part of this wake-up.
+    Complete(WakeUpExchange),
+}
+
+/// Pairs wake-ups with their outcomes.
+#[derive(Clone, Debug, Default)]
+pub struct WakeUpPairer {
+    /// Device of the open wake-up, and its bytes so far.
+    waking: Option<(DeviceId, usize)>,
+}
+
+impl WakeUpPairer {
+    /// Adds `frame`, whose decoded content is `message`. A wake-up without an outcome, as when that frame was dropped,
+    /// is discarded at the next wake-up.
+    pub fn take(&mut self, frame: &Frame, message: &Result<Message, CodecError>) -> PairStep {
+        let bytes = frame.payload.len();
+        let is_own = |device: DeviceId| frame.number == Some(device.0);
+        match (frame.kind, &mut self.waking) {
+            (MessageKind::Wake, waking) => {
+                *waking = frame.number.map(|number| (DeviceId(number), bytes));
+                PairStep::Held
+            }
+            (MessageKind::Report, Some((device, sum))) if is_own(*device) => {
+                *sum += bytes;
+                PairStep::Held
+            }
+            (MessageKind::Woken, Some((device, sum))) if is_own(*device) => {
+                let (device, bytes) = (*device, *sum);
+                self.waking = None;
+                match message {
+                    Ok(Message::Woken(woken)) => PairStep::Complete(WakeUpExchange {
+                        tti: frame.tti,
+                        device,
+                        outcome: woken.outcome,
+                        bytes,
+                    }),
+                    Ok(_) | Err(_) => PairStep::Alone,
+                }
+            }
+            _ => PairStep::Alone,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use reveille_common::message::{Report, WakeUp, WakeUpResult};
+    use reveille_common::units::Energy;
+
+    use super::*;
+
+    #[test]
+    fn a_wake_up_comes_with_its_outcome() {
+        let (tti, device) = (Tti(8), DeviceId(5));
+        let report = |device| Report {
+            device,
+            tti,
+            information: 0.25,
+            battery: Energy::from_micro(2_000_000),
+        };
+        let outcome = WakeOutcome::Reported(report(device));
+        let frames = [
+            Frame::of(tti, DeviceId(1), &report(DeviceId(1))),
+            Frame::of(tti, device, &WakeUp { tti }),
+            Frame::of(tti, device, &report(device)),
+            Frame::of(tti, device, &WakeUpResult { outcome }),
+            Frame::of(tti, device, &report(device)),
+        ];
+        let mut join = WakeUpPairer::default();
+        let steps = frames.each_ref().map(|frame| join.take(frame, &frame.message()));
+        let bytes = frames[1].payload.len() + frames[2].payload.len();
+        let joined = WakeUpExchange {
+            tti,
+            device,
+            outcome,
+            bytes,
+        };
+        assert_eq!(
+            steps,
+            [
+                PairStep::Alone,
+                PairStep::Held,
+                PairStep::Held,
+                PairStep::Complete(joined),
+                PairStep::Alone
+            ]
+        );
+        let text = joined.to_string();
+        assert!(
+            text.contains("wake    device 5") && text.contains("reported: I 0.2500"),
+            "{text}"
+        );
+    }
+}
