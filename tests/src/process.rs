@@ -557,11 +557,21 @@ pub fn unique_run(name: &str) -> String {
     format!("{name}-{}-{number}", std::process::id())
 }
 
-/// Returns an endpoint on this machine that was free a moment ago.
+/// Returns a free endpoint on this machine. Its port lies below the range from which Linux by default serves
+/// `127.0.0.1:0` and outgoing connections, so that no other process takes it before it is used.
 ///
 /// # Panics
-/// If the value is missing.
+/// If every port of the range is in use.
 pub fn free_endpoint() -> String {
-    let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("there is a free port");
-    format!("tcp/{}", listener.local_addr().expect("a bound socket has an address"))
+    const PORTS: std::ops::Range<u16> = 12_000..32_000;
+    static NUMBER: AtomicU32 = AtomicU32::new(0);
+    // Test programs that run at the same time start at different ports.
+    let start = std::process::id().wrapping_mul(101);
+    let size = PORTS.len() as u32;
+    (0..size)
+        .map(|_| start.wrapping_add(NUMBER.fetch_add(1, Ordering::Relaxed)) % size)
+        .map(|offset| format!("127.0.0.1:{}", u32::from(PORTS.start) + offset))
+        .find(|address| std::net::TcpListener::bind(address).is_ok())
+        .map(|address| format!("tcp/{address}"))
+        .expect("a free port")
 }

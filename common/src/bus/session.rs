@@ -20,6 +20,9 @@ pub fn scaled_timeout(base: Duration, processes: u32) -> Duration {
     base * processes.max(FEW) / FEW
 }
 
+/// Number of free ports tried before listening on any free port fails.
+const PORT_ATTEMPTS: u32 = 10;
+
 /// Interval between checks of why this machine may be unable to connect. The first check follows one interval after
 /// the start.
 const LOOK: Duration = Duration::from_millis(500);
@@ -63,16 +66,12 @@ impl Bus {
     }
 
     async fn listen_as(hosts: u32, endpoint: &str, keys: Keys, extra: &[(&str, &str)]) -> Result<Self, BusError> {
-        let endpoint = resolve_listen_endpoint(endpoint)?;
         let mut config = config("router", hosts)?;
-        set(&mut config, "listen/endpoints", &format!("[{endpoint:?}]"))?;
         set(&mut config, "listen/exit_on_failure", "true")?;
         for (key, value) in access::LIMITS.iter().chain(extra) {
             set(&mut config, key, value)?;
         }
-        let session = open(config)
-            .await?
-            .map_err(|e| BusError::Listen(endpoint.clone(), e.to_string()))?;
+        let (endpoint, session) = open_listening(config, endpoint).await?;
         let mut bus = Self::new(session, keys, &endpoint);
         bus.tap = Some(Tap::start(&bus.session, bus.keys.tap())?);
         Ok(bus)
@@ -180,6 +179,28 @@ async fn hindrance(host: &str, port: u16) -> String {
             continue;
         };
         return format!("{error}. {hint}");
+    }
+}
+
+/// Opens a session that listens on `endpoint` and returns it with the endpoint in use. Another process may take a free
+/// port between its choice and zenoh's use of it, in which case another port is chosen.
+async fn open_listening(mut config: zenoh::Config, endpoint: &str) -> Result<(String, zenoh::Session), BusError> {
+    let is_any_port = address(endpoint)?.1 == 0;
+    let mut attempts = 0;
+    loop {
+        attempts += 1;
+        let resolved = resolve_listen_endpoint(endpoint)?;
+        set(&mut config, "listen/endpoints", &format!("[{resolved:?}]"))?;
+        match open(config.clone()).await? {
+            Ok(session) => return Ok((resolved, session)),
+            Err(error) => match resolve_listen_endpoint(&resolved) {
+                Err(_) if is_any_port && attempts < PORT_ATTEMPTS => {
+                    tracing::debug!(resolved, "another process took the port");
+                }
+                Err(taken) => return Err(taken),
+                Ok(_) => return Err(BusError::Listen(resolved, error.to_string())),
+            },
+        }
     }
 }
 

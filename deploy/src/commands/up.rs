@@ -44,11 +44,11 @@ pub(crate) async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCod
     check(&args.output, &args.drive)?;
     let deciding = policy_source(&scenario, given, &args.drive)?;
     crate::file_limits::for_station(processes)?;
-    // Resolved before the folder is created: an endpoint in use must not cost a run that --force replaces.
-    let endpoint = bus::resolve_listen_endpoint(&args.listen)?;
+    // Checked before the folder is created: an endpoint in use must not cost a run that --force replaces.
+    bus::resolve_listen_endpoint(&args.listen)?;
     let signals = Signals::install(Manner::Keeps)?;
     let folder = RunFolder::create(&args.output, &scenario)?;
-    match listen(args, &endpoint, &folder).await {
+    match listen(args, &folder).await {
         Ok((bus, run)) => {
             let service = Service {
                 settings: ServerConfig {
@@ -77,13 +77,13 @@ pub(crate) async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCod
     }
 }
 
-async fn listen(args: &UpArgs, endpoint: &str, folder: &RunFolder) -> anyhow::Result<(Bus, RunName)> {
+async fn listen(args: &UpArgs, folder: &RunFolder) -> anyhow::Result<(Bus, RunName)> {
     let run = match &args.run {
         Some(run) => run.clone(),
         None => folder.name().parse().context("the run folder's name")?,
     };
     let processes = args.processes.unwrap_or(PROCESSES);
-    let bus = Bus::listen_for_hosts(processes, endpoint, run.clone()).await?;
+    let bus = Bus::listen_for_hosts(processes, &args.listen, run.clone()).await?;
     Ok((bus, run))
 }
 
